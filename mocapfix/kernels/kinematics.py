@@ -1,0 +1,52 @@
+"""Where a pose puts joints and markers.
+
+Rotations carry a vector from a joint's axes into its parent's; world rotations carry it into the world.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from mocapfix.motion import Motion
+from mocapfix.skeleton import Skeleton
+from mocapfix.subject import Subject
+
+
+@njit(cache=True)
+def forward(parents, offsets, root, local, position, rotation):
+    """One frame: local rotations (J, 3, 3) -> world `position` (J, 3) and `rotation` (J, 3, 3), written in place."""
+    for j in range(len(parents)):
+        p = parents[j]
+        if p < 0:
+            for a in range(3):
+                position[j, a] = root[a]
+                for b in range(3):
+                    rotation[j, a, b] = local[j, a, b]
+            continue
+        for a in range(3):
+            total = position[p, a]
+            for c in range(3):
+                total += rotation[p, a, c] * offsets[j, c]
+            position[j, a] = total
+            for b in range(3):
+                turned = 0.0
+                for c in range(3):
+                    turned += rotation[p, a, c] * local[j, c, b]
+                rotation[j, a, b] = turned
+
+
+@njit(cache=True, parallel=True)
+def _forward_all(parents, offsets, root, local, position, rotation):
+    for t in prange(len(root)):
+        forward(parents, offsets, root[t], local[t], position[t], rotation[t])
+
+
+def world(skeleton: Skeleton, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """-> joint positions (T, J, 3) in metres and rotations (T, J, 3, 3), in the world."""
+    position, rotation = np.empty(motion.rotations.shape[:2] + (3,)), np.empty(motion.rotations.shape)
+    _forward_all(skeleton.parents, skeleton.offsets, motion.root, motion.rotations, position, rotation)
+    return position, rotation
+
+
+def markers(subject: Subject, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """-> (T, K, 3) metres: where the body at these world joints carries the subject's markers."""
+    return position[:, subject.joints] + np.einsum("tkab,kb->tka", rotation[:, subject.joints], subject.places)

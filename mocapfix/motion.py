@@ -1,0 +1,34 @@
+"""A motion: the pose of a subject's skeleton in every frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+STATUS = (
+    "solved: the step became smaller than it could matter",
+    "solved: the iterations ran out while still improving a little",
+    "poor: the markers lie far from the body; look at labels and swaps in these frames",
+    "guessed: too few markers were seen; the pose comes from the frames around",
+)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Local joint rotations and the root's place over T frames.
+
+    root        (T, 3) metres: the root joint in the world, Y up
+    rotations   (T, J, 3, 3): each joint's axes in its parent's (the root's in the world)
+    status      (T,) int: an index into STATUS
+    iterations  (T,) int: Levenberg-Marquardt iterations spent on the frame
+    deviation   (T, K) metres: predicted standard deviation per axis of the subject's K markers as the body places them
+    """
+
+    root: np.ndarray
+    rotations: np.ndarray
+    status: np.ndarray
+    iterations: np.ndarray
+    deviation: np.ndarray
+
+    @property
+    def frames(self) -> int:
+        return len(self.root)

@@ -1,0 +1,64 @@
+"""A take: what the cameras saw of one performance."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix.c3d_layout import C3DLayout
+
+
+@dataclass(frozen=True)
+class Take:
+    """Markers over time, in metres, Y up, right-handed.
+
+    markers    (T, M, 3), NaN where not seen
+    labels     M names as in the file, without trailing spaces, with any subject prefix ("Jim:LFHD")
+    rate       frames a second
+    first_frame  the file's own number of frame 0; people are always shown the file's numbers
+    columns    (M,) the index of each marker among the file's points
+    others     labels of the file's points that are no markers: model outputs and unlabelled points
+    deviation  (T, M) metres: predicted standard deviation of the samples that mocapfix put there, NaN elsewhere
+    """
+
+    markers: np.ndarray
+    labels: tuple[str, ...]
+    rate: float
+    first_frame: int = 1
+    path: Path | None = None
+    layout: C3DLayout | None = None
+    columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    others: tuple[str, ...] = ()
+    deviation: np.ndarray | None = None
+
+    @property
+    def frames(self) -> int:
+        return len(self.markers)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(T, M) bool: is the sample there?"""
+        return ~np.isnan(self.markers[..., 0])
+
+    @property
+    def name(self) -> str:
+        return self.path.name if self.path else "the take"
+
+    @property
+    def bare_labels(self) -> tuple[str, ...]:
+        """The labels without subject prefixes: "Jim:LFHD" is LFHD."""
+        return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
+
+    def frame_number(self, index: int) -> int:
+        """The file's own number of the frame at `index`."""
+        return self.first_frame + int(index)
+
+    def with_markers(self, markers: np.ndarray, deviation: np.ndarray | None = None) -> "Take":
+        """The same take with other positions (T, M, 3)."""
+        return replace(self, markers=markers, deviation=deviation)
+
+
+def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """-> the runs of True in `mask` (T,) as (first, last) indices, both inclusive."""
+    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
