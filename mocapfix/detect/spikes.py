@@ -1,0 +1,118 @@
+"""Spikes: a few samples that lie off a marker's own smooth path, and the marker comes back.
+
+A marker's path is the cheapest chain through its samples. A chain pays for every bend that is sharper than a body
+bends (no more than a fixed price for one bend: a marker may change its place once and for all, as where two labels
+are swapped) and for every run of samples it leaves out. The cheapest chain is found exactly, by dynamic programming
+over the pairs of samples kept last (Viterbi 1967 with a second-order chain and a truncated quadratic cost), so that
+neither a dense burst of spikes nor a gap beside one misleads it, as they do local means and medians. What the chain
+left out is a spike only where it also lies far from a local fit to what was kept.
+"""
+
+import numpy as np
+from numba import njit
+
+from mocapfix.faults import Fault
+from mocapfix.take import Take, runs
+
+BEND = 200.0  # m/s2: what a marker on a body does in a blow or a heel strike
+SLACK = 0.010  # metres: a bend that noise and skin may show in whatever little time
+RUN_PRICE, LENGTH_PRICE = 1.5, 1.5  # of leaving out a run, and the longest one besides; a sharp bend costs 1, an excursion has four
+BESIDE_GAP = 0.5  # of the price: there, and at the take's ends, an excursion has but two bends
+FIT_NOISE = 0.002  # metres per axis
+FIT_PRIOR = np.array([10.0, 10.0, 100.0])  # metres, m/s, m/s2: standard deviations before any sample is seen
+FIT_JERK = 5000.0  # m/s3: how fast a parabola stops being true
+FIT_SIDE = 3  # kept samples used on either side
+FIT_SURE = 4.0  # standard deviations
+
+
+def found(take: Take, usable: np.ndarray, smallest: float, longest: float) -> list[Fault]:
+    """-> the spikes among the `usable` (T, M) samples, at least `smallest` metres off and `longest` seconds long at most."""
+    faults = []
+    for m, label in enumerate(take.bare_labels):
+        frames = np.flatnonzero(usable[:, m])
+        off = _off_path(frames, np.ascontiguousarray(take.markers[frames, m]), take.rate, smallest, longest)
+        distance = np.zeros(take.frames)
+        distance[frames] = off
+        faults += [_fault(label, m, first, last, distance[first : last + 1]) for first, last in runs(distance > 0)]
+    return faults
+
+
+def _fault(label: str, marker: int, first: int, last: int, distance: np.ndarray) -> Fault:
+    frames = f"{len(distance)} frames" if len(distance) > 1 else "1 frame"
+    severity = float(distance.max())
+    return Fault("spike", marker, first, last, severity, f"{label} lies {severity * 1e3:.0f} mm off its path for {frames} and comes back.")
+
+
+def _off_path(frames: np.ndarray, points: np.ndarray, rate: float, smallest: float, longest: float) -> np.ndarray:
+    """-> (N,) metres: how far each sample (N, 3) at `frames` (N,) lies off the marker's path; 0 for a sample that does not."""
+    off = np.zeros(len(frames))
+    if len(frames) < 3:
+        return off
+    kept = _chain(frames, points, rate, max(1, round(longest * rate)))
+    left_out = np.flatnonzero(~kept)
+    if len(left_out):
+        expected, deviation = _local_fit(frames[kept] / rate, points[kept], frames[left_out] / rate)
+        distance = np.linalg.norm(points[left_out] - expected, axis=-1)
+        off[left_out] = np.where(distance > np.maximum(smallest, FIT_SURE * deviation), distance, 0.0)
+    return off
+
+
+def _local_fit(times: np.ndarray, points: np.ndarray, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """-> positions (N, 3) and their standard deviation (N,) per axis at `when` (N,), from parabolas through the nearest samples.
+
+    A sample weighs less the farther away in time it is, for a path is a parabola only for a moment; across a gap
+    or at a path's end the deviation therefore grows, and nothing is called a spike there.
+    """
+    near = np.searchsorted(times, when)[:, None] + np.arange(-FIT_SIDE, FIT_SIDE)
+    there = (near >= 0) & (near < len(times))
+    near = near.clip(0, len(times) - 1)
+    lag = times[near] - when[:, None]
+    weight = there / (FIT_NOISE**2 + (FIT_JERK * lag**3 / 6) ** 2)
+    basis = np.stack([np.ones_like(lag), lag, lag**2 / 2], -1)
+    origin = points[near[:, FIT_SIDE]][:, None]
+    covariance = np.linalg.inv(np.einsum("nk,nka,nkb->nab", weight, basis, basis) + np.diag(FIT_PRIOR**-2))
+    moment = np.einsum("nk,nka,nkx->nax", weight, basis, points[near] - origin)
+    return origin[:, 0] + np.einsum("na,nax->nx", covariance[:, 0], moment), np.sqrt(covariance[:, 0, 0])
+
+
+@njit(cache=True)
+def _bend(frames, points, rate, a, b, c):
+    """-> 0..1: how sharply the path bends at sample b between a and c, 1 being as sharp as counts."""
+    before, after = (frames[b] - frames[a]) / rate, (frames[c] - frames[b]) / rate
+    share, square = before / (before + after), 0.0
+    for x in range(3):
+        square += (points[a, x] + share * (points[c, x] - points[a, x]) - points[b, x]) ** 2
+    return min(1.0, square / (SLACK + BEND * before * after / 2) ** 2)
+
+
+@njit(cache=True)
+def _chain(frames, points, rate, longest):
+    """-> (N,) bool: the samples on the cheapest chain that leaves out at most `longest` samples in a row.
+
+    cost[i, g] is that of the cheapest chain that ends in samples i - g - 1 and i; came[i, g] is the g before.
+    """
+    count, steps = len(frames), longest + 1
+    cost, came = np.full((count, steps), np.inf), np.full((count, steps), -1)
+    price = np.array([0.0] + [RUN_PRICE + LENGTH_PRICE * n / longest for n in range(1, steps)])
+    for i in range(1, count):
+        for g in range(min(steps, i)):
+            j = i - g - 1
+            leap = price[g] * (BESIDE_GAP if frames[i] - frames[j] > i - j else 1.0)
+            if j < steps:
+                cost[i, g] = BESIDE_GAP * price[j] + leap
+            for h in range(min(steps, j)):
+                total = cost[j, h] + leap + _bend(frames, points, rate, j - h - 1, j, i)
+                if total < cost[i, g]:
+                    cost[i, g], came[i, g] = total, h
+    best, i, g = np.inf, count - 1, 0
+    for end in range(max(1, count - steps), count):
+        for step in range(steps):
+            total = cost[end, step] + BESIDE_GAP * price[count - 1 - end]
+            if total < best:
+                best, i, g = total, end, step
+    kept = np.zeros(count, np.bool_)
+    kept[i] = True
+    while g >= 0:
+        i, g = i - g - 1, came[i, g]
+        kept[i] = True
+    return kept

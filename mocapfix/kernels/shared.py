@@ -1,0 +1,137 @@
+"""What many frames say together of the unknowns they share, their poses eliminated (Schur complement by the sweep).
+
+Shared unknowns, P = 1 + G + 3 K of them: the logarithm of the body's size, of G bone groups' scales, and the K markers'
+places in their joints' axes, in metres.
+"""
+
+import numpy as np
+from numba import njit
+
+from mocapfix.kernels import sweep
+from mocapfix.kernels.kinematics import forward
+from mocapfix.kernels.levenberg import arms, linearise, of_frame
+from mocapfix.kernels.residuals import geman_mcclure
+
+
+@njit(cache=True)
+def stretched(tree, groups, count, rotation, stretch):
+    """Write how each joint moves (count + 1, J, 3) with the logarithm of the size [0] and of each group's scale [1:]."""
+    stretch.fill(0)
+    for j in range(1, len(tree.parents)):
+        p = tree.parents[j]
+        for c in range(count + 1):
+            mine = c == 0 or groups[j] == c - 1
+            for a in range(3):
+                stretch[c, j, a] = stretch[c, p, a]
+                if mine:
+                    for e in range(3):
+                        stretch[c, j, a] += rotation[p, a, e] * tree.offsets[j, e]
+
+
+@njit(cache=True)
+def felt(tree, attached, arm, rotation, weight, shift, factors, twist, turn, moved):
+    """Write where the markers go, `moved` (K, 3), when they are shifted by `shift` (K, 3) and the pose gives way.
+
+    factors  what sweep.factor left: the root's inverse, gains and inverse own curvatures
+    """
+    root_inverse, gain, inverse_own = factors
+    joints = len(tree.parents)
+    g, b, q = np.zeros((joints, 6)), np.zeros((joints, 3)), np.empty((len(shift), 3))
+    for k in range(len(shift)):
+        j = attached.joints[k]
+        for a in range(3):
+            q[k, a] = arm[j, a]
+            for c in range(3):
+                q[k, a] += rotation[j, a, c] * attached.places[k, c]
+        w = weight[k]
+        x, y, z = q[k]
+        ex, ey, ez = shift[k]
+        g[j, 0] += w * (y * ez - z * ey)
+        g[j, 1] += w * (z * ex - x * ez)
+        g[j, 2] += w * (x * ey - y * ex)
+        g[j, 3] += w * ex
+        g[j, 4] += w * ey
+        g[j, 5] += w * ez
+    sweep.solve(tree.parents, tree.free, arm, root_inverse, gain, inverse_own, g, b, twist, turn)
+    for k in range(len(shift)):
+        t = twist[attached.joints[k]]
+        x, y, z = q[k]
+        moved[k, 0] = shift[k, 0] + t[3] + t[1] * z - t[2] * y
+        moved[k, 1] = shift[k, 1] + t[4] + t[2] * x - t[0] * z
+        moved[k, 2] = shift[k, 2] + t[5] + t[0] * y - t[1] * x
+
+
+@njit(cache=True)
+def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, local, curvature, gradient):
+    """Add one frame's part to the shared unknowns' curvature (P, P) and gradient (P,). -> the frame's cost
+
+    The pose is at its own optimum for the present shared unknowns, or near it.
+    """
+    joints, markers = len(local), len(attached.joints)
+    position, rotation, arm = np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3))
+    h, g, own, b = np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3))
+    gain, inverse_own, twist, turn = np.empty((joints, 6, 3)), np.empty_like(own), np.empty_like(g), np.empty_like(b)
+    forward(tree.parents, tree.offsets, root, local, position, rotation)
+    cost = linearise(tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b)
+    arms(position, arm)
+    sweep.factor(tree.parents, tree.free, arm, h, own, 1e-3, gain, inverse_own)
+    factors = (h[0], gain, inverse_own)
+    stretch = np.empty((count + 1, joints, 3))
+    stretched(tree, groups, count, rotation, stretch)
+    trusted, error = np.zeros(markers), np.zeros((markers, 3))
+    for k in range(markers):
+        if weight[k] > 0:
+            j, square = attached.joints[k], 0.0
+            for a in range(3):
+                error[k, a] = position[j, a] - seen[k, a]
+                for c in range(3):
+                    error[k, a] += rotation[j, a, c] * attached.places[k, c]
+                square += error[k, a] ** 2
+            trusted[k] = weight[k] * geman_mcclure(weight[k] * square, scale2)[1]
+    unknowns = 1 + count + 3 * markers
+    shift, moved = np.zeros((markers, 3)), np.empty((markers, 3))
+    for p in range(unknowns + 1):  # the last: the residual itself
+        k = (p - 1 - count) // 3
+        if p <= count:
+            for m in range(markers):
+                for a in range(3):
+                    shift[m, a] = stretch[p, attached.joints[m], a]
+        elif p < unknowns:
+            shift.fill(0)
+            if trusted[k] == 0.0:
+                continue
+            for a in range(3):
+                shift[k, a] = rotation[attached.joints[k], a, (p - 1 - count) % 3]
+        else:
+            for m in range(markers):
+                for a in range(3):
+                    shift[m, a] = error[m, a]
+        felt(tree, attached, arm, rotation, trusted, shift, factors, twist, turn, moved)
+        for m in range(markers):
+            if trusted[m] == 0.0:
+                continue
+            r, x, y, z = rotation[attached.joints[m]], moved[m, 0] * trusted[m], moved[m, 1] * trusted[m], moved[m, 2] * trusted[m]
+            at = 1 + count + 3 * m
+            for a in range(3):
+                along = r[0, a] * x + r[1, a] * y + r[2, a] * z
+                if p < unknowns:
+                    curvature[at + a, p] += along
+                else:
+                    gradient[at + a] += along
+            for c in range(count + 1):
+                s = stretch[c, attached.joints[m]]
+                if p < unknowns:
+                    curvature[c, p] += s[0] * x + s[1] * y + s[2] * z
+                else:
+                    gradient[c] += s[0] * x + s[1] * y + s[2] * z
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def add_frames(tree, attached, groups, count, seen, weight, scale2, target, prior, root, local, curvature, gradient, cost, first, stop):
+    """`add_frame` on first..stop, each into its own row: curvature (T, P, P), gradient (T, P), cost (T,)."""
+    for t in range(first, stop):
+        pulls = (of_frame(target, t), of_frame(prior, t))
+        cost[t] = add_frame(
+            tree, attached, groups, count, seen[t], weight[t], scale2, pulls, root[t], local[t], curvature[t], gradient[t]
+        )

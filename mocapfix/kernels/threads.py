@@ -1,0 +1,19 @@
+"""Running a compiled loop over frames on every core.
+
+The kernels release the interpreter's lock; each thread takes a block of frames and writes only there, so the result does
+not depend on their number. (Numba's own parallel loops do the same but take several times as long to compile.)
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+
+def over_frames(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
+    """Call kernel(*arguments, first, stop) on blocks that together make up 0..frames."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    size = max(1, -(-frames // (4 * cores)))
+    with ThreadPoolExecutor(cores) as pool:
+        blocks = [pool.submit(kernel, *arguments, a, min(a + size, frames)) for a in range(0, frames, size)]
+        for block in blocks:
+            block.result()

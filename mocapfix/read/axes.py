@@ -1,0 +1,49 @@
+"""Which way is up in a capture: laboratories write Z up, animation tools Y up, a few X up."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+# Rotations of file axes to Y up; all are proper, so left stays left. Z up: (x, y, z) -> (y, z, x), as CMU's releases.
+TO_Y_UP = {"X": np.eye(3)[[2, 0, 1]], "Y": np.eye(3), "Z": np.eye(3)[[1, 2, 0]]}
+HIGH = re.compile(r"head|[fb]hd$|hd[fb]$|ariel|c7$|cv7$|clav|sho$|shoulder", re.IGNORECASE)
+LOW = re.compile(r"toe|hee$|hel$|heel|ank|mt[125]$|foot|fcc$|fm[125]$|cal$", re.IGNORECASE)
+RISE = 0.3  # metres: heads above feet by less than this say nothing
+CLEARLY_TALLER = 1.5  # arms held sideways make a person nearly as wide as tall; Z up is the commoner, so it has the doubt
+ENOUGH_FRAMES = 200
+
+
+def to_y_up(vertical: str, labels: Sequence[str], positions: np.ndarray) -> np.ndarray:
+    """-> (3, 3) rotation, file axes -> Y up.
+
+    vertical   the file's POINT:Y_SCREEN ("+Z"); its sign tells the viewer's side, not where the sky is (Qualisys
+               writes -Z on Z-up data), so only the letter counts
+    labels     M marker labels
+    positions  (T, M, 3) metres in the file's axes, NaN where not seen; asked where `vertical` says nothing
+    """
+    letter = vertical[-1:]
+    return TO_Y_UP[letter if letter in TO_Y_UP else _upward(labels, positions[:: max(1, len(positions) // ENOUGH_FRAMES)])]
+
+
+def _upward(labels: Sequence[str], positions: np.ndarray) -> str:
+    """The axis along which heads lie above feet; where the labels do not say, the one along which the body is tallest."""
+    rise = np.abs(_rise(labels, positions))
+    if rise.max() > RISE:
+        return "XYZ"[rise.argmax()]
+    some = positions[np.isfinite(positions[..., 0]).any(1)]
+    if not len(some):
+        return "Z"
+    _, y, z = np.median(np.nanmax(some, axis=1) - np.nanmin(some, axis=1), axis=0)
+    return "Y" if y > CLEARLY_TALLER * z else "Z"
+
+
+def _rise(labels: Sequence[str], positions: np.ndarray) -> np.ndarray:
+    """(3,) the median way from the foot markers to the head markers, over the frames that show both; else zero."""
+    seen = np.isfinite(positions[..., 0])
+    high, low = (np.array([bool(kind.search(label)) for label in labels], bool) for kind in (HIGH, LOW))
+    both = seen[:, high].any(1) & seen[:, low].any(1)
+    if not both.any():
+        return np.zeros(3)
+    heads, feet = (np.nanmean(positions[both][:, kind], axis=1) for kind in (high, low))
+    return np.median(heads - feet, axis=0)

@@ -1,0 +1,127 @@
+"""Reading a C3D: the point block as one NumPy view, out of it a take in metres with Y up."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix.c3d_layout import C3DLayout
+from mocapfix.errors import ReadError
+from mocapfix.read.axes import to_y_up
+from mocapfix.read.labels import marker_columns
+from mocapfix.read.parameters import Parameters, parameters
+from mocapfix.take import Take
+
+METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "": 0.001}
+MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
+NOWHERE = 9_000_000  # file units; Cortex writes 9999999 for an occluded marker
+
+
+def take(path: str | Path) -> Take:
+    """-> the take in a C3D file, told by what it holds and not by its suffix.
+
+    Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
+    9999999, NaN. Model outputs and unlabelled points go to `others`. Source: C3D User Guide, "The 3D Data Section".
+
+    Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
+    """
+    path = Path(path)
+    data = _c3d_bytes(path)
+    try:
+        said = parameters(data)
+    except ValueError as error:
+        raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
+    layout = _layout(path, said, len(data))
+    values = _values(layout, data)
+    seen = _seen(values)
+    labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
+    columns = marker_columns(labels, said.outputs, seen, values[..., 3])
+    if not len(columns):
+        raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
+    positions = values[:, columns, :3] * layout.unit
+    positions[~seen[:, columns]] = np.nan
+    names = tuple(labels[i] for i in columns)
+    axes = to_y_up(said.vertical, names, positions)
+    return Take(
+        markers=positions @ axes.T,
+        labels=names,
+        rate=said.rate,
+        first_frame=said.first_frame,
+        path=path,
+        layout=replace(layout, axes=axes),
+        columns=columns,
+        others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
+    )
+
+
+def _c3d_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
+    except IsADirectoryError as error:
+        raise ReadError(f"{path}: is a folder; name the C3D files in it.") from error
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
+    if not data:
+        raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
+    if data.lstrip()[:9].upper() == b"HIERARCHY":
+        raise ReadError(f"{path}: is a BVH; mocapfix cleans C3D takes, so give it the capture that the BVH was made from.")
+    if len(data) < 2 * BLOCK or data[1] != MAGIC:
+        raise ReadError(f"{path}: is not a C3D file; mocapfix cleans C3D takes, so export the capture as C3D.")
+    return data
+
+
+def _layout(path: Path, said: Parameters, size: int) -> C3DLayout:
+    """Where the samples lie, held against the file's size in bytes; its axes are not known yet."""
+    unit = METRES.get(said.units.lower())
+    if said.points == 0:
+        raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
+    if said.points != said.header_points:
+        raise ReadError(
+            f"{path}: holds {said.header_points} points by its header and {said.points} by POINT:USED; export it again."
+        )
+    if unit is None:
+        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of mm, cm, m.")
+    if not (np.isfinite(said.rate) and said.rate > 0):
+        raise ReadError(f"{path}: POINT:RATE is {said.rate:g}; set it to the frames a second.")
+    if not np.isfinite(said.scale) or said.scale == 0:
+        raise ReadError(f"{path}: POINT:SCALE is {said.scale:g}, which gives no coordinates; export it again.")
+    is_float = said.scale < 0
+    frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
+    frames = _frames(path, said, size, frame_bytes)
+    return C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
+
+
+def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
+    """How many frames the file of `size` bytes has: what is promised, if it is there.
+
+    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more.
+    """
+    held = max(0, size - said.start) // frame_bytes
+    if said.promised < 1:
+        raise ReadError(f"{path}: holds no frames; export the trial again.")
+    if said.promised <= held:
+        return said.promised
+    if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
+        return said.header_frames
+    raise ReadError(f"{path}: is cut off: {said.promised} frames are promised, {held} are there; copy or export it again.")
+
+
+def _values(layout: C3DLayout, data: bytes) -> np.ndarray:
+    """-> (T, P, 4): X Y Z in file units and the residual word."""
+    words = layout.words(data)
+    if layout.is_float and layout.processor == 85:
+        # A VAX F float is an IEEE one times 4 with its 16-bit halves swapped.
+        return ((words >> 16) | (words << 16)).view("<f4").astype(float) / 4
+    values = words.astype(float)
+    if not layout.is_float:
+        values[..., :3] *= layout.scale
+    return values
+
+
+def _seen(values: np.ndarray) -> np.ndarray:
+    """-> (T, P) bool: is the sample valid?"""
+    x, y, z, word = np.moveaxis(values, -1, 0)
+    near = (np.abs(x) < NOWHERE) & (np.abs(y) < NOWHERE) & (np.abs(z) < NOWHERE)
+    return near & ~(word < 0) & ((x != 0) | (y != 0) | (z != 0))

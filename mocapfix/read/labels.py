@@ -1,0 +1,46 @@
+"""Telling markers from the other points of a C3D: model outputs and unlabelled trajectories."""
+
+import re
+from collections.abc import Sequence, Set
+
+import numpy as np
+
+# What Vicon, Qualisys, Motive and Cortex call a trajectory that nobody named; so is a label without any letter ("*12").
+UNLABELLED = re.compile(r"(uname|unlabell?ed|unnamed|unidentified|new |c_)[\s_*]*\d*", re.IGNORECASE)
+OUTPUT = re.compile(r".*(Angles?|Forces?|Moments?|Powers?|GRF|CentreOfMass(Floor)?)")
+# Plug-in Gait gives every segment as four points: origin, and the ends of its anterior, lateral and proximal axes.
+SEGMENT = ("O", "A", "L", "P")
+# Fewer computed points than this at the end of a file may as well be markers that somebody edited throughout.
+FEWEST_OUTPUTS = 3
+
+
+def marker_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray, words: np.ndarray) -> np.ndarray:
+    """-> (M,) indices of the points that are markers, among P points in the file's order.
+
+    labels   P labels, blanks stripped
+    outputs  labels that the file lists as model outputs
+    seen     (T, P) bool: the sample is valid
+    words    (T, P) residual words; 0 says that no camera measured the sample
+
+    A point is a marker unless it is unlabelled, named or listed as a model output, or among the points behind the
+    last measured one: in files that keep residuals, Vicon appends what its models computed there, all words 0.
+    """
+    names = set(labels)
+    is_marker = np.array([_is_named(label) and label not in outputs and not _is_segment(label, names) for label in labels], bool)
+    measured = (seen & (words != 0)).any(0)
+    if measured.any():
+        behind = np.arange(len(labels)) > np.flatnonzero(measured)[-1]
+        computed = is_marker & seen.any(0) & behind
+        if computed.sum() >= FEWEST_OUTPUTS:
+            is_marker &= ~computed
+    return np.flatnonzero(is_marker)
+
+
+def _is_named(label: str) -> bool:
+    bare = label.rsplit(":", 1)[-1].strip()
+    return any(c.isalpha() for c in bare) and not UNLABELLED.fullmatch(bare) and not OUTPUT.fullmatch(bare)
+
+
+def _is_segment(label: str, names: Set[str]) -> bool:
+    stem = label[:-1]
+    return len(stem.rsplit(":", 1)[-1]) == 3 and label[-1] in SEGMENT and all(stem + end in names for end in SEGMENT)

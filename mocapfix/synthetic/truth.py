@@ -1,0 +1,87 @@
+"""A person, their motion and their markers, with everything known that a take does not tell."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from mocapfix import marker_set
+from mocapfix.kernels import kinematics
+from mocapfix.motion import Motion
+from mocapfix.skeleton import Body, Skeleton, cmu31
+from mocapfix.subject import Subject
+from mocapfix.synthetic import damage, motions
+
+LENGTHS = 0.04  # standard deviation of a bone group's length, as a part of it
+PLACES = 0.012  # metres: standard deviation per axis of a marker's place on the person
+SLIDE, SLIDE_TIME = 0.004, 0.3  # metres and seconds: how far skin carries a marker per axis, and for how long
+NOISE = 0.0003  # metres: the cameras' own
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A composed take: what happened and what the cameras say of it.
+
+    motion   (T frames) of the subject's skeleton
+    subject  the person's true bones and marker places
+    joints   (T, J, 3) metres: where the joints are
+    markers  (T, M, 3) metres: the markers, undamaged
+    damaged  (T, M, 3) metres: the markers with spikes, NaN where missing
+    struck   (T, M) bool: missing
+    moved    (T, M) bool: displaced by a spike
+    labels   M marker labels
+    rate     frames a second
+    """
+
+    motion: Motion
+    subject: Subject
+    joints: np.ndarray
+    markers: np.ndarray
+    damaged: np.ndarray
+    struck: np.ndarray
+    moved: np.ndarray
+    labels: tuple[str, ...]
+    rate: float
+
+
+def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0) -> Truth:
+    """-> somebody who walks, reaches, crouches and turns round, and again; the same for the same arguments.
+
+    The seed draws the person, the skin and the damage; the motion differs with the person's legs only.
+    """
+    rng = np.random.default_rng(seed)
+    subject = _subject(rng)
+    motion = motions.compose(subject, seconds, rate)
+    joints, rotation = kinematics.world(subject.skeleton, motion)
+    slide = _skin(rng, motion.frames, len(subject.labels), rate)
+    markers = kinematics.markers(subject, joints, rotation)
+    markers += np.einsum("tkab,tkb->tka", rotation[:, subject.joints], slide) + rng.normal(0, NOISE, markers.shape)
+    arm = np.isin(subject.joints, [subject.skeleton.index(name) for name in damage.ARM])
+    struck = damage.gaps(rng, motion.frames, rate, arm)
+    shift = damage.spikes(rng, ~struck, rate)
+    damaged = np.where(struck[..., None], np.nan, markers + shift)
+    return Truth(motion, subject, joints, markers, damaged, struck, (shift != 0).any(axis=2), subject.labels, rate)
+
+
+def _subject(rng: np.random.Generator) -> Subject:
+    """The average body, every group of bones somewhat longer or shorter, markers put on by hand."""
+    nominal = marker_set.load("cmu41")
+    places = nominal.places + rng.normal(0, PLACES, nominal.places.shape)
+    spread = np.full(len(nominal.labels), SLIDE)
+    return Subject(_skeleton(rng, cmu31()), nominal.name, nominal.labels, nominal.joints, places, spread)
+
+
+def _skeleton(rng: np.random.Generator, body: Body) -> Skeleton:
+    offsets = body.skeleton.offsets.copy()
+    for joints in body.groups.values():
+        offsets[list(joints)] *= rng.normal(1, LENGTHS)
+    return replace(body.skeleton, offsets=offsets)
+
+
+def _skin(rng: np.random.Generator, frames: int, markers: int, rate: float) -> np.ndarray:
+    """-> (T, M, 3) metres: smooth wandering whose correlation falls to 1/e after SLIDE_TIME."""
+    sigma = SLIDE_TIME / 2 * rate  # white noise under a Gaussian of sigma has correlation exp(-lag^2 / 4 sigma^2)
+    margin = round(4 * sigma)
+    white = rng.normal(size=(frames + 2 * margin, markers, 3))
+    smooth = gaussian_filter1d(white, sigma, axis=0)[margin : margin + frames]
+    return smooth * SLIDE * np.sqrt(2 * np.sqrt(np.pi) * sigma)

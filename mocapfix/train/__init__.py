@@ -1,0 +1,1 @@
+"""Fitting what ships in priors/ from motion data."""

@@ -1,0 +1,84 @@
+"""Fit the mean-pose prior: python -m mocapfix.train.mean_pose MOTION_FOLDER priors/mean-pose.yaml
+
+MOTION_FOLDER holds skeletons.json and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, 32767 = 180 degrees.
+Each motion counts twice, as it is and mirrored, so the mean pose has no handedness. A joint's covariance is that of
+the rotation vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent.
+
+CMU's skeleton is a hinge at the knee and the elbow, turns the forearm only at the wrist and holds the clavicle still.
+People are not so stiff and markers see it: every axis is given at least FLOOR, and the elbow the forearm's turn.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+FLOOR = 0.06  # radians
+ELBOW_FLOOR = (0.5, 0.2, 0.2)  # radians along x, the forearm's own axis, y and z
+CARD = """\
+# The mean pose of people in motion, and how each joint strays from it: covariance of its rotation vectors from the
+# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz).
+# Fitted by mocapfix.train.mean_pose to {frames} frames of {trials} trials of the CMU database, each also mirrored.
+#
+# The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
+# EIA-0196217.
+"""
+
+
+def mirrored_name(name: str) -> str:
+    """-> the joint on the other side: LeftArm for RightArm, LThumb for RThumb."""
+    for left, right in (("Left", "Right"), ("LHip", "RHip"), ("LThumb", "RThumb")):
+        if name.startswith(left):
+            return right + name[len(left) :]
+        if name.startswith(right):
+            return left + name[len(right) :]
+    return name
+
+
+def mean_rotation(matrices: np.ndarray) -> np.ndarray:
+    """-> the rotation (3, 3) nearest, in the chordal sense, to all of `matrices` (N, 3, 3)."""
+    u, _, vt = np.linalg.svd(matrices.mean(0))
+    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+
+
+def fit(names: list[str], euler: np.ndarray) -> dict:
+    """-> the prior's mapping, from joint names and Euler angles (N, J, 3) in degrees, ZYX."""
+    flip = np.diag([-1.0, 1.0, 1.0])  # mirroring: left becomes right, x changes sign
+    matrices = {n: Rotation.from_euler("ZYX", euler[:, j], degrees=True).as_matrix() for j, n in enumerate(names)}
+    joints = {}
+    for name in names[1:]:
+        both = np.concatenate([matrices[name], flip @ matrices[mirrored_name(name)] @ flip])
+        mean = mean_rotation(both)
+        quaternion = Rotation.from_matrix(mean).as_quat(canonical=True)
+        c = covariance(both @ mean.T, ELBOW_FLOOR if name.endswith("ForeArm") else (FLOOR,) * 3)
+        joints[name] = {
+            "quaternion_xyzw": [round(float(q), 5) for q in quaternion],
+            "covariance": [round(float(v), 5) for v in (c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2])],
+        }
+    return joints
+
+
+def covariance(away: np.ndarray, floor: tuple[float, float, float]) -> np.ndarray:
+    """-> (3, 3) second moment of the rotation vectors of `away` (N, 3, 3), no axis' deviation under `floor` (radians)."""
+    vectors = Rotation.from_matrix(away).as_rotvec()
+    least = np.diag(np.square(floor))
+    moment = vectors.T @ vectors / len(vectors)
+    scale = np.sqrt(np.diag(1 / np.diag(least)))
+    value, axes = np.linalg.eigh(scale @ moment @ scale)  # in units of the floor
+    return np.sqrt(least) @ axes @ np.diag(np.maximum(value, 1)) @ axes.T @ np.sqrt(least)
+
+
+def main(folder: str, target: str) -> None:
+    names = json.loads((Path(folder) / "skeletons.json").read_text())["joints"]
+    shards = [np.load(path) for path in sorted(Path(folder).glob("train-*.npz")) if "approx" not in path.name]
+    euler = np.concatenate([shard["euler"] for shard in shards]) / 32767 * 180
+    trials = sum(len(shard["trial"]) for shard in shards)
+    text = yaml.safe_dump({"joints": fit(names, euler)}, sort_keys=False, default_flow_style=None, width=120)
+    Path(target).write_text(CARD.format(frames=len(euler), trials=trials) + text)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,277 @@
+import time
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix import read
+from mocapfix.errors import ReadError
+from tests.c3d_files import ENCODINGS, c3d_bytes
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d", "Optotrak.c3d"}
+READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
+
+LABELS = ("Jim:LFHD", "Jim:LANK", "Jim:LFIN")
+# One person standing in mm, Z up: head, ankle, hand over four frames; every number is a whole count of 0.1.
+STANDING = np.array([[[10, 20, 1700], [0, 30, 80], [400, 20.5, 1000]]], float) + np.arange(4)[:, None, None]
+
+
+def take_of(folder: Path, *args, **options):
+    path = folder / "take.c3d"
+    path.write_bytes(c3d_bytes(*args, **options))
+    return read.take(path)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
+    take = take_of(tmp_path, STANDING, LABELS, encoding=encoding)
+    np.testing.assert_allclose(take.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-7)
+    assert take.labels == LABELS
+    assert take.rate == 120
+    assert take.others == ()
+    np.testing.assert_array_equal(take.columns, [0, 1, 2])
+
+
+@pytest.mark.parametrize(("units", "metres"), [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), (None, 0.001), (["mm", "mm"], 0.001)])
+def test_units(tmp_path, units, metres):
+    take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:UNITS": units, "POINT:Y_SCREEN": "+Y"})
+    np.testing.assert_allclose(take.markers, STANDING * metres, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("vertical", "order"), [("+Y", [0, 1, 2]), ("+Z", [1, 2, 0]), ("-Z", [1, 2, 0]), ("+X", [2, 0, 1])])
+def test_the_screen_tells_which_axis_is_up(tmp_path, vertical, order):
+    take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": vertical})
+    np.testing.assert_allclose(take.markers, STANDING[..., order] / 1000, atol=1e-7)
+    assert take.layout is not None
+    assert np.linalg.det(take.layout.axes) == 1
+
+
+@pytest.mark.parametrize("up", [0, 1, 2])
+def test_heads_are_above_feet_where_no_screen_is_given(tmp_path, up):
+    file = np.roll(STANDING, up - 2, axis=-1)
+    take = take_of(tmp_path, file, LABELS)
+    np.testing.assert_allclose(take.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-7)
+
+
+@pytest.mark.parametrize(("tall", "order"), [(1, [0, 1, 2]), (2, [1, 2, 0])])
+def test_the_tallest_axis_is_up_where_labels_say_nothing(tmp_path, tall, order):
+    file = np.roll(STANDING, tall - 2, axis=-1)
+    take = take_of(tmp_path, file, ("A", "B", "C"))
+    np.testing.assert_allclose(take.markers, file[..., order] / 1000, atol=1e-7)
+
+
+@pytest.mark.parametrize("is_float", [False, True])
+def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
+    xyz, words = STANDING.copy(), np.full((4, 3), 5)
+    words[0, 0] = -1
+    xyz[1, 1] = 0
+    expected = np.ones((4, 3), bool)
+    expected[0, 0] = expected[1, 1] = False
+    if is_float:
+        xyz[2, 2], xyz[3, 0], xyz[3, 1] = 9999999, np.nan, np.inf
+        expected[2, 2] = expected[3, 0] = expected[3, 1] = False
+    take = take_of(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
+    np.testing.assert_array_equal(take.seen, expected)
+    np.testing.assert_array_equal(np.isnan(take.markers).all(-1), ~expected)
+
+
+def test_a_coordinate_of_zero_alone_is_valid(tmp_path):
+    xyz = STANDING.copy()
+    xyz[0, 0] = (0, 0, 1700)
+    assert take_of(tmp_path, xyz, LABELS).seen.all()
+
+
+def test_first_frame_of_the_header(tmp_path):
+    take = take_of(tmp_path, STANDING, LABELS, first=40)
+    assert (take.first_frame, take.frames, take.frame_number(3)) == (40, 4, 43)
+
+
+def test_first_frame_beyond_65535(tmp_path):
+    trial = {"TRIAL:ACTUAL_START_FIELD": [70000 - 65536, 1], "TRIAL:ACTUAL_END_FIELD": [70003 - 65536, 1]}
+    take = take_of(tmp_path, STANDING, LABELS, first=65535, extra=trial)
+    assert (take.first_frame, take.frames) == (70000, 4)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"POINT:LONG_FRAMES": 70000.0},
+        {"POINT:FRAMES": 70000.0},
+        {"TRIAL:ACTUAL_START_FIELD": [1, 0], "TRIAL:ACTUAL_END_FIELD": [70000 - 65536, 1]},
+    ],
+)
+def test_more_frames_than_the_header_can_say(tmp_path, said):
+    xyz = np.ones((70000, 1, 3))
+    xyz[-1] = 2
+    take = take_of(tmp_path, xyz, ["A"], encoding=(84, False), extra=said)
+    assert take.frames == 70000
+    np.testing.assert_allclose(take.markers[[0, -2, -1], 0, 0], [0.001, 0.001, 0.002])
+
+
+def test_a_parameter_left_from_a_longer_trial_is_overruled_by_a_file_that_ends_where_its_header_says(tmp_path):
+    assert take_of(tmp_path, STANDING, LABELS, extra={"POINT:FRAMES": 900}).frames == 4
+
+
+def test_labels_beyond_255_and_their_columns(tmp_path):
+    labels = [f"*{i}" for i in range(250)] + [f"M{i}" for i in range(250, 300)]
+    xyz = np.arange(1, 901, dtype=float).reshape(1, 300, 3)
+    take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
+    assert take.labels == tuple(labels[250:])
+    assert len(take.others) == 250
+    np.testing.assert_array_equal(take.columns, np.arange(250, 300))
+    np.testing.assert_allclose(take.markers, xyz[:, 250:] / 1000, rtol=1e-6)
+
+
+def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
+    others = ["*12", "", "#", "Uname*1", "C_123", "17", "Jim:*3", "Unlabeled 20", "Jim:Crank", "LKneeAngles", "Jim:LHipMoment"]
+    others += ["Jim:PELO", "Jim:PELA", "Jim:PELL", "Jim:PELP", "CentreOfMass"]
+    markers = ["LFHD", "Jim:LANK", "Jim:Marker_1", "P1", "C7", "LP", "LA", "Genoux_C", "Jim:Stick 1"]
+    labels = [*others, *markers]
+    xyz = np.arange(1, 3 * len(labels) + 1, dtype=float).reshape(1, -1, 3)
+    take = take_of(tmp_path, xyz, labels, extra={"POINT:SCALARS": ["Jim:Crank", "Other"]})
+    assert take.labels == tuple(markers)
+    assert take.others == tuple(others)
+
+
+def test_points_behind_the_last_measured_one_are_computed(tmp_path):
+    labels = ["A", "B", "C", "D", "RHJC", "LHJC", "HED0"]
+    xyz, words = np.full((2, 7, 3), 100.0), np.zeros((2, 7))
+    words[0, [0, 3]] = 0x0305
+    assert take_of(tmp_path, xyz, labels, words).labels == ("A", "B", "C", "D")
+    assert take_of(tmp_path, xyz, labels).labels == tuple(labels)  # no residuals at all: all are measured
+    assert take_of(tmp_path, xyz[:, :6], labels[:6], words[:, :6]).labels == tuple(labels[:6])  # two may be edited markers
+
+
+def test_duplicate_labels_and_markers_never_seen_are_kept(tmp_path):
+    xyz = STANDING.copy()
+    xyz[:, 2] = 0
+    take = take_of(tmp_path, xyz, ("LFHD", "LFHD", "LANK"))
+    assert take.labels == ("LFHD", "LFHD", "LANK")
+    np.testing.assert_array_equal(take.seen.any(0), [True, True, False])
+
+
+def test_labels_with_more_or_fewer_names_than_points(tmp_path):
+    assert take_of(tmp_path, STANDING, [*LABELS, "Late", "Later"]).labels == LABELS
+    assert take_of(tmp_path, STANDING, LABELS[:2]).others == ("",)
+
+
+BAD = {
+    "empty": (b"", "empty"),
+    "a BVH": (b"\nHIERARCHY\nROOT Hips\n{\n" + bytes(2000), "BVH"),
+    "text": (b"time,x,y,z\n" * 200, "not a C3D"),
+    "a C3D's first bytes": (b"\x02\x50" + bytes(100), "not a C3D"),
+    "noise with the magic byte": (b"\x02\x50" + np.random.default_rng(1).bytes(5000), "damaged"),
+    "no points": (c3d_bytes(np.zeros((4, 0, 3)), ["x"]), "no points"),
+    "no frames": (c3d_bytes(np.zeros((0, 3, 3)), LABELS), "no frames"),
+    "no labelled point": (c3d_bytes(STANDING, ["*1", "*2", ""]), "none of its 3 points"),
+    "strange units": (c3d_bytes(STANDING, LABELS, extra={"POINT:UNITS": "furlong"}), "'furlong'; set it to one of mm, cm, m"),
+    "no rate": (c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}), "POINT:RATE is 0"),
+    "no scale": (c3d_bytes(STANDING, LABELS, extra={"POINT:SCALE": 0.0}), "POINT:SCALE is 0"),
+    "two numbers of points": (c3d_bytes(STANDING, LABELS, extra={"POINT:USED": 5}), "3 points by its header and 5"),
+    "cut off": (c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60], "4 frames are promised, 2 are there"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence_with_the_file(tmp_path, case):
+    data, words = BAD[case]
+    path = tmp_path / "walk.c3d"
+    path.write_bytes(data)
+    with pytest.raises(ReadError) as error:
+        read.take(path)
+    assert str(error.value).startswith(str(path))
+    assert words in str(error.value)
+
+
+def test_no_such_file_and_a_folder(tmp_path):
+    with pytest.raises(ReadError, match=r"none\.c3d: there is no such file"):
+        read.take(tmp_path / "none.c3d")
+    with pytest.raises(ReadError, match="is a folder"):
+        read.take(tmp_path)
+
+
+def test_content_tells_and_not_the_suffix(tmp_path):
+    path = tmp_path / "walk.bvh"
+    path.write_bytes(c3d_bytes(STANDING, LABELS))
+    assert read.take(path).labels == LABELS
+
+
+@given(place=st.integers(0, 1023), byte=st.integers(0, 255), keep=st.integers(0, 2000))
+def test_damage_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_factory, place, byte, keep):
+    data = bytearray(c3d_bytes(STANDING, LABELS))
+    data[place] = byte
+    path = tmp_path_factory.mktemp("damaged") / "take.c3d"
+    path.write_bytes(data[: 600 + keep])
+    try:
+        take = read.take(path)
+    except ReadError:
+        return
+    assert take.markers.shape == (take.frames, len(take.labels), 3)
+
+
+MARKERS = {  # by hand from each file's labels
+    "05_13.c3d": 41,
+    "HDM_bd_05-01_01_120.c3d": 41,
+    "FunctionalWalk.c3d": 67,
+    "JA1Gait35.c3d": 51,
+    "Movement_trial.c3d": 39,
+    "PiG_Calibration-FlatFoot-Hole.c3d": 35,
+    "PiG_Motion-FlatFoot-Hole.c3d": 35,
+    "Qualisys.c3d": 55,
+    "hockey_whole_body.c3d": 46,
+    "sub_labels.c3d": 50,
+}
+
+
+@with_captures
+@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
+def test_captures_stand_upright_and_have_the_markers_a_person_would_count(path):
+    take = read.take(path)
+    assert len(take.labels) == MARKERS.get(path.name, len(take.labels))
+    assert take.layout is not None
+    assert len(take.labels) + len(take.others) == take.layout.points
+    # What a laboratory captures lies above its floor and within a few metres.
+    assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
+
+
+@with_captures
+@pytest.mark.parametrize("path", [path for path in READABLE if path.name != "sgi_real.c3d"], ids=lambda path: path.name)
+def test_captures_read_as_ezc3d_reads_them(path):
+    take = read.take(path)
+    oracle = ezc3d.c3d(str(path))
+    theirs = oracle["data"]["points"][:3, take.columns].transpose(2, 1, 0)
+    assert take.layout is not None
+    ours = take.markers @ take.layout.axes / take.layout.unit
+    np.testing.assert_allclose(ours[take.seen], theirs[take.seen], rtol=1e-6, atol=1e-4)
+    assert (~np.isfinite(theirs[~take.seen]) | (theirs[~take.seen] == 0)).all()
+    assert take.rate == pytest.approx(oracle["parameters"]["POINT"]["RATE"]["value"][0])
+    assert take.first_frame == oracle["header"]["points"]["first_frame"] + 1
+
+
+@with_captures
+def test_one_trial_in_three_encodings():
+    intel, dec, sgi = (read.take(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
+    np.testing.assert_array_equal(dec.markers, sgi.markers)
+    np.testing.assert_array_equal(intel.seen, dec.seen)
+    np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm, and the rounding
+
+
+@with_captures
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("bad_parameter_section.c3d", "damaged"),
+        ("empty.c3d", "empty"),
+        ("Optotrak.c3d", "1149 frames are promised, 29 are there"),
+    ],
+)
+def test_bad_captures_fail_at_once(name, words):
+    start = time.perf_counter()
+    with pytest.raises(ReadError, match=words):
+        read.take(CAPTURES / "c3d" / name)
+    assert time.perf_counter() - start < 1

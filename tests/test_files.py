@@ -1,0 +1,55 @@
+import os
+
+import pytest
+
+from mocapfix.errors import WriteError
+from mocapfix.files import replacing
+
+
+def test_target_holds_what_was_written(tmp_path):
+    target = tmp_path / "walk.bvh"
+    target.write_text("old")
+    with replacing(target) as part:
+        part.write_text("new")
+        assert target.read_text() == "old"
+    assert target.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def write_half(target):
+    with replacing(target) as part:
+        part.write_text("half")
+        raise RuntimeError("in the middle")
+
+
+def test_failure_leaves_everything_as_it_was(tmp_path):
+    target = tmp_path / "walk.bvh"
+    target.write_text("old")
+    with pytest.raises(RuntimeError, match="in the middle"):
+        write_half(target)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_missing_folder_is_named_with_what_to_do(tmp_path):
+    target = tmp_path / "nowhere" / "walk.bvh"
+    with pytest.raises(WriteError) as error, replacing(target):
+        pass
+    assert str(target) in str(error.value)
+    assert "--out" in str(error.value)
+
+
+def test_a_full_disk_is_a_write_error(tmp_path):
+    target = tmp_path / "walk.bvh"
+    with pytest.raises(WriteError, match=r"walk\.bvh.*No space left"), replacing(target):
+        raise OSError(28, "No space left on device")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
+def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
+    usual, target = tmp_path / "usual", tmp_path / "target"
+    usual.touch()
+    with replacing(target):
+        pass
+    assert target.stat().st_mode == usual.stat().st_mode

@@ -1,0 +1,86 @@
+"""What `pip install mocapfix` gets: built through the sdist, installed out of the checkout's sight, run from another folder."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+def run(*command: str | Path, folder: Path) -> str:
+    """-> what a command that must succeed prints, run in `folder` with nothing of the checkout on the path."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """-> the sdist, and the wheel made from it: what the sdist lacks, the wheel lacks too."""
+    folder = tmp_path_factory.mktemp("dist")
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, CHECKOUT, folder=folder)
+    return next(folder.glob("*.tar.gz")), next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """-> the commands' folder of a fresh environment with the wheel in it and the running environment's libraries.
+
+    A .pth file is not read for further .pth files, so an editable install of the checkout does not come along.
+    """
+    base = tmp_path_factory.mktemp("environment")
+    venv.create(base, symlinks=os.name != "nt")
+    places = sysconfig.get_paths("venv", vars={name: str(base) for name in ("base", "platbase", "installed_base")})
+    run(sys.executable, "-m", "pip", "--python", base, "install", "--no-deps", "--no-index", built[1], folder=base)
+    (Path(places["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    return Path(places["scripts"])
+
+
+def shipped(folder: str) -> set[str]:
+    """-> the files of a folder of the checkout, as the wheel names them."""
+    files = (path for path in (CHECKOUT / folder).rglob("*") if path.is_file())
+    return {(Path("mocapfix") / path.relative_to(CHECKOUT)).as_posix() for path in files}
+
+
+def test_wheel_carries_scenes_and_priors_inside_the_package(built: tuple[Path, Path]):
+    names = set(zipfile.ZipFile(built[1]).namelist())
+    assert {name.split("/")[0] for name in names} == {"mocapfix", "mocapfix-0.1.0.dist-info"}
+    assert {"mocapfix/py.typed", "mocapfix/scenes/marker-sets/cmu41.yaml"} <= names
+    assert shipped("scenes") <= names
+    assert shipped("priors") <= names
+    assert any(name.startswith("mocapfix/priors/") for name in names)
+
+
+def test_sdist_is_complete(built: tuple[Path, Path]):
+    with tarfile.open(built[0]) as archive:
+        names = {name.split("/", 1)[1] for name in archive.getnames()}
+    assert {"LICENSE", "CHANGELOG.md", "Makefile", "constraints.txt", "tests/test_packaging.py"} <= names
+    assert not any(name.startswith((".venv", "shared")) for name in names)
+
+
+def test_installed_package_is_the_wheel_and_finds_its_scenes(scripts: Path, tmp_path: Path):
+    ask = "import mocapfix.scenes as s; print(s.__file__, s.folder('scenes'), s.folder('priors'), sep='\\n')"
+    module, scenes, priors = run(scripts / "python", "-c", ask, folder=tmp_path).splitlines()
+    package = Path(module).parent
+    assert package.is_relative_to(scripts.parent)
+    assert (Path(scenes), Path(priors)) == (package / "scenes", package / "priors")
+
+
+@pytest.mark.parametrize("command", [("mocapfix",), ("python", "-m", "mocapfix")])
+def test_installed_commands_answer(scripts: Path, tmp_path: Path, command: tuple[str, ...]):
+    assert "clean" in run(scripts / command[0], *command[1:], "--help", folder=tmp_path)
+
+
+def test_demo_runs_from_the_wheel(scripts: Path, tmp_path: Path):
+    run(scripts / "python", "-m", "mocapfix", "demo", "--out", tmp_path, folder=tmp_path)
+    cleaned = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+    outputs = [tmp_path / "demo.c3d", *(tmp_path / "demo.mocapfix" / f"demo.{kind}" for kind in cleaned)]
+    assert not [output for output in outputs if not output.is_file() or not output.stat().st_size]

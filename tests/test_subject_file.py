@@ -1,0 +1,110 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mocapfix import subject_file
+from mocapfix.errors import SceneError, WriteError
+from mocapfix.marker_set import load as load_marker_set
+from mocapfix.skeleton import Skeleton, cmu31
+from mocapfix.subject import Subject
+
+NOMINAL = load_marker_set("cmu41")
+SUBJECT = Subject(cmu31().skeleton, "cmu41", NOMINAL.labels, NOMINAL.joints, NOMINAL.places, NOMINAL.spread, frames=120)
+metres = st.floats(-2, 2)
+
+
+@given(
+    offsets=arrays(float, (31, 3), elements=metres),
+    places=arrays(float, (41, 3), elements=metres),
+    spread=arrays(float, 41, elements=st.floats(0, 0.1)),
+    frames=st.integers(0, 10_000),
+)
+def test_round_trip(tmp_path_factory, offsets, places, spread, frames):
+    average = cmu31().skeleton
+    skeleton = Skeleton(average.names, average.parents, offsets, average.ends * 1.0123456)
+    path = tmp_path_factory.getbasetemp() / "one.subject.yaml"
+    subject_file.save(path, Subject(skeleton, "cmu41", NOMINAL.labels, NOMINAL.joints, places, spread, frames))
+    back = subject_file.load(path)
+    assert (back.skeleton.names, back.marker_set, back.labels, back.frames) == (average.names, "cmu41", NOMINAL.labels, frames)
+    np.testing.assert_array_equal(back.skeleton.parents, average.parents)
+    np.testing.assert_array_equal(back.joints, NOMINAL.joints)
+    for ours, theirs in (
+        (back.skeleton.offsets, offsets),
+        (back.skeleton.ends, skeleton.ends),
+        (back.places, places),
+        (back.spread, spread),
+    ):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
+
+
+def test_it_can_be_read_by_people(tmp_path):
+    path = tmp_path / "one.subject.yaml"
+    subject_file.save(path, SUBJECT)
+    lines = path.read_text().splitlines()
+    assert lines[0].startswith("# A subject of mocapfix")
+    assert "metres" in lines[1]
+    assert "  LeftLeg: {parent: LeftUpLeg, offset: [0.143, -0.3929, 0.0]}" in lines
+    assert "  LFHD: {joint: Head, place: [0.078, 0.164, 0.073], spread: 0.013}" in lines
+
+
+def test_a_label_that_yaml_might_mistake_comes_back(tmp_path):
+    path = tmp_path / "one.subject.yaml"
+    odd = ("No", "a: b", "12", "#7", "Möve")
+    one = np.zeros(5, int)
+    subject_file.save(path, Subject(cmu31().skeleton, "mine", odd, one, np.zeros((5, 3)), np.ones(5)))
+    assert subject_file.load(path).labels == odd
+
+
+def test_the_order_of_bones_does_not_matter(tmp_path):
+    path = tmp_path / "one.subject.yaml"
+    subject_file.save(path, SUBJECT)
+    data = yaml.safe_load(path.read_text())
+    data["bones"] = dict(sorted(data["bones"].items()))
+    path.write_text(yaml.safe_dump(data, sort_keys=False))
+    np.testing.assert_array_equal(subject_file.load(path).skeleton.offsets, SUBJECT.skeleton.offsets)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("  Head: {parent: Neck1", "  Head: {parent: Neck", r"bones\.Head\.parent: must be Neck1, not Neck"),
+        ("  Head: {parent", "  Skull: {parent", r"bones\.Skull: the skeleton has no such bone"),
+        ("  Hips: {parent: null, offset: [0.0, 0.0, 0.0]}\n", "", r"bones\.Hips: is missing"),
+        (", end: [0.0, 0.1017, -0.0073]", "", r"bones\.Head\.end: is missing"),
+        ("0.3929, 0.0]}", "0.3929, 0.0], end: [0, 0, 1]}", r"bones\.LeftLeg\.end: only a last bone"),
+        ("[0.143, -0.3929, 0.0]", "[0.143, high, 0.0]", r"bones\.LeftLeg\.offset\.1: "),
+        ("LFHD: {joint: Head", "LFHD: {joint: Skull", r"markers\.LFHD\.joint: there is no joint 'Skull'"),
+        ("[0.078, 0.164, 0.073]", "[0.078, .inf, 0.073]", r"markers\.LFHD\.place\.1: "),
+        ("frames: 120", "frames: -1", "frames: "),
+        ("marker_set: cmu41\n", "", "marker_set: "),
+    ],
+)
+def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
+    path = tmp_path / "one.subject.yaml"
+    subject_file.save(path, SUBJECT)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {said}"):
+        subject_file.load(path)
+
+
+def test_no_such_file_or_folder(tmp_path):
+    with pytest.raises(SceneError, match=r"nobody\.yaml.*No such file"):
+        subject_file.load(tmp_path / "nobody.yaml")
+    with pytest.raises(WriteError, match=r"nobody\.yaml"):
+        subject_file.save(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
+
+
+def test_what_cannot_be_written_leaves_the_old_file(tmp_path):
+    path = tmp_path / "one.subject.yaml"
+    subject_file.save(path, SUBJECT)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="argument"):
+        subject_file.save(path, replace(SUBJECT, labels=("LFHD",)))
+    assert path.read_bytes() == before

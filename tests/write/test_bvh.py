@@ -1,0 +1,204 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.errors import WriteError
+from mocapfix.kernels import kinematics
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.write.bvh import bvh, euler_zyx
+
+SKELETON = cmu31().skeleton
+
+
+class Bvh:
+    """What a reader finds in a BVH, in the file's units and order."""
+
+    def __init__(self, text):
+        self.names, self.parents, self.offsets, self.channels, self.ends = [], [], [], [], {}
+        head, motion = text.split("MOTION\n")
+        open_joints, ending = [], False
+        for words in map(str.split, head.splitlines()):
+            match words:
+                case ["ROOT" | "JOINT", name]:
+                    self.parents.append(open_joints[-1] if open_joints else -1)
+                    self.names.append(name)
+                case ["End", "Site"]:
+                    ending = True
+                case ["{"]:
+                    open_joints.append(len(self.names) - 1)
+                case ["}"]:
+                    open_joints.pop()
+                    ending = False
+                case ["OFFSET", *numbers] if ending:
+                    self.ends[self.names[-1]] = [float(x) for x in numbers]
+                case ["OFFSET", *numbers]:
+                    self.offsets.append([float(x) for x in numbers])
+                case ["CHANNELS", count, *names]:
+                    assert int(count) == len(names)
+                    self.channels.append(names)
+        assert not open_joints
+        frames, frame_time, *rows = motion.splitlines()
+        self.frames, self.frame_time = int(frames.removeprefix("Frames: ")), frame_time.removeprefix("Frame Time: ")
+        self.rows = np.array([row.split() for row in rows], float)
+
+    def world(self):
+        """-> (T, J, 3) joint positions as in the file."""
+        position, rotation, column = [], [], 0
+        for joint, (parent, names) in enumerate(zip(self.parents, self.channels, strict=True)):
+            values = self.rows[:, column : column + len(names)]
+            column += len(names)
+            turns = Rotation.from_euler("".join(name[0] for name in names[-3:]), values[:, -3:], degrees=True).as_matrix()
+            if parent < 0:
+                position.append(values[:, :3] + self.offsets[joint])
+                rotation.append(turns)
+            else:
+                position.append(position[parent] + rotation[parent] @ np.array(self.offsets[joint]))
+                rotation.append(rotation[parent] @ turns)
+        assert column == self.rows.shape[1]
+        return np.stack(position, axis=1)
+
+
+def smooth_rotations(seed, frames, joints, swing):
+    """-> (frames, joints, 3, 3): each joint swings about moving axes, up to `swing` radians away from rest."""
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0, 1, frames)[:, None, None]
+    waves = sum(rng.normal(size=(joints, 3)) * np.sin(2 * np.pi * k * time + rng.uniform(0, 7, (joints, 3))) for k in (1, 2, 3))
+    vectors = swing * waves / np.linalg.norm(waves, axis=-1).max()
+    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(frames, joints, 3, 3)
+
+
+def matrices(angles):
+    return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+
+
+def turns(rotations):
+    """-> (T - 1, J) radians by which each joint turns from one frame to the next."""
+    change = np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:]
+    return Rotation.from_matrix(change.reshape(-1, 3, 3)).magnitude().reshape(change.shape[:2])
+
+
+def motion_of(rotations, root=None):
+    frames = len(rotations)
+    root = np.zeros((frames, 3)) if root is None else root
+    return Motion(root, rotations, np.zeros(frames, int), np.zeros(frames, int), np.zeros((frames, 0)))
+
+
+def about(axis, degrees):
+    """-> (T, 1, 3, 3)"""
+    return Rotation.from_euler(axis, degrees[:, None], degrees=True).as_matrix()[:, None]
+
+
+def write(folder, motion, rate=120.0):
+    bvh(folder / "walk.bvh", SKELETON, motion, rate)
+    return Bvh((folder / "walk.bvh").read_text())
+
+
+def test_joints_come_back(tmp_path):
+    rotations = smooth_rotations(0, 240, 31, swing=2.5)
+    root = np.random.default_rng(1).normal(size=(240, 3)) * 4
+    read = write(tmp_path, motion_of(rotations, root))
+    position, _ = kinematics.world(SKELETON, motion_of(rotations, root))
+    assert read.frames == len(read.rows) == 240
+    order = [read.names.index(name) for name in SKELETON.names]
+    np.testing.assert_allclose(read.world()[:, order] / 100, position, atol=1e-6)
+
+
+def test_the_hierarchy_is_the_skeletons(tmp_path):
+    read = write(tmp_path, motion_of(np.tile(np.eye(3), (1, 31, 1, 1))))
+    assert sorted(read.names) == sorted(SKELETON.names)
+    assert read.channels[0] == ["Xposition", "Yposition", "Zposition", "Zrotation", "Yrotation", "Xrotation"]
+    assert all(names == ["Zrotation", "Yrotation", "Xrotation"] for names in read.channels[1:])
+    for name, parent, offset in zip(read.names, read.parents, read.offsets, strict=True):
+        joint = SKELETON.index(name)
+        assert name == "Hips" or read.names[parent] == SKELETON.names[SKELETON.parents[joint]]
+        np.testing.assert_allclose(offset, SKELETON.offsets[joint] * 100, atol=1e-6)
+    leaves = {name for index, name in enumerate(read.names) if index not in read.parents}
+    assert read.ends.keys() == leaves
+    for name, end in read.ends.items():
+        np.testing.assert_allclose(end, SKELETON.ends[SKELETON.index(name)] * 100, atol=1e-6)
+        assert np.linalg.norm(end) > 1  # centimetre
+    assert not read.rows.any()  # the rest pose is all zeros
+
+
+@pytest.mark.parametrize("rate", [24, 50, 59.94, 120, 240, 1000])
+def test_frame_time_has_seven_digits(tmp_path, rate):
+    text = write(tmp_path, motion_of(np.tile(np.eye(3), (1, 31, 1, 1))), rate).frame_time
+    assert len(text.replace(".", "").lstrip("0")) >= 7
+    assert float(text) == pytest.approx(1 / rate, rel=1e-7)
+
+
+@given(seed=st.integers(0, 2**32), swing=st.floats(0.1, 20), frames=st.integers(2, 300))
+@example(seed=0, swing=1e-9, frames=2)
+def test_angles_turn_as_the_matrices_and_step_no_farther_than_they_must(seed, swing, frames):
+    rotations = smooth_rotations(seed, frames, 3, swing)
+    angles = euler_zyx(rotations)
+    np.testing.assert_allclose(matrices(angles), rotations, atol=1e-6)
+    step, turn = np.abs(np.diff(angles, axis=0)).max(axis=-1), turns(rotations)
+    assert (step <= np.pi / 2 + turn + 1e-9).all()  # beside gimbal lock
+    away = np.cos(angles[..., 1]) ** 2
+    clear = np.minimum(away[1:], away[:-1]) > np.sin(np.minimum(2 * turn, np.pi / 2)) ** 2
+    assert (step[clear & (turn < np.pi / 4)] < np.pi / 2).all()
+
+
+@given(seed=st.integers(0, 2**32))
+def test_no_other_triple_is_nearer_to_the_frame_before(seed):
+    angles = euler_zyx(smooth_rotations(seed, 50, 2, swing=6))
+    other = angles * [1, -1, 1] + np.pi
+    before, step = angles[:-1], np.linalg.norm(np.diff(angles, axis=0), axis=-1)
+    for triple in (angles[1:], other[1:]):
+        nearest = (triple - before + np.pi) % (2 * np.pi) - np.pi
+        assert (step <= np.linalg.norm(nearest, axis=-1) + 1e-9).all()
+
+
+@pytest.mark.parametrize(("axis", "channel"), [("Z", 0), ("Y", 1), ("X", 2)])
+def test_turning_about_one_axis_moves_one_channel_even_through_gimbal_lock(axis, channel):
+    degrees = np.arange(0, -1081, -3.0)  # three turns; the frames at 90 and 270 degrees of Y are locked
+    angles = np.degrees(euler_zyx(about(axis, degrees)))[:, 0]
+    expected = np.zeros_like(angles)
+    expected[:, channel] = degrees
+    np.testing.assert_allclose(angles, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_turning_within_gimbal_lock_is_shared_by_z_and_x(sign):
+    degrees = np.arange(0, 720, 2.0)
+    locked = about("Y", np.full(len(degrees), 90.0 * sign)) @ about("X", degrees)
+    angles = np.degrees(euler_zyx(locked))[:, 0]
+    np.testing.assert_allclose(angles[:, 1], 90 * sign)
+    np.testing.assert_allclose(angles[:, 2] - sign * angles[:, 0], degrees, atol=1e-6)
+    np.testing.assert_allclose(np.abs(np.diff(angles[:, [0, 2]], axis=0)), 1, atol=1e-6)
+
+
+@given(z=st.floats(-180, 180), x=st.floats(-180, 180), sign=st.sampled_from([1, -1]), off=st.floats(-0.1, 0.1))
+def test_at_and_near_gimbal_lock_the_matrices_come_back(z, x, sign, off):
+    rotation = Rotation.from_euler("ZYX", [[z, 90 * sign + off, x]], degrees=True).as_matrix()[:, None]
+    np.testing.assert_allclose(matrices(euler_zyx(rotation)), rotation, atol=1e-6)
+
+
+def test_diving_through_gimbal_lock_while_twisting_takes_no_leap():
+    time = np.linspace(0, 1, 101)[:, None]  # frame 50 is locked exactly
+    degrees = np.hstack([20 + 10 * time, 60 + 60 * time, -40 * time])
+    rotations = Rotation.from_euler("ZYX", degrees, degrees=True).as_matrix()[:, None]
+    angles = np.degrees(euler_zyx(rotations))[:, 0]
+    np.testing.assert_allclose(np.delete(angles, 50, axis=0), np.delete(degrees, 50, axis=0), atol=1e-6)
+    assert np.abs(np.diff(angles, axis=0)).max() < 2
+
+
+def test_a_last_bone_without_length_is_refused_and_nothing_is_left(tmp_path):
+    motion = motion_of(np.tile(np.eye(3), (2, 31, 1, 1)))
+    for end in (0.0, np.nan):
+        ends = SKELETON.ends.copy()
+        ends[SKELETON.index("Head")] = end
+        with pytest.raises(WriteError, match=r"walk\.bvh.*Head"):
+            bvh(tmp_path / "walk.bvh", replace(SKELETON, ends=ends), motion, 120.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(WriteError, match="nowhere"):
+        bvh(tmp_path / "nowhere" / "walk.bvh", SKELETON, motion_of(np.tile(np.eye(3), (2, 31, 1, 1))), 120.0)

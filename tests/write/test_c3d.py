@@ -1,0 +1,166 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mocapfix import read, write
+from mocapfix.errors import WriteError
+from mocapfix.take import Take
+from tests.c3d_files import ENCODINGS, c3d_bytes
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d", "Optotrak.c3d"}
+READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
+
+LABELS = ("*1", "LFHD", "LANK", "RANK")  # the first is no marker, so that marker and point indices differ
+FRAMES, MARKERS = 5, 3
+# Whole counts of 0.1 mm; one marker is missing in one frame.
+XYZ = np.arange(1, 61, dtype=float).reshape(FRAMES, 4, 3) * 13.7
+WORDS = np.where(np.arange(20).reshape(FRAMES, 4) == 10, -1, 0x0102)
+
+
+def take_in(folder: Path, encoding, vertical="+Z") -> Take:
+    path = folder / "before.c3d"
+    path.write_bytes(c3d_bytes(XYZ, LABELS, WORDS, encoding, extra={"POINT:Y_SCREEN": vertical}))
+    return read.take(path)
+
+
+def sample_bytes(take: Take, frame: int, marker: int) -> slice:
+    """Where the sample's four words lie, counted by hand."""
+    layout = take.layout
+    assert layout is not None
+    size = 16 if layout.is_float else 8
+    start = layout.start + frame * layout.frame_bytes + size * int(take.columns[marker])
+    return slice(start, start + size)
+
+
+def assert_only_changed(before: Take, target: Path, changed: np.ndarray) -> Take:
+    """Only those samples' bytes differ, and all other samples read back bit for bit; -> the copy, read."""
+    assert before.path is not None
+    old, new = (np.frombuffer(path.read_bytes(), "u1") for path in (before.path, target))
+    allowed = np.zeros(len(old), bool)
+    for frame, marker in np.argwhere(changed):
+        allowed[sample_bytes(before, frame, marker)] = True
+    np.testing.assert_array_equal(new[~allowed], old[~allowed])
+    copy = read.take(target)
+    assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
+    return copy
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_nothing_to_mend_is_a_byte_identical_copy(tmp_path, encoding):
+    before = take_in(tmp_path, encoding)
+    assert write.c3d(tmp_path / "after.c3d", before, before.with_markers(before.markers.copy())) == []
+    assert (tmp_path / "after.c3d").read_bytes() == (tmp_path / "before.c3d").read_bytes()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@given(
+    values=arrays(float, (FRAMES, MARKERS, 3), elements=st.floats(-3, 3)),
+    deviation=arrays(float, (FRAMES, MARKERS), elements=st.floats(0, 0.05) | st.just(np.nan)),
+    what=arrays(np.int8, (FRAMES, MARKERS), elements=st.integers(0, 2)),
+    vertical=st.sampled_from(["+X", "+Y", "+Z"]),
+)
+def test_only_changed_samples_change_and_they_read_back(tmp_path_factory, encoding, values, deviation, what, vertical):
+    folder = tmp_path_factory.mktemp("mend")
+    before = take_in(folder, encoding, vertical)
+    assert before.layout is not None
+    markers = np.where((what == 1)[..., None], values, before.markers)
+    markers[what == 2] = np.nan
+    lost = write.c3d(folder / "after.c3d", before, before.with_markers(markers, deviation))
+
+    copy = assert_only_changed(before, folder / "after.c3d", what > 0)
+    nothing = np.abs(markers).max(-1) < (0.5e-4 if not encoding[1] else 1e-40)  # rounds to all-zero, which reads as missing
+    assert lost == [(t, m) for t, m in np.argwhere((what == 1) & nothing).tolist()]
+    filled = (what == 1) & ~nothing
+    step = 0.5e-4 if not encoding[1] else 3e-7
+    np.testing.assert_allclose(copy.markers[filled], markers[filled], atol=step * 1.001)
+    assert not copy.seen[what == 2].any()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_words_of_a_filled_and_of_a_removed_sample(tmp_path, encoding):
+    before = take_in(tmp_path, encoding)
+    markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
+    places = [(0, 0), (1, 1), (2, 1), (3, 0), (4, 2)]
+    for place in places:
+        markers[place] = (0.1, 1.25, -0.3)  # metres, Y up; the file is in mm, Z up: (-300, 100, 1250)
+    deviation[0, 0], deviation[1, 1], deviation[2, 1], deviation[3, 0] = 0.0021, 1.0, 0.0, 0.00001
+    markers[4, 2] = np.nan
+    write.c3d(tmp_path / "after.c3d", before, before.with_markers(markers, deviation))
+
+    data = (tmp_path / "after.c3d").read_bytes()
+    xyz = (-300, 100, 1250) if encoding[1] else (-3000, 1000, 12500)
+    # 2.1 mm are 21 counts of 0.1 mm; no residual is 0, which would say measured, nor beyond a byte.
+    wanted = [(*xyz, 21), (*xyz, 255), (*xyz, 1), (*xyz, 1), (0, 0, 0, -1)]
+    for place, words in zip(places, wanted, strict=True):
+        assert data[sample_bytes(before, *place)] == as_stored(words, encoding)
+
+
+def as_stored(words, encoding) -> bytes:
+    """Four words as tests/c3d_files.py stores a sample in a file of one point and one frame."""
+    scale = 1.0
+    made = c3d_bytes(np.array(words[:3], float).reshape(1, 1, 3), ["A"], np.array([[words[3]]]), encoding, scale)
+    return made[-256 - 3 * (4 if encoding[1] else 2) - (16 if encoding[1] else 8) :][: 16 if encoding[1] else 8]
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86])
+def test_a_value_beyond_an_integer_file_is_left_empty_and_named(tmp_path, processor):
+    before = take_in(tmp_path, (processor, False))
+    markers = before.markers.copy()
+    markers[0, 1] = (0, 3.2768, 0)  # 32,768 counts of 0.1 mm
+    markers[1, 1] = (0, 3.2767, 0)
+    markers[3, 2] = (0, 0, -50)
+    assert write.c3d(tmp_path / "after.c3d", before, before.with_markers(markers)) == [(0, 1), (3, 2)]
+    copy = read.take(tmp_path / "after.c3d")
+    assert not copy.seen[0, 1]
+    assert not copy.seen[3, 2]
+    np.testing.assert_allclose(copy.markers[1, 1], (0, 3.2767, 0))
+
+
+def test_the_input_is_never_the_target_nor_touched(tmp_path):
+    before = take_in(tmp_path, (84, True))
+    original = (tmp_path / "before.c3d").read_bytes()
+    (tmp_path / "link.c3d").symlink_to(tmp_path / "before.c3d")
+    for target in (tmp_path / "before.c3d", tmp_path / "link.c3d"):
+        with pytest.raises(WriteError, match="is the input itself"):
+            write.c3d(target, before, before.with_markers(before.markers + 1))
+    assert (tmp_path / "before.c3d").read_bytes() == original
+
+
+def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
+    before = take_in(tmp_path, (84, True))
+    with pytest.raises(WriteError, match="was not read from a C3D"):
+        write.c3d(tmp_path / "after.c3d", replace(before, path=None), before)
+    with pytest.raises(WriteError, match=r"nowhere.*cannot be written"):
+        write.c3d(tmp_path / "nowhere" / "after.c3d", before, before)
+    (tmp_path / "before.c3d").write_bytes((tmp_path / "before.c3d").read_bytes()[:1200])
+    with pytest.raises(WriteError, match="has become shorter"):
+        write.c3d(tmp_path / "after.c3d", before, before)
+    (tmp_path / "before.c3d").unlink()
+    with pytest.raises(WriteError, match="can no longer be read"):
+        write.c3d(tmp_path / "after.c3d", before, before)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
+def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
+    before = read.take(path)
+    target = tmp_path / path.name
+    assert write.c3d(target, before, before) == []
+    assert target.read_bytes() == path.read_bytes()
+
+    assert before.layout is not None
+    chance = np.random.default_rng(7)
+    markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.01
+    new = chance.uniform(0.05, 0.8, (*changed.shape, 3))
+    markers[changed] = np.where(chance.random(changed.shape) < 0.7, 1.0, np.nan)[changed, None] * new[changed]
+    assert write.c3d(target, before, before.with_markers(markers)) == []
+    copy = assert_only_changed(before, target, changed)
+    step = 1e-7 if before.layout.is_float else 0.5001 * before.layout.scale * before.layout.unit
+    np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=step)
