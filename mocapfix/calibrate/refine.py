@@ -24,7 +24,7 @@ ROBUST = 0.050  # metres: Geman-McClure scale
 PLACE_SD = 0.020  # metres: a person's marker about the average body's place
 GROUP_SD = 0.08  # logarithm of a bone group's scale
 PRIOR_WEIGHT = 0.03  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
-CONVENTION = 0.10  # radians: axes that every body holds tighter than this are the skeleton's convention (hinges), in full
+CONVENTION = 0.07  # radians: axes that every body holds tighter than this are the skeleton's convention (hinges), in full
 ROUNDS = 25
 ENOUGH = 1e-3  # relative fall of the cost under which calibration ends
 
@@ -87,7 +87,7 @@ def solve(tree, attached, markers, prior, motion, scales, most) -> None:
 
 def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Motion:
     """-> poses of frames (N, K, 3) on a body not yet calibrated, robustly, so that spikes do not pass for variety."""
-    motion = poses(start.skeleton, start.joints, start.places, prior, markers)
+    motion = poses(start, body.free, prior, markers)
     tree, attached = tree_of(start, body, group_of(body)), Attached(start.joints, start.places)
     solve(tree, attached, markers, weakened(prior), motion, (0.4, 0.2, 0.1), 8)
     return motion

@@ -25,9 +25,9 @@ class DetectOptions:
 
 def faults(take: Take, options: DetectOptions = DetectOptions()) -> Faults:
     """-> gaps, spikes and bursts of jitter, ordered by marker and first frame; a spike within a burst is part of the burst."""
-    off = spikes.found(take, take.seen, options.smallest_spike, options.longest_spike)
+    off = spikes.found(take, options.smallest_spike, options.longest_spike)
     smooth = Faults(tuple(off)).believed(take)
     bursts = jitter.found(take, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
     trembling = Faults(tuple(bursts)).doubted(take)
-    lone = [spike for spike in off if not trembling[spike.first : spike.last + 1, spike.marker].any()]
+    lone = [spike for spike in off if not trembling[spike.first : spike.last + 1, spike.marker].all()]
     return Faults(tuple(sorted(gaps.found(take) + lone + bursts, key=lambda fault: (fault.marker, fault.first))))

@@ -1,11 +1,11 @@
 """Spikes: a few samples that lie off a marker's own smooth path, and the marker comes back.
 
-A marker's path is the cheapest chain through its samples. A chain pays for every bend that is sharper than a body
-bends (no more than a fixed price for one bend: a marker may change its place once and for all, as where two labels
-are swapped) and for every run of samples it leaves out. The cheapest chain is found exactly, by dynamic programming
-over the pairs of samples kept last (Viterbi 1967 with a second-order chain and a truncated quadratic cost), so that
-neither a dense burst of spikes nor a gap beside one misleads it, as they do local means and medians. What the chain
-left out is a spike only where it also lies far from a local fit to what was kept.
+The path is the cheapest chain through the marker's samples. A chain pays for each bend sharper than a body's, but never
+more than 1, for a marker may change its place once and for all (where two labels are swapped); and it pays for each run
+of samples it leaves out, less than the three or four bends of an excursion. The cheapest chain is found exactly, by dynamic
+programming over the pairs of samples kept last (Viterbi's algorithm; the bends are Blake and Zisserman's truncated
+quadratic), so neither a dense burst of spikes nor a gap beside one misleads it as they do local means and medians. What
+it left out is a spike only where that lies far from a local fit to what it kept.
 """
 
 import numpy as np
@@ -15,21 +15,21 @@ from mocapfix.faults import Fault
 from mocapfix.take import Take, runs
 
 BEND = 200.0  # m/s2: what a marker on a body does in a blow or a heel strike
-SLACK = 0.010  # metres: a bend that noise and skin may show in whatever little time
-RUN_PRICE, LENGTH_PRICE = 1.5, 1.5  # of leaving out a run, and the longest one besides; a sharp bend costs 1, an excursion has four
-BESIDE_GAP = 0.5  # of the price: there, and at the take's ends, an excursion has but two bends
+SLACK = 0.010  # metres: how sharp a bend noise and skin make in whatever little time
+RUN_PRICE, LENGTH_PRICE = 1.5, 1.5  # of leaving out one sample, and besides for the longest run there may be
+EDGE_PRICE = 0.75  # of leaving out one sample beside a gap or at the take's ends, where it makes only one bend
 FIT_NOISE = 0.002  # metres per axis
 FIT_PRIOR = np.array([10.0, 10.0, 100.0])  # metres, m/s, m/s2: standard deviations before any sample is seen
-FIT_JERK = 5000.0  # m/s3: how fast a parabola stops being true
+FIT_JERK = 5000.0  # m/s3: how soon a parabola stops being true
 FIT_SIDE = 3  # kept samples used on either side
 FIT_SURE = 4.0  # standard deviations
 
 
-def found(take: Take, usable: np.ndarray, smallest: float, longest: float) -> list[Fault]:
-    """-> the spikes among the `usable` (T, M) samples, at least `smallest` metres off and `longest` seconds long at most."""
-    faults = []
+def found(take: Take, smallest: float, longest: float) -> list[Fault]:
+    """-> every spike: samples at least `smallest` metres off their path, `longest` seconds in a row at most."""
+    faults, seen = [], take.seen
     for m, label in enumerate(take.bare_labels):
-        frames = np.flatnonzero(usable[:, m])
+        frames = np.flatnonzero(seen[:, m])
         off = _off_path(frames, np.ascontiguousarray(take.markers[frames, m]), take.rate, smallest, longest)
         distance = np.zeros(take.frames)
         distance[frames] = off
@@ -38,9 +38,9 @@ def found(take: Take, usable: np.ndarray, smallest: float, longest: float) -> li
 
 
 def _fault(label: str, marker: int, first: int, last: int, distance: np.ndarray) -> Fault:
-    frames = f"{len(distance)} frames" if len(distance) > 1 else "1 frame"
-    severity = float(distance.max())
-    return Fault("spike", marker, first, last, severity, f"{label} lies {severity * 1e3:.0f} mm off its path for {frames} and comes back.")
+    severity, frames = float(distance.max()), f"{len(distance)} frame{'s' if len(distance) > 1 else ''}"
+    reason = f"{label} jumps {severity * 1e3:.0f} mm off its path for {frames} and comes back."
+    return Fault("spike", marker, first, last, severity, reason)
 
 
 def _off_path(frames: np.ndarray, points: np.ndarray, rate: float, smallest: float, longest: float) -> np.ndarray:
@@ -58,10 +58,10 @@ def _off_path(frames: np.ndarray, points: np.ndarray, rate: float, smallest: flo
 
 
 def _local_fit(times: np.ndarray, points: np.ndarray, when: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> positions (N, 3) and their standard deviation (N,) per axis at `when` (N,), from parabolas through the nearest samples.
+    """-> positions (N, 3) and their standard deviation (N,) per axis at `when` (N,): parabolas through the nearest samples.
 
-    A sample weighs less the farther away in time it is, for a path is a parabola only for a moment; across a gap
-    or at a path's end the deviation therefore grows, and nothing is called a spike there.
+    Bayesian least squares: a sample weighs less the farther away in time it is, for a path is a parabola only for a
+    moment. Where samples are far or few the deviation is large, and nothing is called a spike.
     """
     near = np.searchsorted(times, when)[:, None] + np.arange(-FIT_SIDE, FIT_SIDE)
     there = (near >= 0) & (near < len(times))
@@ -93,13 +93,15 @@ def _chain(frames, points, rate, longest):
     """
     count, steps = len(frames), longest + 1
     cost, came = np.full((count, steps), np.inf), np.full((count, steps), -1)
-    price = np.array([0.0] + [RUN_PRICE + LENGTH_PRICE * n / longest for n in range(1, steps)])
+    price = np.array([0.0] + [RUN_PRICE + LENGTH_PRICE * n / longest for n in range(longest)])
+    edge = price.copy()
+    edge[1] = EDGE_PRICE
     for i in range(1, count):
         for g in range(min(steps, i)):
             j = i - g - 1
-            leap = price[g] * (BESIDE_GAP if frames[i] - frames[j] > i - j else 1.0)
+            leap = edge[g] if frames[i] - frames[j] > i - j + longest else price[g]
             if j < steps:
-                cost[i, g] = BESIDE_GAP * price[j] + leap
+                cost[i, g] = edge[j] + leap
             for h in range(min(steps, j)):
                 total = cost[j, h] + leap + _bend(frames, points, rate, j - h - 1, j, i)
                 if total < cost[i, g]:
@@ -107,10 +109,16 @@ def _chain(frames, points, rate, longest):
     best, i, g = np.inf, count - 1, 0
     for end in range(max(1, count - steps), count):
         for step in range(steps):
-            total = cost[end, step] + BESIDE_GAP * price[count - 1 - end]
+            total = cost[end, step] + edge[count - 1 - end]
             if total < best:
                 best, i, g = total, end, step
-    kept = np.zeros(count, np.bool_)
+    return _walk_back(came, i, g)
+
+
+@njit(cache=True)
+def _walk_back(came, i, g):
+    """-> (N,) bool: the samples on the chain that ends in i - g - 1 and i."""
+    kept = np.zeros(len(came), np.bool_)
     kept[i] = True
     while g >= 0:
         i, g = i - g - 1, came[i, g]

@@ -204,6 +204,7 @@ def uncertainty(tree, attached, seen, weight, scale2, pulls, root, local, marker
     """Write the standard deviation of each marker (K,), metres, and the variance per axis of each joint (J,), rad^2.
 
     From the curvature at the pose, exact to second order; joint_var[0] is the root's turn.
+    -> the variance of the root's place per axis, m^2
     """
     joints = len(local)
     position, rotation = np.empty((joints, 3)), np.empty((joints, 3, 3))
@@ -226,6 +227,7 @@ def uncertainty(tree, attached, seen, weight, scale2, pulls, root, local, marker
         total += (y * y + z * z) * v[0, 0] + (x * x + z * z) * v[1, 1] + (x * x + y * y) * v[2, 2]
         total -= 2 * (x * y * v[0, 1] + x * z * v[0, 2] + y * z * v[1, 2])
         marker_sd[k] = np.sqrt(max(total, 0.0) / 3)
+    return (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
 
 
 @njit(cache=True, nogil=True)
@@ -237,8 +239,10 @@ def solve_frames(tree, attached, seen, weight, scales2, target, prior, root, loc
 
 
 @njit(cache=True, nogil=True)
-def uncertainties(tree, attached, seen, weight, scale2, target, prior, root, local, marker_sd, joint_var, first, stop):
-    """`uncertainty` of the frames first..stop: marker_sd (T, K) and joint_var (T, J) out."""
+def uncertainties(tree, attached, seen, weight, scale2, target, prior, root, local, marker_sd, joint_var, root_var, first, stop):
+    """`uncertainty` of the frames first..stop: marker_sd (T, K), joint_var (T, J), root_var (T,) out."""
     for t in range(first, stop):
         pulls = (of_frame(target, t), of_frame(prior, t))
-        uncertainty(tree, attached, seen[t], weight[t], scale2, pulls, root[t], local[t], marker_sd[t], joint_var[t])
+        root_var[t] = uncertainty(
+            tree, attached, seen[t], weight[t], scale2, pulls, root[t], local[t], marker_sd[t], joint_var[t]
+        )

@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Skeleton
+from mocapfix.subject import Subject
 
 MEAN_WEIGHT = 3e-3  # m^2: how much the mean pose's rotation counts beside markers (a marker counts its squared lever)
 PELVIS_WEIGHT = 3.0  # the pelvis says more of the root than the chest does
@@ -30,15 +31,17 @@ def centred(seen: np.ndarray, places: np.ndarray, weight: np.ndarray) -> tuple[n
     return cross, here, there
 
 
-def poses(skeleton: Skeleton, joints: np.ndarray, places: np.ndarray, prior: Prior, markers: np.ndarray) -> Motion:
+def poses(subject: Subject, free: np.ndarray, prior: Prior, markers: np.ndarray) -> Motion:
     """-> every frame's pose from its own markers alone.
 
     The root from pelvis and chest in the mean pose; then down the tree each joint that carries markers is turned about
     its own place to fit them, and the joints between it and the last such joint share the turn. What no marker says,
     the mean pose does; a frame with fewer than three markers on the trunk takes its root from its neighbours in time.
 
-    joints (K,), places (K, 3) metres: the body's markers;  markers (T, K, 3) metres, NaN where not believed
+    free     (J,) bool: the joints that may turn
+    markers  (T, K, 3) metres, in the subject's order, NaN where not believed
     """
+    skeleton, joints, places = subject.skeleton, subject.joints, subject.places
     believed = ~np.isnan(markers[..., 0])
     seen = np.where(believed[..., None], markers, 0.0)
     weight = believed.astype(float)
@@ -55,7 +58,7 @@ def poses(skeleton: Skeleton, joints: np.ndarray, places: np.ndarray, prior: Pri
                 place_joint(skeleton, c, local, position, rotation)
             mine = joints == j
             target = turned_to(seen[:, mine], places[mine], weight[:, mine], position[:, j], rotation[:, j])
-            share(skeleton, chain[::-1], target, local, position, rotation)
+            share(skeleton, [c for c in chain[::-1] if free[c]], target, local, position, rotation)
         else:
             place_joint(skeleton, j, local, position, rotation)
     zeros = np.zeros(len(root), int)
@@ -121,8 +124,9 @@ def share(skeleton, chain, target, local, position, rotation) -> None:
     """Turn the joints of `chain` by equal parts so that the last one's world rotation becomes `target`."""
     step = Rotation.from_matrix(np.swapaxes(rotation[:, chain[-1]], 1, 2) @ target)
     part = Rotation.from_rotvec(step.as_rotvec() / len(chain)).as_matrix()
-    for j in chain:
-        local[:, j] = local[:, j] @ part
+    for j in range(chain[0], chain[-1] + 1):
+        if j in chain:
+            local[:, j] = local[:, j] @ part
         place_joint(skeleton, j, local, position, rotation)
     last, p = chain[-1], skeleton.parents[chain[-1]]
     rotation[:, last] = target

@@ -12,6 +12,7 @@ OUTPUT = re.compile(r".*(Angles?|Forces?|Moments?|Powers?|GRF|CentreOfMass(Floor
 SEGMENT = ("O", "A", "L", "P")
 # Fewer computed points than this at the end of a file may as well be markers that somebody edited throughout.
 FEWEST_OUTPUTS = 3
+RESIDUAL_BYTE = 255
 
 
 def marker_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray, words: np.ndarray) -> np.ndarray:
@@ -20,17 +21,18 @@ def marker_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray, w
     labels   P labels, blanks stripped
     outputs  labels that the file lists as model outputs
     seen     (T, P) bool: the sample is valid
-    words    (T, P) residual words; 0 says that no camera measured the sample
+    words    (T, P) residual words: cameras in the high byte, residual in the low one
 
-    A point is a marker unless it is unlabelled, named or listed as a model output, or among the points behind the
-    last measured one: in files that keep residuals, Vicon appends what its models computed there, all words 0.
+    A point is a marker unless it is unlabelled, named or listed as a model output, or computed: in files that keep
+    the cameras, Vicon appends what its models give behind the last point that cameras saw, all words 0. (A sample
+    that mocapfix filled has a residual and no cameras, so a mended file has the same markers as before.)
     """
     names = set(labels)
     is_marker = np.array([_is_named(label) and label not in outputs and not _is_segment(label, names) for label in labels], bool)
-    measured = (seen & (words != 0)).any(0)
-    if measured.any():
-        behind = np.arange(len(labels)) > np.flatnonzero(measured)[-1]
-        computed = is_marker & seen.any(0) & behind
+    highest = np.max(words, axis=0, where=seen, initial=-1)
+    measured = np.flatnonzero(highest > RESIDUAL_BYTE)
+    if len(measured):
+        computed = is_marker & (highest == 0) & (np.arange(len(labels)) > measured[-1])
         if computed.sum() >= FEWEST_OUTPUTS:
             is_marker &= ~computed
     return np.flatnonzero(is_marker)

@@ -145,6 +145,8 @@ def test_points_behind_the_last_measured_one_are_computed(tmp_path):
     assert take_of(tmp_path, xyz, labels, words).labels == ("A", "B", "C", "D")
     assert take_of(tmp_path, xyz, labels).labels == tuple(labels)  # no residuals at all: all are measured
     assert take_of(tmp_path, xyz[:, :6], labels[:6], words[:, :6]).labels == tuple(labels[:6])  # two may be edited markers
+    words[0, [0, 3]] = 0x0005
+    assert take_of(tmp_path, xyz, labels, words).labels == tuple(labels)  # residuals without cameras, as Qualisys and a fill
 
 
 def test_duplicate_labels_and_markers_never_seen_are_kept(tmp_path):
@@ -250,7 +252,8 @@ def test_captures_read_as_ezc3d_reads_them(path):
     np.testing.assert_allclose(ours[take.seen], theirs[take.seen], rtol=1e-6, atol=1e-4)
     assert (~np.isfinite(theirs[~take.seen]) | (theirs[~take.seen] == 0)).all()
     assert take.rate == pytest.approx(oracle["parameters"]["POINT"]["RATE"]["value"][0])
-    assert take.first_frame == oracle["header"]["points"]["first_frame"] + 1
+    # ezc3d counts from 0 and takes a file's frame 0 for 1.
+    assert max(take.first_frame, 1) == oracle["header"]["points"]["first_frame"] + 1
 
 
 @with_captures

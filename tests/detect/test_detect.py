@@ -1,0 +1,74 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import detect
+from mocapfix.faults import Fault
+from mocapfix.take import Take
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+
+
+def standing(frames=480, markers=3):
+    """-> a take of markers that stand still but for a millimetre of sway, at 120 Hz."""
+    t = np.arange(frames)[:, None, None] / 120
+    places = np.random.default_rng(2).normal(size=(markers, 3))
+    return Take(places + 0.001 * np.sin(3 * t + places), tuple(f"M{m}" for m in range(markers)), 120.0)
+
+
+def damaged():
+    take = standing()
+    markers, rng = take.markers.copy(), np.random.default_rng(3)
+    markers[100:110, 0] = np.nan
+    markers[50, 0] += 0.1
+    markers[300:360, 0] += rng.normal(scale=0.012, size=(60, 3))
+    markers[330, 0] += 0.3  # a spike within the burst
+    markers[20:22, 2] += [0.0, 0.05, 0.0]
+    markers[:4, 2] = np.nan
+    return take.with_markers(markers)
+
+
+def test_all_kinds_ordered_by_marker_and_first_frame():
+    faults = detect.faults(damaged()).items
+    assert [(f.marker, f.kind) for f in faults] == [
+        (0, "spike"), (0, "gap"), (0, "jitter"), (2, "leading gap"), (2, "spike"),
+    ]  # fmt: skip
+    assert [f.first for f in faults if f.kind != "jitter"] == [50, 100, 0, 20]
+
+
+def test_what_is_doubted_was_seen_and_damaged():
+    take = damaged()
+    doubted = detect.faults(take).doubted(take)
+    assert np.flatnonzero(doubted[:, 2]).tolist() == [20, 21]
+    assert doubted[[50, 330], 0].all()
+    assert not doubted[:, 1].any()
+    assert not (doubted & ~take.seen).any()
+
+
+def test_a_sound_take_has_no_faults():
+    assert detect.faults(standing()).items == ()
+
+
+def test_options_move_the_thresholds():
+    options = detect.DetectOptions(smallest_spike=0.2, smallest_jitter=0.1)
+    faults = detect.faults(damaged(), options)
+    assert set(faults.counts()) == {"gap", "leading gap", "spike"}
+    assert all(f.severity >= 0.2 for f in faults.items if f.kind == "spike")
+
+
+def test_a_take_without_markers_or_frames_has_no_faults():
+    assert detect.faults(Take(np.zeros((10, 0, 3)), (), 120.0)).items == ()
+    assert detect.faults(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)).items == ()
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize(("name", "glitches"), [("02_05", 1), ("85_02", 0), ("06_01", 0)])
+def test_studio_captures_of_blows_acrobatics_and_a_dribble(name, glitches):
+    """LBHD really jumps by 30 mm once in 02_05; everything else is motion."""
+    ezc3d = pytest.importorskip("ezc3d")
+    points = ezc3d.c3d(str(CAPTURES / "cmu" / f"{name}.c3d"))["data"]["points"][:3].transpose(2, 1, 0) / 1000
+    points[(points == 0).all(-1)] = np.nan
+    take = Take(points, tuple(f"P{m}" for m in range(points.shape[1])), 120.0)
+    judged: list[Fault] = [f for f in detect.faults(take).items if f.kind in ("spike", "jitter")]
+    assert len(judged) == glitches

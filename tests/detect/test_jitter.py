@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocapfix.detect import jitter
+from mocapfix.take import Take
+
+
+def swinging(rate=120.0, seconds=4.0, noise=0.0005):
+    """-> (T, 1, 3): a hand on a swinging arm, with camera noise (metres)."""
+    t = np.arange(round(rate * seconds)) / rate
+    path = np.stack([0.6 * np.sin(9 * t), 0.3 * np.cos(13 * t), 1.5 * t], -1)[:, None]
+    return path + np.random.default_rng(0).normal(scale=noise, size=path.shape)
+
+
+def found(markers, rate=120.0):
+    take = Take(markers, ("LWRA",), rate)
+    return jitter.found(take, take.seen, smallest=0.005, ratio=6.0, shortest=0.1)
+
+
+def trembling(markers, first, last, size, seed=0):
+    shaken = markers.copy()
+    shaken[first : last + 1] += np.random.default_rng(seed).normal(scale=size, size=shaken[first : last + 1].shape)
+    return shaken
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    rate=st.sampled_from([100.0, 120.0, 200.0, 250.0]),
+    start=st.floats(0.5, 2.5),
+    seconds=st.floats(0.3, 1.0),
+    seed=st.integers(0, 999),
+)
+def test_a_burst_of_12_mm_is_found_to_within_a_few_frames(rate, start, seconds, seed):
+    first, last = round(start * rate), round((start + seconds) * rate)
+    bursts = found(trembling(swinging(rate), first, last, 0.012, seed), rate)
+    assert {f.kind for f in bursts} == {"jitter"}
+    struck = np.zeros(1000 + last, bool)
+    for f in bursts:
+        struck[f.first : f.last + 1] = True
+    assert struck[first : last + 1].mean() > 0.85
+    assert struck[: first - 6].sum() + struck[last + 7 :].sum() == 0
+
+
+def test_the_size_is_that_of_the_noise():
+    """Normal noise of 12 mm per axis has a median length of 12 mm times that of a chi with three degrees of freedom."""
+    (burst,) = found(trembling(swinging(seconds=20), 1200, 1300, 0.012))
+    assert 0.012 * 1.54 * 0.9 < burst.severity < 0.012 * 1.54 * 1.8  # the largest of the medians over a tenth of a second
+    assert burst.reason.startswith(f"LWRA trembles by {burst.severity * 1e3:.0f} mm for 0.8")
+    assert burst.reason.endswith("s; its usual tremble is 0.8 mm.")
+
+
+@pytest.mark.parametrize("rate", [30.0, 50.0, 60.0, 120.0, 250.0])
+def test_real_motion_is_left_alone(rate):
+    t = np.arange(round(4 * rate)) / rate - 2
+    punches = 0.3 * np.sin(2 * np.pi * 4 * t) * np.exp(-((t / 0.4) ** 2))  # four a second, amid rest
+    dead_stop = 3.0 * np.minimum(t, 0)
+    assert found((punches + dead_stop)[:, None, None] * [0.6, 0.0, 0.8], rate) == []
+
+
+def test_a_marker_that_always_trembles_is_no_burst():
+    assert found(swinging(noise=0.012)) == []
+
+
+def test_too_short_or_too_small_a_tremble_is_left():
+    assert found(trembling(swinging(), 200, 206, 0.012)) == []
+    assert found(trembling(swinging(), 200, 260, 0.002)) == []
+
+
+def test_a_change_of_place_is_no_jitter():
+    markers = swinging()
+    markers[200:260] += [0.2, 0.0, 0.0]
+    assert found(markers) == []
+
+
+def test_a_burst_goes_on_across_a_moment_unseen_and_ends_at_a_gap():
+    markers = trembling(swinging(), 200, 320, 0.012)
+    markers[230:233] = np.nan
+    markers[290:] = np.nan
+    (burst,) = found(markers)
+    assert abs(burst.first - 200) <= 5
+    assert burst.last == 289
+
+
+@pytest.mark.parametrize("seen", [0, 1, 5, 11])
+def test_hardly_any_samples(seen):
+    markers = swinging()
+    markers[seen:] = np.nan
+    assert found(markers) == []

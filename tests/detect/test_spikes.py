@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocapfix.detect import spikes
+from mocapfix.faults import Faults
+from mocapfix.take import Take
+
+SMALLEST, LONGEST = 0.02, 0.05
+
+
+def swinging(rate=120.0, seconds=2.0, markers=1):
+    """-> (T, M, 3): hands on swinging arms, 80 m/s2 at most, with half a millimetre of camera noise."""
+    t = np.arange(round(rate * seconds))[:, None] / rate
+    phase = np.arange(markers)
+    path = np.stack([0.6 * np.sin(9 * t + phase), 0.3 * np.cos(13 * t + phase), 1.5 * t + 0 * phase], -1)
+    return path + np.random.default_rng(0).normal(scale=0.0005, size=path.shape)
+
+
+def found(markers, rate=120.0):
+    return spikes.found(Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate), SMALLEST, LONGEST)
+
+
+def spans(faults):
+    return [(f.marker, f.first, f.last) for f in faults]
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    rate=st.sampled_from([100.0, 120.0, 200.0, 250.0]),
+    frame=st.integers(4, 190),
+    length=st.integers(1, 3),
+    size=st.floats(0.05, 0.5),
+    seed=st.integers(0, 999),
+)
+def test_a_spike_is_found_wherever_it_is_and_nothing_else(rate, frame, length, size, seed):
+    markers = swinging(rate)
+    direction = np.random.default_rng(seed).normal(size=3)
+    markers[frame : frame + length, 0] += size * direction / np.linalg.norm(direction)
+    (spike,) = found(markers, rate)
+    assert (spike.kind, spike.first, spike.last) == ("spike", frame, frame + length - 1)
+    assert spike.severity == pytest.approx(size, abs=0.02)
+
+
+def test_the_reason_says_how_far_and_how_long():
+    markers = np.zeros((100, 1, 3))
+    markers[40:42, 0, 1] = 0.084
+    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 2 frames and comes back."]
+    markers[41] = 0
+    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 1 frame and comes back."]
+
+
+@pytest.mark.parametrize("rate", [30.0, 50.0, 60.0, 120.0, 250.0])
+def test_real_motion_is_left_alone(rate):
+    t = np.arange(round(2 * rate)) / rate - 1
+    punch = 0.5 / (1 + np.exp(-t / 0.016))  # 8 m/s, 190 m/s2
+    strike = 3.0 * np.minimum(t, 0)  # a foot that falls at 3 m/s and stops dead
+    bounce = 4.0 * np.abs(t)  # turned about within a frame
+    markers = np.stack([punch, strike, bounce], -1)[..., None] * [0.6, 0.0, 0.8]
+    assert found(markers, rate) == []
+
+
+def test_a_change_of_place_is_no_spike_at_either_edge():
+    """Two markers whose labels are swapped for a third of a second: a later stage's task."""
+    markers = swinging(markers=2)
+    markers[60:100] = markers[60:100, ::-1]
+    assert np.linalg.norm(markers[60, 0] - markers[59, 0]) > 0.1
+    assert found(markers) == []
+
+
+def test_a_spike_longer_than_the_longest_is_left():
+    markers = swinging()
+    markers[60:68] += 0.2  # 67 ms
+    assert found(markers) == []
+
+
+@pytest.mark.parametrize("frame", [59, 80])
+def test_a_spike_beside_a_gap(frame):
+    markers = swinging()
+    markers[60:80] = np.nan
+    markers[frame] += [0.1, 0.0, 0.0]
+    assert spans(found(markers)) == [(0, frame, frame)]
+
+
+@pytest.mark.parametrize("island", [1, 2])
+def test_islands_between_gaps_are_believed(island):
+    """A sample or two with nothing near to hold them against are not called faulty, however fast the marker is."""
+    markers = swinging(markers=3)
+    markers[np.arange(len(markers)) % 12 >= island] = np.nan
+    assert found(markers) == []
+
+
+def test_a_fifth_of_all_samples_are_spikes():
+    rng, markers = np.random.default_rng(5), swinging(seconds=5, markers=8)
+    hurt = rng.random(markers.shape[:2]) < 0.2
+    markers[hurt] += rng.uniform(-0.3, 0.3, (hurt.sum(), 3))
+    markers[rng.random(hurt.shape) < 0.05] = np.nan
+    take = Take(markers, tuple("abcdefgh"), 120.0)
+    doubted = Faults(tuple(spikes.found(take, SMALLEST, LONGEST))).doubted(take)
+    assert doubted[hurt & take.seen].mean() > 0.97
+    assert doubted[~hurt & take.seen].mean() < 0.005
+
+
+def test_where_the_take_stands_and_how_it_is_turned_does_not_matter():
+    markers, turn = swinging(), np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    markers[[20, 50, 51, 200]] += [0.0, 0.12, 0.05]
+    there = found(markers)
+    here = found(markers @ turn + [30.0, -2.0, 7.0])
+    assert spans(there) == spans(here) == [(0, 20, 20), (0, 50, 51), (0, 200, 200)]
+    np.testing.assert_allclose([f.severity for f in there], [f.severity for f in here], rtol=1e-6)
+
+
+@pytest.mark.parametrize("seen", [0, 1, 2, 3, 4])
+def test_hardly_any_samples(seen):
+    markers = swinging()
+    markers[seen:] = np.nan
+    assert found(markers) == []
