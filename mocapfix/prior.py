@@ -10,6 +10,8 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
+CONVENTION = 0.07  # radians
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -23,6 +25,18 @@ class Prior:
     name: str
     rotations: np.ndarray
     information: np.ndarray
+
+    def weakened(self, weight: float) -> "Prior":
+        """-> the same mean pose, its information times `weight` but for the axes that the skeleton itself holds.
+
+        Axes that every body holds tighter than CONVENTION are hinges and fixed joints: true in every frame, in full. The
+        rest is people's habit, which a take need not share.
+        """
+        information = np.zeros_like(self.information)
+        for j, matrix in enumerate(self.information):
+            value, axes = np.linalg.eigh(matrix)
+            information[j] = (axes * np.where(value > 1 / CONVENTION**2, value, weight * value)) @ axes.T
+        return Prior(self.name, self.rotations, information)
 
 
 def load(name: str, skeleton: Skeleton) -> Prior:

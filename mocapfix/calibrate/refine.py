@@ -24,7 +24,6 @@ ROBUST = 0.050  # metres: Geman-McClure scale
 PLACE_SD = 0.020  # metres: a person's marker about the average body's place
 GROUP_SD = 0.08  # logarithm of a bone group's scale
 PRIOR_WEIGHT = 0.03  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
-CONVENTION = 0.07  # radians: axes that every body holds tighter than this are the skeleton's convention (hinges), in full
 ROUNDS = 25
 ENOUGH = 1e-3  # relative fall of the cost under which calibration ends
 
@@ -50,14 +49,9 @@ def group_of(body: Body) -> np.ndarray:
     return of
 
 
-def weakened(prior: Prior) -> Pull:
-    """-> the pose prior as calibration uses it: weak, but for the axes that the skeleton itself holds."""
-    information = np.zeros_like(prior.information)
-    for j, matrix in enumerate(prior.information):
-        value, axes = np.linalg.eigh(matrix)
-        value = np.where(value > 1 / CONVENTION**2, value, PRIOR_WEIGHT * value)
-        information[j] = (axes * value) @ axes.T
-    return Pull(prior.rotations[None], information[None], np.zeros((1, 3)), np.zeros(1))
+def pull_to(prior: Prior) -> Pull:
+    """-> the pose prior as a pull, as weak as calibration wants it."""
+    return Pull(prior.rotations[None], prior.weakened(PRIOR_WEIGHT).information[None], np.zeros((1, 3)), np.zeros(1))
 
 
 def no_pull(joints: int) -> Pull:
@@ -89,14 +83,14 @@ def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Moti
     """-> poses of frames (N, K, 3) on a body not yet calibrated, robustly, so that spikes do not pass for variety."""
     motion = poses(start, body.free, prior, markers)
     tree, attached = tree_of(start, body, group_of(body)), Attached(start.joints, start.places)
-    solve(tree, attached, markers, weakened(prior), motion, (0.4, 0.2, 0.1), 8)
+    solve(tree, attached, markers, pull_to(prior), motion, (0.4, 0.2, 0.1), 8)
     return motion
 
 
 def refined(start, body, prior, marker_set: MarkerSet, markers, motion: Motion, chosen: np.ndarray) -> Subject:
     """-> `start` with the bones and places that fit the frames `markers` (N, K, 3) best; their poses are motion[chosen]."""
     motion = Motion(*(np.ascontiguousarray(field[chosen]) for field in vars(motion).values()))
-    groups, pull = group_of(body), weakened(prior)
+    groups, pull = group_of(body), pull_to(prior)
     believed = ~np.isnan(markers[..., 0])
     seen, weight = np.where(believed[..., None], markers, 0.0), believed / MARKER_SD**2
     shape = Shape(0.0, np.zeros(len(body.groups)), start.places.copy())

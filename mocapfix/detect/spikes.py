@@ -99,7 +99,7 @@ def _chain(frames, points, rate, longest):
     for i in range(1, count):
         for g in range(min(steps, i)):
             j = i - g - 1
-            leap = edge[g] if frames[i] - frames[j] > i - j + longest else price[g]
+            leap = edge[g] if frames[i] - frames[j] > i - j else price[g]
             if j < steps:
                 cost[i, g] = edge[j] + leap
             for h in range(min(steps, j)):

@@ -19,14 +19,14 @@ import numpy as np
 from mocapfix.faults import Faults
 from mocapfix.files import replacing
 from mocapfix.show import view
-from mocapfix.show.states import MEASURED, STATES, mended, states
+from mocapfix.show.states import AMBER, GREEN, MEASURED, RED, STATES, mended, states
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
 LANES = 20  # markers in the time line of states
 # On rerun's dark ground: what was there before recedes behind what is there after.
-GREY_BEFORE, GREY_AFTER, RED, GREEN, BLUE = "#6b7480", "#c9d0d8", "#ff4f4f", "#2fd07a", "#4f8fd6"
-STATE_COLOURS = ("#333a43", "#1f9d57", "#e08a00", "#d93a3a", "#d93a3a")
+BEFORE, FAULTY, AFTER, MENDED, BONE = "#6b7480", "#ff4f4f", "#c9d0d8", "#2fd07a", "#4f8fd6"
+STATE_COLOURS = ("#333a43", GREEN, AMBER, RED, RED)
 CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # of the markers farthest off
 
 
@@ -47,18 +47,20 @@ def comparison(
     import rerun as rr
 
     with replacing(target) as part:
-        recording = rr.RecordingStream("mocapfix", send_properties=True)
-        recording.save(part, default_blueprint=view.blueprint(before, after, joints, error))
-        recording.send_recording_name(before.name)
-        log = _Columns(recording, before)
-        log.markers(before, after, faults)
-        if skeleton is not None and joints is not None:
-            log.skeleton(skeleton, joints)
-        log.states(states(before, after, faults))
-        log.missing(before, after)
-        if error is not None:
-            log.errors(error)
-        recording.disconnect()
+        recording = rr.RecordingStream("mocapfix")
+        try:
+            recording.save(part, default_blueprint=view.blueprint(before, after, joints, error))
+            recording.send_recording_name(before.name)
+            log = _Columns(recording, before)
+            log.markers(before, after, faults)
+            if skeleton is not None and joints is not None:
+                log.skeleton(skeleton, joints)
+            log.states(states(before, after, faults))
+            log.missing(before, after)
+            if error is not None:
+                log.errors(error)
+        finally:
+            recording.disconnect()
 
 
 class _Columns:
@@ -77,7 +79,7 @@ class _Columns:
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.names))), static=True)
 
-    def send(self, path: str, columns, frames=slice(None)) -> None:
+    def send(self, path: str, columns, frames: slice | np.ndarray = slice(None)) -> None:
         import rerun as rr
 
         times = [rr.TimeColumn("time", duration=self.seconds[frames]), rr.TimeColumn("frame", sequence=self.numbers[frames])]
@@ -85,15 +87,16 @@ class _Columns:
 
     def markers(self, before: Take, after: Take, faults: Faults) -> None:
         put = mended(states(before, after, faults))
-        self._points("world/before", before, np.where(faults.doubted(before), _rgba(RED), _rgba(GREY_BEFORE)), 0.011)
-        self._points("world/after", after, np.where(put, _rgba(GREEN), _rgba(GREY_AFTER)), 0.013)
+        self._points("world/before", before, np.where(faults.doubted(before), _rgba(FAULTY), _rgba(BEFORE)), 0.011)
+        self._points("world/after", after, np.where(put, _rgba(MENDED), _rgba(AFTER)), 0.013)
 
     def _points(self, path: str, take: Take, colours: np.ndarray, radius: float) -> None:
         import rerun as rr
 
         seen = take.seen
         marker = np.broadcast_to(np.arange(seen.shape[1], dtype=np.uint16), seen.shape)
-        columns = rr.Points3D.columns(positions=take.markers[seen].astype(np.float32), colors=colours[seen], class_ids=marker[seen])
+        places = take.markers[seen].astype(np.float32)
+        columns = rr.Points3D.columns(positions=places, colors=colours[seen], class_ids=marker[seen])
         self.recording.log(path, rr.Points3D.from_fields(radii=radius, show_labels=False), static=True)
         self.send(path, columns.partition(seen.sum(axis=1)))
 
@@ -103,7 +106,7 @@ class _Columns:
         child = np.flatnonzero(skeleton.parents >= 0)
         bones = np.stack([joints[:, skeleton.parents[child]], joints[:, child]], axis=2)
         there = np.isfinite(bones).all(axis=(2, 3))
-        self.recording.log("world/skeleton", rr.LineStrips3D.from_fields(radii=0.007, colors=_rgba(BLUE)), static=True)
+        self.recording.log("world/skeleton", rr.LineStrips3D.from_fields(radii=0.007, colors=_rgba(BONE)), static=True)
         self.send("world/skeleton", rr.LineStrips3D.columns(strips=bones[there].astype(np.float32)).partition(there.sum(axis=1)))
 
     def states(self, state: np.ndarray) -> None:

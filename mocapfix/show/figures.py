@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from mocapfix.show.states import DOUBTED, EMPTY, MEASURED, REPLACED, STATES, mended
+from mocapfix.show.states import DOUBTED, EMPTY, MEASURED, STATES, faulty, mended
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
@@ -38,8 +38,7 @@ def stick_figures(
     body = body if np.isfinite(body).all() else np.empty((0, 3))
     across = _left(skeleton, body) if skeleton is not None and len(body) else _widest(after.markers[frame])
     picture = _picture(before.markers[frame], after.markers[frame], body, across)
-    doubted = np.isin(state[frame], (REPLACED, DOUBTED)) | (before.seen[frame] & (state[frame] == EMPTY))
-    was = np.where(doubted, DOUBTED, np.where(before.seen[frame], MEASURED, EMPTY))
+    was = np.where(faulty(before.seen[frame], state[frame]), DOUBTED, MEASURED)
     floor = picture.floor()
     bones = picture.bones(skeleton, body) if skeleton is not None and len(body) else ""
     return (
@@ -82,7 +81,7 @@ class _Picture:
         """Circles, the farthest first, so that near ones cover them; markers that are not there are left out."""
         placed = self.place(points)
         return "".join(
-            f'<circle class="{STATES[state[m]]}" cx="{placed[m, 0]:.1f}" cy="{placed[m, 1]:.1f}" r="1.7">'
+            f'<circle class="{STATES[state[m]]}" cx="{placed[m, 0]:.1f}" cy="{placed[m, 1]:.1f}" r="2">'
             f"<title>{escape(labels[m])}: {STATES[state[m]]}</title></circle>"
             for m in np.argsort(placed[:, 2])
             if np.isfinite(placed[m]).all()

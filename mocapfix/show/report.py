@@ -1,6 +1,5 @@
-"""The report page: one HTML file without anything outside it, for a technician to read, send and print."""
+"""The report page: one HTML file that needs nothing outside it, for a technician to read, send and print."""
 
-from collections.abc import Iterable
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -8,16 +7,14 @@ from string import Template
 
 import numpy as np
 
-from mocapfix.faults import MISSING, Faults
+from mocapfix.faults import Faults
 from mocapfix.files import replacing
-from mocapfix.show import figures, summary, timeline
-from mocapfix.show.states import AMBER, DOUBTED, EMPTY, GREEN, GREY, RED, VIOLET, mended, states
-from mocapfix.show.summary import number
+from mocapfix.show import sections
+from mocapfix.show.states import AMBER, GREEN, RED, VIOLET, states
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
-LISTED = 1000  # faults in the list at most; the JSON report has them all
-UNFOLDED = 40  # faults shown without unfolding the list
+COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET}
 
 
 def report(
@@ -36,19 +33,24 @@ def report(
     marker's distance from the body, NaN where unknown. Raises WriteError where `target` cannot be written.
     """
     state = states(before, after, faults)
-    sections = [
-        _facts(record, before),
-        _summary(record, before, faults),
-        _worst_moment(before, after, state, skeleton, joints),
-        _timeline(before, faults, state, error),
-        _left(record),
-        _residuals(record),
-        _subject(record),
-        _faults(record, before, faults, state),
-        _seconds(record),
-    ]
+    body = (
+        sections.overview(record, before, faults),
+        sections.worst_moment(before, after, state, skeleton, joints),
+        sections.time_line(before, faults, state, error),
+        sections.left_empty(record),
+        sections.residuals(record),
+        sections.subject(record),
+        sections.fault_list(record, before, faults, state),
+        sections.seconds(record),
+    )
     template = Template(resources.files("mocapfix.show").joinpath("report.html").read_text(encoding="utf-8"))
-    colours = {"grey": GREY, "green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET}
-    page = template.substitute(title=escape(before.name), subtitle=escape(_subtitle(record, before)), body="\n".join(sections), **colours)
+    texts = {"title": escape(before.name), "subtitle": escape(_subtitle(record, before))}
+    page = template.substitute(texts, body="\n".join(body), **COLOURS)
     with replacing(target) as part:
         part.write_text(page, encoding="utf-8", newline="\n")
+
+
+def _subtitle(record: dict, take: Take) -> str:
+    first, last = take.first_frame, take.frame_number(take.frames - 1)
+    worn = f", marker set {record['take']['marker_set']}" if record["take"]["marker_set"] else ""
+    return f"Frames {first} to {last} at {take.rate:g} Hz ({take.frames / take.rate:.1f} s), {len(take.labels)} markers{worn}."

@@ -8,7 +8,7 @@ from mocapfix.take import Take
 STATES = ("measured", "filled", "replaced", "doubted", "empty")
 MEASURED, FILLED, REPLACED, DOUBTED, EMPTY = range(5)
 
-GREY, GREEN, RED, AMBER, VIOLET = "#8d97a3", "#1f9d57", "#d93a3a", "#e08a00", "#7a5bd0"
+GREEN, RED, AMBER, VIOLET = "#1f9d57", "#d93a3a", "#e08a00", "#7a5bd0"
 
 
 def states(before: Take, after: Take, faults: Faults) -> np.ndarray:
@@ -21,3 +21,8 @@ def states(before: Take, after: Take, faults: Faults) -> np.ndarray:
 def mended(state: np.ndarray) -> np.ndarray:
     """-> where mocapfix put the sample there."""
     return (state == FILLED) | (state == REPLACED)
+
+
+def faulty(seen: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """-> where a sample was `seen` before, but was replaced, taken out, or only kept in doubt."""
+    return seen & (state != MEASURED)

@@ -13,7 +13,7 @@ def wrong(take: Take, faults: Faults) -> str:
     """-> a few sentences on the faults: how many, of which kinds, and the longest gap."""
     count = len(take.labels)
     if not faults.items:
-        return f"Nothing: {'each' if count != 1 else 'the one'} of the {count} markers is there in every frame, and none strays."
+        return "Nothing: every marker is there in every frame, and none strays."
     kinds = {"gap": sum(fault.kind in MISSING for fault in faults.items)}
     kinds |= {kind: faults.counts().get(kind, 0) for kind in ("spike", "jitter")}
     found = [f"{n:,} {(SINGULARS if n == 1 else PLURALS)[kind]}" for kind, n in kinds.items() if n]
@@ -54,7 +54,7 @@ def done(record: dict) -> str:
     residual = solve["marker_residual_mm"]
     return (
         f"{text} A body with this person’s bones places them; the seen markers lie "
-        f"{number(residual['mean'])} mm from it on average, 95 % of them within {number(residual['p95'])} mm."
+        f"{number(residual['mean'])} mm from it on average, 95% of them within {number(residual['p95'])} mm."
     )
 
 

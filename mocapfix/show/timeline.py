@@ -22,9 +22,7 @@ def rows(take: Take, faults: Faults, state: np.ndarray) -> str:
     of_marker: dict[int, list[Fault]] = {}
     for fault in faults.items:
         of_marker.setdefault(fault.marker, []).append(fault)
-    lines = [
-        _line(take.labels[m], "".join(_bars(take, fault, state[:, m]) for fault in of_marker[m])) for m in sorted(of_marker)
-    ]
+    lines = [_line(take.labels[m], "".join(_bars(take, fault, state[:, m]) for fault in of_marker[m])) for m in sorted(of_marker)]
     return "".join(lines) + axis(take)
 
 
@@ -63,14 +61,14 @@ def _step(least: float) -> float:
 
 
 def curves(error: np.ndarray) -> str:
-    """error (T, M) metres, NaN where unknown -> HTML of its mean and 95th percentile over the markers, in millimetres."""
+    """error (T, M) metres, NaN where unknown -> HTML of its median and 95th percentile over the markers, in millimetres."""
     bins = [part[np.isfinite(part)] * 1e3 for part in np.array_split(error, min(BINS, len(error)))]
-    mean = np.array([part.mean() if part.size else np.nan for part in bins])
+    middle = np.array([np.median(part) if part.size else np.nan for part in bins])
     high = np.array([np.percentile(part, 95) if part.size else np.nan for part in bins])
-    if np.isnan(mean).all():
+    if np.isnan(middle).all():
         return ""
     top = _step(np.nanmax(high) or 1.0)
-    paths = "".join(f'<path class="{name}" d="{_path(values / top)}"/>' for name, values in (("high", high), ("mean", mean)))
+    paths = "".join(f'<path class="{name}" d="{_path(values / top)}"/>' for name, values in (("high", high), ("middle", middle)))
     svg = f'<svg viewBox="0 0 1 1" preserveAspectRatio="none" role="img" aria-label="distance from the body">{paths}</svg>'
     return f'<div class="row curve"><b>{top:g} mm<small>0</small></b><span class="lane">{svg}</span></div>'
 
@@ -78,7 +76,5 @@ def curves(error: np.ndarray) -> str:
 def _path(values: np.ndarray) -> str:
     """values (N,) of 0..1 -> the line through their bins' middles, interrupted where they are NaN."""
     x = (np.arange(len(values)) + 0.5) / len(values)
-    stretches = [
-        "M" + "L".join(f"{x[i]:.4f} {1 - values[i]:.3f}" for i in range(a, b + 1)) for a, b in runs(np.isfinite(values))
-    ]
-    return "".join(stretches)
+    there = runs(np.isfinite(values))
+    return "".join("M" + "L".join(f"{x[i]:.4f} {1 - values[i]:.3f}" for i in range(a, b + 1)) for a, b in there)

@@ -5,6 +5,7 @@ import numpy as np
 from mocapfix.take import Take
 
 FIELD = np.radians(55)  # rerun's field of view, from bottom to top
+LOOKS = 1000  # frames that are looked at to find the eye's place, at most
 ROOM = 1.12  # around the body at the picture's edges
 CLIP = 3.0  # times the errors' 95th percentile is the top of their plot: a spike would hide the rest
 
@@ -34,6 +35,7 @@ def _eye(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     It looks across the way the body goes, a little from above.
     """
+    points = points[:: -(-len(points) // LOOKS)]
     points = points[np.isfinite(points).all(axis=-1)]
     if not len(points):
         return np.array([0.0, 1.5, 4.0]), np.array([0.0, 1.0, 0.0])

@@ -9,7 +9,7 @@ from mocapfix.kernels.threads import over_frames
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
-from mocapfix.solve import temporal
+from mocapfix.solve import recall, temporal
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -22,6 +22,8 @@ class SolveOptions:
     """how far a sound marker lies from its place on the body, metres (standard deviation per axis)"""
     robust: tuple[float, ...] = (0.2, 0.1, 0.05)
     """Geman-McClure scales, metres, one after the other: a marker farther off than the last hardly counts"""
+    habit: float = 1.0
+    """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
     turn_sd: float = 0.02
     """how far a joint strays from its smooth course, radians"""
     shift_sd: float = 0.003
@@ -41,7 +43,8 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     seen, weight = np.where(believed[..., None], worn.markers, 0.0), believed / options.marker_sd**2
     scales2 = (np.array(options.robust) / options.marker_sd) ** 2
     joints = len(tree.parents)
-    pose = Pull(prior.rotations[None], prior.information[None], np.zeros((1, 3)), np.zeros(1))
+    said_once = prior.weakened(1 / (options.habit * worn.rate))
+    pose = Pull(prior.rotations[None], said_once.information[None], np.zeros((1, 3)), np.zeros(1))
     none = Pull(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
     frames = worn.frames
     root, local = start.root.copy(), start.rotations.copy()
@@ -51,7 +54,8 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     over_frames(
         uncertainties, frames, tree, attached, seen, weight, scales2[-1], none, pose, root, local, deviation, variance, root_variance
     )
-    target = smooth(root, local, variance, root_variance, body.free, worn.rate, options)
+    known, sure = recall.recalled(root, local, variance, body.free, worn.rate)
+    target = smooth(root, known, sure, root_variance, body.free, worn.rate, options)
     spent = iterations.copy()
     root, local = target.root.copy(), target.rotations.copy()
     over_frames(solve_frames, frames, tree, attached, seen, weight, scales2[-1:], target, pose, root, local, 12, status, iterations)

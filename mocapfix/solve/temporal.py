@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 STEP = 0.1  # seconds over which the course's acceleration is measured
 WELL_KNOWN = 0.1  # radians (or metres times ten): frames less certain than this do not tell the intensity
+LIVELY = 10.0  # the take's quick moments over its average: smoothing must not cost them their speed
 LEAST = 1e-3  # least intensity, rad^2/s^3 or m^2/s^3: a joint held still still may move
 
 
@@ -46,7 +47,7 @@ def intensity(path: np.ndarray, variance: np.ndarray, rate: float, well_known: f
     if known.sum() < 3 * h:
         return 1.0
     power = (second[known] ** 2).mean()
-    return max(power / (2 / 3 * (h / rate) ** 3), LEAST)
+    return max(LIVELY * power / (2 / 3 * (h / rate) ** 3), LEAST)
 
 
 def smoothed_rotations(rotations: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:

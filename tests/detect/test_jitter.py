@@ -74,13 +74,21 @@ def test_a_change_of_place_is_no_jitter():
     assert found(markers) == []
 
 
-def test_a_burst_goes_on_across_a_moment_unseen_and_ends_at_a_gap():
-    markers = trembling(swinging(), 200, 320, 0.012)
+def test_a_burst_goes_on_across_a_moment_unseen_or_calm_and_ends_at_a_gap():
+    markers, calm = trembling(swinging(), 200, 420, 0.012), swinging()
     markers[230:233] = np.nan
-    markers[290:] = np.nan
-    (burst,) = found(markers)
-    assert abs(burst.first - 200) <= 5
-    assert burst.last == 289
+    markers[260:269] = calm[260:269]
+    markers[320:360] = np.nan
+    before, after = found(markers)
+    ends = [before.first, before.last, after.first, after.last]
+    np.testing.assert_allclose(ends, [200, 319, 360, 420], rtol=0, atol=5)
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
+def test_a_single_sample_is_no_burst(rate):
+    markers = np.zeros((100, 1, 3))
+    markers[50] = 0.3
+    assert found(markers, rate) == []
 
 
 @pytest.mark.parametrize("seen", [0, 1, 5, 11])

@@ -116,3 +116,14 @@ def test_hardly_any_samples(seen):
     markers = swinging()
     markers[seen:] = np.nan
     assert found(markers) == []
+
+
+def test_the_local_fit_knows_a_parabola_and_its_own_ignorance():
+    times = np.arange(-10, 11) / 120
+    times = times[times != 0]
+    path = np.array([[1.0, 2.0, 3.0]]) + times[:, None] * [1.0, 0.0, -2.0] + times[:, None] ** 2 / 2 * [0.0, 50.0, -9.81]
+    expected, near = spikes._local_fit(times, path, np.zeros(1))
+    np.testing.assert_allclose(expected, [[1.0, 2.0, 3.0]], atol=5e-4)
+    assert near < 0.003
+    _, amid_a_gap = spikes._local_fit(times[abs(times) > 0.05], path[abs(times) > 0.05], np.zeros(1))
+    assert amid_a_gap > 0.05

@@ -1,0 +1,38 @@
+"""Filling from the solved body: the marker's place on its segment, and the residual at the gap's edges carried across."""
+
+import numpy as np
+
+from mocapfix.kernels import kinematics
+from mocapfix.kernels.course import across
+from mocapfix.motion import Motion
+from mocapfix.subject import Subject
+
+FADE = 0.35  # seconds after which a residual has lost most of its memory
+REACH = 0.15  # seconds on either side of a gap that are listened to
+NOISE = 0.0005  # metres: what cameras add to a sample
+LEAST = 0.002  # metres: least size of a residual's course
+
+
+def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> positions (T, K, 3) at the samples `wanted` (T, K), NaN elsewhere, and their standard deviation per axis (T, K).
+
+    The deviation adds what the residual's course leaves open to what the pose does, beyond what it left open at the
+    measured samples, where the residual holds it already.
+
+    worn  (T, K, 3) metres, the subject's markers, NaN where not seen or not believed
+    """
+    position, rotation = kinematics.world(subject.skeleton, motion)
+    placed = kinematics.markers(subject, position, rotation)
+    out, deviation = np.full(worn.shape, np.nan), np.full(wanted.shape, np.nan)
+    for k, joint in enumerate(subject.joints):
+        if not wanted[:, k].any():
+            continue
+        residual = np.einsum("tba,tb->ta", rotation[:, joint], worn[:, k] - placed[:, k])
+        course, variance = across(residual, wanted[:, k], rate, FADE, REACH, NOISE, LEAST)
+        where = wanted[:, k]
+        out[where, k] = placed[where, k] + np.einsum("tab,tb->ta", rotation[where, joint], course[where])
+        seen = ~np.isnan(worn[:, k, 0])
+        usual = np.median(motion.deviation[seen, k]) if seen.any() else 0.0
+        pose = np.maximum(motion.deviation[where, k] ** 2 - usual**2, 0.0)
+        deviation[where, k] = np.sqrt(variance[where] + pose)
+    return out, deviation

@@ -1,0 +1,52 @@
+"""Carrying what was seen beside a gap across it.
+
+What a marker does beyond its segment's motion (skin, and the solve's own error), or a joint beyond what was expected of it,
+is a smooth random course about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17).
+Given the samples on both sides of a gap its mean goes on smoothly from them and fades towards zero in the middle of a long
+gap, and its variance says how far it can be trusted.
+"""
+
+import numpy as np
+
+from mocapfix.take import runs
+
+LISTENED = 6  # samples on either side
+
+
+def across(
+    residual: np.ndarray, wanted: np.ndarray, rate: float, fade: float, reach: float, noise: float, least: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """-> the course (T, 3) of a residual over the samples `wanted` (T,), and its variance (T,) per axis.
+
+    residual  (T, 3) in any unit, NaN where not known
+    fade      seconds after which a residual has lost most of its memory
+    reach     seconds on either side of a gap that are listened to
+    noise     what a single sample cannot tell, in the residual's unit
+    least     least size of the course, likewise
+    """
+    known = ~np.isnan(residual[:, 0])
+    course, variance = np.zeros_like(residual), np.zeros(len(residual))
+    # 2.2 times the median square is the mean square of a normal residual; outliers do not count
+    power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, least**2)
+    steps = max(1, round(reach * rate))
+    pick = np.unique(np.linspace(0, steps - 1, min(LISTENED, steps)).astype(int))
+    for first, last in runs(wanted):
+        before, after = first - 1 - pick, last + 1 + pick
+        near = np.r_[before[before >= 0], after[after < len(residual)]]
+        near = near[known[near]]
+        gap = np.arange(first, last + 1)
+        if len(near) == 0:
+            variance[gap] = power
+            continue
+        among = power * matern((near[:, None] - near[None]) / rate, fade) + noise**2 * np.eye(len(near))
+        between = power * matern((gap[:, None] - near[None]) / rate, fade)
+        weight = np.linalg.solve(among, between.T).T
+        course[gap] = weight @ residual[near]
+        variance[gap] = np.maximum(power - (weight * between).sum(1), 0.0)
+    return course, variance
+
+
+def matern(seconds: np.ndarray, fade: float) -> np.ndarray:
+    """-> the correlation of the course at two moments so far apart."""
+    distance = np.sqrt(3) * np.abs(seconds) / fade
+    return (1 + distance) * np.exp(-distance)

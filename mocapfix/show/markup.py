@@ -1,0 +1,39 @@
+"""The page's few forms: a table, rows of bars, a legend; everything they are given is escaped."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+LISTED = 1000  # rows that a list shows at most; the JSON report has them all
+
+
+def legend(kinds: Iterable[tuple[str, str]]) -> str:
+    """What colours mean: classes of the page's style sheet, each with its meaning."""
+    return '<p class="legend">' + "".join(f'<span><i class="{name}"></i>{escape(text)}</span>' for name, text in kinds) + "</p>"
+
+
+def frames(first: int, last: int) -> str:
+    """The file's own numbers, inclusive at both ends."""
+    return f"{first}–{last}" if last > first else f"{first}"
+
+
+def more(count: int) -> str:
+    """What stands below a list of `count` rows that was cut."""
+    return f"<p>And {count - LISTED:,} more, all in the JSON report.</p>" if count > LISTED else ""
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table that scrolls sideways where the screen is narrow."""
+    top = "".join(f"<th>{escape(name)}</th>" for name in head)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="scroll"><table><tr>{top}</tr>{body}</table></div>'
+
+
+def bars(rows: Iterable[tuple[str, Iterable[tuple[str, float]], str]]) -> str:
+    """Rows of a name, bars (class and share of the width, the longest first) and a value."""
+    lines = (
+        f"<div><b>{escape(name)}</b><span>"
+        + "".join(f'<i class="{kind}" style="width:{share:.1%}"></i>' for kind, share in parts)
+        + f"</span><em>{escape(value)}</em></div>"
+        for name, parts, value in rows
+    )
+    return f'<div class="bars">{"".join(lines)}</div>'

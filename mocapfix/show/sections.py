@@ -1,0 +1,148 @@
+"""The sections of the report page, each as HTML, or "" where there is nothing to say; all text from outside is escaped."""
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from mocapfix.faults import MISSING, Fault, Faults
+from mocapfix.show import figures, summary, timeline
+from mocapfix.show.markup import LISTED, bars, frames, legend, more, table
+from mocapfix.show.states import DOUBTED, EMPTY, FILLED, faulty, mended
+from mocapfix.show.summary import number
+from mocapfix.skeleton import Skeleton
+from mocapfix.take import Take
+
+UNFOLDED = 40  # faults shown without unfolding the list
+NAMED = 12  # markers named below a picture
+
+# Classes of the page's style sheet, and what they mean.
+KINDS = (("gap", "gap, filled"), ("spike", "spike, replaced"), ("jitter", "jitter, replaced"), ("gap left", "outlined: left"))
+CURVES = (("middle", "median of the markers"), ("high", "95th percentile"))
+RESIDUALS = (("middle", "mean"), ("high", "95th percentile, mm"))
+
+
+def overview(record: dict, take: Take, faults: Faults) -> str:
+    """What was wrong, what was done, what was left, in figures and in sentences."""
+    fill, solve = record["fill"], record["solve"]
+    values = [
+        (f"{fill['missing_before'] / max(1, take.seen.size):.1%}", "of the samples missing before"),
+        (f"{fill['filled']:,}", "samples filled"),
+        (f"{fill['mended']:,}", "faulty samples replaced"),
+        (f"{fill['left_empty']:,}", "samples left empty"),
+    ]
+    if solve is not None:
+        values.append((f"{number(solve['marker_residual_mm']['mean'])} mm", "from markers to body, mean"))
+    facts = "".join(f"<div><b>{value}</b><small>{what}</small></div>" for value, what in values)
+    answers = [("What was wrong", summary.wrong(take, faults)), ("What was done", summary.done(record))]
+    answers += [("What was left", summary.left(record)), *(("To know", note) for note in record["notes"])]
+    sentences = "".join(f"<dt>{question}</dt><dd>{escape(answer)}</dd>" for question, answer in answers)
+    return f'<div class="facts">{facts}</div><dl class="summary">{sentences}</dl>'
+
+
+def worst_moment(before: Take, after: Take, state: np.ndarray, skeleton: Skeleton | None, joints: np.ndarray | None) -> str:
+    """The frame in which most was mended, before and after."""
+    t = figures.worst_frame(state, joints)
+    pictures = figures.stick_figures(before, after, state, skeleton, joints, t)
+    missing, doubted = ~before.seen[t], faulty(before.seen[t], state[t])
+    words = [
+        _named("missing", missing, before) + _named("judged faulty (red)", doubted, before) or "all markers are there",
+        _named("mended (green)", mended(state[t]), after) + _named("left empty", state[t] == EMPTY, after) or "nothing to mend",
+    ]
+    parts = "".join(
+        f"<figure>{picture}<figcaption><b>{name}</b> {escape(text)}</figcaption></figure>"
+        for name, picture, text in zip(("Before:", "After:"), pictures, words, strict=True)
+    )
+    frame = f"Frame {before.frame_number(t)}, {t / before.rate:.2f} s from the first"
+    return f'<h2>The worst moment</h2><p class="soft">{frame}.</p><div class="figures">{parts}</div>'
+
+
+def _named(what: str, mask: np.ndarray, take: Take) -> str:
+    labels = [take.labels[m] for m in np.flatnonzero(mask)]
+    more = f" and {len(labels) - NAMED} more" if len(labels) > NAMED else ""
+    return f"{len(labels)} {what}: {', '.join(labels[:NAMED])}{more}. " if labels else ""
+
+
+def time_line(take: Take, faults: Faults, state: np.ndarray, error: np.ndarray | None) -> str:
+    """When which marker failed, and how far the markers were from the body meanwhile."""
+    rows, curves = timeline.rows(take, faults, state), timeline.curves(error) if error is not None else ""
+    text = ""
+    if rows:
+        text += f"<h2>Faults over time</h2>{legend(KINDS)}{rows}"
+    if curves:
+        text += f"<h2>Distance of the markers from the body</h2>{legend(CURVES)}{curves}{timeline.axis(take)}"
+    return text
+
+
+def left_empty(record: dict) -> str:
+    """What is still missing, and why."""
+    rows = [(item["marker"], frames(item["first"], item["last"]), item["reason"]) for item in record["fill"]["left"]]
+    return f"<h2>Left empty</h2>{table(('Marker', 'Frames', 'Why'), rows[:LISTED])}{more(len(rows))}" if rows else ""
+
+
+def residuals(record: dict) -> str:
+    """How far each marker was seen from the body, and how the solve of each frame ended."""
+    if (solve := record["solve"]) is None:
+        return ""
+    markers = solve["marker_residual_mm"]["by_marker"]
+    known = {label: value for label, value in markers.items() if value["mean"] is not None and np.isfinite(value["mean"])}
+    top = max([value["p95"] for value in known.values()] + [1e-9])
+    rows = []
+    for label, value in sorted(known.items(), key=lambda item: -item[1]["mean"]):
+        mean, high = value["mean"], value["p95"]
+        rows.append((label, (("high", high / top), ("middle", mean / top)), f"{number(mean)} / {number(high)}"))
+    status = table(("Frames", "How their solve ended"), [(f"{n:,}", text) for text, n in solve["status"].items() if n])
+    iterations = f'<p class="soft">{number(solve["iterations_mean"])} iterations a frame on average.</p>'
+    return f"<h2>Each marker’s distance from the body</h2>{legend(RESIDUALS)}{bars(rows)}<h2>The solve</h2>{status}{iterations}"
+
+
+def subject(record: dict) -> str:
+    """The person's bones."""
+    if (person := record["subject"]) is None:
+        return ""
+    top = max([*person["bones_m"].values(), 1e-9])
+    rows = [(name, (("high", m / top),), f"{number(100 * m)} cm") for name, m in person["bones_m"].items() if m > 0]
+    source = f"calibrated on {person['frames']:,} frames" if person["frames"] else "of a nominal body"
+    words = f"Bone lengths, {source}; marker set {escape(person['marker_set'])}."
+    return f'<h2>The person</h2><p class="soft">{words}</p>{bars(rows)}'
+
+
+def fault_list(record: dict, take: Take, faults: Faults, state: np.ndarray) -> str:
+    """Every fault and what became of it, folded where there are many."""
+    if not faults.items:
+        return ""
+    rows = [
+        (
+            fault.kind,
+            take.labels[fault.marker],
+            frames(take.frame_number(fault.first), take.frame_number(fault.last)),
+            number(1e3 * fault.severity, 0),
+            fault.reason,
+            _became(fault, state, record["fill"]["left"], take),
+        )
+        for fault in faults.items[:LISTED]
+    ]
+    listed = table(("Kind", "Marker", "Frames", "mm", "What is wrong", "What was done"), rows)
+    fold = "" if len(faults.items) > UNFOLDED else " open"
+    count = f"<summary>{len(faults.items):,} fault{'s' * (len(faults.items) > 1)}</summary>"
+    return f"<h2>All faults</h2><details{fold}>{count}{listed}{more(len(faults.items))}</details>"
+
+
+def _became(fault: Fault, state: np.ndarray, left: Sequence[dict], take: Take) -> str:
+    """-> what was done about the fault, with the reason where something of it was left."""
+    span = state[fault.first : fault.last + 1, fault.marker]
+    put, empty, kept = int(mended(span).sum()), int((span == EMPTY).sum()), int((span == DOUBTED).sum())
+    verb = "filled" if (span == FILLED).any() or fault.kind in MISSING else "replaced"
+    if put == len(span):
+        return verb
+    first, last = take.frame_number(fault.first), take.frame_number(fault.last)
+    why = [i["reason"] for i in left if i["marker"] == take.labels[fault.marker] and i["first"] <= last and i["last"] >= first]
+    counts = ((put, verb), (empty, "left empty"), (kept, "kept as measured"))
+    said = ", ".join(word if n == len(span) else f"{n:,} of {len(span):,} {word}" for n, word in counts if n)
+    return f"{said}: {why[0]}" if why else said or "none needed"
+
+
+def seconds(record: dict) -> str:
+    """Where the time went."""
+    rows = [(stage, f"{s:.2f} s") for stage, s in record["seconds"].items()]
+    return f"<h2>Time spent</h2>{table(('Stage', 'Seconds'), rows)}"

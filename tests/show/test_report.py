@@ -1,0 +1,186 @@
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from mocapfix.errors import WriteError
+from mocapfix.faults import Fault, Faults
+from mocapfix.show import report
+
+VOID = {"meta", "br", "img", "link", "input"}
+
+
+class Page(HTMLParser):
+    """A page that must be well formed: its tags, its attributes, and the text that a reader sees."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.source = path.read_text(encoding="utf-8")
+        self.open, self.tags, self.words = [], [], []
+        self.feed(self.source)
+        assert self.open == []
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.words.append(data)
+
+    def of_class(self, tag, name):
+        return [attrs for each, attrs in self.tags if each == tag and attrs.get("class") == name]
+
+
+def page_of(scene, tmp_path, **changes):
+    given = {"target": tmp_path / "walk.html", "record": scene.record}
+    given |= dict(zip(("before", "after", "faults", "skeleton", "joints", "error"), scene.shown, strict=True))
+    report(**given | changes)
+    return Page(tmp_path / "walk.html")
+
+
+def test_it_says_what_was_wrong_done_and_left(scene, tmp_path):
+    text = page_of(scene, tmp_path).text
+    assert "5 of 31 markers have faults: 3 gaps, 1 spike and 1 burst of jitter." in text
+    assert f"{(~scene.before.seen).sum()} of 7,440 samples" in text
+    assert "60 of the missing samples were filled and 1 faulty one was replaced" in text
+    assert "3.2 mm from it on average, 95% of them within 7.4 mm" in text
+    assert f"{(~scene.after.seen).sum()} samples are still missing, on <b>&\"'" in text
+    assert "The <hand> was hidden." in text
+    assert "Look at M07 & its neighbours." in text
+
+
+def test_each_fault_is_listed_with_the_files_frames_and_what_became_of_it(scene, tmp_path):
+    text = page_of(scene, tmp_path).text
+    assert "gap M03 151–200 500 M03 is not seen for 0.42 s. filled" in text
+    assert "spike M05 171 300 M05 lies 300 mm off its path. replaced" in text
+    assert "jitter M07 221–240 10 M07 trembles. kept as measured" in text
+    assert "161–180 200 <b> is not seen. 10 of 20 filled, 10 of 20 left empty: The <hand> was hidden." in text
+    assert "absent never 101–340 – never is never seen in this take. left empty" in text
+
+
+def test_bars_lie_where_the_faults_are(scene, tmp_path):
+    page = page_of(scene, tmp_path)
+    assert [bar["style"] for bar in page.of_class("i", "gap") if "title" in bar] == [
+        "left:20.833%;width:20.833%",
+        "left:25.000%;width:4.167%",
+    ]
+    assert [bar["style"] for bar in page.of_class("i", "spike") if "title" in bar] == ["left:29.167%;width:0.417%"]
+    assert [bar["style"] for bar in page.of_class("i", "gap left") if "title" in bar] == [
+        "left:29.167%;width:4.167%",
+        "left:0.000%;width:100.000%",
+    ]
+    assert len([bar for bar in page.of_class("i", "jitter left") if "title" in bar]) == 1
+
+
+def test_what_comes_from_the_file_is_escaped_and_nothing_comes_from_elsewhere(scene, tmp_path):
+    page = page_of(scene, tmp_path)
+    assert "walk <1>.c3d" in page.text
+    assert "<1>" not in page.source
+    assert "<hand>" not in page.source
+    for tag, attrs in page.tags:
+        assert tag not in {"script", "link", "img", "iframe", "hand"}
+        assert not {"src", "href"} & attrs.keys()
+    assert "url(" not in page.source
+    assert "http" not in page.source
+
+
+def test_the_worst_moment_is_the_one_with_most_mended_markers(scene, tmp_path):
+    page = page_of(scene, tmp_path)  # only in frame 70 the spike falls together with a gap that is filled
+    assert "Frame 171, 0.58 s from the first." in page.text
+    before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
+    assert before.count("<circle") == scene.before.seen[70].sum()
+    assert before.count('class="doubted"') == 1
+    assert after.count("<circle") == scene.after.seen[70].sum()
+    assert after.count('class="filled"') == after.count('class="replaced"') == 1
+    assert ('class="bones"' in after, 'class="bones"' in before) == (True, False)
+
+
+def test_the_body_faces_the_viewer_in_the_middle_of_the_picture(scene, tmp_path):
+    page = page_of(scene, tmp_path)
+    left, top, width, height = (float(number) for number in page.of_class("svg", "figure")[1]["viewbox"].split())
+    circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[1])
+    place = {label: (float(x), float(y)) for x, y, label in circles}
+    head, foot = scene.skeleton.index("Head"), scene.skeleton.index("LeftFoot")
+    hands = (place[f"M{scene.skeleton.index(side + 'Hand'):02d}"][0] for side in ("Right", "Left"))
+    assert place[f"M{head:02d}"][1] < place[f"M{foot:02d}"][1]  # an SVG's y points down
+    assert left < next(hands) < left + width / 2 < next(hands) < left + width
+    assert all(top < y < top + height for _, y in place.values())
+
+
+def test_the_curve_is_broken_where_nothing_is_known(scene, tmp_path):
+    error = np.full((240, 31), 0.004)
+    error[100:120] = np.nan
+    page = page_of(scene, tmp_path, error=error)
+    (curve,) = page.of_class("path", "middle")
+    assert curve["d"].count("M") == 2
+    assert curve["d"].count("L") == 99 + 119
+    assert set(re.findall(r" ([\d.]+)", curve["d"])) == {"0.200"}  # 4 of 5 mm
+    assert "5 mm" in page.text
+
+
+def test_residuals_are_listed_from_the_worst_without_the_unknown(scene, tmp_path):
+    text = page_of(scene, tmp_path).text
+    assert text.index("M28 30.0 / 31.0") < text.index("M01 3.0 / 4.0")
+    assert "never nan" not in text
+    assert "200 solved: well 40 guessed: too few" in text
+    assert "LeftLeg 41.8 cm" in text
+    assert "LHipJoint" not in text
+
+
+def test_a_take_without_a_body_reads_well(scene, tmp_path):
+    record = scene.record | {"subject": None, "solve": None, "take": scene.record["take"] | {"marker_set": None}}
+    page = page_of(scene, tmp_path, record=record, skeleton=None, joints=None, error=None)
+    assert "No body was used" in page.text
+    assert "None" not in page.text
+    assert "The person" not in page.text
+    assert "bones" not in {attrs.get("class") for tag, attrs in page.tags if tag == "path"}
+    assert len(page.of_class("svg", "figure")) == 2
+
+
+def test_a_take_without_faults_says_so(scene, tmp_path):
+    fill = {"missing_before": 0, "filled": 0, "mended": 0, "left_empty": 0, "left": []}
+    whole = scene.before.with_markers(scene.joints)
+    page = page_of(scene, tmp_path, record=scene.record | {"fill": fill}, before=whole, after=whole, faults=Faults())
+    assert "Nothing: every marker is there in every frame, and none strays." in page.text
+    assert "Nothing was changed" in page.text
+    assert "Nothing: no sample is missing any more." in page.text
+    assert "All faults" not in page.text
+
+
+def test_a_take_without_a_single_sample_has_a_page(scene, tmp_path):
+    nothing = scene.before.with_markers(np.full_like(scene.before.markers, np.nan))
+    page = page_of(scene, tmp_path, before=nothing, after=nothing, skeleton=None, joints=None, error=np.full((240, 31), np.nan))
+    assert "31 left empty" in page.text
+    assert not re.search(r"\bnan\b", page.source)
+
+
+@pytest.mark.parametrize("count", [300, 3000])
+def test_the_page_of_a_bad_take_stays_small(scene, tmp_path, count):
+    frames = 24_000
+    items = tuple(
+        Fault("gap", n % 30, 8 * n, 8 * n + 3, 0.1, f"M{n % 30:02d} is not seen for 0.03 s and moves.") for n in range(count)
+    )
+    markers = np.zeros((frames, 31, 3))
+    for fault in items:
+        markers[fault.first : fault.last + 1, fault.marker] = np.nan
+    before = replace(scene.before, markers=markers)
+    page = page_of(scene, tmp_path, before=before, after=before, faults=Faults(items), skeleton=None, joints=None, error=None)
+    assert len(page.source.encode()) < 2_000_000
+    assert f"{count:,} faults" in page.text
+    assert ("all in the JSON report" in page.text) == (count > 1000)
+
+
+def test_a_folder_that_is_not_there_is_named(scene, tmp_path):
+    with pytest.raises(WriteError, match=r"nowhere.*walk\.html"):
+        page_of(scene, tmp_path, target=tmp_path / "nowhere" / "walk.html")
