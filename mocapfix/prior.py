@@ -10,7 +10,7 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-CONVENTION = 0.07  # radians
+CONVENTION = 0.21  # radians
 
 
 @dataclass(frozen=True)

@@ -246,3 +246,28 @@ def uncertainties(tree, attached, seen, weight, scale2, target, prior, root, loc
         root_var[t] = uncertainty(
             tree, attached, seen[t], weight[t], scale2, pulls, root[t], local[t], marker_sd[t], joint_var[t]
         )
+
+
+@njit(cache=True, nogil=True)
+def track(tree, attached, seen, weight, scales2, target, prior, root, local, unsure, most, runs, first, stop):
+    """Solve the runs first..stop of `runs` (R, 2) anew, frame after frame from both ends to the middle, in place.
+
+    Joints that are `unsure` (T, J) start where the frame before (from the far end: after) has them, the others where they
+    are: where markers leave two poses open, as a thigh does that lost its knee, the one that goes on smoothly is found.
+    """
+    for r in range(first, stop):
+        left, right = runs[r, 0], runs[r, 1]
+        forth = left > 0
+        while left <= right:
+            if forth or right == len(root) - 1:
+                t, source, left = left, left - 1, left + 1
+            else:
+                t, source, right = right, right + 1, right - 1
+            forth = runs[r, 0] > 0 and (not forth or right == len(root) - 1)
+            if source < 0 or source >= len(root):
+                continue
+            for j in range(1, local.shape[1]):
+                if unsure[t, j]:
+                    copy(local[source, j], local[t, j])
+            pulls = (of_frame(target, t), of_frame(prior, t))
+            solve_frame(tree, attached, seen[t], weight[t], scales2, pulls, root[t], local[t], most)

@@ -4,14 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames, uncertainties
+from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames, track, uncertainties
 from mocapfix.kernels.threads import over_frames
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
 from mocapfix.solve import recall, temporal
 from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.take import Take, runs
+
+
+FLICKER = 0.025  # seconds
 
 
 @dataclass(frozen=True)
@@ -24,9 +27,11 @@ class SolveOptions:
     """Geman-McClure scales, metres, one after the other: a marker farther off than the last hardly counts"""
     habit: float = 1.0
     """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
-    turn_sd: float = 0.02
+    beside: float = 0.05
+    """how long beside a gap a marker is not listened to, seconds; see `beside_gaps`"""
+    turn_sd: float = 0.1
     """how far a joint strays from its smooth course, radians"""
-    shift_sd: float = 0.003
+    shift_sd: float = 0.03
     """how far the root strays from its smooth course, metres"""
 
 
@@ -40,7 +45,8 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     """
     tree, attached = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free), Attached(subject.joints, subject.places)
     believed = ~np.isnan(worn.markers[..., 0])
-    seen, weight = np.where(believed[..., None], worn.markers, 0.0), believed / options.marker_sd**2
+    seen = np.where(believed[..., None], worn.markers, 0.0)
+    weight = (believed & ~beside_gaps(believed, worn.rate, options.beside)) / options.marker_sd**2
     scales2 = (np.array(options.robust) / options.marker_sd) ** 2
     joints = len(tree.parents)
     said_once = prior.weakened(1 / (options.habit * worn.rate))
@@ -54,7 +60,17 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     over_frames(
         uncertainties, frames, tree, attached, seen, weight, scales2[-1], none, pose, root, local, deviation, variance, root_variance
     )
-    known, sure = recall.recalled(root, local, variance, body.free, worn.rate)
+    unsure = missed(weight > 0, subject) & body.free
+    stretches = np.array(runs(unsure.any(1)), int).reshape(-1, 2)
+    bridge = bridged(local, variance, unsure, worn.rate, options)
+    over_frames(
+        track, len(stretches), tree, attached, seen, weight, scales2[-1:], bridge, pose, root, local, unsure, 12, stretches
+    )
+    over_frames(
+        uncertainties, frames, tree, attached, seen, weight, scales2[-1], none, pose, root, local, deviation, variance, root_variance
+    )
+    gone = recall.lost(weight > 0, subject, body.free)
+    known, sure = recall.recalled(root, local, variance, gone, body.free, worn.rate)
     target = smooth(root, known, sure, root_variance, body.free, worn.rate, options)
     spent = iterations.copy()
     root, local = target.root.copy(), target.rotations.copy()
@@ -64,6 +80,43 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     )
     status[believed.sum(1) < 3] = 3
     return Motion(root, local, status, spent + iterations, deviation)
+
+
+def beside_gaps(believed: np.ndarray, rate: float, longest: float) -> np.ndarray:
+    """-> (T, K) bool: the samples on either side of a marker's gaps, for up to `longest` seconds.
+
+    The pose shall not listen to them: a marker pulls the body to itself, so a body that lets go of it where its gap
+    begins would jump, and the residual carried across the gap would be the residual of another pose. The last samples
+    before a marker is lost are its worst, too. Flicker loses none.
+    """
+    mask = np.zeros_like(believed)
+    for k in range(believed.shape[1]):
+        for first, last in runs(~believed[:, k]):
+            span = round(rate * min(longest, (last - first + 1) / rate - FLICKER))
+            if span > 0:
+                mask[max(0, first - span) : last + 1 + span, k] = True
+    return mask
+
+
+def missed(listened: np.ndarray, subject: Subject) -> np.ndarray:
+    """-> (T, J) bool: joints that miss a marker, their own or a child's, that the take shows at other times."""
+    lacking = np.zeros((len(listened), len(subject.skeleton.names)), bool)
+    for k in np.flatnonzero(listened.any(0)):
+        joint = subject.joints[k]
+        lacking[:, joint] |= ~listened[:, k]
+        lacking[:, subject.skeleton.parents[joint]] |= ~listened[:, k]
+    lacking[:, 0] = False
+    return lacking
+
+
+def bridged(local, variance, unsure, rate, options: SolveOptions) -> Pull:
+    """-> where each joint's course leads while the joint itself is unsure, as a pull as strong as that course is certain."""
+    rotations, information = local.copy(), np.zeros_like(local)
+    for j in np.flatnonzero(unsure.any(0)):
+        rotations[:, j], left_open = temporal.bridged(local[:, j], variance[:, j], unsure[:, j], rate)
+        certain = np.where(unsure[:, j], 1 / (left_open + options.turn_sd**2), 0.0)
+        information[:, j] = certain[:, None, None] * np.eye(3)
+    return Pull(rotations, information, np.zeros((len(local), 3)), np.zeros(len(local)))
 
 
 def smooth(root, local, variance, root_variance, free, rate, options: SolveOptions) -> Pull:

@@ -9,34 +9,38 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.course import across
+from mocapfix.subject import Subject
 from mocapfix.take import runs
 
-LOST = 0.12  # radians per axis: a joint less certain than this, and than twice its usual, is lost in that frame
 ENOUGH = 2.0  # seconds of wholly seen motion, without which a take cannot tell
-FADE = 0.6  # seconds after which the difference at a gap's edge has lost most of its memory
+FADE = 0.3  # seconds after which the difference at a gap's edge has lost most of its memory
 REACH = 0.1  # seconds beside a gap that are listened to
 UNSURE = 0.05  # radians per axis: what a recalled rotation counts as in the smoothing
 GRAIN = np.array([0.05] * 3 + [0.05] + [0.2] * 3 + [0.5] * 3)  # differences of tilt, height, velocity, turning that mean nothing
-TURN_GRAIN = 0.06  # radians, likewise of joints
+TURN_GRAIN = 0.1  # radians, likewise of joints
 
 
-def lost(variance: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """-> (T, J) bool: free joints below the root of which the frame's markers say too little. variance (T, J) rad^2"""
-    usual = np.median(variance, axis=0)
-    mask = (variance > LOST**2) & (variance > 4 * usual)
-    mask[:, ~free] = False
-    mask[:, 0] = False
-    return mask
+def lost(listened: np.ndarray, subject: Subject, free: np.ndarray) -> np.ndarray:
+    """-> (T, J) bool: free joints below the root that no marker tells of: none on them or farther out is there.
+
+    listened (T, K): the subject's markers that the solve listens to
+    """
+    told = np.zeros((len(listened), len(free)), bool)
+    for k, joint in enumerate(subject.joints):
+        told[:, joint] |= listened[:, k]
+    for j in range(len(free) - 1, 0, -1):
+        told[:, subject.skeleton.parents[j]] |= told[:, j]
+    carrying = told.any(0)
+    return ~told & free & carrying & (np.arange(len(free)) > 0)
 
 
 def recalled(
-    root: np.ndarray, local: np.ndarray, variance: np.ndarray, free: np.ndarray, rate: float
+    root: np.ndarray, local: np.ndarray, variance: np.ndarray, gone: np.ndarray, free: np.ndarray, rate: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """-> local rotations (T, J, 3, 3) and variances (T, J) with lost joints recalled where the take has seen enough.
 
-    root (T, 3) metres, local (T, J, 3, 3), variance (T, J) rad^2: each frame's own solve.
+    root (T, 3) metres, local (T, J, 3, 3), variance (T, J) rad^2: each frame's own solve; gone (T, J) as `lost` says.
     """
-    gone = lost(variance, free)
     joints = np.flatnonzero(free)[1:]
     whole = ~gone.any(1)
     if not gone.any() or whole.sum() < ENOUGH * rate:

@@ -9,9 +9,12 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
+from mocapfix.take import runs
+
 STEP = 0.1  # seconds over which the course's acceleration is measured
 WELL_KNOWN = 0.1  # radians (or metres times ten): frames less certain than this do not tell the intensity
-LIVELY = 10.0  # the take's quick moments over its average: smoothing must not cost them their speed
+LIVELY = 3.0  # the take's quick moments over its average: smoothing must not cost them their speed
+DOUBT = 100.0  # likewise across a gap: a course that is surer than the motion is lively leads it astray
 LEAST = 1e-3  # least intensity, rad^2/s^3 or m^2/s^3: a joint held still still may move
 
 
@@ -52,12 +55,46 @@ def intensity(path: np.ndarray, variance: np.ndarray, rate: float, well_known: f
 
 def smoothed_rotations(rotations: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:
     """-> (T, 3, 3) the smooth course of one joint's rotations (T, 3, 3), variance (T,) in rad^2 per axis."""
-    quaternions = Rotation.from_matrix(rotations).as_quat()
-    flips = np.cumprod(np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0))
-    quaternions[1:] *= flips[:, None]
+    quaternions = continuous(rotations, np.ones(len(rotations), bool))
     power = intensity(2 * quaternions, variance, rate, WELL_KNOWN) * 4 / 3  # three degrees of freedom in four numbers
     smooth = course(quaternions, variance, power, rate)
     return Rotation.from_quat(smooth).as_matrix()
+
+
+def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> the course of one joint (T, 3, 3) through the frames that are sure of it, and its variance (T,) at the others.
+
+    Between two known ends, a and b seconds away, an integrated random acceleration of intensity q has variance
+    q a^3 b^3 / 3 (a + b)^3; beyond the last known end, q a^3 / 3.
+    """
+    sure = np.where(unsure, 1e4, variance)
+    quaternions = continuous(rotations, ~unsure)
+    power = intensity(2 * quaternions, sure, rate, WELL_KNOWN)
+    smooth = Rotation.from_quat(course(quaternions, sure, power * 4 / 3, rate)).as_matrix()
+    open_variance = np.zeros(len(rotations))
+    for first, last in runs(unsure):
+        a, b = np.arange(1, last - first + 2) / rate, np.arange(last - first + 1, 0, -1) / rate
+        if first == 0:
+            a = np.full(len(a), np.inf)
+        if last == len(rotations) - 1:
+            b = np.full(len(b), np.inf)
+        open_variance[first : last + 1] = DOUBT * power / 3 / (1 / a + 1 / b) ** 3
+    return smooth, open_variance
+
+
+def continuous(rotations: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """-> quaternions (T, 4), each on the same side as the last known one before it."""
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    before = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
+    before = np.r_[0, before[:-1]]
+    same = (quaternions * quaternions[before]).sum(1) >= 0
+    side = np.ones(len(quaternions))
+    for t in np.flatnonzero(~same):
+        side[t] = -1.0
+    # a frame's side is its own flip times the side of the frame it is held against
+    for t in range(1, len(side)):
+        side[t] *= side[before[t]]
+    return quaternions * side[:, None]
 
 
 def smoothed_root(root: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-FLOOR = 0.06  # radians
+FLOOR = 0.2  # radians
 ELBOW_FLOOR = (0.5, 0.2, 0.2)  # radians along x, the forearm's own axis, y and z
 CARD = """\
 # The mean pose of people in motion, and how each joint strays from it: covariance of its rotation vectors from the
