@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, Field, FiniteFloat, ValidationEr
 from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import cmu31
+from mocapfix.subject import Subject
 
 SHARE = 0.6  # of a set's markers: with fewer the body is guessed rather than seen
 LIMB_MARKERS = 2  # on a limb before it counts as seen
@@ -60,6 +61,11 @@ class MarkerSet:
             prefix, _, bare = label.rpartition(":")
             subjects.setdefault(prefix, {}).setdefault(bare.strip().upper(), index)
         return max((self._match_bare(bare) for bare in subjects.values()), key=len, default={})
+
+    def columns(self, labels: Sequence[str]) -> np.ndarray:
+        """-> (K,) the index of each of this set's markers among a take's labels, -1 where it is not there."""
+        found = self.match(labels)
+        return np.array([found.get(label, -1) for label in self.labels])
 
     def _match_bare(self, indices: dict[str, int]) -> dict[str, int]:
         found = {}
@@ -120,6 +126,22 @@ def _listed(names: Sequence[str], most: int = 12) -> str:
 def shipped() -> tuple[MarkerSet, ...]:
     """-> the marker sets that travel with mocapfix, by name."""
     return tuple(_read(path) for path in sorted((folder("scenes") / "marker-sets").glob("*.yaml")))
+
+
+def of_subject(subject: Subject) -> MarkerSet:
+    """-> the markers that a subject wears as a set, with the aliases of the shipped set they came from."""
+    known = next((each for each in shipped() if each.name == subject.marker_set), None)
+    aliases = dict(zip(known.labels, known.aliases, strict=True)) if known else {}
+    return MarkerSet(
+        name=subject.marker_set,
+        title=known.title if known else subject.marker_set,
+        skeleton="cmu31",
+        labels=subject.labels,
+        joints=subject.joints,
+        places=subject.places,
+        spread=subject.spread,
+        aliases=tuple(aliases.get(label, ()) for label in subject.labels),
+    )
 
 
 def load(name_or_path: str | Path) -> MarkerSet:

@@ -53,6 +53,15 @@ class Take:
         """The file's own number of the frame at `index`."""
         return self.first_frame + int(index)
 
+    def worn(self, columns: np.ndarray, believed: np.ndarray) -> "Take":
+        """-> the K markers at `columns` (K,) alone, in that order, NaN where `believed` (T, M) is False or a column is -1."""
+        there = columns >= 0
+        markers = np.full((self.frames, len(columns), 3), np.nan)
+        kept = np.where(believed[..., None], self.markers, np.nan)
+        markers[:, there] = kept[:, columns[there]]
+        labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
+        return Take(markers, labels, self.rate, self.first_frame, self.path)
+
     def with_markers(self, markers: np.ndarray, deviation: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""
         return replace(self, markers=markers, deviation=deviation)

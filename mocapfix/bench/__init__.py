@@ -1,0 +1,1 @@
+"""Measuring what mocapfix does against what is known to be true."""

@@ -1,0 +1,229 @@
+"""The command line: the only place that prints, parses arguments or draws progress."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from mocapfix.errors import MocapfixError
+
+Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
+OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
+Flag = tyro.conf.FlagCreatePairsOff[bool]
+DONE, FAILED, USAGE = 0, 1, 2
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+def demo(
+    folder: Annotated[Path, tyro.conf.arg(name="out", metavar="DIR", help="where demo.c3d and demo.mocapfix/ go")] = Path("."),
+    seed: Annotated[int, tyro.conf.arg(metavar="N", help="which person, skin and damage are drawn (a number)")] = 0,
+) -> int:
+    """Clean a take that mocapfix composes itself, and compare the errors with the known truth.
+
+    Somebody walks, reaches, crouches and turns; markers are lost, an arm among them, and jump. The take is written as
+    demo.c3d and cleaned as any other file is; demo.mocapfix/ holds what came out.
+    """
+    from mocapfix import pipeline, synthetic
+    from mocapfix.bench.demo import errors
+
+    pipeline.make_folder(folder)
+    truth, path = synthetic.take(seed=seed), folder / "demo.c3d"
+    synthetic.write(path, truth)
+    out.print(f"Composed {escape(str(path))}: {len(truth.markers) / truth.rate:.0f} s of 41 markers, {truth.struck.sum()} samples missing.")
+    with staged(path.name) as progress:
+        result = pipeline.clean(path, progress=progress)
+        outputs = result.write(folder / "demo.mocapfix", overwrite=True)
+    table = Table("error, mm (root mean square)", title="From the known truth", title_justify="left")
+    rows = errors(truth, result)
+    for way in rows:
+        table.add_column(way, justify="right")
+    for damage in rows["mocapfix"]:
+        table.add_row(damage, *(f"{rows[way][damage]:.1f}" for way in rows))
+    out.print(table)
+    tell(result.report, outputs)
+    out.print(f"See it move: mocapfix view {escape(str(folder / 'demo.mocapfix'))}")
+    return DONE
+
+
+def inspect(take: OneTake, as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False) -> int:
+    """Say what is wrong with a take: gaps, spikes, jitter. Nothing is written."""
+    from mocapfix import detect, marker_set, read, record
+
+    found = read.take(take)
+    faults, choice = detect.faults(found), marker_set.choose(found.labels)
+    said = {
+        "take": record.of_take(found, choice.marker_set.name if choice.marker_set else None),
+        "faults": record.of_faults(found, faults),
+        "notes": [choice.reason],
+    }
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        return DONE
+    first, last = found.first_frame, found.frame_number(found.frames - 1)
+    out.print(f"{escape(found.name)}: {len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz. {escape(choice.reason)}")
+    table = Table("marker", "kind", "frames", "severity, mm", "reason")
+    for fault in said["faults"]:
+        severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
+        table.add_row(escape(fault["marker"]), fault["kind"], f"{fault['first']}-{fault['last']}", severity, escape(fault["reason"]))
+    if said["faults"]:
+        out.print(table)
+    else:
+        out.print("Nothing is wrong with it.")
+    return DONE
+
+
+def calibrate(
+    takes: Takes,
+    subject: Annotated[Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")],
+    marker_set: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")] = None,
+    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")] = "mean-pose",
+    overwrite: Annotated[Flag, tyro.conf.arg(help="replace a subject file that is there")] = False,
+) -> int:
+    """Find a person's bones and marker places from takes of them, to be given to `clean --subject`."""
+    from mocapfix import pipeline, subject_file
+
+    if not takes:
+        raise SystemExit(usage("calibrate: name at least one take (a C3D file)."))
+    pipeline.check_free([subject], overwrite)
+    with staged(", ".join(take.name for take in takes)) as progress:
+        progress("calibrate")
+        known = pipeline.calibrated(takes, marker_set, prior)
+        subject_file.save(subject, known)
+    out.print(f"{escape(str(subject))}: {len(known.labels)} markers on {len(known.skeleton.names)} joints, from {known.frames} frames.")
+    return DONE
+
+
+def clean(
+    takes: Takes,
+    folder: Annotated[Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")] = None,
+    marker_set: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")] = None,
+    subject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")] = None,
+    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")] = "mean-pose",
+    overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")] = False,
+    max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
+    keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
+    frames: Annotated[str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")] = ":",
+) -> int:
+    """Clean takes: faults found, gaps filled, spikes mended; a C3D, a BVH, a report and a recording written."""
+    from mocapfix import pipeline
+    from mocapfix.fill import FillOptions
+
+    if not takes:
+        raise SystemExit(usage("clean: name at least one take (a C3D file)."))
+    if max_gap <= 0:
+        raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
+    labels = tuple(label.strip() for label in keep.split(",") if label.strip())
+    options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
+    reports, failed, written = [], False, set()
+    for take in takes:
+        where = folder or take.with_name(f"{take.stem}.mocapfix")
+        try:
+            pipeline.check_free(pipeline.outputs_in(where, take.stem, True).values(), overwrite and where / take.stem not in written)
+            with staged(take.name) as progress:
+                result = pipeline.clean(take, marker_set=marker_set, subject=subject, prior=prior, options=options, progress=progress)
+                outputs = result.write(where, overwrite=True)
+        except MocapfixError as error:
+            err.print(escape(str(error)), style="red", soft_wrap=True)
+            failed = True
+            continue
+        written.add(where / take.stem)
+        reports.append(result.report)
+        if not as_json:
+            tell(result.report, outputs)
+    if as_json and reports:
+        sys.stdout.write(json.dumps(reports if len(takes) > 1 else reports[0], indent=1) + "\n")
+    return FAILED if failed else DONE
+
+
+def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.rrd", help="what clean wrote")]) -> int:
+    """Open the before/after in rerun."""
+    import subprocess
+
+    from mocapfix.errors import ReadError
+
+    files = sorted(recording.glob("*.rrd")) if recording.is_dir() else [recording]
+    if not files or not files[0].is_file():
+        raise ReadError(f"{recording}: holds no recording (.rrd); give the folder that clean wrote, or a file in it.")
+    done = subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *map(str, files)], check=False)
+    if done.returncode:
+        raise ReadError(f"{files[0]}: rerun could not show it (exit {done.returncode}); is there a screen on this machine?")
+    return DONE
+
+
+COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run a command and leave with its exit status: 0 done, 1 something could not be, 2 wrong usage."""
+    try:
+        status = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="mocapfix",
+            description="Cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a before/after out.",
+            args=arguments,
+            sort_subcommands=False,
+        )
+    except MocapfixError as error:
+        err.print(escape(str(error)), style="red", soft_wrap=True)
+        status = FAILED
+    except KeyboardInterrupt:
+        err.print("Stopped; nothing was left half-written.")
+        status = FAILED
+    raise SystemExit(status)
+
+
+def tell(report: dict, outputs: dict[str, Path]) -> None:
+    """Print what a cleaning did, in a few lines."""
+    fill, take = report["fill"], report["take"]
+    out.print(
+        f"[bold]{escape(take['file'])}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
+        f"{fill['mended']} faulty ones mended; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s."
+    )
+    if report["solve"]:
+        residual = report["solve"]["marker_residual_mm"]
+        out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.")
+    for each in fill["left"][:5]:
+        out.print(f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.")
+    if len(fill["left"]) > 5:
+        out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
+    for note in report["notes"]:
+        out.print(f"  {escape(note)}")
+    folder = outputs["c3d"].parent
+    out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}")
+
+
+def between(frames: str) -> tuple[int, int] | None:
+    """-> the first and last frame that FIRST:LAST names; None for all of them."""
+    first, colon, last = frames.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        return None if frames == ":" else (int(first) if first else -(2**62), int(last) if last else 2**62)
+    except ValueError:
+        raise SystemExit(usage(f"--frames must be FIRST:LAST, as in 100:250, not {frames!r}.")) from None
+
+
+def usage(message: str) -> int:
+    err.print(escape(message), style="red", soft_wrap=True)
+    return USAGE
+
+
+@contextmanager
+def staged(name: str) -> Iterator:
+    """Show on a terminal which stage a take is in; in a pipe, nothing but the one-time compilation."""
+    from mocapfix.kernels.levenberg import compiled
+
+    if not compiled():
+        err.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")
+    with err.status(escape(name)) as status:
+        yield lambda stage: status.update(f"{escape(name)}: {stage}")

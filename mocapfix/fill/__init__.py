@@ -1,0 +1,110 @@
+"""The fill: every missing or doubted sample gets the surest estimate there is, or stays empty and is named."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocapfix.fill import body
+from mocapfix.fill.trajectories import trajectories
+from mocapfix.motion import Motion
+from mocapfix.subject import Subject
+from mocapfix.take import Take, runs
+
+
+@dataclass(frozen=True)
+class FillOptions:
+    """What may be touched, and how sure an estimate must be."""
+
+    max_gap: float = 600.0
+    """the longest gap that is filled, seconds"""
+    keep: tuple[str, ...] = ()
+    """labels of markers that are left exactly as they are"""
+    frames: tuple[int, int] | None = None
+    """the only frames that may be touched, first and last, the file's own numbers"""
+    limit: float = 0.120
+    """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
+
+
+@dataclass(frozen=True)
+class Left:
+    """Samples that stay missing: a marker over first..last (indices into the take, inclusive), and why."""
+
+    marker: int
+    first: int
+    last: int
+    reason: str
+
+
+def take(
+    before: Take,
+    believed: np.ndarray,
+    columns: np.ndarray,
+    subject: Subject | None,
+    motion: Motion | None,
+    options: FillOptions,
+) -> tuple[Take, tuple[Left, ...]]:
+    """-> the take with every sample that was missing or not believed filled or emptied, and what was left empty.
+
+    believed  (T, M) bool: samples that are kept bit for bit
+    columns   (K,) the take's column of each of the subject's markers, -1 where it has none; empty without a subject
+    """
+    touch = touchable(before, options)
+    wanted = ~believed & touch
+    filled, deviation = np.full(before.markers.shape, np.nan), np.full(wanted.shape, np.nan)
+    worn = columns[columns >= 0]
+    others = np.setdiff1d(np.flatnonzero(wanted.any(0)), worn)
+    if subject is None or motion is None or len(others):
+        loose, loose_deviation = trajectories(before, believed, options.limit)
+        filled[wanted], deviation[wanted] = loose[wanted], loose_deviation[wanted]
+    if subject is not None and motion is not None:
+        there = columns >= 0
+        arranged = before.worn(columns, believed)
+        placed, placed_deviation = body.markers(arranged.markers, ~believed[:, columns] & there, subject, motion, before.rate)
+        filled[:, worn], deviation[:, worn] = placed[:, there], placed_deviation[:, there]
+    reasons = why_not(before, believed, wanted, deviation, options)
+    give = wanted & (reasons == "")
+    markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
+    after = before.with_markers(markers, np.where(give, deviation, np.nan))
+    return after, left(after, before, touch, reasons)
+
+
+def touchable(before: Take, options: FillOptions) -> np.ndarray:
+    """-> (T, M) bool: what the options allow to change."""
+    touch = np.ones(before.seen.shape, bool)
+    for m, (label, bare) in enumerate(zip(before.labels, before.bare_labels, strict=True)):
+        touch[:, m] = label not in options.keep and bare not in options.keep
+    if options.frames:
+        numbers = before.first_frame + np.arange(before.frames)
+        touch &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
+    return touch
+
+
+def why_not(before: Take, believed: np.ndarray, wanted: np.ndarray, deviation: np.ndarray, options: FillOptions) -> np.ndarray:
+    """-> (T, M) object: why a wanted sample is not filled, "" where it is."""
+    reasons = np.full(wanted.shape, "", object)
+    unknown = wanted & np.isnan(deviation)
+    reasons[unknown] = "nothing that moves with it was seen well enough to place it"
+    unsure = wanted & (deviation > options.limit)
+    reasons[unsure] = f"its place could only be guessed to worse than {options.limit * 1e3:.0f} mm"
+    for m in np.flatnonzero(wanted.any(0)):
+        if not before.seen[:, m].any():
+            reasons[wanted[:, m], m] = "the marker is never seen in this take"
+            continue
+        for first, last in runs(~believed[:, m]):
+            if (last - first + 1) / before.rate > options.max_gap:
+                span = slice(first, last + 1)
+                reasons[span, m][wanted[span, m]] = f"the gap is longer than {options.max_gap:g} s"
+    return reasons
+
+
+def left(after: Take, before: Take, touch: np.ndarray, reasons: np.ndarray) -> tuple[Left, ...]:
+    """-> the runs of samples that are still missing, each with one reason."""
+    found = []
+    for m in range(len(after.labels)):
+        for first, last in runs(~after.seen[:, m]):
+            given = [r for r in dict.fromkeys(reasons[first : last + 1, m]) if r]
+            reason = "; ".join(given) or "it was not to be touched (--keep, --frames)"
+            if not before.seen[:, m].any():
+                reason = "the marker is never seen in this take"
+            found.append(Left(m, first, last, reason))
+    return tuple(found)

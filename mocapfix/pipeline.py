@@ -1,0 +1,253 @@
+"""The stages in order: the map of the whole program."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from mocapfix import calibrate, detect, fill, initialise, marker_set, prior, read, record, solve, subject_file
+from mocapfix.errors import TakeError, WriteError
+from mocapfix.faults import Faults
+from mocapfix.fill import FillOptions
+from mocapfix.files import replacing
+from mocapfix.kernels import kinematics
+from mocapfix.marker_set import MarkerSet
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.solve import SolveOptions
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+Progress = Callable[[str], None]
+FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
+
+
+@dataclass(frozen=True)
+class Result:
+    """A cleaned take and everything known of it.
+
+    before   the take as it was read;  take  as it was mended
+    faults   what was wrong
+    subject  the person, motion their poses: None where no marker set fits
+    joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
+    report   the record, as the JSON report holds it (see mocapfix.record)
+    """
+
+    before: Take
+    take: Take
+    faults: Faults
+    subject: Subject | None
+    motion: Motion | None
+    joints: np.ndarray | None
+    error: np.ndarray | None
+    report: dict
+
+    def write(self, folder: str | Path, overwrite: bool = False) -> dict[str, Path]:
+        """Write the mended C3D, BVH, subject, report and recording into a folder, made where it is not there.
+
+        -> the files by kind. Raises WriteError where one is there already (and overwrite is False), or cannot be written.
+        """
+        from mocapfix import show, write
+
+        outputs = outputs_in(Path(folder), self.before.path.stem if self.before.path else "take", self.subject is not None)
+        check_free(outputs.values(), overwrite)
+        make_folder(Path(folder))
+        clock = Clock(self.report["seconds"])
+        with clock("write"):
+            beyond = write.c3d(outputs["c3d"], self.before, self.take)
+            if beyond:
+                labels = sorted({self.before.labels[m] for _, m in beyond})
+                self.report["notes"].append(
+                    f"{len(beyond)} mended samples of {', '.join(labels)} lie beyond what this integer file can hold and were left empty."
+                )
+                self.report["fill"]["left_empty"] += len(beyond)
+                self.report["fill"]["filled"] -= len(beyond)
+            if self.subject and self.motion:
+                write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
+                subject_file.save(outputs["subject.yaml"], self.subject)
+        skeleton = self.subject.skeleton if self.subject else None
+        shown = (self.before, self.take, self.faults, skeleton, self.joints, self.error)
+        with clock("show"):
+            show.comparison(outputs["rrd"], *shown)
+            show.report(outputs["report.html"], self.report, *shown)
+        with replacing(outputs["report.json"]) as part:
+            part.write_text(json.dumps(self.report, indent=1) + "\n", encoding="utf-8")
+        return outputs
+
+
+@dataclass
+class Clock:
+    """Seconds per stage, and whom to tell that one begins."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    progress: Progress | None = None
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        if self.progress:
+            self.progress(stage)
+        start = perf_counter()
+        yield
+        self.seconds[stage] = round(perf_counter() - start, 3)
+        self.seconds["total"] = round(sum(v for k, v in self.seconds.items() if k != "total"), 3)
+
+
+def clean(
+    path: str | Path,
+    *,
+    marker_set: str | Path | None = None,
+    subject: str | Path | Subject | None = None,
+    prior: str = "mean-pose",
+    options: FillOptions = FillOptions(),
+    progress: Progress | None = None,
+) -> Result:
+    """-> the take at `path`, cleaned: faults found, the body calibrated and solved, gaps and faulty samples mended.
+
+    marker_set  a shipped set's name or a YAML file; None chooses by the take's labels
+    subject     a subject file (or a Subject) from an earlier calibration; None calibrates from this take
+    prior       a shipped pose prior's name, or "none"
+    options     what may be touched and how sure a fill must be
+    progress    told each stage's name as it begins
+
+    Raises MocapfixError with a sentence for a technician; nothing is written.
+    """
+    clock = Clock(progress=progress)
+    with clock("read"):
+        take = read.take(path)
+    check_options(take, options)
+    with clock("detect"):
+        faults = detect.faults(take)
+    believed = faults.believed(take)
+    if not (believed.sum(1) >= 3).any():
+        raise TakeError(f"{take.name}: no frame shows three markers, so nothing can be placed; check the labels and the export.")
+    known, set_of_take, notes = wearing(take, marker_set, subject)
+    motion, joints, error, columns = None, None, None, np.zeros(0, int)
+    if set_of_take is not None:
+        columns = set_of_take.columns(take.labels)
+        worn = take.worn(columns, believed)
+        known, motion = posed(worn, set_of_take, known, prior, clock)
+        joints, error, more = held_against(take, worn, columns, known, motion)
+        notes += more
+    with clock("fill"):
+        after, left = fill.take(take, believed, columns, known, motion, options)
+    report = {
+        "take": record.of_take(take, set_of_take.name if set_of_take else None),
+        "faults": record.of_faults(take, faults),
+        "subject": record.of_subject(known) if known else None,
+        "solve": record.of_solve(take, motion, error) if motion is not None and error is not None else None,
+        "fill": record.of_fill(take, after, left),
+        "seconds": clock.seconds,
+        "notes": notes,
+    }
+    return Result(take, after, faults, known, motion, joints, error, report)
+
+
+def posed(worn: Take, worn_set: MarkerSet, subject: Subject | None, name: str, clock: Clock) -> tuple[Subject, Motion]:
+    """-> the subject, calibrated where it is not known yet, and its motion."""
+    body = cmu31()
+    poses = prior.load(name, body.skeleton)
+    if subject is None:
+        with clock("calibrate"):
+            subject = calibrate.subject(worn, worn_set, body, poses)
+    with clock("initialise"):
+        start = initialise.motion(worn, subject, body, poses)
+    with clock("solve"):
+        motion = solve.motion(worn, subject, body, poses, start, SolveOptions())
+    return subject, motion
+
+
+def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose_prior: str = "mean-pose") -> Subject:
+    """-> one person's subject from one or several takes of them, together.
+
+    Raises TakeError where no marker set fits, or the takes do not wear the same one.
+    """
+    takes = [read.take(path) for path in paths]
+    worn, sets = [], []
+    for take in takes:
+        _, worn_set, notes = wearing(take, name, None)
+        if worn_set is None:
+            raise TakeError(f"{take.name}: {' '.join(notes)} There is no body to calibrate.")
+        sets.append(worn_set)
+        worn.append(take.worn(worn_set.columns(take.labels), detect.faults(take).believed(take)))
+    if len({each.name for each in sets}) > 1:
+        names = ", ".join(f"{take.name} ({each.name})" for take, each in zip(takes, sets, strict=True))
+        raise TakeError(f"The takes wear different marker sets: {names}; calibrate them apart, or name one with --marker-set.")
+    together = worn[0].with_markers(np.concatenate([each.markers for each in worn]))
+    body = cmu31()
+    return calibrate.subject(together, sets[0], body, prior.load(pose_prior, body.skeleton))
+
+
+def wearing(
+    take: Take, name: str | Path | None, subject: str | Path | Subject | None
+) -> tuple[Subject | None, MarkerSet | None, list[str]]:
+    """-> the subject where one is given, the marker set that the take wears (None where none fits), and notes on that.
+
+    Raises TakeError where the set or subject that was named does not fit the take.
+    """
+    if subject is not None:
+        known = subject if isinstance(subject, Subject) else subject_file.load(subject)
+        worn_set = marker_set.of_subject(known)
+    elif name is not None:
+        known, worn_set = None, marker_set.load(name)
+    else:
+        choice = marker_set.choose(take.labels)
+        without = [] if choice.marker_set else [choice.reason, "The take was cleaned without a skeleton: there is no BVH."]
+        return None, choice.marker_set, without
+    found = worn_set.match(take.labels)
+    if lack := worn_set.lack(found):
+        raise TakeError(f"{take.name}: {worn_set.name} does not fit: {len(found)} of its {len(worn_set.labels)} markers, {lack}.")
+    return known, worn_set, []
+
+
+def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """-> joints (T, J, 3), each believed marker's distance from the body (T, M), and notes where the body fits badly."""
+    position, rotation = kinematics.world(subject.skeleton, motion)
+    there = columns >= 0
+    distance = np.linalg.norm(worn.markers - kinematics.markers(subject, position, rotation), axis=-1)
+    error = np.full(take.seen.shape, np.nan)
+    error[:, columns[there]] = distance[:, there]
+    notes = []
+    strangers = len(take.labels) - there.sum()
+    if strangers:
+        notes.append(f"{strangers} markers are not of the marker set; their gaps were filled from how markers move together.")
+    poor = [take.labels[m] for m in columns[there] if (error[:, m] > FAR).sum() > 0.5 * (~np.isnan(error[:, m])).sum()]
+    if poor:
+        notes.append(f"{', '.join(poor)} lie more than {FAR * 1e3:.0f} mm from the body for half the take: are they labelled right?")
+    return position, error, notes
+
+
+def check_options(take: Take, options: FillOptions) -> None:
+    """Raise TakeError where --keep or --frames name what the take does not have."""
+    known = set(take.labels) | set(take.bare_labels)
+    if strange := [label for label in options.keep if label not in known]:
+        raise TakeError(f"{take.name}: has no marker {', '.join(strange)} to keep; its markers are {', '.join(take.labels)}.")
+    if options.frames:
+        first, last = take.first_frame, take.frame_number(take.frames - 1)
+        a, b = options.frames
+        if a > b or b < first or a > last:
+            raise TakeError(f"{take.name}: frames {a} to {b} are not in the take, which has {first} to {last}.")
+
+
+def outputs_in(folder: Path, stem: str, body: bool) -> dict[str, Path]:
+    """-> what is written into a folder, by kind, each named by the input's stem; BVH and subject only with a body."""
+    kinds = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+    return {kind: folder / f"{stem}.{kind}" for kind in kinds if body or kind not in ("bvh", "subject.yaml")}
+
+
+def check_free(outputs, overwrite: bool) -> None:
+    """Raise WriteError where an output is there already and must not be replaced."""
+    there = [path for path in outputs if path.exists()]
+    if there and not overwrite:
+        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another folder with --out.")
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output folder. Raises WriteError naming it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error

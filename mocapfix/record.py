@@ -1,0 +1,100 @@
+"""The record of a cleaning: what the report file says, as plain data with stable keys.
+
+take     file, frames, first_frame, rate_hz, markers, marker_set (null where none fits), labels
+faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
+         no second edge), reason
+subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
+solve    null, or marker_residual_mm (mean, p95, by_marker), iterations_mean, status (sentence: frames)
+fill     missing_before, filled, mended (doubted samples replaced), left_empty, left (a list: marker, first, last, reason)
+seconds  per stage, and total
+notes    sentences on anything else a technician should know
+"""
+
+from collections import Counter
+
+import numpy as np
+
+from mocapfix.faults import Faults
+from mocapfix.fill import Left
+from mocapfix.motion import STATUS, Motion
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+
+def of_take(take: Take, marker_set: str | None) -> dict:
+    """-> the record's `take`."""
+    return {
+        "file": take.name,
+        "frames": take.frames,
+        "first_frame": take.first_frame,
+        "rate_hz": take.rate,
+        "markers": len(take.labels),
+        "marker_set": marker_set,
+        "labels": list(take.labels),
+    }
+
+
+def of_faults(take: Take, faults: Faults) -> list[dict]:
+    """-> the record's `faults`."""
+    return [
+        {
+            "kind": fault.kind,
+            "marker": take.labels[fault.marker],
+            "first": take.frame_number(fault.first),
+            "last": take.frame_number(fault.last),
+            "severity_m": None if np.isnan(fault.severity) else round(fault.severity, 5),
+            "reason": fault.reason,
+        }
+        for fault in faults.items
+    ]
+
+
+def of_subject(subject: Subject) -> dict:
+    """-> the record's `subject`."""
+    lengths = np.linalg.norm(subject.skeleton.offsets, axis=1)
+    return {
+        "marker_set": subject.marker_set,
+        "frames": subject.frames,
+        "bones_m": {name: round(float(x), 4) for name, x in zip(subject.skeleton.names, lengths, strict=True) if x > 0},
+        "spread_m": {label: round(float(x), 4) for label, x in zip(subject.labels, subject.spread, strict=True)},
+    }
+
+
+def of_solve(take: Take, motion: Motion, error: np.ndarray) -> dict:
+    """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere."""
+    there = np.flatnonzero(~np.isnan(error).all(0))
+    return {
+        "marker_residual_mm": {
+            **_spread(error),
+            "by_marker": {take.labels[m]: _spread(error[:, m]) for m in there},
+        },
+        "iterations_mean": round(float(motion.iterations.mean()), 2),
+        "status": {STATUS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},
+    }
+
+
+def _spread(error: np.ndarray) -> dict:
+    known = error[~np.isnan(error)] * 1e3
+    if len(known) == 0:
+        return {"mean": None, "p95": None}
+    return {"mean": round(float(known.mean()), 3), "p95": round(float(np.percentile(known, 95)), 3)}
+
+
+def of_fill(before: Take, after: Take, left: tuple[Left, ...]) -> dict:
+    """-> the record's `fill`."""
+    changed = after.seen & before.seen & (after.markers != before.markers).any(-1)
+    return {
+        "missing_before": int((~before.seen).sum()),
+        "filled": int((after.seen & ~before.seen).sum()),
+        "mended": int(changed.sum()),
+        "left_empty": int((~after.seen).sum()),
+        "left": [
+            {
+                "marker": before.labels[each.marker],
+                "first": before.frame_number(each.first),
+                "last": before.frame_number(each.last),
+                "reason": each.reason,
+            }
+            for each in left
+        ],
+    }
