@@ -15,7 +15,9 @@ from mocapfix.take import runs
 LOOSE = 0.025  # metres: a distance that varies by more is no sign of one rigid thing
 NOISE = 0.001  # metres: by what cameras let even a rigid distance vary
 MOST = 6  # markers asked for one place
-FRAMES = 600  # of the take, from which the distances are learnt
+FRAMES = 300  # of the take, from which the distances are learnt
+RIDGE = 0.01  # metres: changes of a cluster's own shape that mean nothing
+LEARN = 30  # frames
 FADE = 0.35  # seconds after which what a cluster missed at an edge has lost most of its memory
 REACH = 0.1  # seconds on either side of a gap that are listened to
 LEAST = 0.001  # metres: what a cluster misses at the very least
@@ -57,22 +59,47 @@ def changes(markers: np.ndarray) -> np.ndarray:
 
 def carried(markers, m, asked, change, first, last, rate) -> tuple[np.ndarray, np.ndarray]:
     """-> places (T', 3) and deviation (T',) of marker m over first..last, from the markers `asked` (K,)."""
-    whole = ~np.isnan(markers[:, np.r_[asked, m], 0]).any(1)
-    span = max(1, round(REACH * rate)) 
+    gap, span = last + 1 - first, max(1, round(REACH * rate))
+    learn = np.flatnonzero(~np.isnan(markers[:, np.r_[asked, m], 0]).any(1))
+    if len(learn) < LEARN:
+        return np.full((gap, 3), np.nan), np.full(gap, np.nan)
+    learn = learn[np.unique(np.linspace(0, len(learn) - 1, FRAMES).astype(int))]
     frames = np.arange(max(0, first - span), min(len(markers), last + 1 + span))
-    learn = np.flatnonzero(whole)
-    learn = learn[np.unique(np.linspace(0, len(learn) - 1, 100).astype(int))] if len(learn) else learn
-    if len(learn) < 3:
-        return np.full((last + 1 - first, 3), np.nan), np.full(last + 1 - first, np.nan)
-    weight = 1 / (change**2 + NOISE**2)
-    shape = markers[learn[len(learn) // 2]][asked]
-    own = np.zeros(3)
+    both = markers[np.r_[learn, frames]]
+    others, turn, here = laid(both[:, asked], 1 / (change**2 + NOISE**2))
+    own = np.einsum("ta,tab->tb", both[:, m] - here, turn)
+    n = len(learn)
+    told, size = regressed(others.reshape(len(both), -1), own, n)
+    wanted = (frames >= first) & (frames <= last)
+    residual = (own - told)[n:]
+    course, variance = across(residual, wanted, rate, FADE, REACH, NOISE / 10, max(size, LEAST))
+    place = np.einsum("tab,tb->ta", turn[n:], told[n:] + course) + here[n:]
+    return place[wanted], np.sqrt(variance[wanted])
+
+
+def laid(cluster, weight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """-> the cluster (T, K, 3) in its own axes, its rotations (T, 3, 3) and centres (T, 3); frames with NaN give no axes."""
+    there = ~np.isnan(cluster).any((1, 2))
+    weights = np.broadcast_to(weight, cluster.shape[:2])
+    solid = np.where(there[:, None, None], cluster, 0.0)
+    shape = cluster[there][0]
+    shape = shape - weight @ shape / weight.sum()
     for _ in range(3):
-        turn, here, there = laid(markers[learn][:, asked], shape, weight)
-        back = np.einsum("tka,tab->tkb", markers[learn][:, asked] - here[:, None], turn) + there
-        own = np.einsum("ta,tab->tb", markers[learn, m] - here, turn) + there
-        shape = back.mean(0)
-    usual = np.median(own, 0)
-    turn, here, there = laid(np.nan_to_num(markers[frames][:, asked]), shape, weight)
-    turn, here, there = (np.r_[a, b] for a, b in zip((turn, here, there), laid(markers[learn][:, asked], shape, weight), strict=True))
-    raise NotImplementedError
+        cross, here, _ = centred(solid, shape, weights)
+        turn = fitted(cross)
+        inside = np.einsum("tka,tab->tkb", solid - here[:, None], turn)
+        shape = inside[there].mean(0)
+    here[~there] = np.nan
+    return inside, turn, here
+
+
+def regressed(told, own, n) -> tuple[np.ndarray, float]:
+    mean, centre = told[:n].mean(0), own[:n].mean(0)
+    x, y = told - mean, own[:n] - centre
+
+    def gain(rows):
+        return np.linalg.solve(x[rows].T @ x[rows] / len(rows) + RIDGE**2 * np.eye(x.shape[1]), x[rows].T @ y[rows] / len(rows))
+
+    blocks = np.array_split(np.arange(n), 4)
+    missed = np.concatenate([y[b] - x[b] @ gain(np.setdiff1d(np.arange(n), b)) for b in blocks])
+    return centre + x @ gain(np.arange(n)), float(np.sqrt(np.median(missed**2) * 2.2))

@@ -11,7 +11,7 @@ from numba import njit
 from mocapfix.kernels import sweep
 from mocapfix.kernels.kinematics import forward
 from mocapfix.kernels.residuals import joint_target, marker_cost, markers
-from mocapfix.kernels.rotation import exponential, multiply
+from mocapfix.kernels.rotation import exponential, multiply, orthonormalise
 
 CONVERGED, RAN_OUT = 0, 1
 TAU = 1e-3  # initial damping over the largest diagonal entry
@@ -128,21 +128,30 @@ def total_cost(tree, attached, seen, weight, scale2, pulls, local, position, rot
 
 @njit(cache=True)
 def turned(tree, root, local, rotation, twist, turn, new_root, new_local):
-    """Write the pose after the step: every joint turned about its world axes, the root moved with its twist."""
-    by, change, around = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    """Write the pose after the step: every joint turned about its world axes, the root moved with its twist.
+
+    The turn is carried into the parent's axes before it becomes a rotation, so that rounding in the parents' rotations
+    never gathers in their children's: the product parent' turn parent would double it at every step.
+    """
+    by = np.empty((3, 3))
     exponential(twist[0, 0], twist[0, 1], twist[0, 2], by)
     multiply(by, local[0], new_local[0])
+    orthonormalise(new_local[0])
     for a in range(3):
         new_root[a] = root[a] + twist[0, 3 + a]
     for j in range(1, len(local)):
         if not tree.free[j]:
             copy(local[j], new_local[j])
             continue
-        parent = rotation[tree.parents[j]]
-        exponential(turn[j, 0], turn[j, 1], turn[j, 2], by)
-        multiply(by, parent, around)
-        multiply(parent.T, around, change)
-        multiply(change, local[j], new_local[j])
+        r, (x, y, z) = rotation[tree.parents[j]], turn[j]
+        exponential(
+            r[0, 0] * x + r[1, 0] * y + r[2, 0] * z,
+            r[0, 1] * x + r[1, 1] * y + r[2, 1] * z,
+            r[0, 2] * x + r[1, 2] * y + r[2, 2] * z,
+            by,
+        )
+        multiply(by, local[j], new_local[j])
+        orthonormalise(new_local[j])
 
 
 @njit(cache=True)

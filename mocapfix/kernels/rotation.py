@@ -63,3 +63,20 @@ def multiply(a, b, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@njit(cache=True)
+def orthonormalise(m):
+    """Make the columns of `m` (3, 3), nearly a rotation, orthonormal again, in place (Gram-Schmidt)."""
+    length = math.sqrt(m[0, 0] ** 2 + m[1, 0] ** 2 + m[2, 0] ** 2)
+    for a in range(3):
+        m[a, 0] /= length
+    along = m[0, 0] * m[0, 1] + m[1, 0] * m[1, 1] + m[2, 0] * m[2, 1]
+    for a in range(3):
+        m[a, 1] -= along * m[a, 0]
+    length = math.sqrt(m[0, 1] ** 2 + m[1, 1] ** 2 + m[2, 1] ** 2)
+    for a in range(3):
+        m[a, 1] /= length
+    m[0, 2] = m[1, 0] * m[2, 1] - m[2, 0] * m[1, 1]
+    m[1, 2] = m[2, 0] * m[0, 1] - m[0, 0] * m[2, 1]
+    m[2, 2] = m[0, 0] * m[1, 1] - m[1, 0] * m[0, 1]

@@ -29,33 +29,33 @@ def stretched(tree, groups, count, rotation, stretch):
 
 
 @njit(cache=True)
-def felt(tree, attached, arm, rotation, weight, shift, factors, twist, turn, moved):
+def pressed(attached, lever, weight, shift, g):
+    """Write the gradient on the bodies' twists, g (J, 6), of markers shifted by `shift` (K, 3)."""
+    g.fill(0)
+    for k in range(len(shift)):
+        w, on = weight[k], g[attached.joints[k]]
+        x, y, z = lever[k]
+        ex, ey, ez = shift[k]
+        on[0] += w * (y * ez - z * ey)
+        on[1] += w * (z * ex - x * ez)
+        on[2] += w * (x * ey - y * ex)
+        on[3] += w * ex
+        on[4] += w * ey
+        on[5] += w * ez
+
+
+@njit(cache=True)
+def given_way(tree, attached, arm, lever, shift, g, b, factors, twist, turn, moved):
     """Write where the markers go, `moved` (K, 3), when they are shifted by `shift` (K, 3) and the pose gives way.
 
+    g, b     (J, 6), (J, 3) what that presses the pose with; g is spoilt
     factors  what sweep.factor left: the root's inverse, gains and inverse own curvatures
     """
     root_inverse, gain, inverse_own = factors
-    joints = len(tree.parents)
-    g, b, q = np.zeros((joints, 6)), np.zeros((joints, 3)), np.empty((len(shift), 3))
-    for k in range(len(shift)):
-        j = attached.joints[k]
-        for a in range(3):
-            q[k, a] = arm[j, a]
-            for c in range(3):
-                q[k, a] += rotation[j, a, c] * attached.places[k, c]
-        w = weight[k]
-        x, y, z = q[k]
-        ex, ey, ez = shift[k]
-        g[j, 0] += w * (y * ez - z * ey)
-        g[j, 1] += w * (z * ex - x * ez)
-        g[j, 2] += w * (x * ey - y * ex)
-        g[j, 3] += w * ex
-        g[j, 4] += w * ey
-        g[j, 5] += w * ez
     sweep.solve(tree.parents, tree.free, arm, root_inverse, gain, inverse_own, g, b, twist, turn)
     for k in range(len(shift)):
         t = twist[attached.joints[k]]
-        x, y, z = q[k]
+        x, y, z = lever[k]
         moved[k, 0] = shift[k, 0] + t[3] + t[1] * z - t[2] * y
         moved[k, 1] = shift[k, 1] + t[4] + t[2] * x - t[0] * z
         moved[k, 2] = shift[k, 2] + t[5] + t[0] * y - t[1] * x
@@ -78,18 +78,21 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
     factors = (h[0], gain, inverse_own)
     stretch = np.empty((count + 1, joints, 3))
     stretched(tree, groups, count, rotation, stretch)
-    trusted, error = np.zeros(markers), np.zeros((markers, 3))
+    trusted, error, lever = np.zeros(markers), np.zeros((markers, 3)), np.empty((markers, 3))
     for k in range(markers):
+        j, square = attached.joints[k], 0.0
+        for a in range(3):
+            lever[k, a] = arm[j, a]
+            for c in range(3):
+                lever[k, a] += rotation[j, a, c] * attached.places[k, c]
         if weight[k] > 0:
-            j, square = attached.joints[k], 0.0
             for a in range(3):
-                error[k, a] = position[j, a] - seen[k, a]
-                for c in range(3):
-                    error[k, a] += rotation[j, a, c] * attached.places[k, c]
+                error[k, a] = position[0, a] + lever[k, a] - seen[k, a]
                 square += error[k, a] ** 2
             trusted[k] = weight[k] * geman_mcclure(weight[k] * square, scale2)[1]
     unknowns = 1 + count + 3 * markers
     shift, moved = np.zeros((markers, 3)), np.empty((markers, 3))
+    press, unpressed = np.empty_like(g), np.zeros_like(b)
     for p in range(unknowns + 1):  # the last: the residual itself
         k = (p - 1 - count) // 3
         if p <= count:
@@ -102,11 +105,11 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
                 continue
             for a in range(3):
                 shift[k, a] = rotation[attached.joints[k], a, (p - 1 - count) % 3]
-        else:
-            for m in range(markers):
-                for a in range(3):
-                    shift[m, a] = error[m, a]
-        felt(tree, attached, arm, rotation, trusted, shift, factors, twist, turn, moved)
+        if p < unknowns:
+            pressed(attached, lever, trusted, shift, press)
+            given_way(tree, attached, arm, lever, shift, press, unpressed, factors, twist, turn, moved)
+        else:  # here the pulls on the pose press, too
+            given_way(tree, attached, arm, lever, error, g, b, factors, twist, turn, moved)
         for m in range(markers):
             if trusted[m] == 0.0:
                 continue

@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels import kinematics
+from mocapfix.kernels.levenberg import Attached
+from mocapfix.motion import Motion
+from mocapfix.skeleton import Skeleton
+from mocapfix.subject import Subject
+from tests.kernels import dense
+
+FRAMES = 4
+
+
+def motion_of(root, rotations):
+    return Motion(root, rotations, *np.zeros((2, len(root)), int), np.zeros((len(root), 0)))
+
+
+def skeleton_of(tree):
+    return Skeleton(tuple(f"j{j}" for j in range(len(tree.parents))), tree.parents, tree.offsets, np.full(tree.offsets.shape, np.nan))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 15))
+def test_joints_and_markers_lie_where_a_walk_down_the_tree_leads(seed, joints):
+    rng = np.random.default_rng(seed)
+    tree = dense.tree(rng, joints)
+    root, local = rng.normal(size=(FRAMES, 3)), np.stack([dense.rotations(rng, joints) for _ in range(FRAMES)])
+    position, rotation = kinematics.world(skeleton_of(tree), motion_of(root, local))
+    on = Attached(rng.integers(joints, size=5), rng.normal(size=(5, 3)))
+    subject = Subject(skeleton_of(tree), "", tuple("abcde"), on.joints, on.places, np.ones(5))
+    carried = kinematics.markers(subject, position, rotation)
+    for t in range(FRAMES):
+        expected = dense.forward(tree, root[t], local[t])
+        np.testing.assert_allclose(position[t], expected[0], atol=1e-12)
+        np.testing.assert_allclose(rotation[t], expected[1], atol=1e-12)
+        np.testing.assert_allclose(carried[t], dense.markers(on, *expected), atol=1e-12)
+
+
+@pytest.mark.parametrize(("axis", "hand"), [(1, [0, 2, -1]), (2, [0, 3, 0])])
+def test_an_elbow_bent_by_a_quarter_turn(axis, hand):
+    # upper arm 2 m up from the origin, forearm 1 m along x
+    skeleton = Skeleton(("root", "elbow", "hand"), np.array([-1, 0, 1]), np.array([[0, 0, 0], [0, 2, 0], [1.0, 0, 0]]), np.zeros((3, 3)))
+    local = np.tile(np.eye(3), (1, 3, 1, 1))
+    quarter = {1: [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 2: [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
+    local[0, 1] = quarter[axis]
+    position, _ = kinematics.world(skeleton, motion_of(np.zeros((1, 3)), local))
+    np.testing.assert_allclose(position[0], [[0, 0, 0], [0, 2, 0], hand], atol=1e-15)
