@@ -10,7 +10,6 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-CONVENTION = 0.21  # radians
 
 
 @dataclass(frozen=True)
@@ -20,23 +19,20 @@ class Prior:
     rotations    (J, 3, 3) local joint rotations; the root's is the identity and never used
     information  (J, 3, 3) inverse covariance, in 1/rad^2, of the rotation vector from the mean pose to a pose, in the
                  axes of the joint's parent; zero for the root, of which the prior knows nothing
+    held         (J, 3, 3) the part of it about axes that the skeleton itself holds: hinges and fixed joints
     """
 
     name: str
     rotations: np.ndarray
     information: np.ndarray
+    held: np.ndarray
 
     def weakened(self, weight: float) -> "Prior":
-        """-> the same mean pose, its information times `weight` but for the axes that the skeleton itself holds.
+        """-> the same mean pose, its information times `weight` but for the held axes.
 
-        Axes that every body holds tighter than CONVENTION are hinges and fixed joints: true in every frame, in full. The
-        rest is people's habit, which a take need not share.
+        What the skeleton holds is true in every frame; the rest is people's habit, which a take need not share.
         """
-        information = np.zeros_like(self.information)
-        for j, matrix in enumerate(self.information):
-            value, axes = np.linalg.eigh(matrix)
-            information[j] = (axes * np.where(value > 1 / CONVENTION**2, value, weight * value)) @ axes.T
-        return Prior(self.name, self.rotations, information)
+        return Prior(self.name, self.rotations, weight * (self.information - self.held) + self.held, self.held)
 
 
 def load(name: str, skeleton: Skeleton) -> Prior:
@@ -48,19 +44,21 @@ def load(name: str, skeleton: Skeleton) -> Prior:
     if name == "none":
         weak = np.tile(np.eye(3) / 3.0**2, (joints, 1, 1))
         weak[0] = 0
-        return Prior(name, np.tile(np.eye(3), (joints, 1, 1)), weak)
+        return Prior(name, np.tile(np.eye(3), (joints, 1, 1)), weak, np.zeros_like(weak))
     path = folder("priors") / f"{Path(name).name}.yaml"
     if not path.is_file():
         there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml")))
         raise SceneError(f"There is no prior named {name!r}; choose one of: {there}, none.")
     data = read_yaml(path)
-    rotations, information = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3))
+    rotations, information, held = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3)), np.zeros((joints, 3, 3))
     for j, joint in enumerate(skeleton.names[1:], start=1):
         try:
             said = data["joints"][joint]
             rotations[j] = Rotation.from_quat(said["quaternion_xyzw"]).as_matrix()
             xx, yy, zz, xy, xz, yz = (float(v) for v in said["covariance"])
             information[j] = np.linalg.inv([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            for axis in np.array(said["held"], float).reshape(-1, 3):  # held axes are axes of the covariance
+                held[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            raise SceneError(f"{path}: joints.{joint} must hold quaternion_xyzw and covariance (xx, yy, zz, xy, xz, yz).") from error
-    return Prior(name, rotations, information)
+            raise SceneError(f"{path}: joints.{joint} must hold quaternion_xyzw and covariance (xx, yy, zz, xy, xz, yz) and held.") from error
+    return Prior(name, rotations, information, held)

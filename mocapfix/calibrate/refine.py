@@ -23,7 +23,7 @@ MARKER_SD = 0.020  # metres: skin and place together, and not independent from f
 ROBUST = 0.050  # metres: Geman-McClure scale
 PLACE_SD = 0.020  # metres: a person's marker about the average body's place
 GROUP_SD = 0.08  # logarithm of a bone group's scale
-PRIOR_WEIGHT = 0.03  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
+PRIOR_WEIGHT = 0.01  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
 ROUNDS = 25
 ENOUGH = 1e-3  # relative fall of the cost under which calibration ends
 

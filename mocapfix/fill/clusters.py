@@ -1,9 +1,10 @@
-"""Filling from the markers that move rigidly with the missing one: those on the same head, forearm, plate or prop.
+"""Filling from the markers that move with the missing one: those on the same head, forearm, plate or prop, and its neighbours.
 
 Two markers of one rigid thing keep their distance over the whole take (Ringer & Lasenby 2004, "A procedure for automatically
-estimating model parameters in optical motion capture", section 2). Each gap is filled from the markers seen all through
-it that keep theirs best, by weighted registration; what that misses at the gap's edges (skin, a joint in between) is carried
-across in the cluster's own axes.
+estimating model parameters in optical motion capture"). Each gap is filled from the markers seen all through it that keep
+theirs best: they make a frame of axes by weighted registration, and how their own shape changes there (a joint in between,
+skin) tells, by a regression learnt from the take, where the missing one lies in it. What that misses at the gap's edges is
+carried across. So a rigid cluster is exact, and a loose one as good as its past.
 """
 
 import numpy as np
@@ -12,94 +13,109 @@ from mocapfix.kernels.course import across
 from mocapfix.kernels.registration import centred, fitted
 from mocapfix.take import runs
 
-LOOSE = 0.025  # metres: a distance that varies by more is no sign of one rigid thing
-NOISE = 0.001  # metres: by what cameras let even a rigid distance vary
-MOST = 6  # markers asked for one place
-FRAMES = 300  # of the take, from which the distances are learnt
-RIDGE = 0.01  # metres: changes of a cluster's own shape that mean nothing
-LEARN = 30  # frames
-FADE = 0.35  # seconds after which what a cluster missed at an edge has lost most of its memory
+LOOSE = 0.1  # metres: a distance that varies by more tells nothing
+STEADY = 0.003  # metres: by which even a distance on one rigid thing varies
+MOST = 12  # markers asked for one place
+FEWEST = 30  # frames in which the missing one and all that are asked were seen, without which nothing can be learnt
+LEARNING = 300  # frames at most, evenly spread, from which distances and shapes are learnt
+RIDGE = 0.01  # metres: a change of a cluster's own shape that means nothing
+FOLDS = 4  # stretches of the take, each foretold from the others, to know how sure the regression is
+FADE = 0.3  # seconds after which what was missed at an edge has lost most of its memory
 REACH = 0.1  # seconds on either side of a gap that are listened to
+TREMBLE = 0.0005  # metres: what a single sample is off
 LEAST = 0.001  # metres: what a cluster misses at the very least
 
 
 def rigid(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> positions (T, M, 3) in metres at missing samples, NaN where no cluster tells, and their deviation per axis (T, M).
+    """-> positions (T, M, 3) in metres at missing samples, NaN elsewhere, and their standard deviation per axis (T, M).
+
+    A gap through which fewer than three markers are seen that ever kept near the missing one is left NaN.
 
     markers  (T, M, 3) metres, NaN where not believed; rate in Hz
     """
     seen = ~np.isnan(markers[..., 0])
     filled, deviation = np.full(markers.shape, np.nan), np.full(seen.shape, np.nan)
+    if seen.all() or not seen.any():
+        return filled, deviation
     change = changes(markers)
     for m in np.flatnonzero(~seen.all(0) & seen.any(0)):
-        near = np.argsort(change[m])
+        near = np.argsort(change[m], kind="stable")
         near = near[change[m, near] < LOOSE]
         for first, last in runs(~seen[:, m]):
-            asked = [k for k in near if seen[first : last + 1, k].all()][:MOST]
-            if len(asked) >= 3:
+            asked = near[seen[first : last + 1, near].all(0)][:MOST]
+            learn = np.flatnonzero(seen[:, m] & seen[:, asked].all(1))
+            if len(asked) >= 3 and len(learn) >= FEWEST:
                 gap = slice(first, last + 1)
-                place, sure = carried(markers, m, np.array(asked), change[m, asked], first, last, rate)
-                filled[gap, m], deviation[gap, m] = place, sure
+                weight = 1 / (change[m, asked] ** 2 + STEADY**2)
+                filled[gap, m], deviation[gap, m] = carried(markers, m, asked, weight, spread(learn), first, last, rate)
     return filled, deviation
+
+
+def spread(frames: np.ndarray) -> np.ndarray:
+    """-> at most LEARNING of the frames, evenly spread."""
+    return frames[np.unique(np.linspace(0, len(frames) - 1, LEARNING).astype(int))]
 
 
 def changes(markers: np.ndarray) -> np.ndarray:
     """-> (M, M) metres: by how much the distance of two markers varies over the take, robustly; infinite where not known."""
-    some = markers[np.unique(np.linspace(0, len(markers) - 1, FRAMES).astype(int))]
+    some = markers[spread(np.arange(len(markers)))]
+    seen = ~np.isnan(some[..., 0])
+    enough = np.flatnonzero(seen.sum(0) >= min(FEWEST, len(some) // 10 + 2))
     change = np.full((markers.shape[1],) * 2, np.inf)
-    enough = np.flatnonzero((~np.isnan(some[..., 0])).sum(0) >= 10)
-    for i in enough:
-        distance = np.linalg.norm(some[:, enough] - some[:, i, None], axis=-1)
-        together = (~np.isnan(distance)).sum(0) >= 10
-        low, high = np.nanpercentile(distance[:, together], [16, 84], axis=0)
-        change[i, enough[together]] = (high - low) / 2
-    np.fill_diagonal(change, np.inf)
+    for n, i in enumerate(enough):
+        for j in enough[:n]:
+            both = seen[:, i] & seen[:, j]
+            if both.sum() >= 2:
+                low, high = np.percentile(np.linalg.norm(some[both, i] - some[both, j], axis=-1), [16, 84])
+                change[i, j] = change[j, i] = (high - low) / 2  # a normal distribution's standard deviation
     return change
 
 
-def carried(markers, m, asked, change, first, last, rate) -> tuple[np.ndarray, np.ndarray]:
-    """-> places (T', 3) and deviation (T',) of marker m over first..last, from the markers `asked` (K,)."""
-    gap, span = last + 1 - first, max(1, round(REACH * rate))
-    learn = np.flatnonzero(~np.isnan(markers[:, np.r_[asked, m], 0]).any(1))
-    if len(learn) < LEARN:
-        return np.full((gap, 3), np.nan), np.full(gap, np.nan)
-    learn = learn[np.unique(np.linspace(0, len(learn) - 1, FRAMES).astype(int))]
-    frames = np.arange(max(0, first - span), min(len(markers), last + 1 + span))
-    both = markers[np.r_[learn, frames]]
-    others, turn, here = laid(both[:, asked], 1 / (change**2 + NOISE**2))
-    own = np.einsum("ta,tab->tb", both[:, m] - here, turn)
+def carried(markers, m, asked, weight, learn, first, last, rate) -> tuple[np.ndarray, np.ndarray]:
+    """-> places (G, 3) and deviation (G,) of marker m over first..last, from the markers `asked` (K,), by their weight (K,)."""
+    reach = max(1, round(REACH * rate))
+    frames = np.arange(max(0, first - reach), min(len(markers), last + 1 + reach))
+    frames = frames[~np.isnan(markers[frames][:, asked, 0]).any(1)]
+    stretch = markers[np.r_[learn, frames]]
+    cluster, turn, centre = laid(stretch[:, asked], weight)
+    own = np.einsum("ta,tab->tb", stretch[:, m] - centre, turn)
     n = len(learn)
-    told, size = regressed(others.reshape(len(both), -1), own, n)
-    wanted = (frames >= first) & (frames <= last)
-    residual = (own - told)[n:]
-    course, variance = across(residual, wanted, rate, FADE, REACH, NOISE / 10, max(size, LEAST))
-    place = np.einsum("tab,tb->ta", turn[n:], told[n:] + course) + here[n:]
-    return place[wanted], np.sqrt(variance[wanted])
+    told, missed = regressed(cluster.reshape(len(stretch), -1), own[:n])
+    residual = np.full((frames[-1] - frames[0] + 1, 3), np.nan)  # the frames beside a gap need not be in a row
+    residual[frames - frames[0]] = (own - told)[n:]
+    gap = np.arange(first, last + 1)
+    wanted = np.zeros(len(residual), bool)
+    wanted[gap - frames[0]] = True
+    course, variance = across(residual, wanted, rate, FADE, REACH, TREMBLE, max(missed, LEAST))
+    rows = n + np.searchsorted(frames, gap)
+    place = np.einsum("tab,tb->ta", turn[rows], told[rows] + course[wanted]) + centre[rows]
+    return place, np.sqrt(variance[wanted] + TREMBLE**2)
 
 
-def laid(cluster, weight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """-> the cluster (T, K, 3) in its own axes, its rotations (T, 3, 3) and centres (T, 3); frames with NaN give no axes."""
-    there = ~np.isnan(cluster).any((1, 2))
+def laid(cluster: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """-> a cluster (T, K, 3) in its own axes, and these axes: turn (T, 3, 3) and centre (T, 3) in the world."""
     weights = np.broadcast_to(weight, cluster.shape[:2])
-    solid = np.where(there[:, None, None], cluster, 0.0)
-    shape = cluster[there][0]
-    shape = shape - weight @ shape / weight.sum()
-    for _ in range(3):
-        cross, here, _ = centred(solid, shape, weights)
+    shape = cluster[0] - weight @ cluster[0] / weight.sum()
+    for _ in range(2):
+        cross, centre, _ = centred(cluster, shape, weights)
         turn = fitted(cross)
-        inside = np.einsum("tka,tab->tkb", solid - here[:, None], turn)
-        shape = inside[there].mean(0)
-    here[~there] = np.nan
-    return inside, turn, here
+        inside = np.einsum("tka,tab->tkb", cluster - centre[:, None], turn)
+        shape = inside.mean(0)
+    return inside, turn, centre
 
 
-def regressed(told, own, n) -> tuple[np.ndarray, float]:
-    mean, centre = told[:n].mean(0), own[:n].mean(0)
-    x, y = told - mean, own[:n] - centre
+def regressed(shape: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
+    """-> expected places (T, 3) by a ridge regression on `shape` (T, F) learnt from its first rows, those of `own` (N, 3).
+
+    And the root mean square of what it misses per axis where it has not learnt, in metres.
+    """
+    n = len(own)
+    mean, centre = shape[:n].mean(0), own.mean(0)
+    x, y = shape - mean, own - centre
 
     def gain(rows):
-        return np.linalg.solve(x[rows].T @ x[rows] / len(rows) + RIDGE**2 * np.eye(x.shape[1]), x[rows].T @ y[rows] / len(rows))
+        return np.linalg.solve(x[rows].T @ x[rows] + len(rows) * RIDGE**2 * np.eye(x.shape[1]), x[rows].T @ y[rows])
 
-    blocks = np.array_split(np.arange(n), 4)
-    missed = np.concatenate([y[b] - x[b] @ gain(np.setdiff1d(np.arange(n), b)) for b in blocks])
-    return centre + x @ gain(np.arange(n)), float(np.sqrt(np.median(missed**2) * 2.2))
+    folds = np.array_split(np.arange(n), FOLDS)
+    missed = np.concatenate([y[fold] - x[fold] @ gain(np.setdiff1d(np.arange(n), fold)) for fold in folds])
+    return centre + x @ gain(np.arange(n)), float(np.sqrt((missed**2).mean()))

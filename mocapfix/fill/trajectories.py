@@ -1,2 +1,48 @@
-def trajectories(take, believed, limit=0.05):
-    raise NotImplementedError
+"""Filling a take without a skeleton: what the clusters, the whole marker set and the marker's own path say, by their precision."""
+
+import numpy as np
+
+from mocapfix.fill.clusters import rigid
+from mocapfix.fill.splines import splines
+from mocapfix.kernels.gaussian import gaussian
+from mocapfix.take import Take
+
+LIMIT = 0.120  # metres per axis
+LONGEST = 0.5  # seconds
+
+
+def trajectories(
+    take: Take, believed: np.ndarray, limit: float = LIMIT, longest: float = LONGEST
+) -> tuple[np.ndarray, np.ndarray]:
+    """-> markers (T, M, 3) in metres with what was missing or not believed filled, and those samples' deviation (T, M).
+
+    Each estimate counts by its precision, one over its variance. They err together, for all go by the same neighbours
+    and edges, so that the whole is taken to be as sure as they are on their weighted average, not surer. A sample that
+    none places, or that is less sure than the limit, is NaN.
+
+    believed  (T, M) bool: samples that are kept bit for bit
+    limit     metres: largest standard deviation per axis of a sample that is filled
+    longest   seconds: longer gaps are no matter for splines
+    """
+    markers = np.where(believed[..., None], take.markers, np.nan)
+    estimates = [gaussian(markers, take.rate), rigid(markers, take.rate), splines(markers, take.rate, longest)]
+    place, deviation = weighed(estimates)
+    fill = ~believed & (deviation <= limit)
+    return np.where(fill[..., None], place, markers), np.where(fill, deviation, np.nan)
+
+
+def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is."""
+    place, deviation = np.zeros(estimates[0][0].shape), np.full(estimates[0][1].shape, np.nan)
+    precision, count = np.zeros(deviation.shape), np.zeros(deviation.shape)
+    for there, sure in estimates:
+        known = ~np.isnan(sure)
+        weight = 1 / sure[known] ** 2
+        place[known] += weight[:, None] * there[known]
+        precision[known] += weight
+        count[known] += 1
+    known = count > 0
+    place[known] /= precision[known][:, None]
+    place[~known] = np.nan
+    deviation[known] = np.sqrt(count[known] / precision[known])
+    return place, deviation

@@ -1,138 +1,185 @@
-"""x"""
+"""A Gaussian over the whole marker set, learnt from the take itself, that says where markers not seen are, given those seen.
+
+Gloersen & Federolf 2016 ("Predicting missing marker trajectories in human motion data using marker intercorrelations", PLoS
+ONE 11) in its probabilistic form: every frame is laid on a common shape by a rigid motion, and mean and covariance follow by
+expectation maximisation over what is missing (Little & Rubin 2002, section 11.2). Beside the markers the Gaussian holds the
+up direction, the height and the speed of the body, which tell a crouch and the phase of a stride.
+"""
+
+from typing import NamedTuple
+
 import numpy as np
+
 from mocapfix.kernels.course import matern
-from mocapfix.kernels.registration import fitted
+from mocapfix.kernels.registration import centred, fitted
 from mocapfix.take import runs
 
-COMMON = 0.05
-SHAPE = 0.02
-VEL = 0.1
-SPAN = 0.05
-NOISE = 0.003
-FADE = 0.3
-REACH = 0.1
-USEVEL = True
-ROUNDS = 5
+RARE = 0.05  # a marker seen in a smaller part of the frames tells nothing about the others
+SHAPE = 0.002  # metres: how still on the body a marker can be, so that none alone decides the alignment
+NOISE = 0.03  # metres: a change of a single feature that means nothing; it keeps the covariance of a short take in bounds
+LEVER = 0.3  # metres: by it an angle becomes a length
+PACE = 0.1  # seconds: by it a speed becomes a length
+ROUNDS = 5  # of expectation maximisation
+LEARNING = 1000  # frames at most, evenly spread, from which the Gaussian is learnt
+FADE = 0.3  # seconds after which what the Gaussian missed at an edge has lost most of its memory
+REACH = 0.1  # seconds on either side of a gap that are listened to
+LISTENED = 6  # samples on either side
+SHARE = 1e-3  # of the variance: what a single sample beside a gap cannot tell
 
-def aligned(markers):
+
+class Gaussian(NamedTuple):
+    """A normal distribution of F features."""
+
+    mean: np.ndarray  # (F,)
+    precision: np.ndarray  # (F, F) the covariance's inverse
+
+    def given(self, features: np.ndarray, hidden: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """-> expected values (N, H) of the `hidden` columns (H,) given all others of `features` (N, F); covariance (H, H)."""
+        off = features - self.mean
+        off[:, hidden] = 0
+        covariance = np.linalg.inv(self.precision[np.ix_(hidden, hidden)])
+        return self.mean[hidden] - off @ self.precision[:, hidden] @ covariance, covariance
+
+
+class Bridge(NamedTuple):
+    """How one gap of a marker is tied to the samples beside it."""
+
+    frames: np.ndarray  # (G,) of the gap
+    near: np.ndarray  # (N,) frames beside it
+    weight: np.ndarray  # (G, N) of what was missed there
+    left: np.ndarray  # (G,) the part of the variance that they leave open
+
+
+def gaussian(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> positions (T, M, 3) in metres at missing samples, NaN elsewhere, and their standard deviation per axis (T, M).
+
+    At a gap's edges the Gaussian is asked as though everything missing in the gap were missing there too, and the
+    difference is carried across, fading in a long gap. NaN for markers hardly ever seen, and in frames with fewer than
+    three others.
+
+    markers  (T, M, 3) metres, Y up, NaN where not believed; rate in Hz
+    """
+    filled, deviation = np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan)
+    common = np.flatnonzero((~np.isnan(markers[..., 0])).mean(0) > RARE) if len(markers) else np.zeros(0, int)
+    if len(common) < 4:
+        return filled, deviation
+    worn = markers[:, common]
+    turn, origin, placed = aligned(worn)
+    if placed.sum() < 2:
+        return filled, deviation
+    laid = np.einsum("tma,tab->tmb", worn - origin[:, None], turn)
+    features = np.concatenate([laid.reshape(len(laid), -1), circumstances(turn, origin, rate)], 1)
+    missing = np.isnan(worn[..., 0])
+    told = ~missing[placed].all(0)
+    model, features = completed(features, missing, placed)
+    inside, sure = bridged(model, features, laid, missing, placed, rate)
+    filled[:, common[told]] = (np.einsum("tab,tmb->tma", turn, inside) + origin[:, None])[:, told]
+    deviation[:, common[told]] = sure[:, told]
+    return filled, deviation
+
+
+def aligned(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """-> turn (T, 3, 3) and origin (T, 3) of the body's axes in the world, and (T,) bool: three or more markers tell them.
+
+    Each marker counts by how still it lies on the common shape: the trunk leads (Theobald & Wuttke 2006, PNAS 103, the
+    maximum-likelihood form of Procrustes alignment).
+    """
     seen = ~np.isnan(markers[..., 0])
-    filled = np.nan_to_num(markers)
-    shape = markers[np.argmax(seen.sum(1))]
-    variance = np.ones(markers.shape[1])
+    solid = np.nan_to_num(markers)
+    shape, variance = markers[np.argmax(seen.sum(1))], np.ones(markers.shape[1])
     for _ in range(6):
-        known = ~np.isnan(shape[:, 0])
-        weight = seen * known / (SHAPE**2 + variance)
-        total = np.maximum(weight.sum(1), 1e-12)[:, None]
-        here = np.einsum("tm,tma->ta", weight, filled) / total
-        there = weight @ np.nan_to_num(shape) / total
-        cross = np.einsum("tm,tma,tmb->tab", weight, filled - here[:, None], np.nan_to_num(shape)[None] - there[:, None])
-        R = fitted(cross)
-        laid = np.einsum("tma,tab->tmb", markers - here[:, None], R) + there[:, None]
-        ok = (weight > 0).sum(1) >= 3
-        shape = np.nanmean(laid[ok], 0)
-        variance = np.nanmean((laid[ok] - shape) ** 2, (0, 2))
-    # origin such that markers = R (laid) + origin
-    origin = here - np.einsum("tab,tb->ta", R, there)
-    return laid, R, origin, ok
+        weight = seen * ~np.isnan(shape[:, 0]) / (SHAPE**2 + variance)
+        cross, here, there = centred(solid, np.nan_to_num(shape), weight)
+        turn, placed = fitted(cross), (weight > 0).sum(1) >= 3
+        laid = np.einsum("tma,tab->tmb", solid - here[:, None], turn) + there[:, None]
+        use = seen & placed[:, None]
+        count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
+        shape = (laid * use[..., None]).sum(0) / count
+        variance = np.nan_to_num((((laid - shape) ** 2) * use[..., None]).sum(0) / count).mean(1)
+    return turn, here - np.einsum("tab,tb->ta", turn, there), placed
 
-def circumstances(R, origin, rate):
-    n = max(1, round(SPAN * rate))
-    t = np.arange(len(R)); a, b = np.maximum(t - n, 0), np.minimum(t + n, len(R) - 1)
-    dt = ((b - a) / rate)[:, None]
-    up = R[:, 1, :]
-    v = np.einsum("tba,tb->ta", R, (origin[b] - origin[a]) / dt)
-    S = np.swapaxes(R[a], 1, 2) @ R[b]
-    w = np.stack([S[:, 2, 1] - S[:, 1, 2], S[:, 0, 2] - S[:, 2, 0], S[:, 1, 0] - S[:, 0, 1]], -1) / 2 / dt
-    return np.concatenate([up * 0.3, origin[:, 1:2], v * VEL, w * VEL * 0.3], 1)
 
-def states(laid, R, origin, rate):
-    T, M = laid.shape[:2]
-    parts = [laid.reshape(T, -1)]
-    if USEVEL:
-        n = max(1, round(SPAN * rate))
-        t = np.arange(T); a, b = np.maximum(t - n, 0), np.minimum(t + n, T - 1)
-        vel = (laid[b] - laid[a]) / ((b - a) / rate)[:, None, None] * VEL
-        vel = np.where(np.isnan(laid), np.nan, vel)
-        parts.append(vel.reshape(T, -1))
-    parts.append(circumstances(R, origin, rate))
-    return np.concatenate(parts, 1)
+def circumstances(turn: np.ndarray, origin: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T, 10) in metres: the body's up direction, height, velocity and turning, all but the height in its own axes."""
+    span, frames = max(1, round(PACE / 2 * rate)), np.arange(len(turn))
+    a, b = np.maximum(frames - span, 0), np.minimum(frames + span, len(turn) - 1)
+    moved = np.einsum("tba,tb->ta", turn, origin[b] - origin[a])
+    step = np.swapaxes(turn[a], 1, 2) @ turn[b]
+    turned = np.stack([step[:, 2, 1] - step[:, 1, 2], step[:, 0, 2] - step[:, 2, 0], step[:, 1, 0] - step[:, 0, 1]], 1) / 2
+    pace = PACE * rate / np.maximum(b - a, 1)[:, None]
+    return np.concatenate([LEVER * turn[:, 1], origin[:, 1:2], moved * pace, LEVER * turned * pace], 1)
 
-def interpolated(x):
-    out = x.copy(); f = np.arange(len(x))
-    for c in range(x.shape[1]):
-        k = ~np.isnan(x[:, c])
-        if k.any() and not k.all(): out[~k, c] = np.interp(f[~k], f[k], x[k, c])
-    return out
 
-def learnt(x, rows):
-    hidden = np.isnan(x)
-    guess = interpolated(x)
-    patterns, which = np.unique(hidden, axis=0, return_inverse=True); which = which.ravel()
-    order = np.argsort(which, kind="stable"); starts = np.searchsorted(which[order], np.arange(len(patterns) + 1))
-    spread = 0.0
-    D = x.shape[1]
-    for r in range(ROUNDS):
-        mean = guess.mean(0)
-        c = guess - mean
-        cov = c.T @ c / len(x) + spread
-        cov[np.diag_indices(D)] += NOISE**2
-        P = np.linalg.inv(cov)
-        spread = np.zeros((D, D))
-        for p, h in enumerate(patterns):
-            if not h.any() : continue
-            h = np.flatnonzero(h); rr = order[starts[p]:starts[p+1]]
-            inv = np.linalg.inv(P[np.ix_(h, h)])
-            z = guess[rr] - mean; z[:, h] = 0
-            guess[np.ix_(rr, h)] = mean[h] - z @ P[:, h] @ inv
-            spread[np.ix_(h, h)] += inv * (len(rr) / len(x))
-    return mean, P, guess
+def patterns(missing: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """-> for every set of markers that are missing together, their frames and their indices."""
+    kinds, which = np.unique(missing, axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+    return [(rows, np.flatnonzero(kind)) for rows, kind in zip(parts, kinds, strict=True) if kind.any()]
 
-def gaussian(markers, rate, info=None):
-    T, M = markers.shape[:2]
-    out = np.full(markers.shape, np.nan); dev = np.full((T, M), np.nan)
-    seenall = ~np.isnan(markers[..., 0])
-    common = np.flatnonzero(seenall.mean(0) > COMMON)
-    if len(common) < 4: return out, dev
-    mk = markers[:, common]; seen = seenall[:, common]
-    laid, R, origin, ok = aligned(mk)
-    x = states(laid, R, origin, rate)
-    mean, P, guess = learnt(x, ok)
-    m = len(common)
-    missing = ~seen
-    steps = max(1, round(REACH * rate)); pick = np.unique(np.linspace(0, steps - 1, min(6, steps)).astype(int))
-    gapof = np.full((T, m), -1); gaps = []
-    for k in range(m):
-        for a, b in runs(missing[:, k]):
-            near = np.r_[a - 1 - pick, b + 1 + pick]; near = near[(near >= 0) & (near < T)]; near = near[seen[near, k]]
-            g = np.arange(a, b + 1)
-            if len(near):
-                A = matern((near[:, None] - near[None]) / rate, FADE) + 1e-3 * np.eye(len(near))
-                B = matern((g[:, None] - near[None]) / rate, FADE)
-                W = np.linalg.solve(A, B.T).T; left = np.maximum(1 - (W * B).sum(1), 1e-3)
-            else: W = np.zeros((len(g), 0)); left = np.ones(len(g))
-            gapof[a:b+1, k] = len(gaps); gaps.append((a, near, W, left))
-    patterns, which = np.unique(missing, axis=0, return_inverse=True); which = which.ravel()
-    res = np.full((T, m, 3), np.nan); d = np.full((T, m), np.nan)
-    for p, h in enumerate(patterns):
-        if not h.any() or (~h).sum() < 3: continue
-        hm = np.flatnonzero(h); rr = np.flatnonzero((which == p) & ok)
-        if not len(rr): continue
-        cols = np.concatenate([3 * hm[:, None] + np.arange(3)] + ([3 * m + 3 * hm[:, None] + np.arange(3)] if USEVEL else []), 1).ravel()
-        inv = np.linalg.inv(P[np.ix_(cols, cols)])
-        asked = [rr] + [gaps[g][1] for k in hm for g in np.unique(gapof[rr, k])]
-        asked = np.unique(np.concatenate(asked))
-        z = guess[asked] - mean; z[:, cols] = 0
-        G = mean[cols] - z @ P[:, cols] @ inv
-        G = G.reshape(len(asked), len(hm), -1)[:, :, :3]
-        var = np.diag(inv).reshape(len(hm), -1)[:, :3].mean(1)
-        pos = np.full(T, -1); pos[asked] = np.arange(len(asked))
-        for i, k in enumerate(hm):
-            for g in np.unique(gapof[rr, k]):
-                a, near, W, left = gaps[g]
-                mine = rr[gapof[rr, k] == g]
-                e = laid[near, k] - G[pos[near], i]
-                res[mine, k] = G[pos[mine], i] + W[mine - a] @ e
-                d[mine, k] = np.sqrt(var[i] * left[mine - a])
-    world = np.einsum("tab,tmb->tma", R, res) + origin[:, None]
-    out[:, common] = world; dev[:, common] = d
-    return out, dev
+
+def columns(markers: np.ndarray) -> np.ndarray:
+    """-> the features of these markers."""
+    return (3 * markers[:, None] + np.arange(3)).ravel()
+
+
+def completed(features: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> tuple[Gaussian, np.ndarray]:
+    """-> the Gaussian, and the features (T, F) with what was missing as it expects it."""
+    learn = np.flatnonzero(placed)
+    learn = learn[np.unique(np.linspace(0, len(learn) - 1, LEARNING).astype(int))]
+    guess, frames = features.copy(), np.arange(len(features))
+    for column in np.flatnonzero(np.isnan(features).any(0)):
+        known = placed & ~np.isnan(features[:, column])
+        gone = np.isnan(features[:, column])
+        guess[gone, column] = np.interp(frames[gone], frames[known], features[known, column]) if known.any() else 0.0
+    few, size = patterns(missing[learn]), features.shape[1]
+    spread, model = np.zeros((size, size)), Gaussian(np.zeros(size), np.eye(size))
+    for _ in range(ROUNDS):
+        sample = guess[learn]
+        covariance = np.atleast_2d(np.cov(sample.T, bias=True)) + spread + NOISE**2 * np.eye(size)
+        model = Gaussian(sample.mean(0), np.linalg.inv(covariance))
+        spread = np.zeros_like(spread)
+        for rows, gone in few:
+            hidden = columns(gone)
+            guess[np.ix_(learn[rows], hidden)], left = model.given(sample[rows], hidden)
+            spread[np.ix_(hidden, hidden)] += left * (len(rows) / len(learn))
+    for rows, gone in patterns(missing):
+        guess[np.ix_(rows, columns(gone))] = model.given(guess[rows], columns(gone))[0]
+    return model, guess
+
+
+def bridged(model, features, laid, missing, placed, rate) -> tuple[np.ndarray, np.ndarray]:
+    """-> places (T, M, 3) of the missing in the body's axes, tied to the edges of their gaps, and deviation (T, M)."""
+    inside, deviation = np.full(laid.shape, np.nan), np.full(missing.shape, np.nan)
+    bridges, gap_of = gaps(missing, placed, rate)
+    for rows, gone in patterns(missing & placed[:, None]):
+        pieces = [(i, m, bridges[g]) for i, m in enumerate(gone) for g in np.unique(gap_of[rows, m])]
+        asked = np.unique(np.concatenate([rows, *(bridge.near for _, _, bridge in pieces)]))
+        expected, covariance = model.given(features[asked], columns(gone))
+        expected = expected.reshape(len(asked), -1, 3)
+        variance = np.diag(covariance).reshape(-1, 3).mean(1)
+        for i, m, bridge in pieces:
+            mine = np.intersect1d(rows, bridge.frames, assume_unique=True)
+            within = mine - bridge.frames[0]
+            missed = laid[bridge.near, m] - expected[np.searchsorted(asked, bridge.near), i]
+            inside[mine, m] = expected[np.searchsorted(asked, mine), i] + bridge.weight[within] @ missed
+            deviation[mine, m] = np.sqrt(variance[i] * bridge.left[within])
+    return inside, deviation
+
+
+def gaps(missing: np.ndarray, placed: np.ndarray, rate: float) -> tuple[list[Bridge], np.ndarray]:
+    """-> every gap's bridge, and (T, M) the index of the gap a missing sample lies in."""
+    steps = max(1, round(REACH * rate))
+    pick = np.unique(np.linspace(0, steps - 1, min(LISTENED, steps)).astype(int))
+    bridges, gap_of = [], np.full(missing.shape, -1)
+    for m in range(missing.shape[1]):
+        for first, last in runs(missing[:, m]):
+            near = np.r_[first - 1 - pick, last + 1 + pick]
+            near = near[(near >= 0) & (near < len(missing))]
+            near, frames = near[~missing[near, m] & placed[near]], np.arange(first, last + 1)
+            among = matern((near[:, None] - near[None]) / rate, FADE) + SHARE * np.eye(len(near))
+            between = matern((frames[:, None] - near[None]) / rate, FADE)
+            weight = np.linalg.solve(among, between.T).T
+            gap_of[first : last + 1, m] = len(bridges)
+            bridges.append(Bridge(frames, near, weight, np.maximum(1 - (weight * between).sum(1), SHARE)))
+    return bridges, gap_of

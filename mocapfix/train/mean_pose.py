@@ -5,7 +5,8 @@ Each motion counts twice, as it is and mirrored, so the mean pose has no handedn
 the rotation vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent.
 
 CMU's skeleton is a hinge at the knee and the elbow, turns the forearm only at the wrist and holds the clavicle still.
-People are not so stiff and markers see it: every axis is given at least FLOOR, and the elbow the forearm's turn.
+People are not so stiff and markers see it: axes about which its joints never turn are `held`, with a deviation of HELD,
+and the elbow is given the forearm's turn.
 """
 
 import json
@@ -16,11 +17,12 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-FLOOR = 0.2  # radians
-ELBOW_FLOOR = (0.5, 0.2, 0.2)  # radians along x, the forearm's own axis, y and z
+NEVER = 0.02  # radians: an axis that turns less than this in all the data is one that the skeleton holds
+HELD = 0.2  # radians
+FOREARM_TURN = 0.5  # radians
 CARD = """\
 # The mean pose of people in motion, and how each joint strays from it: covariance of its rotation vectors from the
-# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz).
+# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz). About the axes `held` the skeleton does not turn.
 # Fitted by mocapfix.train.mean_pose to {frames} frames of {trials} trials of the CMU database, each also mirrored.
 #
 # The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
@@ -53,22 +55,29 @@ def fit(names: list[str], euler: np.ndarray) -> dict:
         both = np.concatenate([matrices[name], flip @ matrices[mirrored_name(name)] @ flip])
         mean = mean_rotation(both)
         quaternion = Rotation.from_matrix(mean).as_quat(canonical=True)
-        c = covariance(both @ mean.T, ELBOW_FLOOR if name.endswith("ForeArm") else (FLOOR,) * 3)
+        c, held = covariance(both @ mean.T, turns_along_x=name.endswith("ForeArm"))
         joints[name] = {
             "quaternion_xyzw": [round(float(q), 5) for q in quaternion],
             "covariance": [round(float(v), 5) for v in (c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2])],
+            "held": [[round(float(v), 5) for v in axis] for axis in held],
         }
     return joints
 
 
-def covariance(away: np.ndarray, floor: tuple[float, float, float]) -> np.ndarray:
-    """-> (3, 3) second moment of the rotation vectors of `away` (N, 3, 3), no axis' deviation under `floor` (radians)."""
+def covariance(away: np.ndarray, turns_along_x: bool) -> tuple[np.ndarray, np.ndarray]:
+    """-> (3, 3) covariance of the rotation vectors of `away` (N, 3, 3), and the axes (n, 3) that are held.
+
+    turns_along_x  for a forearm: it turns about x, its own axis, though the data have that turn at the wrist
+    """
     vectors = Rotation.from_matrix(away).as_rotvec()
-    least = np.diag(np.square(floor))
-    moment = vectors.T @ vectors / len(vectors)
-    scale = np.sqrt(np.diag(1 / np.diag(least)))
-    value, axes = np.linalg.eigh(scale @ moment @ scale)  # in units of the floor
-    return np.sqrt(least) @ axes @ np.diag(np.maximum(value, 1)) @ axes.T @ np.sqrt(least)
+    value, axes = np.linalg.eigh(vectors.T @ vectors / len(vectors))
+    stiff = value < NEVER**2
+    if turns_along_x and stiff.sum() == 2:
+        third = np.cross(axes[:, 2], [1.0, 0.0, 0.0])
+        axes = np.stack([third / np.linalg.norm(third), np.cross(axes[:, 2], third / np.linalg.norm(third)), axes[:, 2]], 1)
+        value, stiff = np.array([HELD**2, FOREARM_TURN**2, value[2]]), np.array([True, False, False])
+    value = np.where(stiff, HELD**2, value)
+    return (axes * value) @ axes.T, axes[:, stiff].T
 
 
 def main(folder: str, target: str) -> None:

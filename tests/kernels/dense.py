@@ -54,7 +54,7 @@ def frame(rng: np.random.Generator, joints: int, markers_each: int = 3, noise: f
         rotations(rng, joints, 0.5) @ local,
         spd(rng, joints, 3, 30.0),
         root + rng.normal(0, 0.1, 3),
-        np.float64(rng.uniform(10, 200)),
+        np.array(rng.uniform(10, 200)),
     )
     return Frame(body, attached, seen, rng.uniform(1e2, 1e4, len(seen)), pull, root, local)
 

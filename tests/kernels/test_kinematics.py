@@ -14,11 +14,13 @@ FRAMES = 4
 
 
 def motion_of(root, rotations):
-    return Motion(root, rotations, *np.zeros((2, len(root)), int), np.zeros((len(root), 0)))
+    zeros = np.zeros(len(root), int)
+    return Motion(root, rotations, zeros, zeros, np.zeros((len(root), 0)))
 
 
 def skeleton_of(tree):
-    return Skeleton(tuple(f"j{j}" for j in range(len(tree.parents))), tree.parents, tree.offsets, np.full(tree.offsets.shape, np.nan))
+    names = tuple(f"j{j}" for j in range(len(tree.parents)))
+    return Skeleton(names, tree.parents, tree.offsets, np.full(tree.offsets.shape, np.nan))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 15))
@@ -40,7 +42,8 @@ def test_joints_and_markers_lie_where_a_walk_down_the_tree_leads(seed, joints):
 @pytest.mark.parametrize(("axis", "hand"), [(1, [0, 2, -1]), (2, [0, 3, 0])])
 def test_an_elbow_bent_by_a_quarter_turn(axis, hand):
     # upper arm 2 m up from the origin, forearm 1 m along x
-    skeleton = Skeleton(("root", "elbow", "hand"), np.array([-1, 0, 1]), np.array([[0, 0, 0], [0, 2, 0], [1.0, 0, 0]]), np.zeros((3, 3)))
+    offsets = np.array([[0, 0, 0], [0, 2, 0], [1.0, 0, 0]])
+    skeleton = Skeleton(("root", "elbow", "hand"), np.array([-1, 0, 1]), offsets, np.zeros((3, 3)))
     local = np.tile(np.eye(3), (1, 3, 1, 1))
     quarter = {1: [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 2: [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
     local[0, 1] = quarter[axis]

@@ -117,7 +117,8 @@ def test_frames_that_say_little_end_in_a_status_and_a_finite_pose(held, scales2)
     assert ((iterations >= 1) & (iterations <= 12 * len(scales2))).all()
     assert np.isfinite(root).all()
     np.testing.assert_allclose(local @ np.swapaxes(local, 2, 3), np.tile(np.eye(3), (6, 8, 1, 1)), atol=1e-12)
-    np.testing.assert_array_equal(local[:, 1:][:, ~problem.tree.free[1:]], np.tile(problem.local[1:][~problem.tree.free[1:]], (6, 1, 1, 1)))
+    fixed = ~problem.tree.free
+    np.testing.assert_array_equal(local[:, fixed], np.tile(problem.local[fixed], (6, 1, 1, 1)))
     if not held:
         np.testing.assert_array_equal(local[0], problem.local)
         np.testing.assert_array_equal(root[0], problem.root)
@@ -125,6 +126,21 @@ def test_frames_that_say_little_end_in_a_status_and_a_finite_pose(held, scales2)
     assert all(np.isfinite(each).all() for each in found)
     assert (found[0] >= 0).all()
     assert found[2][0] > 1e6  # without a marker the root may be anywhere
+
+
+def test_rotations_stay_rotations_over_thousands_of_steps_down_a_deep_tree():
+    """Each frame starts from the last one's pose; rounding must not gather from joint to joint."""
+    rng, joints = np.random.default_rng(8), 10
+    body = dense.Tree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
+    problem = dense.frame(rng, joints, markers_each=0)._replace(tree=body)
+    pull, none = dense.one(problem.pull), dense.no_pull(joints)
+    nothing, unheard = np.zeros((1, 0, 3)), np.zeros((1, 0))
+    local = problem.local
+    for _ in range(400):
+        wanted = pull._replace(rotations=(dense.rotations(rng, joints, 0.5) @ problem.local)[None])
+        _, (local,), _, iterations = solved(problem, nothing, unheard, PLAIN, wanted, none, problem.root, local)
+        assert iterations[0] > 1
+    np.testing.assert_allclose(local @ np.swapaxes(local, 1, 2), np.tile(np.eye(3), (joints, 1, 1)), atol=1e-12)
 
 
 def test_the_result_does_not_depend_on_the_number_of_threads(monkeypatch):
@@ -135,7 +151,8 @@ def test_the_result_does_not_depend_on_the_number_of_threads(monkeypatch):
     results = []
     for cores in (1, 2, 5):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False)
-        results.append(solved(problem, seen, weight, PLAIN, dense.one(problem.pull), loose(8), problem.root, problem.local, most=8))
+        pulls = dense.one(problem.pull), loose(8)
+        results.append(solved(problem, seen, weight, PLAIN, *pulls, problem.root, problem.local, most=8))
     for other in results[1:]:
         for found, expected in zip(other, results[0], strict=True):
             np.testing.assert_array_equal(found, expected)
@@ -192,4 +209,4 @@ def test_errors_are_as_large_as_foretold():
     below = np.flatnonzero(problem.tree.free)
     relative = (found @ np.swapaxes(local, 2, 3)).reshape(-1, 3, 3)
     agree(Rotation.from_matrix(relative).as_rotvec().reshape(frames, joints, 3)[:, below], np.sqrt(joint_var[:, below]))
-    assert marker_sd[:, hidden].mean() > 3 * marker_sd[:, 20].mean()
+    assert marker_sd[:, 9:15].mean() > 2 * marker_sd[:, 20].mean()

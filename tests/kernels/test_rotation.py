@@ -16,7 +16,7 @@ vectors = st.tuples(st.sampled_from(ANGLES) | st.floats(0, np.pi), st.integers(0
 
 def turned(vector):
     out = np.empty((3, 3))
-    rotation.exponential(*np.asarray(vector, float), out)
+    rotation.exponential(float(vector[0]), float(vector[1]), float(vector[2]), out)
     return out
 
 
@@ -78,6 +78,15 @@ def test_left_jacobian_inverse_stays_finite_at_half_a_turn():
     found = np.empty((3, 3))
     rotation.left_jacobian_inverse(np.array([np.pi, 0.0, 0.0]), found)
     np.testing.assert_allclose(found, [[1, 0, 0], [0, 0, np.pi / 2], [0, -np.pi / 2, 0]], atol=1e-12)
+
+
+def test_orthonormalise_mends_a_rotation_that_has_drifted():
+    drifted = dense.rotations(np.random.default_rng(1), 1)[0]
+    mended = drifted + np.random.default_rng(2).normal(0, 1e-4, (3, 3))
+    rotation.orthonormalise(mended)
+    np.testing.assert_allclose(mended @ mended.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(mended, drifted, atol=1e-3)
+    assert np.linalg.det(mended) == pytest.approx(1)
 
 
 def test_multiply_is_the_matrix_product():

@@ -41,7 +41,8 @@ def reduced(problem, groups, scale2):
 
 def schur(problem, groups, scale2):
     """-> the same, from the whole Jacobian by finite differences"""
-    square = problem.weight * ((dense.markers(problem.attached, *dense.forward(problem.tree, problem.root, problem.local)) - problem.seen) ** 2).sum(1)
+    placed = dense.markers(problem.attached, *dense.forward(problem.tree, problem.root, problem.local))
+    square = problem.weight * ((placed - problem.seen) ** 2).sum(1)
     trust = np.array([geman_mcclure(each, scale2)[1] for each in square])
     trusted = problem._replace(weight=problem.weight * trust)
     shared, pose = 1 + COUNT + problem.seen.size, dense.unknowns(problem.tree)
@@ -91,8 +92,8 @@ def test_frames_add_into_their_own_rows_only():
     root, local = np.tile(problem.root, (3, 1)), np.tile(problem.local, (3, 1, 1, 1))
     curvature, gradient, cost = np.zeros((3, unknowns, unknowns)), np.zeros((3, unknowns)), np.zeros(3)
     add_frames(
-        problem.tree, problem.attached, groups, COUNT, seen, weight, np.inf, dense.no_pull(3), dense.one(problem.pull), root, local,
-        curvature, gradient, cost, 1, 2,
+        problem.tree, problem.attached, groups, COUNT, seen, weight, np.inf, dense.no_pull(3), dense.one(problem.pull), root,
+        local, curvature, gradient, cost, 1, 2,
     )  # fmt: skip
     assert not curvature[[0, 2]].any()
     assert not gradient[[0, 2]].any()

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.calibrate import frames
+
+
+def seen(counts, markers=20):
+    """-> a take (T, K, 3) whose frame t shows counts[t] markers"""
+    take = np.zeros((len(counts), markers, 3))
+    take[np.arange(markers)[None] >= np.asarray(counts)[:, None]] = np.nan
+    return take
+
+
+def poses(count, rng):
+    return Rotation.from_rotvec(rng.normal(0, 0.2, (count * 4, 3))).as_matrix().reshape(count, 4, 3, 3)
+
+
+def test_candidates_are_the_well_seen_frames():
+    counts = [20, 5, 19, 0, 18, 17, 20, 12]
+    np.testing.assert_array_equal(frames.candidates(seen(counts)), [0, 2, 4, 6])
+
+
+@given(st.integers(1, 3000))
+def test_candidates_lie_evenly_over_the_take(length):
+    found = frames.candidates(seen(np.full(length, 3), markers=3))
+    assert len(found) == min(length, frames.CANDIDATES)
+    assert (np.diff(found) > 0).all()
+    assert found[0] == 0
+    assert found[-1] == length - 1 or length == 1
+    assert np.diff(found).max(initial=1) <= -(-length // len(found)) + 1
+
+
+def test_few_poses_are_all_taken():
+    rng = np.random.default_rng(0)
+    np.testing.assert_array_equal(frames.varied(poses(frames.CHOSEN, rng), rng), np.arange(frames.CHOSEN))
+
+
+@pytest.mark.parametrize("count", [151, 600])
+def test_varied_poses_are_distinct_sorted_and_as_many_as_wanted(count):
+    rng = np.random.default_rng(1)
+    found = frames.varied(poses(count, rng), rng)
+    assert len(found) == frames.CHOSEN
+    assert (np.diff(found) > 0).all()
+    assert found[0] >= 0
+    assert found[-1] < count
+
+
+def test_poses_unlike_all_others_are_taken_and_the_roots_turn_is_no_difference():
+    rng = np.random.default_rng(2)
+    still = np.tile(np.eye(3), (600, 4, 1, 1)) + rng.normal(0, 1e-6, (600, 4, 3, 3))
+    rare = [17, 230, 599]
+    still[rare, 2] = Rotation.from_rotvec([[1, 0, 0], [0, 1, 0], [0, 0, 1]]).as_matrix()
+    assert set(rare) <= set(frames.varied(still, np.random.default_rng(0)))
+    still[:, 0] = Rotation.from_rotvec(np.random.default_rng(3).normal(size=(600, 3))).as_matrix()
+    assert set(rare) <= set(frames.varied(still, np.random.default_rng(0)))
+
+
+@pytest.mark.xfail(reason="farthest-point selection takes the same pose again when no other is any farther")
+def test_poses_all_alike_are_still_chosen_once_each():
+    found = frames.varied(np.tile(np.eye(3), (400, 4, 1, 1)), np.random.default_rng(0))
+    assert len(np.unique(found)) == frames.CHOSEN

@@ -1,0 +1,108 @@
+"""Smooth courses against their definition, written out and solved densely."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.solve import temporal
+
+RATE = 100.0
+seeds = st.integers(0, 2**32 - 1)
+
+
+def dense_course(path, variance, intensity, rate):
+    """argmin over x of sum |x_t - path_t|^2 / variance_t + sum of (x''_t)^2 / (rate intensity), row by row of A x = b."""
+    second = np.diff(np.eye(len(path)), 2, axis=0) * rate**2 / np.sqrt(rate * intensity)
+    rows = np.vstack([np.diag(variance**-0.5), second])
+    wanted = np.vstack([path / np.sqrt(variance)[:, None], np.zeros((len(second), path.shape[1]))])
+    return np.linalg.lstsq(rows, wanted, rcond=None)[0]
+
+
+def wandering(rng, seconds, rate, intensity, components=1):
+    """-> (T, C) an integrated random acceleration, drawn in steps a hundredth of a frame's"""
+    fine = 20
+    kick = rng.normal(0, np.sqrt(intensity / (rate * fine)), (round(seconds * rate) * fine, components))
+    return (np.cumsum(np.cumsum(kick, 0), 0) / (rate * fine))[::fine]
+
+
+@given(seeds, st.integers(3, 40), st.floats(-2, 3), st.sampled_from([30.0, 120.0]))
+def test_the_course_is_the_least_squares_solution_of_its_definition(seed, frames, power, rate):
+    rng = np.random.default_rng(seed)
+    path, variance = rng.normal(size=(frames, 2)), 10.0 ** rng.uniform(-5, -1, frames)
+    found = temporal.course(path, variance, 10.0**power, rate)
+    np.testing.assert_allclose(found, dense_course(path, variance, 10.0**power, rate), atol=1e-6)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 100])
+def test_a_straight_line_stays_itself(frames):
+    line = np.arange(frames)[:, None] * [[0.1, -2.0]] + [[3.0, 0.5]]
+    np.testing.assert_allclose(temporal.course(line, np.full(frames, 1e-4), 1.0, RATE), line, atol=1e-8)
+
+
+def test_a_gap_is_crossed_on_a_line_where_the_ends_are_straight():
+    line = np.linspace(0, 1, 60)[:, None] * [[1.0, 2.0]]
+    variance, torn = np.full(60, 1e-4), line.copy()
+    variance[20:40], torn[20:40] = 1e8, 100.0
+    np.testing.assert_allclose(temporal.course(torn, variance, 1.0, RATE), line, atol=1e-4)
+
+
+def test_certain_frames_are_kept_and_stiff_courses_are_lines():
+    rng = np.random.default_rng(0)
+    path, certain = rng.normal(size=(50, 1)), np.full(50, 1e-12)
+    np.testing.assert_allclose(temporal.course(path, certain, 1.0, RATE), path, atol=1e-4)
+    stiff = temporal.course(path, np.full(50, 1.0), 1e-5, RATE)
+    t = np.arange(50)
+    np.testing.assert_allclose(stiff[:, 0], np.polyval(np.polyfit(t, path[:, 0], 1), t), atol=1e-3)
+
+
+@pytest.mark.parametrize("rate", [60.0, 240.0])
+@pytest.mark.parametrize("power", [0.05, 20.0])
+def test_the_intensity_of_a_wandering_is_found_again_with_room_to_spare(rate, power):
+    path = wandering(np.random.default_rng(1), 40.0, rate, power, components=3)
+    found = temporal.intensity(path, np.full(len(path), 1e-6), rate, well_known=0.1)
+    assert power < found < 6 * power
+
+
+def test_frames_that_are_not_well_known_do_not_tell_the_intensity():
+    rng = np.random.default_rng(2)
+    path = wandering(rng, 20.0, RATE, 1.0)
+    variance, torn = np.full(len(path), 1e-6), path.copy()
+    variance[500:700], torn[500:700] = 1.0, torn[500:700] + rng.normal(0, 5.0, (200, 1))
+    assert temporal.intensity(torn, variance, RATE, 0.1) < 2 * temporal.intensity(path, np.full(len(path), 1e-6), RATE, 0.1)
+    assert temporal.intensity(torn, np.full(len(path), 1e-6), RATE, 0.1) > 10 * temporal.intensity(torn, variance, RATE, 0.1)
+
+
+def test_quaternions_run_on_without_flips_over_a_full_turn():
+    angle = np.linspace(0, 4 * np.pi, 200)
+    found = temporal.continuous(Rotation.from_rotvec(angle[:, None] * [[0, 1, 0]]).as_matrix(), np.ones(200, bool))
+    expected = np.c_[np.zeros(200), np.sin(angle / 2), np.zeros(200), np.cos(angle / 2)]
+    np.testing.assert_allclose(found * np.sign(found[0, 3]), expected, atol=1e-12)
+
+
+def test_an_unknown_frame_does_not_flip_those_after_it():
+    angle = np.linspace(0, 1, 20)
+    angle[8:12] += np.pi  # nonsense
+    known = np.ones(20, bool)
+    known[8:12] = False
+    found = temporal.continuous(Rotation.from_rotvec(angle[:, None] * [[1, 0, 0]]).as_matrix(), known)[known]
+    assert ((found[1:] * found[:-1]).sum(1) > 0.9).all()
+
+
+def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
+    t = np.arange(200) / RATE
+    steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]]).as_matrix()
+    variance, torn = np.full(200, 1e-4), steady.copy()
+    variance[90:110], torn[90:110] = 1e4, np.eye(3)
+    smooth = temporal.smoothed_rotations(torn, variance, RATE)
+    away = Rotation.from_matrix(smooth @ np.swapaxes(steady, 1, 2)).magnitude()
+    assert away.max() < np.radians(1)
+
+
+def test_the_root_moves_on_through_lost_frames():
+    t = np.arange(200)[:, None] / RATE
+    root = t * [[1.2, 0.0, 0.1]]
+    variance, torn = np.full(200, 1e-6), root.copy()
+    variance[60:90], torn[60:90] = 1e4, 0.0
+    np.testing.assert_allclose(temporal.smoothed_root(torn, variance, RATE), root, atol=1e-3)

@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from mocapfix.faults import MISSING, Fault, Faults
+from mocapfix.take import Take
+
+
+@pytest.fixture
+def take():
+    markers = np.zeros((10, 3, 3))
+    markers[4:6, 0] = markers[:3, 1] = np.nan
+    return Take(markers, ("A", "B", "C"), 100.0)
+
+
+@pytest.fixture
+def faults():
+    return Faults(
+        (
+            Fault("gap", 0, 4, 5, 0.01, "hidden"),
+            Fault("spike", 0, 6, 6, 0.2, "too quick"),
+            Fault("leading gap", 1, 0, 2, np.nan, "late"),
+            Fault("jitter", 1, 2, 4, 0.003, "shaken"),  # its first frame is not there
+            Fault("spike", 2, 9, 9, 0.2, "too quick"),
+        )
+    )
+
+
+def test_doubted_are_the_faulty_samples_that_are_there(take, faults):
+    found = {(int(t), int(m)) for t, m in np.argwhere(faults.doubted(take))}
+    assert found == {(6, 0), (3, 1), (4, 1), (9, 2)}
+
+
+def test_every_sample_is_missing_doubted_or_believed_and_only_one_of_them(take, faults):
+    together = (~take.seen).astype(int) + faults.doubted(take) + faults.believed(take)
+    np.testing.assert_array_equal(together, 1)
+    assert faults.believed(take).sum() == 30 - 5 - 4
+
+
+@pytest.mark.parametrize("kind", MISSING)
+def test_no_kind_of_gap_casts_doubt_on_a_sample(take, kind):
+    assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).doubted(take).any()
+
+
+def test_counts(faults):
+    assert faults.counts() == {"gap": 1, "spike": 2, "leading gap": 1, "jitter": 1}
+    assert Faults().counts() == {}
+
+
+def test_a_take_without_faults_is_believed_where_seen(take):
+    np.testing.assert_array_equal(Faults().believed(take), take.seen)

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from mocapfix import prior
+from mocapfix.errors import SceneError
+from mocapfix.prior import Prior
+from mocapfix.scenes import folder
+from mocapfix.skeleton import cmu31
+
+SKELETON = cmu31().skeleton
+SHIPPED = folder("priors") / "mean-pose.yaml"
+
+
+@pytest.fixture
+def shelf(tmp_path, monkeypatch):
+    """-> a function that puts a changed copy of the shipped prior on an otherwise empty shelf, as "mine" """
+    monkeypatch.setattr(prior, "folder", lambda name: tmp_path)
+
+    def put(change):
+        data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+        change(data)
+        (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+        return tmp_path / "mine.yaml"
+
+    return put
+
+
+def test_the_shipped_prior_says_what_its_file_says():
+    loaded, said = prior.load("mean-pose", SKELETON), yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["joints"]
+    for name, joint in said.items():
+        j = SKELETON.index(name)
+        xx, yy, zz, xy, xz, yz = joint["covariance"]
+        np.testing.assert_allclose(loaded.information[j] @ [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(loaded.rotations[j], Rotation.from_quat(joint["quaternion_xyzw"]).as_matrix(), atol=1e-12)
+    assert set(said) == set(SKELETON.names[1:])
+
+
+def test_the_shipped_mean_pose_is_a_person_arms_down_knees_bent_alike_on_both_sides():
+    rotations = prior.load("mean-pose", SKELETON).rotations
+    down = rotations[SKELETON.index("LeftShoulder")] @ rotations[SKELETON.index("LeftArm")] @ [1, 0, 0]
+    assert down[1] < -0.5
+    knee = Rotation.from_matrix(rotations[SKELETON.index("LeftLeg")]).as_rotvec()
+    assert np.radians(10) < knee[0] < np.radians(70)
+    mirror = np.diag([-1.0, 1, 1])
+    for side in ("Arm", "Leg", "UpLeg", "ForeArm"):
+        left, right = (rotations[SKELETON.index(name + side)] for name in ("Left", "Right"))
+        np.testing.assert_allclose(left, mirror @ right @ mirror, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["mean-pose", "none"])
+def test_a_prior_pulls_every_joint_but_the_root(name):
+    loaded = prior.load(name, SKELETON)
+    assert loaded.name == name
+    assert not loaded.information[0].any()
+    np.testing.assert_array_equal(loaded.rotations[0], np.eye(3))
+    np.testing.assert_allclose(loaded.information, np.swapaxes(loaded.information, 1, 2), atol=1e-9)
+    assert (np.linalg.eigvalsh(loaded.information[1:]) > 0).all()
+    np.testing.assert_allclose(np.linalg.det(loaded.rotations), 1.0)
+
+
+def test_none_is_the_rest_pose_held_weakly():
+    loaded = prior.load("none", SKELETON)
+    np.testing.assert_array_equal(loaded.rotations, np.tile(np.eye(3), (31, 1, 1)))
+    np.testing.assert_allclose(loaded.information[1:], np.tile(np.eye(3) / 9, (30, 1, 1)))
+
+
+@pytest.mark.parametrize("name", ["nobody", "../mean-posed", "", "mean-pose.yaml"])
+def test_an_unknown_prior_is_told_with_the_ones_there_are(name):
+    with pytest.raises(SceneError) as told:
+        prior.load(name, SKELETON)
+    assert str(told.value) == f"There is no prior named {name!r}; choose one of: mean-pose, none."
+
+
+CHANGES = {
+    "no such joint": lambda data: data["joints"].pop("LeftArm"),
+    "no covariance": lambda data: data["joints"]["LeftArm"].pop("covariance"),
+    "five numbers": lambda data: data["joints"]["LeftArm"]["covariance"].pop(),
+    "a word": lambda data: data["joints"]["LeftArm"].update(covariance="wide"),
+    "no spread at all": lambda data: data["joints"]["LeftArm"].update(covariance=[0] * 6),
+    "no held axes": lambda data: data["joints"]["LeftArm"].pop("held"),
+    "half an axis": lambda data: data["joints"]["LeftArm"].update(held=[[1.0, 0.0]]),
+    "no quaternion": lambda data: data["joints"]["LeftArm"].update(quaternion_xyzw=[0, 0, 0, 0]),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
+def test_a_prior_that_does_not_say_what_it_must_is_told_by_file_and_joint(shelf, change):
+    path = shelf(change)
+    with pytest.raises(SceneError) as told:
+        prior.load("mine", SKELETON)
+    assert str(told.value).startswith(f"{path}: joints.LeftArm must hold quaternion_xyzw and covariance (xx, yy, zz, xy, xz, yz)")
+    assert str(told.value).endswith("held.")
+
+
+def test_a_prior_without_joints_is_told(shelf):
+    path = shelf(lambda data: data.pop("joints"))
+    with pytest.raises(SceneError, match=f"{path.name}: joints.LHipJoint must hold"):
+        prior.load("mine", SKELETON)
+
+
+def test_weakening_spares_the_axes_that_the_skeleton_itself_holds():
+    axes = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    hinge = np.outer(axes[:, 0], axes[:, 0])
+    loaded = Prior("", np.eye(3)[None], (axes * np.array([25.0, 8.0, 2.0]) @ axes.T)[None], 25.0 * hinge[None])
+    for weight in (0.1, 1.0):
+        weak = loaded.weakened(weight)
+        np.testing.assert_allclose(weak.information[0], axes * np.array([25, 8 * weight, 2 * weight]) @ axes.T, atol=1e-12)
+        np.testing.assert_allclose(weak.held[0], 25 * hinge, atol=1e-12)
+
+
+def test_knees_and_hip_stubs_are_held_and_hips_are_not():
+    loaded = prior.load("mean-pose", SKELETON)
+    ranks = [np.linalg.matrix_rank(loaded.held[SKELETON.index(name)], tol=1e-3) for name in ("LHipJoint", "LeftLeg", "LeftUpLeg")]
+    assert ranks[0] == 3
+    assert ranks[1] >= 1
+    assert ranks[2] == 0
+    strengths = np.linalg.eigvalsh(loaded.information - loaded.held)
+    assert strengths.min() > -1e-2 * loaded.information.max()  # held is a part of it

@@ -1,0 +1,67 @@
+from dataclasses import FrozenInstanceError
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.take import Take, runs
+
+
+@pytest.fixture
+def take():
+    markers = np.arange(24.0).reshape(4, 2, 3)
+    markers[1, 0] = markers[3, 1] = np.nan
+    return Take(markers, ("Jim:LFHD", "A:B:RANK"), 120.0, first_frame=100, path=Path("/captures/walk.c3d"))
+
+
+def test_a_take_knows_what_was_seen(take):
+    assert take.frames == 4
+    np.testing.assert_array_equal(take.seen, [[True, True], [False, True], [True, True], [True, False]])
+
+
+def test_frames_are_shown_by_the_files_own_numbers(take):
+    assert take.frame_number(0) == 100
+    assert take.frame_number(np.int64(3)) == 103
+    assert type(take.frame_number(np.int64(3))) is int  # goes into JSON
+    assert Take(take.markers, take.labels, 120.0).frame_number(0) == 1
+
+
+def test_names_and_labels(take):
+    assert take.name == "walk.c3d"
+    assert Take(take.markers, take.labels, 120.0).name == "the take"
+    assert take.bare_labels == ("LFHD", "RANK")
+    assert Take(take.markers, ("LFHD ", " x: y"), 1.0).bare_labels == ("LFHD", "y")
+
+
+def test_other_positions_make_another_take(take):
+    deviation = np.full((4, 2), 0.001)
+    other = take.with_markers(np.zeros((4, 2, 3)), deviation)
+    assert other.seen.all()
+    assert other.deviation is deviation
+    assert (other.labels, other.rate, other.first_frame, other.path) == (take.labels, take.rate, 100, take.path)
+    assert take.deviation is None
+    assert not take.seen.all()
+    with pytest.raises(FrozenInstanceError):
+        take.rate = 60.0
+
+
+@pytest.mark.parametrize(
+    ("mask", "expected"),
+    [([], []), ([0], []), ([1], [(0, 0)]), ([1, 1, 0, 1], [(0, 1), (3, 3)]), ([0, 1, 1, 0], [(1, 2)])],
+)
+def test_runs_of_known_masks(mask, expected):
+    assert runs(np.array(mask, bool)) == expected
+
+
+@given(st.lists(st.booleans(), max_size=60))
+def test_runs_make_up_the_mask_and_none_touches_the_next(drawn):
+    mask, again = np.array(drawn, bool), np.zeros(len(drawn), bool)
+    found = runs(mask)
+    for first, last in found:
+        assert first <= last
+        again[first : last + 1] = True
+    np.testing.assert_array_equal(again, mask)
+    assert all(after[0] > before[1] + 1 for before, after in pairwise(found))
