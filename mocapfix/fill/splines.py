@@ -9,7 +9,7 @@ import numpy as np
 
 from mocapfix.take import runs
 
-LISTENED = 0.04  # seconds on either side whose samples make the edge's place and velocity
+LISTENED = 0.06  # seconds on either side whose samples make the edge's place and velocity
 TRIALS = 60  # sound stretches on which a gap's length is tried
 FEWEST = 8  # stretches, fewer of which tell nothing of the error
 NOISE = 0.0005  # metres: what a sample itself is off
@@ -54,7 +54,7 @@ def hermite(gap: int, listened: int) -> np.ndarray:
 
 
 def tried(path: np.ndarray, seen: np.ndarray, across: np.ndarray) -> np.ndarray | None:
-    """-> (gap,) metres per axis: root mean square of what the map misses on sound stretches of the path (T, 3), if there are any."""
+    """-> (gap,) metres per axis: what the map misses on sound stretches of the path (T, 3), root mean square; None without any."""
     gap, listened = across.shape[0], across.shape[1] // 2
     length = gap + 2 * listened
     if len(path) < length:

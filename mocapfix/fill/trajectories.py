@@ -1,4 +1,4 @@
-"""Filling a take without a skeleton: what the clusters, the whole marker set and the marker's own path say, by their precision."""
+"""Filling a take without a skeleton: what clusters, the whole marker set and the marker's own path say, by precision."""
 
 import numpy as np
 

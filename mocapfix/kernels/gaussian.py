@@ -87,15 +87,20 @@ def aligned(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     seen = ~np.isnan(markers[..., 0])
     solid = np.nan_to_num(markers)
     shape, variance = markers[np.argmax(seen.sum(1))], np.ones(markers.shape[1])
+    shape = shape - np.nanmean(shape, 0)
     for _ in range(6):
         weight = seen * ~np.isnan(shape[:, 0]) / (SHAPE**2 + variance)
+        placed = (weight > 0).sum(1) >= 3
         cross, here, there = centred(solid, np.nan_to_num(shape), weight)
-        turn, placed = fitted(cross), (weight > 0).sum(1) >= 3
+        turn = fitted(cross)
+        if not placed.any():
+            break
         laid = np.einsum("tma,tab->tmb", solid - here[:, None], turn) + there[:, None]
         use = seen & placed[:, None]
         count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
         shape = (laid * use[..., None]).sum(0) / count
         variance = np.nan_to_num((((laid - shape) ** 2) * use[..., None]).sum(0) / count).mean(1)
+        shape -= np.nanmean(shape, 0)
     return turn, here - np.einsum("tab,tb->ta", turn, there), placed
 
 

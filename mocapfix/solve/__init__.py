@@ -15,6 +15,7 @@ from mocapfix.take import Take, runs
 
 
 FLICKER = 0.025  # seconds
+LOOSEST = 0.5  # radians: the weakest pull to a joint's course
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,10 @@ class SolveOptions:
     """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
     beside: float = 0.05
     """how long beside a gap a marker is not listened to, seconds; see `beside_gaps`"""
+    tremble_turn: float = 0.01
+    """how much a joint trembles from frame to frame beyond its motion, radians"""
+    tremble_shift: float = 0.001
+    """how much the root does, metres"""
     turn_sd: float = 0.1
     """how far a joint strays from its smooth course, radians"""
     shift_sd: float = 0.03
@@ -78,6 +83,7 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     over_frames(
         uncertainties, frames, tree, attached, seen, weight, scales2[-1], target, pose, root, local, deviation, variance, root_variance
     )
+    root, local = polished(root, local, body.free, worn.rate, options)
     status[believed.sum(1) < 3] = 3
     return Motion(root, local, status, spent + iterations, deviation)
 
@@ -96,6 +102,15 @@ def beside_gaps(believed: np.ndarray, rate: float, longest: float) -> np.ndarray
             if span > 0:
                 mask[max(0, first - span) : last + 1 + span, k] = True
     return mask
+
+
+def polished(root, local, free, rate, options: SolveOptions) -> tuple[np.ndarray, np.ndarray]:
+    """-> root and rotations without the tremble that skin and cameras give each frame of its own."""
+    out = local.copy()
+    frames = len(root)
+    for j in np.flatnonzero(free):
+        out[:, j] = temporal.smoothed_rotations(local[:, j], np.full(frames, options.tremble_turn**2), rate)
+    return temporal.smoothed_root(root, np.full(frames, options.tremble_shift**2), rate), out
 
 
 def missed(listened: np.ndarray, subject: Subject) -> np.ndarray:
@@ -124,6 +139,7 @@ def smooth(root, local, variance, root_variance, free, rate, options: SolveOptio
     rotations, information = local.copy(), np.zeros_like(local)
     for j in np.flatnonzero(free):
         rotations[:, j] = temporal.smoothed_rotations(local[:, j], variance[:, j], rate)
-        information[:, j] = np.eye(3) / options.turn_sd**2
+        doubt = np.minimum(variance[:, j], LOOSEST**2)  # joints that share a turn, as the spine's do, are unsure one by one
+        information[:, j] = np.eye(3) / (options.turn_sd**2 + doubt)[:, None, None]
     smooth_root = temporal.smoothed_root(root, root_variance, rate)
     return Pull(rotations, information, smooth_root, np.full(len(root), 1 / options.shift_sd**2))

@@ -1,0 +1,67 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.fill.splines import hermite, splines
+
+RATE = 120.0
+
+
+def struck(markers, first, last):
+    damaged = markers.copy()
+    damaged[first : last + 1, 0] = np.nan
+    return damaged
+
+
+def swinging(frames=600, noise=0.0):
+    t = np.arange(frames) / RATE
+    path = np.stack([0.3 * np.sin(5 * t), 1 + 0.1 * np.cos(7 * t), 0.5 * t], -1)[:, None]
+    return path + np.random.default_rng(0).normal(scale=noise, size=path.shape)
+
+
+@given(gap=st.integers(1, 60), listened=st.integers(3, 9), seed=st.integers(0, 99))
+def test_a_parabola_is_carried_across_exactly(gap, listened, seed):
+    t = np.arange(gap + 2 * listened) / 50
+    path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
+    beside = np.r_[0:listened, listened + gap : len(t)]
+    np.testing.assert_allclose(hermite(gap, listened) @ path[:, beside].T, path[:, listened : listened + gap].T, atol=1e-9)
+
+
+@given(first=st.integers(20, 400), seconds=st.floats(0.01, 0.25))
+def test_a_swing_is_filled_within_what_was_foretold(first, seconds):
+    last = first + round(seconds * RATE)
+    truth = swinging(noise=0.0003)
+    filled, deviation = splines(struck(truth, first, last), RATE, 0.5)
+    gap = slice(first, last + 1)
+    error = np.abs(filled - truth)[gap, 0]
+    assert (error < 5 * deviation[gap]).all()
+    assert np.isnan(filled[:first, 0]).all()
+    assert np.isnan(filled[last + 1 :, 0]).all()
+
+
+def test_longer_gaps_are_less_sure():
+    sure = [splines(struck(swinging(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (4, 12, 24, 48)]
+    assert sure == sorted(sure)
+    assert sure[-1] > 4 * sure[0]
+
+
+def test_one_bad_sample_at_the_edge_does_not_throw_the_curve():
+    truth = swinging()
+    damaged = struck(truth, 200, 229)
+    damaged[199, 0, 1] += 0.01
+    filled, _ = splines(damaged, RATE, 0.5)
+    assert np.abs(filled - truth)[200:230, 0].max() < 0.035  # 46 with the velocity of the last two samples alone
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (4, 10, "too near the start")]
+)
+def test_what_splines_leave(first, last, why):
+    filled, deviation = splines(struck(swinging(), first, last), RATE, 0.5)
+    assert np.isnan(filled).all(), why
+    assert np.isnan(deviation).all()
+
+
+def test_a_marker_seen_too_little_to_try_it_on_is_left():
+    assert np.isnan(splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()

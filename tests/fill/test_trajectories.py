@@ -1,0 +1,87 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix import read
+from mocapfix.fill.trajectories import trajectories, weighed
+from mocapfix.take import Take
+
+CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
+RATE = 100.0
+
+
+def prop(frames=400):
+    t = np.arange(frames) / RATE
+    turn = Rotation.from_rotvec(np.stack([np.sin(2 * t), np.cos(t), 0.8 * t], 1)).as_matrix()
+    places = np.random.default_rng(0).normal(scale=0.2, size=(6, 3))
+    markers = np.einsum("tab,mb->tma", turn, places) + np.stack([t, 1 + 0 * t, 0 * t], 1)[:, None]
+    return Take(markers, tuple("ABCDEF"), RATE)
+
+
+def test_two_estimates_meet_by_their_precision_and_are_no_surer_than_both():
+    place = [np.full((1, 1, 3), 0.0), np.full((1, 1, 3), 1.0), np.full((1, 1, 3), np.nan)]
+    sure = [np.array([[0.1]]), np.array([[0.2]]), np.array([[np.nan]])]
+    mean, deviation = weighed(list(zip(place, sure, strict=True)))
+    np.testing.assert_allclose(mean[0, 0], 0.2)  # weights 100 and 25
+    np.testing.assert_allclose(deviation[0, 0] ** 2, 0.8 * 0.1**2 + 0.2 * 0.2**2)
+
+
+@given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
+def test_what_is_not_believed_is_replaced_and_the_rest_kept_bit_for_bit(first, length, bad):
+    truth = prop()
+    markers = truth.markers.copy()
+    gap = slice(first, first + length)
+    markers[gap, 3] += bad
+    believed = np.ones(markers.shape[:2], bool)
+    believed[gap, 3] = False
+    filled, deviation = trajectories(truth.with_markers(markers), believed)
+    assert np.abs(filled - truth.markers)[gap, 3].max() < 0.005
+    assert (filled[believed] == truth.markers[believed]).all()
+    assert (~np.isnan(deviation) == ~believed).all()
+
+
+def test_less_sure_than_the_limit_stays_empty():
+    truth = prop()
+    believed = truth.seen.copy()
+    believed[100:150, 3] = False
+    _, deviation = trajectories(truth, believed)
+    limit = float(np.median(deviation[100:150, 3]))
+    filled, less = trajectories(truth, believed, limit=limit)
+    assert (np.isnan(filled[100:150, 3, 0]) == (deviation[100:150, 3] > limit)).all()
+    assert (np.isnan(less) == np.isnan(filled[..., 0]) | believed).all()
+
+
+@pytest.mark.parametrize("markers", [1, 2, 3])
+def test_nothing_is_extrapolated_without_support(markers):
+    truth = prop()
+    truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
+    believed = truth.seen.copy()
+    believed[:30, 0] = believed[380:, 0] = False
+    filled, _ = trajectories(truth, believed)
+    assert np.isnan(filled[~believed]).all()
+
+
+def test_nothing_believed_gives_nothing():
+    truth = prop()
+    filled, deviation = trajectories(truth, np.zeros_like(truth.seen))
+    assert np.isnan(filled).all()
+    assert np.isnan(deviation).all()
+
+
+@pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
+def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
+    truth = read.take(CAPTURE)
+    hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
+    believed = truth.seen.copy()
+    assert believed[gap, hand].all()
+    believed[gap, hand] = False
+    filled, deviation = trajectories(truth, believed)
+    step = np.linspace(0, 1, 122)[1:-1, None]
+    line = (1 - step) * truth.markers[199, hand] + step * truth.markers[320, hand]
+    error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
+    assert error.mean() < 0.3 * np.linalg.norm(line - truth.markers[gap, hand], axis=1).mean()
+    assert (error < 3 * np.sqrt(3) * deviation[gap, hand]).mean() > 0.9

@@ -1,0 +1,122 @@
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.kernels.gaussian import Gaussian, gaussian
+
+RATE = 100.0
+
+
+def walking(frames=800, seed=0, size=14):
+    """-> (T, M, 3): a trunk of six markers that travels and turns, the others swinging on it, all by two hidden numbers."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(frames) / RATE
+    phase = np.stack([np.sin(5 * t), np.sin(3.1 * t + 1)], 1)
+    swing = rng.normal(scale=0.1, size=(2, size, 3))
+    swing[:, :6] = 0
+    inside = rng.normal(scale=0.3, size=(size, 3)) + np.einsum("tk,kma->tma", phase, swing)
+    turn = Rotation.from_rotvec(np.stack([0 * t, 0.7 * t, 0.1 * np.sin(5 * t)], 1)).as_matrix()
+    return np.einsum("tab,tmb->tma", turn, inside) + np.stack([t, 1 + 0 * t, np.sin(t)], 1)[:, None]
+
+
+def error(filled, truth, gap, m):
+    return np.sqrt(((filled - truth)[gap][:, m] ** 2).mean())
+
+
+@given(first=st.integers(0, 600), seconds=st.floats(0.05, 2.0), m=st.integers(0, 13), seed=st.integers(0, 9))
+def test_a_marker_that_goes_with_the_others_is_foretold(first, seconds, m, seed):
+    truth = walking(seed=seed)
+    gap = slice(first, first + round(seconds * RATE))
+    damaged = truth.copy()
+    damaged[gap, m] = np.nan
+    filled, deviation = gaussian(damaged, RATE)
+    assert error(filled, truth, gap, [m]) < 0.015
+    assert error(filled, truth, gap, [m]) < 2 * np.sqrt((deviation[gap, m] ** 2).mean())
+    filled[gap, m] = np.nan
+    assert np.isnan(filled).all()
+
+
+def test_a_lost_limb_is_recalled_and_joins_on_at_its_edges():
+    truth = walking()
+    limb, gap = [10, 11, 12, 13], slice(300, 400)
+    damaged = truth.copy()
+    damaged[gap, limb] = np.nan
+    filled, deviation = gaussian(damaged, RATE)
+    assert error(filled, truth, gap, limb) < 0.03
+    for m in limb:
+        for edge in (300, 399):
+            assert np.linalg.norm(filled[edge, m] - truth[edge, m]) < 0.005
+        assert deviation[300, m] < 0.5 * deviation[350, m]
+
+
+def test_the_conditional_is_the_textbook_one():
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(5, 5))
+    covariance = factor @ factor.T + np.eye(5)
+    model, x = Gaussian(np.arange(5.0), np.linalg.inv(covariance)), rng.normal(size=(3, 5))
+    hidden, told = np.array([1, 4]), np.array([0, 2, 3])
+    expected, left = model.given(x, hidden)
+    gain = covariance[np.ix_(hidden, told)] @ np.linalg.inv(covariance[np.ix_(told, told)])
+    np.testing.assert_allclose(expected, model.mean[hidden] + (x[:, told] - model.mean[told]) @ gain.T)
+    np.testing.assert_allclose(left, covariance[np.ix_(hidden, hidden)] - gain @ covariance[np.ix_(told, hidden)])
+
+
+def test_a_marker_hardly_ever_seen_neither_spoils_the_others_nor_is_filled():
+    truth = walking()
+    damaged = truth.copy()
+    damaged[300:350, 8] = np.nan
+    alone, _ = gaussian(damaged, RATE)
+    ghost = np.full((800, 1, 3), np.nan)
+    ghost[100:120] = 50.0
+    filled, deviation = gaussian(np.concatenate([damaged, ghost], 1), RATE)
+    np.testing.assert_allclose(filled[300:350, 8], alone[300:350, 8], atol=1e-12)
+    assert np.isnan(filled[:, 14]).all()
+    assert np.isnan(deviation[:, 14]).all()
+
+
+@given(
+    shape=st.sampled_from([(0, 5), (1, 5), (2, 4), (50, 0), (50, 1), (50, 3), (50, 6), (7, 12)]),
+    lost=st.floats(0, 1),
+    seed=st.integers(0, 99),
+    still=st.booleans(),
+)
+def test_bad_takes_give_numbers_or_nothing(shape, lost, seed, still):
+    rng = np.random.default_rng(seed)
+    markers = np.zeros((*shape, 3)) if still else rng.normal(size=(*shape, 3))
+    missing = rng.random(shape) < lost
+    markers[missing] = np.nan
+    filled, deviation = gaussian(markers, RATE)
+    assert (np.isnan(filled[..., 0]) == np.isnan(deviation)).all()
+    assert np.isnan(deviation[~missing]).all()
+    assert np.isfinite(filled[~np.isnan(filled)]).all()
+
+
+def test_frames_with_fewer_than_three_markers_stay_empty():
+    damaged = walking()
+    damaged[400, 2:] = np.nan
+    filled, _ = gaussian(damaged, RATE)
+    assert np.isnan(filled).all()
+
+
+@pytest.mark.parametrize("turned", [0.0, 1.0, 3.0])
+def test_turning_the_stage_turns_the_fill(turned):
+    truth = walking()
+    truth[200:260, 9] = np.nan
+    about = Rotation.from_rotvec([0, turned, 0]).as_matrix()
+    one, one_deviation = gaussian(truth, RATE)
+    other, other_deviation = gaussian(truth @ about.T + [3.0, 0.0, -2.0], RATE)
+    np.testing.assert_allclose(other, one @ about.T + [3.0, 0.0, -2.0], atol=1e-6)
+    np.testing.assert_allclose(other_deviation, one_deviation, rtol=1e-6)
+
+
+def test_thousands_of_patterns_take_seconds():
+    markers = walking(frames=3000, size=41)
+    markers[np.random.default_rng(0).random((3000, 41)) < 0.1] = np.nan
+    start = time.perf_counter()
+    filled, _ = gaussian(markers, RATE)
+    assert time.perf_counter() - start < 8  # about two on one core
+    assert (~np.isnan(filled[..., 0]) == np.isnan(markers[..., 0])).all()
