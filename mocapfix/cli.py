@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, ReadError
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -24,7 +24,7 @@ err = Console(stderr=True, highlight=False)
 
 
 def demo(
-    folder: Annotated[Path, tyro.conf.arg(name="out", metavar="DIR", help="where demo.c3d and demo.mocapfix/ go")] = Path("."),
+    folder: Annotated[Path, tyro.conf.arg(name="out", metavar="DIR", help="where demo.c3d and demo.mocapfix/ go")] = Path(),
     seed: Annotated[int, tyro.conf.arg(metavar="N", help="which person, skin and damage are drawn (a number)")] = 0,
 ) -> int:
     """Clean a take that mocapfix composes itself, and compare the errors with the known truth.
@@ -120,7 +120,7 @@ def clean(
 
     if not takes:
         raise SystemExit(usage("clean: name at least one take (a C3D file)."))
-    if max_gap <= 0:
+    if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
     labels = tuple(label.strip() for label in keep.split(",") if label.strip())
     options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
@@ -149,10 +149,8 @@ def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=
     """Open the before/after in rerun."""
     import subprocess
 
-    from mocapfix.errors import ReadError
-
     files = sorted(recording.glob("*.rrd")) if recording.is_dir() else [recording]
-    if not files or not files[0].is_file():
+    if not files or not all(file.is_file() and file.suffix == ".rrd" for file in files):
         raise ReadError(f"{recording}: holds no recording (.rrd); give the folder that clean wrote, or a file in it.")
     done = subprocess.run([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", *map(str, files)], check=False)
     if done.returncode:

@@ -170,7 +170,7 @@ def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose
     for take in takes:
         _, worn_set, notes = wearing(take, name, None)
         if worn_set is None:
-            raise TakeError(f"{take.name}: {' '.join(notes)} There is no body to calibrate.")
+            raise TakeError(f"{take.name}: {notes[0]} There is no body to calibrate.")
         sets.append(worn_set)
         worn.append(take.worn(worn_set.columns(take.labels), detect.faults(take).believed(take)))
     if len({each.name for each in sets}) > 1:
@@ -242,7 +242,7 @@ def check_free(outputs, overwrite: bool) -> None:
     """Raise WriteError where an output is there already and must not be replaced."""
     there = [path for path in outputs if path.exists()]
     if there and not overwrite:
-        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another folder with --out.")
+        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another name or folder.")
 
 
 def make_folder(folder: Path) -> None:

@@ -1,8 +1,94 @@
-"""How hypothesis draws: few examples, no deadline (the first call of a kernel compiles it), the same ones every time in CI."""
+"""How hypothesis draws, and one take with known truth that is cleaned once and that all tests look at."""
 
 import os
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+import numpy as np
+import pytest
 from hypothesis import settings
 
+from mocapfix import pipeline, subject_file, synthetic
+from mocapfix.pipeline import Result
+from mocapfix.synthetic import Truth
+from tests.c3d_files import c3d_bytes
+
+# few examples, no deadline (the first call of a kernel compiles it), the same ones every time in CI
 settings.register_profile("mocapfix", deadline=None, max_examples=30, derandomize="CI" in os.environ)
 settings.load_profile("mocapfix")
+
+FIRST = 301  # the file's number of the brief take's first frame
+FEET_UP = {"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": "+Z"}
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A composed take, its file, and what came of it."""
+
+    truth: Truth
+    path: Path
+    result: Result
+    outputs: dict[str, Path]
+
+
+@dataclass(frozen=True)
+class Brief:
+    """One second of the same person, frames numbered from FIRST: for whatever needs a take that is cleaned soon.
+
+    RELB is missing in indices 40-59 and LKNE in 70-89, and STRN jumps by 0.2 m in 20.
+    """
+
+    path: Path
+    subject: Path
+    markers: np.ndarray
+    labels: tuple[str, ...]
+
+
+def struck_by_hand(truth: Truth) -> Truth:
+    """The take with other damage: single markers' gaps only, all of them inside; 8 of 1 to 1.5 s, 60 short ones, spikes."""
+    rng, (frames, count), rate = np.random.default_rng(3), truth.struck.shape, truth.rate
+    struck, shift = np.zeros((frames, count), bool), np.zeros((frames, count, 3))
+    for marker in rng.permutation(count)[:8]:
+        length = round(rate * rng.uniform(1.0, 1.5))
+        first = rng.integers(40, frames - length - 40)
+        struck[first : first + length, marker] = True
+    for _ in range(60):
+        marker, length = rng.integers(count), round(rate * rng.uniform(0.05, 0.3))
+        first = rng.integers(30, frames - length - 30)
+        if not struck[first - 20 : first + length + 20, marker].any():
+            struck[first : first + length, marker] = True
+    for marker in rng.permutation(count)[:15]:
+        first, way = rng.integers(20, frames - 20), rng.normal(size=3)
+        if not struck[first - 6 : first + 9, marker].any():
+            shift[first : first + rng.integers(1, 4), marker] = way / np.linalg.norm(way) * rng.uniform(0.04, 0.3)
+    damaged = np.where(struck[..., None], np.nan, truth.markers + shift)
+    return replace(truth, struck=struck, damaged=damaged, moved=(shift != 0).any(axis=2))
+
+
+@pytest.fixture(scope="session")
+def cleaned(tmp_path_factory) -> Cleaned:
+    folder = tmp_path_factory.mktemp("cleaned")
+    truth, path = struck_by_hand(synthetic.take(seed=3, seconds=6.0)), folder / "somebody.c3d"
+    synthetic.write(path, truth)
+    result = pipeline.clean(path)
+    return Cleaned(truth, path, result, result.write(folder / "somebody.mocapfix"))
+
+
+@pytest.fixture(scope="session")
+def brief(cleaned, tmp_path_factory) -> Brief:
+    folder = tmp_path_factory.mktemp("brief")
+    markers, labels = cleaned.truth.markers[:120].copy(), cleaned.truth.labels
+    markers[40:60, labels.index("RELB")] = np.nan
+    markers[70:90, labels.index("LKNE")] = np.nan
+    markers[20, labels.index("STRN")] += [0.2, 0.0, 0.0]
+    path = folder / "brief.c3d"
+    path.write_bytes(as_c3d(markers, labels, first=FIRST))
+    subject_file.save(folder / "known.yaml", cleaned.result.subject)
+    return Brief(path, folder / "known.yaml", markers, labels)
+
+
+def as_c3d(markers: np.ndarray, labels, first: int = 1) -> bytes:
+    """-> a C3D in millimetres, Z up, of markers (T, M, 3) in metres, Y up, NaN where missing; 120 Hz."""
+    missing = np.isnan(markers[..., 0])
+    counts = np.where(missing[..., None], 0.0, markers[..., [2, 0, 1]] * 1000)
+    return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP)

@@ -28,6 +28,7 @@ def varied(rotations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     nearest = np.full(len(flat), np.inf)
     while len(chosen) < CHOSEN // 2:
         nearest = np.minimum(nearest, np.linalg.norm(flat - flat[chosen[-1]], axis=1))
+        nearest[chosen[-1]] = -1.0  # not again, though no other be any farther
         chosen.append(int(nearest.argmax()))
     rest = np.setdiff1d(np.arange(len(flat)), chosen)
     return np.sort(np.r_[chosen, rng.choice(rest, CHOSEN - len(chosen), replace=False)])

@@ -131,10 +131,9 @@ def reduced(tree, attached, groups, count, seen, weight, pull, motion, start, sh
 
 
 def step(curvature, gradient, damping) -> np.ndarray:
-    """-> the damped Gauss-Newton step, size and scales capped at a tenth and places at 30 mm."""
+    """-> (P,) the damped Gauss-Newton step (Marquardt 1963)."""
     symmetric = (curvature + curvature.T) / 2
-    whole = np.linalg.solve(symmetric + damping * np.diag(np.diag(symmetric)), -gradient)
-    return whole
+    return np.linalg.solve(symmetric + damping * np.diag(np.diag(symmetric)), -gradient)
 
 
 def finished(start, body, groups, shape, markers, motion) -> Subject:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocapfix.fill import body
-from mocapfix.fill.trajectories import trajectories
+from mocapfix.fill.trajectories import trajectories, weighed
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
@@ -21,7 +21,7 @@ class FillOptions:
     """labels of markers that are left exactly as they are"""
     frames: tuple[int, int] | None = None
     """the only frames that may be touched, first and last, the file's own numbers"""
-    limit: float = 0.120
+    limit: float = 0.150
     """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
 
 
@@ -50,22 +50,39 @@ def take(
     """
     touch = touchable(before, options)
     wanted = ~believed & touch
-    filled, deviation = np.full(before.markers.shape, np.nan), np.full(wanted.shape, np.nan)
-    worn = columns[columns >= 0]
-    others = np.setdiff1d(np.flatnonzero(wanted.any(0)), worn)
-    if subject is None or motion is None or len(others):
-        loose, loose_deviation = trajectories(before, believed, options.limit)
-        filled[wanted], deviation[wanted] = loose[wanted], loose_deviation[wanted]
+    filled, deviation = trajectories(before, believed, np.inf)
     if subject is not None and motion is not None:
-        there = columns >= 0
-        arranged = before.worn(columns, believed)
-        placed, placed_deviation = body.markers(arranged.markers, ~believed[:, columns] & there, subject, motion, before.rate)
-        filled[:, worn], deviation[:, worn] = placed[:, there], placed_deviation[:, there]
+        placed, sure = body_estimate(before, believed, columns, subject, motion)
+        learnt = deviation * share_unseen(believed)
+        filled, deviation = weighed([(filled, learnt), (placed, sure)])
     reasons = why_not(before, believed, wanted, deviation, options)
     give = wanted & (reasons == "")
     markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
     after = before.with_markers(markers, np.where(give, deviation, np.nan))
     return after, left(after, before, touch, reasons)
+
+
+def body_estimate(before, believed, columns, subject, motion) -> tuple[np.ndarray, np.ndarray]:
+    """-> what the solved body says of the take's missing samples (T, M, 3), and its deviation (T, M); NaN elsewhere."""
+    place, deviation = np.full(before.markers.shape, np.nan), np.full(before.seen.shape, np.nan)
+    there = columns >= 0
+    arranged = before.worn(columns, believed)
+    missing = ~believed[:, columns] & there
+    placed, sure = body.markers(arranged.markers, missing, subject, motion, before.rate)
+    place[:, columns[there]], deviation[:, columns[there]] = placed[:, there], sure[:, there]
+    return place, deviation
+
+
+def share_unseen(believed: np.ndarray) -> np.ndarray:
+    """-> (T, M) how many times less sure than it says a fill learnt from the take is: it was learnt where the marker was
+    seen, and the longer a gap beside that, the more of it is unlike what was seen.
+    """
+    factor = np.ones(believed.shape)
+    for m in range(believed.shape[1]):
+        seen = max(believed[:, m].sum(), 1)
+        for first, last in runs(~believed[:, m]):
+            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / seen
+    return factor
 
 
 def touchable(before: Take, options: FillOptions) -> np.ndarray:

@@ -7,10 +7,11 @@ from mocapfix.kernels.course import across
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 
-FADE = 0.35  # seconds after which a residual has lost most of its memory
-REACH = 0.15  # seconds on either side of a gap that are listened to
+FADE = 0.2  # seconds after which a residual has lost most of its memory
+REACH = 0.3  # seconds on either side of a gap that are listened to
 NOISE = 0.0005  # metres: what cameras add to a sample
 LEAST = 0.002  # metres: least size of a residual's course
+SURE = 0.001  # metres: no fill is surer than this
 
 
 def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -34,5 +35,5 @@ def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Moti
         seen = ~np.isnan(worn[:, k, 0])
         usual = np.median(motion.deviation[seen, k]) if seen.any() else 0.0
         pose = np.maximum(motion.deviation[where, k] ** 2 - usual**2, 0.0)
-        deviation[where, k] = np.sqrt(variance[where] + pose)
+        deviation[where, k] = np.sqrt(np.maximum(variance[where] + pose, SURE**2))
     return out, deviation

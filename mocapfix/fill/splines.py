@@ -18,7 +18,7 @@ NOISE = 0.0005  # metres: what a sample itself is off
 def splines(markers: np.ndarray, rate: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
     """-> positions (T, M, 3) in metres across interior gaps, NaN elsewhere, and their standard deviation per axis (T, M).
 
-    A gap beside which fewer than three samples in a row are seen is left, as is one for whose length the marker has no
+    A gap beside which fewer than three samples are seen is left, as is one for whose length the marker has no
     sound stretches to try it on.
 
     markers  (T, M, 3) metres, NaN where not believed
@@ -30,41 +30,44 @@ def splines(markers: np.ndarray, rate: float, longest: float) -> tuple[np.ndarra
     listened = max(3, round(LISTENED * rate))
     for m in np.flatnonzero(~seen.all(0) & seen.any(0)):
         for first, last in runs(~seen[:, m]):
-            gap = last - first + 1
-            beside = np.r_[first - listened : first, last + 1 : last + 1 + listened]
-            if gap > longest * rate or beside[0] < 0 or beside[-1] >= len(seen) or not seen[beside, m].all():
+            before = np.flatnonzero(seen[max(0, first - listened) : first, m][::-1])
+            after = np.flatnonzero(seen[last + 1 : last + 1 + listened, m])
+            gap = np.arange(first, last + 1)
+            if len(gap) > longest * rate or min(len(before), len(after)) < 3:
                 continue
-            across = hermite(gap, listened)
-            missed = tried(markers[:, m], seen[:, m], across)
+            across = hermite(len(gap), before, after)
+            near = np.r_[-1 - before, len(gap) + after]
+            missed = tried(markers[:, m], seen[:, m], across, near)
             if missed is not None:
-                filled[first : last + 1, m] = across @ markers[beside, m]
-                deviation[first : last + 1, m] = np.hypot(missed, NOISE)
+                filled[gap, m] = across @ markers[first + near, m]
+                deviation[gap, m] = np.hypot(missed, NOISE)
     return filled, deviation
 
 
-def hermite(gap: int, listened: int) -> np.ndarray:
-    """-> (gap, 2 listened): the map from the samples on both sides of a gap to those in it, all of them in order."""
-    back = np.arange(1 - listened, 1)
-    parabola = np.linalg.pinv(np.stack([np.ones(listened), back, back**2], 1))
-    place, velocity = parabola[0], parabola[1]  # at the edge, time running into the gap
-    span = gap + 1
-    s = np.arange(1, gap + 1)[:, None] / span
-    before = (1 + 2 * s) * (1 - s) ** 2 * place + span * s * (1 - s) ** 2 * velocity
-    return np.concatenate([before, before[::-1, ::-1]], 1)
+def hermite(gap: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """-> (gap, B + A): the map from samples so many frames (B,) before and (A,) after the gap's edge samples to those in it."""
+    s = np.arange(1, gap + 1)[:, None] / (gap + 1)
+
+    def side(steps, s):
+        parabola = np.linalg.pinv(np.stack([np.ones(len(steps)), -steps, steps**2], 1))
+        place, velocity = parabola[0], parabola[1]  # at the edge, a frame at a time into the gap
+        return (1 + 2 * s) * (1 - s) ** 2 * place + (gap + 1) * s * (1 - s) ** 2 * velocity
+
+    return np.concatenate([side(before, s), side(after, 1 - s)], 1)
 
 
-def tried(path: np.ndarray, seen: np.ndarray, across: np.ndarray) -> np.ndarray | None:
-    """-> (gap,) metres per axis: what the map misses on sound stretches of the path (T, 3), root mean square; None without any."""
-    gap, listened = across.shape[0], across.shape[1] // 2
-    length = gap + 2 * listened
-    if len(path) < length:
-        return None
-    total = np.r_[0, np.cumsum(seen)]
-    starts = np.flatnonzero(total[length:] - total[:-length] == length)
+def tried(path: np.ndarray, seen: np.ndarray, across: np.ndarray, near: np.ndarray) -> np.ndarray | None:
+    """-> (gap,) metres per axis: what the map misses on sound stretches of the path (T, 3), root mean square.
+
+    None where there are too few. near: the frames that the map listens to, counted from the gap's first.
+    """
+    gap = np.arange(len(across))
+    used = np.r_[near, gap]
+    starts = np.arange(-used.min(), len(path) - used.max())
+    for frame in used:
+        starts = starts[seen[starts + frame]]
     if len(starts) < FEWEST:
         return None
-    starts = starts[np.unique(np.linspace(0, len(starts) - 1, TRIALS).astype(int))]
-    stretch = path[starts[:, None] + np.arange(length)]
-    beside = np.r_[0:listened, length - listened : length]
-    missed = stretch[:, listened : listened + gap] - across @ stretch[:, beside]
+    starts = starts[np.unique(np.linspace(0, len(starts) - 1, TRIALS).astype(int))][:, None]
+    missed = path[starts + gap] - across @ path[starts + near]
     return np.sqrt((missed**2).mean((0, 2)))

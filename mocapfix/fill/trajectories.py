@@ -9,6 +9,7 @@ from mocapfix.take import Take
 
 LIMIT = 0.120  # metres per axis
 LONGEST = 0.5  # seconds
+SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 
 def trajectories(
@@ -25,8 +26,9 @@ def trajectories(
     longest   seconds: longer gaps are no matter for splines
     """
     markers = np.where(believed[..., None], take.markers, np.nan)
-    estimates = [gaussian(markers, take.rate), rigid(markers, take.rate), splines(markers, take.rate, longest)]
-    place, deviation = weighed(estimates)
+    path, sure = splines(markers, take.rate, longest)
+    whole = np.where((sure <= SURE)[..., None], path, markers)
+    place, deviation = weighed([(path, sure), gaussian(whole, take.rate), rigid(whole, take.rate)])
     fill = ~believed & (deviation <= limit)
     return np.where(fill[..., None], place, markers), np.where(fill, deviation, np.nan)
 

@@ -56,6 +56,8 @@ def poses(subject: Subject, free: np.ndarray, prior: Prior, markers: np.ndarray)
         if j in carrying:
             for c in reversed(chain):
                 place_joint(skeleton, c, local, position, rotation)
+            if not free[j]:
+                continue  # its markers cannot turn it
             mine = joints == j
             target = turned_to(seen[:, mine], places[mine], weight[:, mine], position[:, j], rotation[:, j])
             share(skeleton, [c for c in chain[::-1] if free[c]], target, local, position, rotation)
@@ -85,9 +87,10 @@ def trunk(skeleton, joints, places, prior, seen, weight) -> tuple[np.ndarray, np
         known = np.flatnonzero((weight > 0).any(1))[:1]
     if len(known) == 0:
         return np.zeros((len(seen), 3)), local
-    nearest = known[np.abs(np.arange(len(seen))[:, None] - known[None]).argmin(1)] if len(known) < len(seen) else known
+    frames = np.arange(len(seen))
+    nearest = known[np.rint(np.interp(frames, known, np.arange(len(known)))).astype(int)]
     for a in range(3):
-        root[:, a] = np.interp(np.arange(len(seen)), known, root[known, a])
+        root[:, a] = np.interp(frames, known, root[known, a])
     local[:, 0] = turn[nearest]
     return root, local
 

@@ -15,7 +15,7 @@ from mocapfix.take import runs
 ENOUGH = 2.0  # seconds of wholly seen motion, without which a take cannot tell
 FADE = 0.3  # seconds after which the difference at a gap's edge has lost most of its memory
 REACH = 0.1  # seconds beside a gap that are listened to
-UNSURE = 0.05  # radians per axis: what a recalled rotation counts as in the smoothing
+UNSURE = 0.2  # radians per axis: what a recalled rotation counts as in the smoothing
 GRAIN = np.array([0.05] * 3 + [0.05] + [0.2] * 3 + [0.5] * 3)  # differences of tilt, height, velocity, turning that mean nothing
 TURN_GRAIN = 0.1  # radians, likewise of joints
 

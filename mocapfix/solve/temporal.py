@@ -81,12 +81,10 @@ def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rat
     smooth = Rotation.from_quat(course(quaternions, sure, power, rate)).as_matrix()
     open_variance = np.zeros(len(rotations))
     for first, last in runs(unsure):
-        a, b = np.arange(1, last - first + 2) / rate, np.arange(last - first + 1, 0, -1) / rate
-        if first == 0:
-            a = np.full(len(a), np.inf)
-        if last == len(rotations) - 1:
-            b = np.full(len(b), np.inf)
-        open_variance[first : last + 1] = DOUBT * power[first : last + 1].mean() / 3 / (1 / a + 1 / b) ** 3
+        since, until = np.arange(1, last - first + 2) / rate, np.arange(last - first + 1, 0, -1) / rate
+        near = (first > 0) / since + (last < len(rotations) - 1) / until  # an end that is not there is infinitely far
+        third = np.divide(1.0, near**3, out=np.full(len(near), np.inf), where=near > 0)
+        open_variance[first : last + 1] = DOUBT * power[first : last + 1].mean() / 3 * third
     return smooth, open_variance
 
 

@@ -58,7 +58,6 @@ def test_poses_unlike_all_others_are_taken_and_the_roots_turn_is_no_difference()
     assert set(rare) <= set(frames.varied(still, np.random.default_rng(0)))
 
 
-@pytest.mark.xfail(reason="farthest-point selection takes the same pose again when no other is any farther")
 def test_poses_all_alike_are_still_chosen_once_each():
     found = frames.varied(np.tile(np.eye(3), (400, 4, 1, 1)), np.random.default_rng(0))
     assert len(np.unique(found)) == frames.CHOSEN

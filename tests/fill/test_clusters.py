@@ -38,13 +38,13 @@ def test_a_rigid_thing_gives_its_marker_back(seed, first, length):
 def test_a_hinge_beyond_the_thing_is_learnt():
     """A marker that swings with another one of its neighbours is placed from it, not held where it is on average."""
     truth = tumbling(size=6)
-    swing = 0.3 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1]) 
+    swing = 2.0 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1])
     truth[:, 4] += swing
     truth[:, 5] += 0.8 * swing
     filled, deviation = rigid(without(truth, 5, 120, 219), RATE)
     error = np.sqrt(((filled - truth)[120:220, 5] ** 2).mean())
     assert error < 0.3 * np.sqrt((0.8 * swing[120:220] ** 2).mean())
-    assert error < 2 * np.median(deviation[120:220, 5])
+    assert error < 3 * np.median(deviation[120:220, 5])
 
 
 def test_the_difference_at_the_edges_is_carried_across():

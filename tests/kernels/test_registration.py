@@ -98,7 +98,6 @@ def test_takes_that_say_next_to_nothing_still_give_rotations(left):
     np.testing.assert_allclose(np.linalg.det(found.rotations), 1.0)
 
 
-@pytest.mark.xfail(raises=IndexError, reason="registration.share knows no chain without a free joint")
 def test_a_marker_on_a_joint_that_cannot_turn_does_not_stop_the_rest():
     toe = BODY.skeleton.index("LeftToeBase")
     assert not BODY.free[toe]

@@ -1,0 +1,312 @@
+"""What a technician meets at the terminal: commands, exit statuses, and a sentence for everything that can be wrong."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mocapfix.cli import between, main
+from tests.c3d_files import c3d_bytes
+from tests.conftest import as_c3d
+
+KINDS = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+
+
+@pytest.fixture
+def mocapfix(capsys):
+    """-> run a command: exit status, standard output, standard error"""
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as left:
+            main([str(each) for each in arguments])
+        said = capsys.readouterr()
+        return left.value.code, said.out, said.err
+
+    return run
+
+
+def flat(text):
+    return " ".join(text.split())
+
+
+# the commands
+
+
+def test_help_shows_the_commands_in_the_order_of_the_work():
+    done = subprocess.run([sys.executable, "-m", "mocapfix", "--help"], capture_output=True, text=True, encoding="utf-8", check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    places = [re.search(rf"^\W*{command}\s+\S", done.stdout, re.M) for command in ("demo", "inspect", "calibrate", "clean", "view")]
+    assert None not in places
+    starts = [place.start() for place in places if place]
+    assert starts == sorted(starts)
+    assert "usage: mocapfix" in done.stdout
+
+
+def test_every_option_of_clean_is_told_with_its_unit_and_default(mocapfix):
+    status, out, _ = mocapfix("clean", "--help")
+    told = flat(out.replace("│", " "))
+    assert status == 0
+    for option in ("--out DIR", "--marker-set NAME|FILE", "--subject FILE", "--prior NAME|none", "--overwrite", "--json",
+                   "--max-gap SECONDS", "--keep MARKER,...", "--frames FIRST:LAST"):  # fmt: skip
+        assert option in told
+    assert "(default: 600.0)" in told
+    assert "(default: mean-pose)" in told
+
+
+def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):
+    status, out, _ = mocapfix("demo", "--out", tmp_path / "here")
+    assert status == 0
+    assert {path.name for path in (tmp_path / "here").iterdir()} == {"demo.c3d", "demo.mocapfix"}
+    assert {path.name for path in (tmp_path / "here" / "demo.mocapfix").iterdir()} == {f"demo.{kind}" for kind in KINDS}
+    assert "10 s of 41 markers" in flat(out)
+    heading = next(line for line in out.splitlines() if "linear" in line)
+    assert re.search(r"linear.*cubic.*mocapfix", heading)
+    rows = {name: [float(x) for x in re.findall(r"\d+\.\d", line.split(name)[1])] for name in ("gaps under 0.5 s", "spikes")
+            for line in out.splitlines() if name in line}  # fmt: skip
+    for linear, cubic, ours in rows.values():
+        assert ours < min(linear, cubic)
+    assert "See it move: mocapfix view" in flat(out)
+
+
+def test_inspect_lists_what_is_wrong(mocapfix, brief):
+    status, out, err = mocapfix("inspect", brief.path)
+    assert (status, err) == (0, "")
+    said = flat(out)
+    assert said.startswith("brief.c3d: 41 markers, frames 301 to 420 at 120 Hz. ")
+    assert "41 of its 41 markers were found." in said
+    for marker, kind, frames in (("RELB", "gap", "341-360"), ("LKNE", "gap", "371-390"), ("STRN", "spike", "321-321")):
+        assert re.search(rf"{marker}\W+{kind}\W+{frames}", said)
+
+
+def test_inspect_finds_nothing_wrong_with_a_sound_take(mocapfix, cleaned, tmp_path):
+    sound = tmp_path / "sound.c3d"
+    sound.write_bytes(as_c3d(cleaned.truth.markers[:60], cleaned.truth.labels))
+    assert "Nothing is wrong with it." in mocapfix("inspect", sound)[1]
+
+
+def test_inspect_writes_one_json_document(mocapfix, brief):
+    status, out, _ = mocapfix("inspect", brief.path, "--json")
+    said = json.loads(out)
+    assert (status, list(said)) == (0, ["take", "faults", "notes"])
+    assert (said["take"]["frames"], said["take"]["first_frame"], said["take"]["marker_set"]) == (120, 301, "cmu41")
+    assert {"RELB", "LKNE", "STRN"} <= {fault["marker"] for fault in said["faults"]}
+
+
+def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
+    subject = tmp_path / "somebody.yaml"
+    status, out, _ = mocapfix("calibrate", brief.path, "-o", subject)
+    assert status == 0
+    assert "41 markers on 31 joints, from" in flat(out)
+    status, out, _ = mocapfix("clean", brief.path, "--subject", subject, "--out", tmp_path / "out")
+    assert status == 0
+    assert (tmp_path / "out" / "brief.subject.yaml").read_text() == subject.read_text()
+    status, _, err = mocapfix("calibrate", brief.path, "-o", subject)
+    assert (status, flat(err)) == (1, f"{subject}: is there already; give --overwrite to replace it, or another folder with --out.")
+
+
+def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_path):
+    take = tmp_path / "walk.1.c3d"
+    take.write_bytes(brief.path.read_bytes())
+    status, out, _ = mocapfix("clean", take, "--subject", brief.subject)
+    assert status == 0
+    assert {path.name for path in (tmp_path / "walk.1.mocapfix").iterdir()} == {f"walk.1.{kind}" for kind in KINDS}
+    assert "walk.1.c3d: 40 samples were missing, 40 are filled; 1 faulty ones mended; 0 left empty." in flat(out)
+    status, _, err = mocapfix("clean", take, "--subject", brief.subject)
+    assert status == 1
+    assert "walk.1.c3d: is there already; give --overwrite to replace it, or another folder with --out." in err
+    assert mocapfix("clean", take, "--subject", brief.subject, "--overwrite")[0] == 0
+
+
+def test_clean_with_json_prints_the_report_and_nothing_else(mocapfix, brief, tmp_path):
+    status, out, _ = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--json")
+    assert status == 0
+    assert json.loads(out) == json.loads((tmp_path / "brief.report.json").read_text())
+
+
+def test_what_may_be_touched_is_taken_from_the_options(mocapfix, brief, tmp_path):
+    status, out, _ = mocapfix(
+        "clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--json", "--keep", "RELB, STRN", "--frames", "361:"
+    )
+    fill = json.loads(out)["fill"]
+    assert status == 0
+    assert (fill["missing_before"], fill["filled"], fill["mended"], fill["left_empty"]) == (40, 20, 0, 20)
+    assert [(each["marker"], each["first"], each["last"]) for each in fill["left"]] == [("RELB", 341, 360)]
+    assert "it was not to be touched (--keep, --frames)" in fill["left"][0]["reason"]
+
+
+def test_one_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):
+    takes = []
+    for name in ("one", "two", "three"):
+        takes.append(tmp_path / f"{name}.c3d")
+        takes[-1].write_bytes(brief.path.read_bytes() if name != "two" else b"nothing of the kind")
+    status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--json")
+    assert status == 1
+    assert [report["take"]["file"] for report in json.loads(out)] == ["one.c3d", "three.c3d"]
+    assert "two.c3d: is not a C3D file" in err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{name}.{kind}" for name in ("one", "three") for kind in KINDS}
+
+
+@pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
+def test_a_second_take_of_the_same_stem_does_not_replace_the_first(mocapfix, brief, tmp_path, overwrite):
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "walk.c3d").write_bytes(brief.path.read_bytes())
+    takes = [tmp_path / folder / "walk.c3d" for folder in ("monday", "tuesday")]
+    status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--json", *overwrite)
+    assert status == 1
+    assert len(json.loads(out)) == 1
+    assert "walk.c3d: is there already" in err
+
+
+def test_view_opens_the_recording_that_clean_wrote(mocapfix, cleaned, monkeypatch):
+    asked = []
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: asked.append(command) or subprocess.CompletedProcess(command, 0))
+    assert mocapfix("view", cleaned.outputs["rrd"].parent)[0] == 0
+    assert mocapfix("view", cleaned.outputs["rrd"])[0] == 0
+    assert [command[-1] for command in asked] == [str(cleaned.outputs["rrd"])] * 2
+
+
+def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocapfix, cleaned, tmp_path, monkeypatch):
+    for nothing in (tmp_path, tmp_path / "gone.rrd"):
+        status, _, err = mocapfix("view", nothing)
+        assert (status, err.strip()) == (
+            1, f"{nothing}: holds no recording (.rrd); give the folder that clean wrote, or a file in it.",
+        )  # fmt: skip
+    monkeypatch.setattr(subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 7))
+    status, _, err = mocapfix("view", cleaned.outputs["rrd"])
+    assert status == 1
+    assert "rerun could not show it (exit 7); is there a screen on this machine?" in err
+
+
+# wrong usage
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["clean"], "clean: name at least one take (a C3D file)."),
+        (["calibrate", "-o", "somebody.yaml"], "calibrate: name at least one take (a C3D file)."),
+        (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be more than 0 seconds, not 0."),
+        (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
+        (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
+        (["clean", "a.c3d", "--max-gap", "long"], "--max-gap"),
+        (["clean", "a.c3d", "--maxgap", "1"], "--maxgap"),
+        (["mend", "a.c3d"], "mend"),
+        (["calibrate", "a.c3d"], "--output"),
+    ],
+)
+def test_wrong_usage_is_status_2(mocapfix, arguments, sentence):
+    status, out, err = mocapfix(*arguments)
+    assert (status, out) == (2, "")
+    assert sentence in flat(err.replace("│", " "))
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [(":", None), ("100:250", (100, 250)), ("100:", (100, 2**62)), (":250", (-(2**62), 250)), ("7:7", (7, 7))],
+)
+def test_frames_are_first_to_last(said, meant):
+    assert between(said) == meant
+
+
+# bad input
+
+
+def two_markers_at_a_time(brief):
+    markers = np.full_like(brief.markers, np.nan)
+    markers[:60, :2], markers[60:, 2:4] = brief.markers[:60, :2], brief.markers[60:, 2:4]
+    return as_c3d(markers, brief.labels)
+
+
+FILES = {
+    "cut off": (lambda brief: brief.path.read_bytes()[:-20_000], r"is cut off: 120 frames are promised, \d+ are there; copy or export"),
+    "empty": (lambda _: b"", r"is empty \(0 bytes\); copy or export it again"),
+    "random": (lambda _: np.random.default_rng(0).bytes(8000), r"is not a C3D file; .* export the capture as C3D"),
+    "random, nearly": (lambda _: b"\x02\x50" + np.random.default_rng(1).bytes(8000), r"; (copy it again|copy or export|export it)"),
+    "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"is not a C3D file; .* export the capture as C3D"),
+    "without points": (lambda _: c3d_bytes(np.zeros((5, 0, 3)), [], extra={"POINT:LABELS": None}), r"holds no points; export"),
+    "two markers": (two_markers_at_a_time, r"no frame shows three markers, so nothing can be placed; check the labels"),
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_file_that_is_no_take_is_named_and_leaves_nothing_behind(mocapfix, brief, tmp_path, kind):
+    make, sentence = FILES[kind]
+    take = tmp_path / "bad [1].c3d"
+    take.write_bytes(make(brief))
+    refused(mocapfix("clean", take), take.name, sentence)
+    refused(mocapfix("clean", take, "--out", tmp_path / "out", "--json"), take.name, sentence)
+    assert [path.name for path in tmp_path.iterdir()] == [take.name]
+
+
+def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
+    refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
+    refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the C3D files in it")
+    bvh = cleaned.outputs["bvh"]
+    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is a BVH; .* give it the capture")
+    for command in ("inspect", "clean"):
+        refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
+    refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--marker-set", "helen-hayes"], "helen-hayes: no such marker set; name one of cmu41, plug-in-gait39, or give a YAML file"),
+        (["--marker-set", "plug-in-gait39"], "brief.c3d: plug-in-gait39 does not fit: "),
+        (["--prior", "dancing"], "There is no prior named 'dancing'; choose one of: mean-pose, none"),
+        (["--frames", "1:20"], "brief.c3d: frames 1 to 20 are not in the take, which has 301 to 420"),
+        (["--keep", "NOSE"], "brief.c3d: has no marker NOSE to keep; its markers are "),
+        (["--subject", "gone.yaml"], "gone.yaml"),
+    ],
+)
+def test_an_option_that_does_not_fit_is_named(mocapfix, brief, tmp_path, options, sentence):
+    refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", *options), "", re.escape(sentence))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "bones: 7", "- a\n- b", "marker_set: cmu41\nframes: -1", "\x00\x01", "marker_set: [cmu41"], ids=repr
+)
+def test_a_corrupt_subject_is_named(mocapfix, brief, tmp_path, text):
+    subject = tmp_path / "corrupt.yaml"
+    subject.write_text(text, encoding="utf-8")
+    refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", "--subject", subject), "corrupt.yaml", "")
+    assert [path.name for path in tmp_path.iterdir()] == ["corrupt.yaml"]
+
+
+def test_outputs_that_cannot_be_written_are_named(mocapfix, brief, tmp_path):
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    for where in (taken, taken / "deeper"):
+        status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
+        refused(status, where.name, "cannot be made a folder .*; choose another with --out")
+    refused(mocapfix("demo", "--out", taken), "taken", "cannot be made a folder")
+    missing = tmp_path / "gone" / "somebody.yaml"
+    refused(mocapfix("calibrate", brief.path, "-o", missing), "somebody.yaml", "cannot be written")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+    assert taken.read_text() == "a file"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="folders cannot be locked for this user")
+def test_a_locked_folder_is_named(mocapfix, brief, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    refused(mocapfix("clean", brief.path, "--subject", brief.subject, "--out", locked), "brief.c3d", "cannot be written")
+    assert list(locked.iterdir()) == []
+
+
+def refused(done, name, sentence):
+    """One message on standard error that names the file and says what to do, nothing on standard output, status 1."""
+    status, out, err = done
+    assert (status, out) == (1, "")
+    assert name in err
+    assert re.search(sentence, err)
+    assert "Traceback" not in err
+    assert len(err.strip().splitlines()) == 1
+    assert err.strip().endswith(".")
