@@ -16,6 +16,8 @@ from mocapfix.errors import MocapfixError, ReadError
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
+MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
+PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -38,7 +40,8 @@ def demo(
     pipeline.make_folder(folder)
     truth, path = synthetic.take(seed=seed), folder / "demo.c3d"
     synthetic.write(path, truth)
-    out.print(f"Composed {escape(str(path))}: {len(truth.markers) / truth.rate:.0f} s of 41 markers, {truth.struck.sum()} samples missing.")
+    seconds, markers = len(truth.markers) / truth.rate, truth.markers.shape[1]
+    out.print(f"Composed {escape(str(path))}: {seconds:.0f} s of {markers} markers, {truth.struck.sum()} samples missing.")
     with staged(path.name) as progress:
         result = pipeline.clean(path, progress=progress)
         outputs = result.write(folder / "demo.mocapfix", overwrite=True)
@@ -54,7 +57,10 @@ def demo(
     return DONE
 
 
-def inspect(take: OneTake, as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False) -> int:
+def inspect(
+    take: OneTake,
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
+) -> int:
     """Say what is wrong with a take: gaps, spikes, jitter. Nothing is written."""
     from mocapfix import detect, marker_set, read, record
 
@@ -69,11 +75,13 @@ def inspect(take: OneTake, as_json: Annotated[Flag, tyro.conf.arg(name="json", h
         sys.stdout.write(json.dumps(said, indent=1) + "\n")
         return DONE
     first, last = found.first_frame, found.frame_number(found.frames - 1)
-    out.print(f"{escape(found.name)}: {len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz. {escape(choice.reason)}")
+    size = f"{len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz"
+    out.print(f"{escape(found.name)}: {size}. {escape(choice.reason)}", soft_wrap=True)
     table = Table("marker", "kind", "frames", "severity, mm", "reason")
     for fault in said["faults"]:
         severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
-        table.add_row(escape(fault["marker"]), fault["kind"], f"{fault['first']}-{fault['last']}", severity, escape(fault["reason"]))
+        where = f"{fault['first']}-{fault['last']}"
+        table.add_row(escape(fault["marker"]), fault["kind"], where, severity, escape(fault["reason"]))
     if said["faults"]:
         out.print(table)
     else:
@@ -83,9 +91,11 @@ def inspect(take: OneTake, as_json: Annotated[Flag, tyro.conf.arg(name="json", h
 
 def calibrate(
     takes: Takes,
-    subject: Annotated[Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")],
-    marker_set: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")] = None,
-    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")] = "mean-pose",
+    subject: Annotated[
+        Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")
+    ],
+    marker_set: MarkerSetName = None,
+    prior: PriorName = "mean-pose",
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a subject file that is there")] = False,
 ) -> int:
     """Find a person's bones and marker places from takes of them, to be given to `clean --subject`."""
@@ -98,21 +108,30 @@ def calibrate(
         progress("calibrate")
         known = pipeline.calibrated(takes, marker_set, prior)
         subject_file.save(subject, known)
-    out.print(f"{escape(str(subject))}: {len(known.labels)} markers on {len(known.skeleton.names)} joints, from {known.frames} frames.")
+    what = f"{len(known.labels)} markers on {len(known.skeleton.names)} joints, from {known.frames} frames"
+    out.print(f"{escape(str(subject))}: {what}.", soft_wrap=True)
     return DONE
 
 
 def clean(
     takes: Takes,
-    folder: Annotated[Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")] = None,
-    marker_set: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")] = None,
-    subject: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")] = None,
-    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")] = "mean-pose",
+    folder: Annotated[
+        Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")
+    ] = None,
+    marker_set: MarkerSetName = None,
+    subject: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")
+    ] = None,
+    prior: PriorName = "mean-pose",
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
-    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")] = False,
+    as_json: Annotated[
+        Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
+    ] = False,
     max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
     keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
-    frames: Annotated[str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")] = ":",
+    frames: Annotated[
+        str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
+    ] = ":",
 ) -> int:
     """Clean takes: faults found, gaps filled, spikes mended; a C3D, a BVH, a report and a recording written."""
     from mocapfix import pipeline
@@ -128,9 +147,12 @@ def clean(
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")
         try:
-            pipeline.check_free(pipeline.outputs_in(where, take.stem, True).values(), overwrite and where / take.stem not in written)
+            outputs = pipeline.outputs_in(where, take.stem, True)
+            pipeline.check_free(outputs.values(), overwrite and where / take.stem not in written)
             with staged(take.name) as progress:
-                result = pipeline.clean(take, marker_set=marker_set, subject=subject, prior=prior, options=options, progress=progress)
+                result = pipeline.clean(
+                    take, marker_set=marker_set, subject=subject, prior=prior, options=options, progress=progress
+                )
                 outputs = result.write(where, overwrite=True)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
@@ -185,19 +207,22 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
     fill, take = report["fill"], report["take"]
     out.print(
         f"[bold]{escape(take['file'])}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
-        f"{fill['mended']} faulty ones mended; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s."
+        f"{fill['mended']} faulty ones mended; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
+        soft_wrap=True,
     )
     if report["solve"]:
         residual = report["solve"]["marker_residual_mm"]
-        out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.")
+        out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.", soft_wrap=True)
     for each in fill["left"][:5]:
-        out.print(f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.")
+        out.print(
+            f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.", soft_wrap=True
+        )
     if len(fill["left"]) > 5:
         out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
     for note in report["notes"]:
-        out.print(f"  {escape(note)}")
+        out.print(f"  {escape(note)}", soft_wrap=True)
     folder = outputs["c3d"].parent
-    out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}")
+    out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
 
 
 def between(frames: str) -> tuple[int, int] | None:

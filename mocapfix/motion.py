@@ -29,6 +29,10 @@ class Motion:
     iterations: np.ndarray
     deviation: np.ndarray
 
+    def at(self, frames: np.ndarray) -> "Motion":
+        """-> the motion of some frames alone, by index."""
+        return Motion(*(np.ascontiguousarray(field[frames]) for field in vars(self).values()))
+
     @property
     def frames(self) -> int:
         return len(self.root)

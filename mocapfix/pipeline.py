@@ -12,8 +12,8 @@ import numpy as np
 from mocapfix import calibrate, detect, fill, initialise, marker_set, prior, read, record, solve, subject_file
 from mocapfix.errors import TakeError, WriteError
 from mocapfix.faults import Faults
-from mocapfix.fill import FillOptions
 from mocapfix.files import replacing
+from mocapfix.fill import FillOptions
 from mocapfix.kernels import kinematics
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
@@ -62,7 +62,7 @@ class Result:
             if beyond:
                 labels = sorted({self.before.labels[m] for _, m in beyond})
                 self.report["notes"].append(
-                    f"{len(beyond)} mended samples of {', '.join(labels)} lie beyond what this integer file can hold and were left empty."
+                    f"{len(beyond)} mended samples of {', '.join(labels)} lie beyond what this file can hold and were left empty."
                 )
                 self.report["fill"]["left_empty"] += len(beyond)
                 self.report["fill"]["filled"] -= len(beyond)
@@ -216,7 +216,8 @@ def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.n
         notes.append(f"{strangers} markers are not of the marker set; their gaps were filled from how markers move together.")
     poor = [take.labels[m] for m in columns[there] if (error[:, m] > FAR).sum() > 0.5 * (~np.isnan(error[:, m])).sum()]
     if poor:
-        notes.append(f"{', '.join(poor)} lie more than {FAR * 1e3:.0f} mm from the body for half the take: are they labelled right?")
+        far = f"more than {FAR * 1e3:.0f} mm from the body for half the take"
+        notes.append(f"{', '.join(poor)} lie {far}: are they labelled right?")
     return position, error, notes
 
 
@@ -242,7 +243,7 @@ def check_free(outputs, overwrite: bool) -> None:
     """Raise WriteError where an output is there already and must not be replaced."""
     there = [path for path in outputs if path.exists()]
     if there and not overwrite:
-        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another name or folder.")
+        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another folder with --out.")
 
 
 def make_folder(folder: Path) -> None:

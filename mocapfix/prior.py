@@ -11,7 +11,6 @@ from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
 
-
 @dataclass(frozen=True)
 class Prior:
     """A mean pose and how far each joint strays from it.
@@ -60,5 +59,6 @@ def load(name: str, skeleton: Skeleton) -> Prior:
             for axis in np.array(said["held"], float).reshape(-1, 3):  # held axes are axes of the covariance
                 held[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            raise SceneError(f"{path}: joints.{joint} must hold quaternion_xyzw and covariance (xx, yy, zz, xy, xz, yz) and held.") from error
+            keys = "quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz) and held"
+            raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
     return Prior(name, rotations, information, held)

@@ -31,7 +31,8 @@ def read_yaml(path: Path) -> dict:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
-        raise SceneError(f"{path}{where}: not valid YAML ({getattr(error, 'problem', error)}).") from error
+        problem = getattr(error, "problem", None) or getattr(error, "reason", error)
+        raise SceneError(f"{path}{where}: not valid YAML ({problem}).") from error
     if not isinstance(data, dict):
         raise SceneError(f"{path}: holds no key: value pairs; is it the right file?")
     return data

@@ -309,4 +309,4 @@ def refused(done, name, sentence):
     assert re.search(sentence, err)
     assert "Traceback" not in err
     assert len(err.strip().splitlines()) == 1
-    assert err.strip().endswith(".")
+    assert err.strip().endswith((".", "?"))

@@ -1,6 +1,6 @@
 """Calibration: this person's bones and marker places, from the take alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
     looked = frames.candidates(markers)
     motion = refine.posed(start, body, prior, markers[looked])
     chosen = frames.varied(motion.rotations, np.random.default_rng(0))
-    return refine.refined(start, body, prior, marker_set, markers[looked[chosen]], motion, chosen)
+    return refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
 
 
 def scaled(skeleton: Skeleton, factor: float) -> Skeleton:

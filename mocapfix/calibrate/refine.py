@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames
+from mocapfix.kernels import kinematics
+from mocapfix.kernels.levenberg import Attached, Tree
+from mocapfix.kernels.problem import Problem, no_pull, pull_to
 from mocapfix.kernels.registration import poses
 from mocapfix.kernels.shared import add_frames
 from mocapfix.kernels.threads import over_frames
-from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
@@ -49,80 +50,58 @@ def group_of(body: Body) -> np.ndarray:
     return of
 
 
-def pull_to(prior: Prior) -> Pull:
-    """-> the pose prior as a pull, as weak as calibration wants it."""
-    return Pull(prior.rotations[None], prior.weakened(PRIOR_WEIGHT).information[None], np.zeros((1, 3)), np.zeros(1))
+def problem_of(start: Subject, body: Body, prior: Prior, markers: np.ndarray, shape: Shape) -> Problem:
+    """-> the pose problem of frames (N, K, 3) on the body that `shape` makes of `start`."""
+    groups = group_of(body)
+    scale = np.exp(shape.size + np.where(groups >= 0, shape.groups[groups], 0.0))
+    tree = Tree(start.skeleton.parents, start.skeleton.offsets * scale[:, None], body.free)
+    pull = pull_to(prior.weakened(PRIOR_WEIGHT))
+    return Problem(tree, Attached(start.joints, shape.places), markers, ~np.isnan(markers[..., 0]), MARKER_SD, pull)
 
 
-def no_pull(joints: int) -> Pull:
-    """-> a pull that pulls nothing."""
-    return Pull(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
-
-
-def tree_of(subject: Subject, body: Body, groups: np.ndarray, shape: Shape | None = None) -> Tree:
-    offsets = subject.skeleton.offsets
-    if shape is not None:
-        offsets = offsets * np.exp(shape.size + np.where(groups >= 0, shape.groups[groups], 0.0))[:, None]
-    return Tree(subject.skeleton.parents, offsets, body.free)
-
-
-def solve(tree, attached, markers, prior, motion, scales, most) -> None:
-    """Solve the frames' poses in place from where they are."""
-    believed = ~np.isnan(markers[..., 0])
-    weight = believed / MARKER_SD**2
-    seen = np.where(believed[..., None], markers, 0.0)
-    scales2 = (np.asarray(scales) / MARKER_SD) ** 2
-    none = no_pull(len(tree.parents))
-    over_frames(
-        solve_frames, len(markers), tree, attached, seen, weight, scales2, none, prior, motion.root, motion.rotations, most,
-        motion.status, motion.iterations,
-    )  # fmt: skip
+def unchanged(start: Subject, body: Body) -> Shape:
+    """-> the shape that leaves `start` as it is."""
+    return Shape(0.0, np.zeros(len(body.groups)), start.places.copy())
 
 
 def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Motion:
     """-> poses of frames (N, K, 3) on a body not yet calibrated, robustly, so that spikes do not pass for variety."""
     motion = poses(start, body.free, prior, markers)
-    tree, attached = tree_of(start, body, group_of(body)), Attached(start.joints, start.places)
-    solve(tree, attached, markers, pull_to(prior), motion, (0.4, 0.2, 0.1), 8)
+    problem = problem_of(start, body, prior, markers, unchanged(start, body))
+    problem.solve(motion.root, motion.rotations, no_pull(len(body.free)), (0.4, 0.2, 0.1), 8)
     return motion
 
 
-def refined(start, body, prior, marker_set: MarkerSet, markers, motion: Motion, chosen: np.ndarray) -> Subject:
-    """-> `start` with the bones and places that fit the frames `markers` (N, K, 3) best; their poses are motion[chosen]."""
-    motion = Motion(*(np.ascontiguousarray(field[chosen]) for field in vars(motion).values()))
-    groups, pull = group_of(body), pull_to(prior)
-    believed = ~np.isnan(markers[..., 0])
-    seen, weight = np.where(believed[..., None], markers, 0.0), believed / MARKER_SD**2
-    shape = Shape(0.0, np.zeros(len(body.groups)), start.places.copy())
-    damping, last = 1e-3, np.inf
-    system = None
+def refined(start: Subject, body: Body, prior: Prior, markers: np.ndarray, motion: Motion) -> Subject:
+    """-> `start` with the bones and places that fit the frames `markers` (N, K, 3), posed by `motion`, best."""
+    root, local = motion.root.copy(), motion.rotations.copy()
+    shape, damping, last, system = unchanged(start, body), 1e-3, np.inf, None
     for _ in range(ROUNDS):
-        trial_motion = Motion(*(field.copy() for field in vars(motion).values()))
         trial = shape if system is None else shape.moved(step(*system, damping))
-        tree, attached = tree_of(start, body, groups, trial), Attached(start.joints, trial.places)
-        solve(tree, attached, markers, pull, trial_motion, (ROBUST,), 6)
-        now = reduced(tree, attached, groups, len(body.groups), seen, weight, pull, trial_motion, start, trial)
-        if now[0] < last:
-            enough = last - now[0] < ENOUGH * now[0]
-            shape, motion, last, system = trial, trial_motion, now[0], now[1:]
+        problem, trial_root, trial_local = problem_of(start, body, prior, markers, trial), root.copy(), local.copy()
+        problem.solve(trial_root, trial_local, no_pull(len(body.free)), (ROBUST,), 6)
+        cost, *trial_system = reduced(problem, group_of(body), trial_root, trial_local, start, trial)
+        if cost < last:
+            enough = last - cost < ENOUGH * cost
+            shape, root, local, last, system = trial, trial_root, trial_local, cost, trial_system
             damping = max(damping / 5, 1e-6)
             if enough:
                 break
         else:
-            damping = max(damping * 10, 1e-3)
+            damping *= 10
             if damping > 1e3:
                 break
-    return finished(start, body, groups, shape, markers, motion)
+    return finished(start, problem_of(start, body, prior, markers, shape), root, local)
 
 
-def reduced(tree, attached, groups, count, seen, weight, pull, motion, start, shape):
+def reduced(problem: Problem, groups: np.ndarray, root, local, start: Subject, shape: Shape):
     """-> cost, curvature (P, P) and gradient (P,) of the shared unknowns with the poses eliminated and priors added."""
-    frames, unknowns = len(seen), 1 + count + 3 * len(attached.joints)
+    frames, count = len(root), len(shape.groups)
+    unknowns = 1 + count + shape.places.size
     curvature, gradient, cost = np.zeros((frames, unknowns, unknowns)), np.zeros((frames, unknowns)), np.zeros(frames)
-    none = no_pull(len(tree.parents))
     over_frames(
-        add_frames, frames, tree, attached, groups, count, seen, weight, (ROBUST / MARKER_SD) ** 2, none, pull, motion.root,
-        motion.rotations, curvature, gradient, cost,
+        add_frames, frames, problem.tree, problem.attached, groups, count, problem.seen, problem.weight,
+        problem.scales2((ROBUST,))[0], no_pull(len(groups)), problem.prior, root, local, curvature, gradient, cost,
     )  # fmt: skip
     away = np.r_[0.0, shape.groups, (shape.places - start.places).ravel()]
     information = np.r_[1e-6, np.full(count, 1 / GROUP_SD**2), np.full(shape.places.size, 1 / PLACE_SD**2)]
@@ -136,14 +115,15 @@ def step(curvature, gradient, damping) -> np.ndarray:
     return np.linalg.solve(symmetric + damping * np.diag(np.diag(symmetric)), -gradient)
 
 
-def finished(start, body, groups, shape, markers, motion) -> Subject:
-    tree, attached = tree_of(start, body, groups, shape), Attached(start.joints, shape.places)
-    skeleton = replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * np.exp(shape.size))
-    from mocapfix.kernels.kinematics import markers as carried
-    from mocapfix.kernels.kinematics import world
-
-    subject = replace(start, skeleton=skeleton, places=shape.places, frames=len(markers))
-    distance = np.linalg.norm(markers - carried(subject, *world(skeleton, motion)), axis=-1)
+def finished(start: Subject, problem: Problem, root: np.ndarray, local: np.ndarray) -> Subject:
+    """-> the subject of a solved problem; a marker's spread is the median of its distances, per axis."""
+    tree, places = problem.tree, problem.attached.places
+    size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
+    skeleton = replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size)
+    subject = replace(start, skeleton=skeleton, places=places, frames=len(root))
+    nothing = np.zeros(len(root), int)
+    placed = kinematics.markers(subject, *kinematics.world(skeleton, Motion(root, local, nothing, nothing, np.zeros(0))))
+    distance = np.linalg.norm(problem.markers - placed, axis=-1)
     seen = (~np.isnan(distance)).any(0)
     spread = start.spread.copy()
     spread[seen] = np.sqrt(np.nanmedian(distance[:, seen] ** 2, axis=0) / 3)

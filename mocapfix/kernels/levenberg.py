@@ -174,9 +174,7 @@ def solve_frame(tree, attached, seen, weight, scales2, pulls, root, local, most)
         for _ in range(most):
             if fresh:
                 forward(tree.parents, tree.offsets, root, local, position, rotation)
-                cost = linearise(
-                    tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b
-                )
+                cost = linearise(tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b)
                 if mu < 0:
                     mu = TAU * max(largest(h), 1.0)
                 arms(position, arm)
@@ -191,9 +189,7 @@ def solve_frame(tree, attached, seen, weight, scales2, pulls, root, local, most)
                 break
             turned(tree, root, local, rotation, twist, turn, new_root, new_local)
             forward(tree.parents, tree.offsets, new_root, new_local, position, rotation)
-            new_cost = total_cost(
-                tree, attached, seen, weight, scale2, pulls, new_local, position, rotation, spare, spare3
-            )
+            new_cost = total_cost(tree, attached, seen, weight, scale2, pulls, new_local, position, rotation, spare, spare3)
             fresh = new_cost < cost
             if fresh:
                 rho = (cost - new_cost) / promised

@@ -113,7 +113,12 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
         for m in range(markers):
             if trusted[m] == 0.0:
                 continue
-            r, x, y, z = rotation[attached.joints[m]], moved[m, 0] * trusted[m], moved[m, 1] * trusted[m], moved[m, 2] * trusted[m]
+            r, x, y, z = (
+                rotation[attached.joints[m]],
+                moved[m, 0] * trusted[m],
+                moved[m, 1] * trusted[m],
+                moved[m, 2] * trusted[m],
+            )
             at = 1 + count + 3 * m
             for a in range(3):
                 along = r[0, a] * x + r[1, a] * y + r[2, a] * z
@@ -131,7 +136,9 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
 
 
 @njit(cache=True, nogil=True)
-def add_frames(tree, attached, groups, count, seen, weight, scale2, target, prior, root, local, curvature, gradient, cost, first, stop):
+def add_frames(
+    tree, attached, groups, count, seen, weight, scale2, target, prior, root, local, curvature, gradient, cost, first, stop
+):
     """`add_frame` on first..stop, each into its own row: curvature (T, P, P), gradient (T, P), cost (T,)."""
     for t in range(first, stop):
         pulls = (of_frame(target, t), of_frame(prior, t))

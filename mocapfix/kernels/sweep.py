@@ -51,9 +51,7 @@ def factor(parents, free, arm, h, own, mu, gain, inverse_own):
         inverse_3(k, inverse_own[i])
         for a in range(6):
             for b in range(3):
-                gain[i, a, b] = (
-                    u[a, 0] * inverse_own[i, 0, b] + u[a, 1] * inverse_own[i, 1, b] + u[a, 2] * inverse_own[i, 2, b]
-                )
+                gain[i, a, b] = u[a, 0] * inverse_own[i, 0, b] + u[a, 1] * inverse_own[i, 1, b] + u[a, 2] * inverse_own[i, 2, b]
         for a in range(6):
             for b in range(a + 1):
                 left = h[i, a, b] - gain[i, a, 0] * u[b, 0] - gain[i, a, 1] * u[b, 1] - gain[i, a, 2] * u[b, 2]

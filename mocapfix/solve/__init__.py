@@ -1,11 +1,12 @@
 """The solve: the pose of every frame that agrees best with markers, prior and time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames, track, uncertainties
-from mocapfix.kernels.threads import over_frames
+from mocapfix.kernels import kinematics
+from mocapfix.kernels.levenberg import Attached, Pull, Tree
+from mocapfix.kernels.problem import Problem, no_pull, pull_to
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
@@ -15,6 +16,8 @@ from mocapfix.take import Take, runs
 
 
 FLICKER = 0.025  # seconds
+FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
+POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
 LOOSEST = 0.5  # radians: the weakest pull to a joint's course
 
 
@@ -48,44 +51,38 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
 
     worn  the take's markers in the subject's order, NaN where not seen or not believed
     """
-    tree, attached = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free), Attached(subject.joints, subject.places)
     believed = ~np.isnan(worn.markers[..., 0])
-    seen = np.where(believed[..., None], worn.markers, 0.0)
-    weight = (believed & ~beside_gaps(believed, worn.rate, options.beside)) / options.marker_sd**2
-    scales2 = (np.array(options.robust) / options.marker_sd) ** 2
-    joints = len(tree.parents)
-    said_once = prior.weakened(1 / (options.habit * worn.rate))
-    pose = Pull(prior.rotations[None], said_once.information[None], np.zeros((1, 3)), np.zeros(1))
-    none = Pull(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
-    frames = worn.frames
-    root, local = start.root.copy(), start.rotations.copy()
-    status, iterations = np.zeros(frames, int), np.zeros(frames, int)
-    deviation, variance, root_variance = np.zeros(weight.shape), np.zeros((frames, joints)), np.zeros(frames)
-    over_frames(solve_frames, frames, tree, attached, seen, weight, scales2, none, pose, root, local, 12, status, iterations)
-    over_frames(
-        uncertainties, frames, tree, attached, seen, weight, scales2[-1], none, pose, root, local, deviation, variance, root_variance
-    )
-    unsure = missed(weight > 0, subject) & body.free
-    stretches = np.array(runs(unsure.any(1)), int).reshape(-1, 2)
-    bridge = bridged(local, variance, unsure, worn.rate, options)
-    over_frames(
-        track, len(stretches), tree, attached, seen, weight, scales2[-1:], bridge, pose, root, local, unsure, 12, stretches
-    )
-    over_frames(
-        uncertainties, frames, tree, attached, seen, weight, scales2[-1], none, pose, root, local, deviation, variance, root_variance
-    )
-    gone = recall.lost(weight > 0, subject, body.free)
-    known, sure = recall.recalled(root, local, variance, gone, body.free, worn.rate)
-    target = smooth(root, known, sure, root_variance, body.free, worn.rate, options)
-    spent = iterations.copy()
+    listened = believed & ~beside_gaps(believed, worn.rate, options.beside)
+    said_once = pull_to(prior.weakened(1 / (options.habit * worn.rate)))
+    tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
+    attached = Attached(subject.joints, subject.places)
+    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once)
+    narrow = options.robust[-1]
+
+    root, local, none = start.root.copy(), start.rotations.copy(), no_pull(len(body.free))
+    _, alone = problem.solve(root, local, none, options.robust)
+    unsure = missed(listened, subject) & body.free
+    variance = problem.uncertainty(root, local, none, narrow).joints
+    problem.track(root, local, bridged(local, variance, unsure, worn.rate, options), unsure, narrow)
+
+    left_open = problem.uncertainty(root, local, none, narrow)
+    gone = recall.lost(listened, subject, body.free)
+    known, variance = recall.recalled(root, local, left_open.joints, gone, body.free, worn.rate)
+    target = smooth(root, known, variance, left_open.root, body.free, worn.rate, options)
     root, local = target.root.copy(), target.rotations.copy()
-    over_frames(solve_frames, frames, tree, attached, seen, weight, scales2[-1:], target, pose, root, local, 12, status, iterations)
-    over_frames(
-        uncertainties, frames, tree, attached, seen, weight, scales2[-1], target, pose, root, local, deviation, variance, root_variance
-    )
+    status, together = problem.solve(root, local, target, (narrow,))
+    deviation = problem.uncertainty(root, local, target, narrow).markers
     root, local = polished(root, local, body.free, worn.rate, options)
-    status[believed.sum(1) < 3] = 3
-    return Motion(root, local, status, spent + iterations, deviation)
+    solved = Motion(root, local, status, alone + together, deviation)
+    return replace(solved, status=judged(solved, subject, worn.markers))
+
+
+def judged(motion: Motion, subject: Subject, markers: np.ndarray) -> np.ndarray:
+    """-> (T,) the status of every frame, as motion.STATUS words it."""
+    distance = np.linalg.norm(markers - kinematics.markers(subject, *kinematics.world(subject.skeleton, motion)), axis=-1)
+    seen = ~np.isnan(distance)
+    mean = np.nansum(distance, axis=1) / np.maximum(seen.sum(1), 1)
+    return np.where(seen.sum(1) < 3, GUESSED, np.where(mean > POOR, FAR_OFF, motion.status))
 
 
 def beside_gaps(believed: np.ndarray, rate: float, longest: float) -> np.ndarray:

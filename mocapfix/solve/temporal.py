@@ -2,7 +2,8 @@
 
 Each joint's rotation, as a quaternion, and the root's place are smoothed on their own: frames enter with the variance
 that the pose solve gives them, so that a joint whose markers are lost follows the frames around it, and the course is
-an integrated random acceleration whose power about each moment is measured on the take itself. Solved exactly as one banded system.
+an integrated random acceleration whose power about each moment is measured on the take itself. Solved exactly as one
+banded system.
 """
 
 import numpy as np

@@ -1,0 +1,88 @@
+"""The pose problem of a whole take, bound together once: a body, what was seen of it, and what its poses are like."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames, track, uncertainties
+from mocapfix.kernels.threads import over_frames
+from mocapfix.prior import Prior
+from mocapfix.take import runs
+
+MOST = 12  # iterations of a frame at each robust scale
+
+
+class Uncertainty(NamedTuple):
+    """What the curvature at a pose leaves open, per axis."""
+
+    markers: np.ndarray  # (T, K) metres, standard deviation of each marker as the body places it
+    joints: np.ndarray  # (T, J) rad^2, variance of each joint's turn, [:, 0] of the root's
+    root: np.ndarray  # (T,) m^2, variance of the root's place
+
+
+def no_pull(joints: int) -> Pull:
+    """-> a pull that pulls nothing."""
+    return Pull(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
+
+
+def pull_to(prior: Prior) -> Pull:
+    """-> a prior as the pull of every frame to its mean pose."""
+    return Pull(prior.rotations[None], prior.information[None], np.zeros((1, 3)), np.zeros(1))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Poses are solved in place: root (T, 3) metres, local rotations (T, J, 3, 3).
+
+    markers    (T, K, 3) metres, the subject's markers, NaN where not believed
+    listened   (T, K) bool: believed samples that the pose listens to
+    marker_sd  metres, standard deviation per axis of a marker about its place
+    prior      the pull of every frame to the mean pose
+    """
+
+    tree: Tree
+    attached: Attached
+    markers: np.ndarray
+    listened: np.ndarray
+    marker_sd: float
+    prior: Pull
+
+    @property
+    def seen(self) -> np.ndarray:
+        return np.where(self.listened[..., None], self.markers, 0.0)
+
+    @property
+    def weight(self) -> np.ndarray:
+        return self.listened / self.marker_sd**2
+
+    def scales2(self, scales: tuple[float, ...]) -> np.ndarray:
+        """-> robust scales in metres as the kernels want them: squared, in units of marker_sd."""
+        return (np.array(scales) / self.marker_sd) ** 2
+
+    def solve(self, root, local, pull: Pull, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
+        """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations"""
+        status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
+        over_frames(
+            solve_frames, len(root), self.tree, self.attached, self.seen, self.weight, self.scales2(scales), pull, self.prior,
+            root, local, most, status, iterations,
+        )  # fmt: skip
+        return status, iterations
+
+    def track(self, root, local, pull: Pull, unsure: np.ndarray, scale: float) -> None:
+        """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""
+        stretches = np.array(runs(unsure.any(1)), int).reshape(-1, 2)
+        over_frames(
+            track, len(stretches), self.tree, self.attached, self.seen, self.weight, self.scales2((scale,)), pull, self.prior,
+            root, local, unsure, MOST, stretches,
+        )  # fmt: skip
+
+    def uncertainty(self, root, local, pull: Pull, scale: float) -> Uncertainty:
+        """-> how sure the poses are, given a pull (metres: the robust scale)."""
+        frames, joints = local.shape[:2]
+        left = Uncertainty(np.zeros(self.listened.shape), np.zeros((frames, joints)), np.zeros(frames))
+        over_frames(
+            uncertainties, frames, self.tree, self.attached, self.seen, self.weight, self.scales2((scale,))[0], pull, self.prior,
+            root, local, *left,
+        )  # fmt: skip
+        return left

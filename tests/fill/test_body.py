@@ -1,0 +1,91 @@
+"""Filling from a body whose pose is known exactly: what is left is the residual, and that goes on from the gap's edges."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import synthetic
+from mocapfix.fill import body
+from mocapfix.kernels import kinematics
+
+RATE = 60.0
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """-> subject, motion, the body's own markers (T, K, 3) and world rotations; all markers as sure as each other"""
+    truth = synthetic.take(seed=2, seconds=6.0, rate=RATE)
+    motion = replace(truth.motion, deviation=np.full(truth.struck.shape, 0.004))
+    position, rotation = kinematics.world(truth.subject.skeleton, motion)
+    return truth.subject, motion, kinematics.markers(truth.subject, position, rotation), rotation
+
+
+def gap(scene, marker, first, last):
+    wanted = np.zeros(scene[2].shape[:2], bool)
+    wanted[first : last + 1, marker] = True
+    return wanted
+
+
+def filled(scene, worn, wanted, motion=None):
+    subject, known, _, _ = scene
+    return body.markers(np.where(wanted[..., None], np.nan, worn), wanted, subject, motion or known, RATE)
+
+
+def test_a_marker_that_rides_on_its_place_is_put_there(scene):
+    wanted = gap(scene, 5, 100, 200) | gap(scene, 30, 0, 20) | gap(scene, 12, 350, 359)
+    place, deviation = filled(scene, scene[2], wanted)
+    np.testing.assert_allclose(place[wanted], scene[2][wanted], atol=1e-9)
+    assert np.isnan(place[~wanted]).all()
+    assert np.isnan(deviation[~wanted]).all()
+    assert (deviation[wanted] > 0).all()
+
+
+def test_a_residual_is_carried_across_in_the_segments_axes(scene):
+    subject, _, on_body, rotation = scene
+    k = subject.labels.index("LFRM")
+    off = np.einsum("tab,b->ta", rotation[:, subject.joints[k]], [0.015, -0.01, 0.005])
+    worn = on_body.copy()
+    worn[:, k] += off
+    wanted = gap(scene, k, 150, 155)  # 0.1 s
+    place, _ = filled(scene, worn, wanted)
+    np.testing.assert_allclose(place[wanted], worn[wanted], atol=0.0015)  # the body alone is 19 mm off
+    wanted = gap(scene, k, 100, 300)
+    place, _ = filled(scene, worn, wanted)
+    beyond = np.linalg.norm(place[:, k] - on_body[:, k], axis=-1)
+    assert beyond[100] > 0.015
+    assert beyond[200] < 0.002  # far from what was seen, the body is all there is to go by
+
+
+def test_a_long_gap_is_the_less_sure_the_farther_from_its_edges(scene):
+    subject, _, on_body, _ = scene
+    worn = on_body + np.random.default_rng(0).normal(0, 0.004, on_body.shape)
+    wanted = gap(scene, 7, 100, 250)
+    deviation = filled(scene, worn, wanted)[1][:, 7]
+    assert deviation[100] < deviation[110] < deviation[175]
+    assert deviation[250] < deviation[240] < deviation[175]
+    assert 0.002 < deviation[175] < 0.01  # of the size of the residual itself
+
+
+def test_a_pose_that_is_less_sure_in_the_gap_makes_the_fill_so(scene):
+    _, motion, on_body, _ = scene
+    wanted = gap(scene, 7, 100, 250)
+    sure = filled(scene, on_body, wanted)[1][175, 7]
+    doubt = motion.deviation.copy()
+    doubt[100:251] = 0.05
+    unsure = filled(scene, on_body, wanted, replace(motion, deviation=doubt))[1][175, 7]
+    assert sure < 0.01
+    assert unsure == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_marker_that_is_never_seen_is_put_on_its_place_and_less_sure_than_the_pose(scene):
+    wanted = gap(scene, 9, 0, len(scene[2]) - 1)
+    place, deviation = filled(scene, scene[2], wanted)
+    np.testing.assert_allclose(place[:, 9], scene[2][:, 9], atol=1e-9)
+    assert (deviation[:, 9] >= 0.004).all()
+
+
+def test_nothing_wanted_is_nothing_filled(scene):
+    place, deviation = filled(scene, scene[2], gap(scene, 0, 1, 0))
+    assert np.isnan(place).all()
+    assert np.isnan(deviation).all()

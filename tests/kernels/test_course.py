@@ -1,0 +1,130 @@
+"""The course across a gap against Gaussian process regression written out, and what it must do at the limits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels.course import across, matern
+
+RATE, FADE, REACH, NOISE, LEAST = 100.0, 0.3, 0.1, 1e-3, 1e-3
+seeds = st.integers(0, 2**32 - 1)
+
+
+def gap(frames, first, last):
+    mask = np.zeros(frames, bool)
+    mask[first : last + 1] = True
+    return mask
+
+
+def torn(residual, wanted):
+    return np.where(wanted[:, None], np.nan, residual)
+
+
+def crossed(residual, wanted, rate=RATE, fade=FADE, reach=REACH, noise=NOISE, least=LEAST):
+    return across(residual, wanted, rate, fade, reach, noise, least)
+
+
+@given(seeds, st.integers(1, 60))
+def test_the_course_is_the_regression_on_the_samples_beside_the_gap(seed, length):
+    rng = np.random.default_rng(seed)
+    residual, wanted = rng.normal(0, 0.01, (100, 3)), gap(100, 20, 19 + length)
+    course, variance = crossed(torn(residual, wanted), wanted)
+    away = np.array([0, 1, 3, 5, 7, 9])  # of the ten samples within the reach
+    near = np.r_[19 - away, 20 + length + away]
+    power = max(2.2 * np.median(residual[~wanted] ** 2), LEAST**2)
+
+    def covariance(a, b):
+        d = np.sqrt(3) * np.abs(np.subtract.outer(a, b)) / RATE / FADE
+        return power * (1 + d) * np.exp(-d)
+
+    inside = np.arange(20, 20 + length)
+    known = np.linalg.inv(covariance(near, near) + NOISE**2 * np.eye(len(near)))
+    to = covariance(inside, near)
+    np.testing.assert_allclose(course[inside], to @ known @ residual[near], atol=1e-9)
+    np.testing.assert_allclose(variance[inside], power - np.diag(to @ known @ to.T), atol=1e-12)
+    assert (course[~wanted] == 0).all()
+    assert (variance[~wanted] == 0).all()
+
+
+def test_a_steady_residual_goes_on_and_fades_in_a_long_gap():
+    residual, wanted = np.tile([0.01, -0.02, 0.0], (500, 1)), gap(500, 100, 399)
+    course, variance = crossed(torn(residual, wanted), wanted)
+    np.testing.assert_allclose(course[[100, 399]], residual[[100, 399]], rtol=0.02)
+    assert (np.abs(course[250]) < 0.01 * np.abs(residual[250]) + 1e-9).all()
+    inside = np.abs(course[100:250, 0])
+    assert (np.diff(inside) < 0).all()
+    assert (np.diff(variance[101:250]) > 0).all()
+    np.testing.assert_allclose(course, course[499::-1], atol=1e-12)  # both sides alike
+    power = np.median(residual**2) * 2.2
+    assert variance[250] == pytest.approx(power, rel=0.01)
+    assert variance[100] < 0.05 * power
+
+
+def test_a_gap_at_the_takes_end_is_told_by_one_side():
+    residual, wanted = np.full((100, 3), 0.01), gap(100, 70, 99)
+    course, variance = crossed(torn(residual, wanted), wanted)
+    assert (np.diff(course[70:, 0]) < 0).all()
+    assert (np.diff(variance[70:]) > 0).all()
+    mirrored, _ = crossed(torn(residual, wanted)[::-1], wanted[::-1])
+    np.testing.assert_allclose(mirrored, course[::-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("known", [0, 20])
+def test_where_nothing_beside_it_is_known_the_course_is_nothing_and_unsure(known):
+    residual, wanted = np.full((100, 3), np.nan), gap(100, 50, 60)
+    residual[:known] = 0.004
+    course, variance = crossed(residual, wanted)
+    assert (course == 0).all()
+    np.testing.assert_allclose(variance[wanted], max(2.2 * 0.004**2 if known else 0, LEAST**2))
+
+
+def test_samples_out_of_reach_and_unknown_ones_are_not_listened_to():
+    residual, wanted = np.full((100, 3), 0.01), gap(100, 50, 60)
+    residual[45] = np.nan
+    told, _ = crossed(torn(residual, wanted), wanted)
+    strange = torn(residual, wanted)
+    strange[:40], strange[71:] = 0.0101, 0.0099  # beyond 0.1 s; hardly a change of the median
+    np.testing.assert_allclose(crossed(strange, wanted)[0], told, atol=1e-6)
+    assert np.isfinite(told).all()
+
+
+def test_gaps_are_crossed_each_on_its_own():
+    rng = np.random.default_rng(0)
+    residual = rng.normal(0, 0.01, (300, 3))
+    one, two = gap(300, 50, 80), gap(300, 200, 205)
+    both = torn(residual, one | two)
+    course, variance = crossed(both, one | two)
+    for alone in (one, two):
+        there, unsure = crossed(both, alone)
+        np.testing.assert_allclose(course[alone], there[alone], atol=1e-12)
+        np.testing.assert_allclose(variance[alone], unsure[alone], atol=1e-15)
+
+
+def test_an_outlier_far_away_does_not_make_the_course_large():
+    residual, wanted = np.full((100, 3), 0.001), gap(100, 50, 60)
+    _, calm = crossed(torn(residual, wanted), wanted)
+    residual[3] = 5.0
+    _, struck = crossed(torn(residual, wanted), wanted)
+    np.testing.assert_allclose(struck, calm)
+
+
+def test_what_happens_depends_on_seconds_not_on_frames():
+    t = np.arange(0, 4, 1 / 240)
+    residual = np.stack([0.01 * np.sin(t), 0.01 * np.cos(t), 0 * t], 1)
+    wanted = (t >= 1.5) & (t < 2.5)
+    fine, fine_variance = crossed(torn(residual, wanted), wanted, rate=240.0)
+    coarse, coarse_variance = crossed(torn(residual, wanted)[::4], wanted[::4], rate=60.0)
+    np.testing.assert_allclose(fine[::4], coarse, atol=1.5e-3)
+    middle = np.flatnonzero(wanted[::4])[30]
+    assert fine_variance[4 * middle] == pytest.approx(coarse_variance[middle], rel=0.1)
+
+
+def test_the_correlation_falls_from_one_alike_both_ways():
+    seconds = np.linspace(0, 3, 50)
+    correlation = matern(seconds, FADE)
+    assert correlation[0] == 1.0
+    assert (np.diff(correlation) < 0).all()
+    assert correlation[-1] < 1e-6
+    np.testing.assert_array_equal(matern(-seconds, FADE), correlation)
+    assert matern(np.array(FADE), FADE) == pytest.approx((1 + np.sqrt(3)) * np.exp(-np.sqrt(3)))

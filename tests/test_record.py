@@ -1,0 +1,114 @@
+"""The record's keys and numbers, on a take of six frames and three markers that can be counted by hand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import marker_set, record
+from mocapfix.faults import Fault, Faults
+from mocapfix.fill import Left
+from mocapfix.motion import STATUS, Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+NAN = np.nan
+
+
+def take(first_frame=101):
+    markers = np.ones((6, 3, 3))
+    markers[1:3, 0] = markers[:, 2] = NAN
+    return Take(markers, ("Jim:LFHD", "Jim:RFHD", "C7"), 120.0, first_frame, Path("folder/walk.c3d"))
+
+
+def plain(value):
+    """-> the value as JSON gives it back; a NaN would be no JSON"""
+    return json.loads(json.dumps(value, allow_nan=False))
+
+
+@pytest.mark.parametrize("worn", ["cmu41", None])
+def test_the_take(worn):
+    assert plain(record.of_take(take(), worn)) == {
+        "file": "walk.c3d",
+        "frames": 6,
+        "first_frame": 101,
+        "rate_hz": 120.0,
+        "markers": 3,
+        "marker_set": worn,
+        "labels": ["Jim:LFHD", "Jim:RFHD", "C7"],
+    }
+
+
+def test_faults_in_the_files_own_frame_numbers():
+    items = (Fault("gap", 0, 1, 2, 0.0123456, "Hidden."), Fault("absent", 2, 0, 5, NAN, "Never seen."))
+    assert plain(record.of_faults(take(), Faults(items))) == [
+        {"kind": "gap", "marker": "Jim:LFHD", "first": 102, "last": 103, "severity_m": 0.01235, "reason": "Hidden."},
+        {"kind": "absent", "marker": "C7", "first": 101, "last": 106, "severity_m": None, "reason": "Never seen."},
+    ]
+
+
+def test_no_faults_are_an_empty_list():
+    assert record.of_faults(take(), Faults()) == []
+
+
+def test_the_subjects_bones_are_lengths_by_joint():
+    worn, skeleton = marker_set.load("cmu41"), cmu31().skeleton
+    said = plain(record.of_subject(Subject(skeleton, worn.name, worn.labels, worn.joints, worn.places, worn.spread, 150)))
+    assert set(said) == {"marker_set", "frames", "bones_m", "spread_m"}
+    assert (said["marker_set"], said["frames"]) == ("cmu41", 150)
+    shin = skeleton.index("LeftFoot")
+    assert said["bones_m"]["LeftFoot"] == pytest.approx(np.linalg.norm(skeleton.offsets[shin]), abs=6e-5)
+    assert "Hips" not in said["bones_m"]  # the root has no parent
+    assert list(said["spread_m"]) == list(worn.labels)
+    assert said["spread_m"]["LFHD"] == pytest.approx(worn.spread[worn.labels.index("LFHD")], abs=6e-5)
+
+
+def test_the_solves_residuals_iterations_and_statuses():
+    motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.array([0, 0, 3, 0, 1, 0]), np.arange(6), np.zeros((6, 3)))
+    error = np.full((6, 3), NAN)
+    error[:, 0], error[:5, 1] = 0.002, [0.001, 0.002, 0.003, 0.004, 0.005]
+    said = plain(record.of_solve(take(), motion, error))
+    residual = said["marker_residual_mm"]
+    assert set(said) == {"marker_residual_mm", "iterations_mean", "status"}
+    assert residual["mean"] == pytest.approx((6 * 2 + 15) / 11, abs=1e-3)
+    assert residual["p95"] == pytest.approx(4.5)
+    assert residual["by_marker"]["Jim:RFHD"] == {"mean": 3.0, "p95": 4.8}
+    assert set(residual["by_marker"]) == {"Jim:LFHD", "Jim:RFHD"}  # what was never held against the body is not there
+    assert said["iterations_mean"] == 2.5
+    assert said["status"] == {STATUS[0]: 4, STATUS[1]: 1, STATUS[3]: 1}
+
+
+def test_a_solve_that_no_marker_could_be_held_against():
+    motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.full(6, 3), np.zeros(6, int), np.zeros((6, 3)))
+    said = plain(record.of_solve(take(), motion, np.full((6, 3), NAN)))
+    assert said["marker_residual_mm"] == {"mean": None, "p95": None, "by_marker": {}}
+
+
+def test_the_fill_counts_what_was_filled_mended_and_left():
+    before = take()
+    markers = before.markers.copy()
+    markers[1, 0] = 2.0  # filled
+    markers[0, 1] = 3.0  # mended
+    markers[5, 1] = NAN  # a doubted sample that nothing could replace
+    left = (Left(0, 2, 2, "too far"), Left(1, 5, 5, "unsure"), Left(2, 0, 5, "never seen"))
+    said = plain(record.of_fill(before, before.with_markers(markers), left))
+    assert said == {
+        "missing_before": 8,
+        "filled": 1,
+        "mended": 1,
+        "left_empty": 8,
+        "left": [
+            {"marker": "Jim:LFHD", "first": 103, "last": 103, "reason": "too far"},
+            {"marker": "Jim:RFHD", "first": 106, "last": 106, "reason": "unsure"},
+            {"marker": "C7", "first": 101, "last": 106, "reason": "never seen"},
+        ],
+    }
+
+
+def test_every_key_of_the_record_is_in_its_documentation():
+    said = record.__doc__
+    for made in (record.of_take(take(), None), record.of_fill(take(), take(), ())):
+        assert all(key in said for key in made)
+    assert all(key in said for key in ("bones_m", "spread_m", "by_marker", "iterations_mean", "severity_m", "notes", "total"))
