@@ -1,8 +1,10 @@
 """mocapfix cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a recording out.
 
-import mocapfix
-result = mocapfix.clean("walk.c3d")   # .take .faults .subject .motion .report
-result.write("walk.mocapfix")
+From Python:
+
+    import mocapfix
+    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report
+    result.write("walk.mocapfix")
 """
 
 from mocapfix.errors import MocapfixError

@@ -7,6 +7,7 @@ from mocapfix.pipeline import Result
 from mocapfix.synthetic import Truth
 from mocapfix.take import runs
 
+ARM = 6  # markers lost at once: an arm's
 SHORT = 0.5  # seconds: half of all gaps are shorter, nine tenths of what is missing lies in longer ones
 
 
@@ -26,13 +27,15 @@ def interpolated(markers: np.ndarray, kind: str) -> np.ndarray:
 
 def errors(truth: Truth, result: Result) -> dict[str, dict[str, float]]:
     """-> way of filling: damage: root mean square error in mm. Ways: linear, cubic, mocapfix."""
-    lost_long = np.zeros_like(truth.struck)
+    long = np.zeros_like(truth.struck)
     for m in range(truth.struck.shape[1]):
         for first, last in runs(truth.struck[:, m]):
-            lost_long[first : last + 1, m] = (last - first + 1) / truth.rate >= SHORT
+            long[first : last + 1, m] = (last - first + 1) / truth.rate >= SHORT
+    arm = long & (long.sum(1) >= ARM)[:, None]
     damage = {
-        f"gaps under {SHORT:g} s": truth.struck & ~lost_long,
-        f"gaps of {SHORT:g} s and more": lost_long,
+        f"gaps under {SHORT:g} s": truth.struck & ~long,
+        f"one marker lost for {SHORT:g} s and more": long & ~arm,
+        "a whole arm lost": arm,
         "spikes": truth.moved & ~truth.struck,
     }
     ways = {"linear": interpolated(truth.damaged, "linear"), "cubic": interpolated(truth.damaged, "cubic")}

@@ -18,13 +18,17 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
 
     worn  the take's markers in the marker set's order (K of them), NaN where not seen or not believed
 
-    Raises TakeError where no frame shows three markers or more.
+    Raises TakeError where no frame shows three markers or more, or the markers lie as on no body that there is.
     """
     markers = worn.markers
     if not ((~np.isnan(markers[..., 0])).sum(1) >= 3).any():
         raise TakeError(f"{worn.name}: no frame shows three markers of the body; there is nothing to calibrate from.")
-    whole = scaled(body.skeleton, size.ratio(body.skeleton, marker_set, markers))
-    places = marker_set.places * (whole.offsets[4, 1] / body.skeleton.offsets[4, 1])
+    ratio = size.ratio(body.skeleton, marker_set, markers)
+    if not size.SMALLEST < ratio < size.LARGEST:
+        apart = "near together" if ratio < 1 else "far apart"
+        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
+    whole = scaled(body.skeleton, ratio)
+    places = marker_set.places * ratio
     start = Subject(whole, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
     looked = frames.candidates(markers)
     motion = refine.posed(start, body, prior, markers[looked])

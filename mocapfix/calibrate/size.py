@@ -6,6 +6,7 @@ from mocapfix.marker_set import MarkerSet
 from mocapfix.skeleton import Skeleton
 
 SHORTEST = 0.12  # metres: nearer pairs say more of where the markers were stuck than of the body's size
+SMALLEST, LARGEST = 0.3, 1.6  # of the average body: a baby, and more than anybody
 STEADY = 0.03  # a distance that varies by more than this share, over the take, spans a joint that bends
 
 
@@ -13,7 +14,9 @@ def ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: np.ndarray) -> flo
     """-> the subject's size over the average body's, from distances that stay the same while the subject moves.
 
     Candidates are pairs of markers on one joint or on a joint and its parent (a knee and an ankle marker). The median
-    over pairs, each pair's median over frames.  markers (T, K, 3) metres, NaN where not believed.
+    over pairs, each pair's median over frames, within SMALLEST and LARGEST; 1 where no pair tells.
+
+    markers  (T, K, 3) metres, NaN where not believed
     """
     nominal = skeleton_places(skeleton, marker_set)
     ratios, weights = [], []
@@ -35,7 +38,7 @@ def ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: np.ndarray) -> flo
         return 1.0
     order = np.argsort(ratios)
     halfway = np.searchsorted(np.cumsum(np.array(weights)[order]), 0.5 * np.sum(weights))
-    return float(np.clip(np.array(ratios)[order][halfway], 0.3, 1.6))
+    return float(np.clip(np.array(ratios)[order][halfway], SMALLEST, LARGEST))
 
 
 def skeleton_places(skeleton: Skeleton, marker_set: MarkerSet) -> np.ndarray:

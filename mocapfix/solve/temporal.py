@@ -19,6 +19,7 @@ WELL_KNOWN = 0.1  # radians (or metres times ten): frames less certain than this
 LIVELY = 2.0  # the quickest moments in a window over its average: smoothing must not cost them their speed
 DOUBT = 20.0  # likewise across a gap: a course that is surer than the motion is lively leads it astray
 QUIET = 0.02  # least power, as a share of the whole take's: a joint held still may yet move
+SILENT = 1e4  # rad^2 or m^2: the variance of a frame that says nothing; with more the system would be singular to rounding
 LEAST = 1e-3  # least power, rad^2/s^3 or m^2/s^3
 
 
@@ -32,13 +33,14 @@ def course(path: np.ndarray, variance: np.ndarray, power: np.ndarray, rate: floa
         return path
     stiff = rate**3 / power[1:-1]  # of the second difference about each inner frame
     band = np.zeros((3, frames))
-    band[2] = 1 / variance
+    information = 1 / np.minimum(variance, SILENT)
+    band[2] = information
     for shift, coefficient in ((0, 1.0), (1, 4.0), (2, 1.0)):
         band[2, shift : shift + frames - 2] += coefficient * stiff
     band[1, 1 : frames - 1] -= 2 * stiff
     band[1, 2:] -= 2 * stiff
     band[0, 2:] += stiff
-    return np.ascontiguousarray(solveh_banded(band, path / variance[:, None], overwrite_ab=True, check_finite=False))
+    return np.ascontiguousarray(solveh_banded(band, path * information[:, None], overwrite_ab=True, check_finite=False))
 
 
 def liveliness(path: np.ndarray, variance: np.ndarray, rate: float, well_known: float) -> np.ndarray:
@@ -76,7 +78,7 @@ def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rat
     Between two known ends, a and b seconds away, an integrated random acceleration of power q has variance
     q a^3 b^3 / 3 (a + b)^3; beyond the last known end, q a^3 / 3.
     """
-    sure = np.where(unsure, 1e4, variance)
+    sure = np.where(unsure, SILENT, variance)
     quaternions = continuous(rotations, ~unsure)
     power = liveliness(2 * quaternions, sure, rate, WELL_KNOWN) * 4 / 3
     smooth = Rotation.from_quat(course(quaternions, sure, power, rate)).as_matrix()

@@ -5,7 +5,7 @@ import numpy as np
 from mocapfix.take import runs
 
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")
-ARM_LOST = (4.0, 5.5)  # seconds: while it reaches
+ARM_LOST = (1.0, 2.5)  # seconds: while it swings
 LATE = 0.5  # seconds until one of the markers is first seen
 SHORT_GAPS = 0.12  # a second and marker, each of 0.03 to 0.2 s
 LONG_GAPS = 0.6  # a second, over all markers, each of 0.5 to 3 s
