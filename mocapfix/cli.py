@@ -244,7 +244,7 @@ def usage(message: str) -> int:
 @contextmanager
 def staged(name: str) -> Iterator:
     """Show on a terminal which stage a take is in; in a pipe, nothing but the one-time compilation."""
-    from mocapfix.kernels.levenberg import compiled
+    from mocapfix.kernels.problem import compiled
 
     if not compiled():
         err.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")

@@ -23,6 +23,7 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 Progress = Callable[[str], None]
+ANYTHING = FillOptions()  # may be touched
 FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
 
 
@@ -102,7 +103,7 @@ def clean(
     marker_set: str | Path | None = None,
     subject: str | Path | Subject | None = None,
     prior: str = "mean-pose",
-    options: FillOptions = FillOptions(),
+    options: FillOptions = ANYTHING,
     progress: Progress | None = None,
 ) -> Result:
     """-> the take at `path`, cleaned: faults found, the body calibrated and solved, gaps and faulty samples mended.

@@ -1,7 +1,7 @@
 """The demo's table: how far each way of filling lies from the truth of a composed take."""
 
 import numpy as np
-from scipy.interpolate import CubicSpline, interp1d
+from scipy.interpolate import make_interp_spline
 
 from mocapfix.pipeline import Result
 from mocapfix.synthetic import Truth
@@ -11,17 +11,15 @@ ARM = 6  # markers lost at once: an arm's
 SHORT = 0.5  # seconds: half of all gaps are shorter, nine tenths of what is missing lies in longer ones
 
 
-def interpolated(markers: np.ndarray, kind: str) -> np.ndarray:
-    """-> markers (T, M, 3) with interior gaps filled in time alone, "linear" or "cubic"; at the ends the nearest is held."""
+def interpolated(markers: np.ndarray, degree: int) -> np.ndarray:
+    """-> markers (T, M, 3) with interior gaps filled in time alone, by a spline; at the ends the nearest is held."""
     frames, out = np.arange(len(markers)), markers.copy()
     for m in range(markers.shape[1]):
         seen = ~np.isnan(markers[:, m, 0])
         if not 4 < seen.sum() < len(markers):
             continue
         inside = np.clip(frames[~seen], frames[seen][0], frames[seen][-1])
-        course = CubicSpline if kind == "cubic" else interp1d
-        extra = {} if kind == "cubic" else {"axis": 0}
-        out[~seen, m] = course(frames[seen], markers[seen, m], **extra)(inside)
+        out[~seen, m] = make_interp_spline(frames[seen], markers[seen, m], k=degree)(inside)
     return out
 
 
@@ -38,7 +36,7 @@ def errors(truth: Truth, result: Result) -> dict[str, dict[str, float]]:
         "a whole arm lost": arm,
         "spikes": truth.moved & ~truth.struck,
     }
-    ways = {"linear": interpolated(truth.damaged, "linear"), "cubic": interpolated(truth.damaged, "cubic")}
+    ways = {"linear": interpolated(truth.damaged, 1), "cubic": interpolated(truth.damaged, 3)}
     ways["mocapfix"] = result.take.markers
     return {way: {name: rms(markers, truth, where) for name, where in damage.items()} for way, markers in ways.items()}
 

@@ -276,10 +276,3 @@ def track(tree, attached, seen, weight, scales2, target, prior, root, local, uns
                     copy(local[source, j], local[t, j])
             pulls = (of_frame(target, t), of_frame(prior, t))
             solve_frame(tree, attached, seen[t], weight[t], scales2, pulls, root[t], local[t], most)
-
-
-def compiled() -> bool:
-    """-> whether this machine has kept the compiled solve from an earlier run."""
-    from pathlib import Path
-
-    return any(Path(solve_frames.stats.cache_path).glob("levenberg.solve_frames-*.nbi"))

@@ -1,6 +1,7 @@
 """The pose problem of a whole take, bound together once: a body, what was seen of it, and what its poses are like."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from mocapfix.kernels.threads import over_frames
 from mocapfix.prior import Prior
 from mocapfix.take import runs
 
+COMPILED = "levenberg.solve_frames-*.nbi"  # the index that Numba keeps of the longest compilation
 MOST = 12  # iterations of a frame at each robust scale
 
 
@@ -19,6 +21,12 @@ class Uncertainty(NamedTuple):
     markers: np.ndarray  # (T, K) metres, standard deviation of each marker as the body places it
     joints: np.ndarray  # (T, J) rad^2, variance of each joint's turn, [:, 0] of the root's
     root: np.ndarray  # (T,) m^2, variance of the root's place
+
+
+def compiled() -> bool:
+    """-> whether this machine has kept the compiled solve from an earlier run."""
+    kept = solve_frames.stats.cache_path
+    return kept is not None and any(Path(kept).glob(COMPILED))
 
 
 def no_pull(joints: int) -> Pull:
@@ -71,7 +79,7 @@ class Problem:
 
     def track(self, root, local, pull: Pull, unsure: np.ndarray, scale: float) -> None:
         """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""
-        stretches = np.array(runs(unsure.any(1)), int).reshape(-1, 2)
+        stretches = np.array(runs(np.any(unsure, axis=1)), int).reshape(-1, 2)
         over_frames(
             track, len(stretches), self.tree, self.attached, self.seen, self.weight, self.scales2((scale,)), pull, self.prior,
             root, local, unsure, MOST, stretches,

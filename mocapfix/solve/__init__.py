@@ -14,7 +14,6 @@ from mocapfix.solve import recall, temporal
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
 
-
 FLICKER = 0.025  # seconds
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one

@@ -42,7 +42,7 @@ def recalled(
     root (T, 3) metres, local (T, J, 3, 3), variance (T, J) rad^2: each frame's own solve; gone (T, J) as `lost` says.
     """
     joints = np.flatnonzero(free)[1:]
-    whole = ~gone.any(1)
+    whole = ~np.any(gone, axis=1)
     if not gone.any() or whole.sum() < ENOUGH * rate:
         return local, variance
     mean = np.stack([Rotation.from_matrix(local[whole, j]).mean().as_matrix() for j in joints])

@@ -1,0 +1,139 @@
+"""Bones and places that frames with exact markers leave no doubt of."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import marker_set, prior, synthetic
+from mocapfix.calibrate import refine
+from mocapfix.kernels import kinematics
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.subject import Subject
+
+BODY, WORN = cmu31(), marker_set.load("cmu41")
+MEAN = prior.load("mean-pose", BODY.skeleton)
+NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+GROUPS = refine.group_of(BODY)
+
+
+def lengths(skeleton):
+    return np.linalg.norm(skeleton.offsets, axis=1)
+
+
+def person(scales):
+    """-> the average body, its bone groups times `scales` (G,), markers at their nominal places"""
+    factor = np.where(GROUPS >= 0, scales[GROUPS], 1.0)
+    return replace(NOMINAL, skeleton=replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor[:, None]))
+
+
+def performed(subject, frames=90):
+    """-> the markers (N, K, 3) of somebody who walks, reaches and crouches, and the motion"""
+    motion = synthetic.motions.compose(subject, 9.0, frames / 9.0)
+    return kinematics.markers(subject, *kinematics.world(subject.skeleton, motion)), motion
+
+
+def fitted(markers, start=NOMINAL):
+    posed = refine.posed(start, BODY, MEAN, markers)
+    return refine.refined(start, BODY, MEAN, WORN, markers, posed, np.arange(len(markers)))
+
+
+def test_groups_are_those_of_the_skeleton():
+    for g, (name, joints) in enumerate(BODY.groups.items()):
+        assert set(np.flatnonzero(GROUPS == g)) == set(joints), name
+    assert (GROUPS[[0]] == -1).all()
+
+
+def test_a_body_scaled_in_its_groups_is_the_tree_of_its_shape():
+    scales = np.exp(np.random.default_rng(0).normal(0, 0.1, len(BODY.groups)))
+    shape = refine.Shape(np.log(1.1), np.log(scales), WORN.places)
+    tree = refine.tree_of(NOMINAL, BODY, GROUPS, shape)
+    np.testing.assert_allclose(tree.offsets, 1.1 * person(scales).skeleton.offsets)
+    np.testing.assert_array_equal(refine.tree_of(NOMINAL, BODY, GROUPS).offsets, BODY.skeleton.offsets)
+
+
+def test_a_shape_moves_by_size_groups_and_places_in_that_order():
+    shape = refine.Shape(0.1, np.array([0.2, 0.3]), np.zeros((2, 3)))
+    moved = shape.moved(np.arange(1.0, 10.0))
+    assert moved.size == pytest.approx(1.1)
+    np.testing.assert_allclose(moved.groups, [2.2, 3.3])
+    np.testing.assert_array_equal(moved.places, [[4, 5, 6], [7, 8, 9]])
+    assert shape.size == 0.1
+
+
+def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    curvature, bottom = root @ root.T + np.eye(6), rng.normal(size=6)
+    gradient = -curvature @ bottom
+    np.testing.assert_allclose(refine.step(curvature, gradient, 0.0), bottom)
+    damped = refine.step(curvature, gradient, 10.0)
+    assert np.linalg.norm(damped) < np.linalg.norm(bottom)
+    assert damped @ gradient < 0
+
+
+def test_a_pull_that_pulls_nothing_has_no_information():
+    none = refine.no_pull(31)
+    assert not any(np.any(field) for field in none)
+
+
+def test_the_average_body_stays_itself():
+    found = fitted(performed(NOMINAL)[0])
+    np.testing.assert_allclose(lengths(found.skeleton), lengths(BODY.skeleton), atol=0.004)
+    assert np.linalg.norm(found.places - WORN.places, axis=1).mean() < 0.004
+
+
+def test_longer_legs_are_found_and_both_sides_are_alike():
+    scales = np.ones(len(BODY.groups))
+    thigh, shin = (GROUPS[BODY.skeleton.index(name)] for name in ("LeftLeg", "LeftFoot"))
+    scales[thigh], scales[shin] = 1.08, 0.93
+    somebody = person(scales)
+    found = fitted(performed(somebody)[0])
+    for name in ("LeftLeg", "LeftFoot"):
+        j = BODY.skeleton.index(name)
+        true, guess = lengths(somebody.skeleton)[j], lengths(BODY.skeleton)[j]
+        assert abs(lengths(found.skeleton)[j] - true) < 0.4 * abs(guess - true)
+    left = [j for j, name in enumerate(BODY.skeleton.names) if name.startswith("Left")]
+    right = [BODY.skeleton.index(BODY.skeleton.names[j].replace("Left", "Right")) for j in left]
+    np.testing.assert_allclose(lengths(found.skeleton)[left], lengths(found.skeleton)[right])
+
+
+def test_a_marker_stuck_elsewhere_is_found_there():
+    k = WORN.labels.index("LTHI")
+    places = WORN.places.copy()
+    places[k] += [0.02, 0.03, -0.02]
+    somebody = replace(NOMINAL, places=places)
+    found = fitted(performed(somebody)[0])
+    assert np.linalg.norm(found.places[k] - places[k]) < 0.4 * np.linalg.norm(WORN.places[k] - places[k])
+
+
+def test_what_is_never_seen_stays_nominal_in_place_and_spread():
+    markers, _ = performed(NOMINAL)
+    k = WORN.labels.index("RWRA")
+    markers[:, k] = np.nan
+    found = fitted(markers)
+    np.testing.assert_allclose(found.places[k], WORN.places[k], atol=1e-6)
+    assert found.spread[k] == WORN.spread[k]
+    assert (np.delete(found.spread, k) < 0.003).all()  # markers that sit still stray little
+
+
+def test_the_spread_is_what_a_marker_strays():
+    rng = np.random.default_rng(0)
+    markers, _ = performed(NOMINAL, frames=120)
+    k = WORN.labels.index("LTHI")
+    markers[:, k] += rng.normal(0, 0.02, (120, 3))
+    found = fitted(markers)
+    assert 0.01 < found.spread[k] < 0.03
+    assert np.median(found.spread) < 0.004
+
+
+def test_frames_that_are_not_chosen_do_not_count():
+    markers, _ = performed(NOMINAL)
+    posed = refine.posed(NOMINAL, BODY, MEAN, markers)
+    was = Motion(*(field.copy() for field in vars(posed).values()))
+    chosen = np.arange(0, 90, 3)
+    found = refine.refined(NOMINAL, BODY, MEAN, WORN, markers[chosen], posed, chosen)
+    assert found.frames == 30
+    for before, after in zip(vars(was).values(), vars(posed).values(), strict=True):
+        np.testing.assert_array_equal(before, after)

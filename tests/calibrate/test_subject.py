@@ -1,0 +1,90 @@
+"""Calibration as a whole: one person from a take of them, with gaps, without a T-pose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import calibrate, marker_set, prior, synthetic
+from mocapfix.errors import TakeError
+from mocapfix.kernels import kinematics
+from mocapfix.skeleton import cmu31
+from mocapfix.take import Take
+
+BODY, WORN = cmu31(), marker_set.load("cmu41")
+MEAN = prior.load("mean-pose", BODY.skeleton)
+
+
+def lengths(skeleton):
+    return np.linalg.norm(skeleton.offsets, axis=1)
+
+
+def calibrated(markers, labels=WORN.labels, rate=30.0):
+    return calibrate.subject(Take(markers, labels, rate), WORN, BODY, MEAN)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return synthetic.take(seed=1, seconds=9.0, rate=20.0)
+
+
+@pytest.fixture(scope="module")
+def found(truth):
+    return calibrated(np.where((truth.struck | truth.moved)[..., None], np.nan, truth.markers))
+
+
+def test_bones_and_places_come_nearer_to_the_person(truth, found):
+    def off(skeleton):
+        return np.sqrt(((lengths(skeleton) - lengths(truth.subject.skeleton)) ** 2).mean())
+
+    assert off(found.skeleton) < 0.7 * off(BODY.skeleton)
+    places = np.linalg.norm(found.places - truth.subject.places, axis=1).mean()
+    assert places < 0.75 * np.linalg.norm(WORN.places - truth.subject.places, axis=1).mean()
+
+
+def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
+    assert (found.marker_set, found.labels) == (WORN.name, WORN.labels)
+    np.testing.assert_array_equal(found.joints, WORN.joints)
+    assert found.skeleton.names == BODY.skeleton.names
+    np.testing.assert_array_equal(found.skeleton.parents, BODY.skeleton.parents)
+    assert found.frames == 150
+    # bones keep their directions; left and right have one length
+    along = (found.skeleton.offsets * BODY.skeleton.offsets).sum(1)
+    np.testing.assert_allclose(along, lengths(found.skeleton) * lengths(BODY.skeleton), atol=1e-12)
+
+
+def test_the_same_take_gives_the_same_subject(truth, found):
+    again = calibrated(np.where((truth.struck | truth.moved)[..., None], np.nan, truth.markers))
+    np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
+    np.testing.assert_array_equal(again.places, found.places)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.25])
+def test_children_and_giants_are_calibrated(truth, factor):
+    skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
+    somebody = replace(truth.subject, skeleton=skeleton, places=WORN.places * factor)
+    motion = replace(truth.motion, root=truth.motion.root * factor)
+    found = calibrated(kinematics.markers(somebody, *kinematics.world(skeleton, motion)))
+    np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.012)
+    np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
+
+
+def test_scaling_takes_every_length():
+    half = calibrate.scaled(BODY.skeleton, 0.5)
+    np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
+    np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
+
+
+def test_a_take_without_three_markers_in_any_frame_is_refused():
+    markers = np.full((20, 41, 3), np.nan)
+    markers[:, :2] = 1.0
+    with pytest.raises(TakeError, match="the take: no frame shows three markers of the body; there is nothing to calibrate from"):
+        calibrated(markers)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 12])
+def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
+    found = calibrated(truth.markers[60 : 60 + frames])
+    assert found.frames == frames
+    np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
+    assert np.isfinite(found.spread).all()

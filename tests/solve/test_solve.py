@@ -1,0 +1,179 @@
+"""The solve: masks with known answers, and poses of a body whose markers are exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import initialise, marker_set, prior, solve, synthetic
+from mocapfix.kernels import kinematics
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.solve import SolveOptions
+from mocapfix.subject import Subject
+from mocapfix.take import Take, runs
+
+BODY, WORN = cmu31(), marker_set.load("cmu41")
+MEAN, NONE = (prior.load(name, BODY.skeleton) for name in ("mean-pose", "none"))
+NAMES = BODY.skeleton.names
+SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+
+
+# which samples and joints are listened to
+
+
+@pytest.mark.parametrize(
+    ("rate", "gap", "silent"),
+    [
+        (100.0, (40, 59), (35, 64)),  # 0.2 s: 0.05 s on either side
+        (100.0, (40, 44), (38, 46)),  # 0.05 s: half of that, rounded
+        (100.0, (40, 41), None),  # flicker
+        (240.0, (40, 87), (28, 99)),
+        (100.0, (0, 19), (0, 24)),
+        (100.0, (90, 99), (85, 99)),
+        (100.0, (0, 99), (0, 99)),
+    ],
+)
+def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
+    believed = np.ones((100, 2), bool)
+    believed[gap[0] : gap[1] + 1, 0] = False
+    mask = solve.beside_gaps(believed, rate, 0.05)
+    assert runs(mask[:, 0]) == ([] if silent is None else [silent])
+    assert not mask[:, 1].any()
+
+
+def test_a_joint_misses_its_own_markers_and_its_childrens():
+    listened = np.ones((5, 41), bool)
+    listened[3, WORN.labels.index("LFRM")] = False
+    listened[4, WORN.labels.index("LFWT")] = False
+    listened[:, WORN.labels.index("RFRM")] = False  # never there: nothing to miss
+    joint = NAMES[WORN.joints[WORN.labels.index("LFRM")]]
+    lacking = {(int(t), NAMES[j]) for t, j in np.argwhere(solve.missed(listened, SUBJECT))}
+    assert lacking == {(3, joint), (3, NAMES[BODY.skeleton.parents[NAMES.index(joint)]])}  # the root never
+
+
+# poses
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """-> a composed take whose markers are exactly where the body carries them, at a rate"""
+
+    def at(rate, seconds=3.0):
+        truth = synthetic.take(seed=2, seconds=seconds, rate=rate)
+        return replace(truth, markers=kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, truth.motion)))
+
+    return at
+
+
+def solved(truth, markers, habits=NONE):
+    worn = Take(markers, truth.labels, truth.rate)
+    start = initialise.motion(worn, truth.subject, BODY, habits)
+    return solve.motion(worn, truth.subject, BODY, habits, start, SolveOptions())
+
+
+def off(truth, motion, frames=slice(None)):
+    """-> (T, J) metres: the joints from the true ones"""
+    return np.linalg.norm(kinematics.world(truth.subject.skeleton, motion)[0] - truth.joints[frames], axis=-1)
+
+
+def check(motion: Motion):
+    """What holds of every motion whatever was seen: finite, rotations, a deviation for every marker."""
+    assert np.isfinite(motion.root).all()
+    np.testing.assert_allclose(np.linalg.det(motion.rotations), 1.0)
+    np.testing.assert_allclose(motion.rotations @ np.swapaxes(motion.rotations, 2, 3), np.broadcast_to(np.eye(3), motion.rotations.shape),
+                               atol=1e-9)  # fmt: skip
+    assert np.isfinite(motion.deviation).all()
+    assert (motion.deviation > 0).all()
+
+
+@pytest.mark.parametrize(("rate", "millimetres"), [(30.0, 2.2), (120.0, 1.2), (240.0, 1.0)])
+def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres):
+    truth = exact(rate)
+    motion = solved(truth, truth.markers)
+    check(motion)
+    assert off(truth, motion).mean() * 1e3 < millimetres
+    assert (motion.status < 2).all()
+
+
+def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
+    truth = exact(120.0)
+    still = np.tile(truth.markers[200], (30, 1, 1))
+    motion = solved(truth, still)
+    assert off(truth, motion, [200]).max() < 5e-4
+    assert off(truth, motion, [200]).mean() < 1e-4
+
+
+def test_peoples_habits_hardly_bend_what_markers_say(exact):
+    truth = exact(120.0)
+    motion = solved(truth, truth.markers, MEAN)
+    carried = kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, motion))
+    assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
+    told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
+    assert off(truth, motion)[:, told].mean() < 0.003
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 5, 20])
+def test_a_take_may_be_as_short_as_it_likes(exact, frames):
+    truth = exact(120.0)
+    motion = solved(truth, truth.markers[100 : 100 + frames])
+    check(motion)
+    assert motion.frames == frames
+    assert off(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
+
+
+def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
+    truth = exact(120.0)
+    markers = truth.markers.copy()
+    markers[:10] = markers[150:160] = np.nan
+    markers[200:205, 2:] = np.nan
+    motion = solved(truth, markers)
+    check(motion)
+    empty = np.zeros(len(markers), bool)
+    empty[:10] = empty[150:160] = empty[200:205] = True
+    np.testing.assert_array_equal(motion.status == 3, empty)
+    assert off(truth, motion)[150:160].mean() < 0.02
+    assert off(truth, motion)[~empty].mean() < 0.002
+
+
+def test_a_marker_that_lies_far_off_does_not_move_the_body(exact):
+    truth = exact(120.0)
+    markers = truth.markers.copy()
+    markers[:, truth.labels.index("LKNE")] += [0.0, 0.0, 0.4]
+    assert off(truth, solved(truth, markers)).mean() < 0.004
+
+
+def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
+    truth = exact(120.0)
+    markers, k = truth.markers.copy(), truth.labels.index("LFIN")
+    sure = solved(truth, markers).deviation
+    markers[150:250, k] = np.nan
+    motion = solved(truth, markers)
+    assert (motion.deviation[160:240, k] > 1.3 * sure[160:240, k]).all()
+    other = truth.labels.index("RFIN")
+    np.testing.assert_allclose(motion.deviation[:, other], sure[:, other], rtol=0.05)
+    assert off(truth, motion)[160:240, NAMES.index("LeftHand")].mean() < 0.01
+
+
+def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
+    truth = exact(120.0)
+    markers = truth.markers.copy()
+    arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
+    markers[150:210][:, np.isin(truth.subject.joints, arm)] = np.nan
+    motion = solved(truth, markers)
+    check(motion)
+    joints = kinematics.world(truth.subject.skeleton, motion)[0]
+    step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
+    assert step.max() < 1.5 * np.linalg.norm(np.diff(truth.joints, axis=0), axis=-1).max()
+    far = [NAMES.index(name) for name in ("RightHand", "LeftFoot", "RightFoot", "Hips")]
+    assert off(truth, motion)[:, far].mean() < 0.003
+
+
+def test_the_solve_writes_into_nothing_that_it_is_given(exact):
+    truth = exact(30.0)
+    worn = Take(truth.markers.copy(), truth.labels, truth.rate)
+    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    was = [field.copy() for field in (worn.markers, *vars(start).values())]
+    solve.motion(worn, truth.subject, BODY, MEAN, start, SolveOptions())
+    for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
+        np.testing.assert_array_equal(now, before)
