@@ -24,6 +24,7 @@ from mocapfix.take import Take
 
 Progress = Callable[[str], None]
 ANYTHING = FillOptions()  # may be touched
+GUESS = 0.06  # metres per axis: a fill less sure than this is named
 FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
 
 
@@ -135,6 +136,7 @@ def clean(
         notes += more
     with clock("fill"):
         after, left = fill.take(take, believed, columns, known, motion, options)
+    notes += guesses(after)
     report = {
         "take": record.of_take(take, set_of_take.name if set_of_take else None),
         "faults": record.of_faults(take, faults),
@@ -212,14 +214,25 @@ def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.n
     error = np.full(take.seen.shape, np.nan)
     error[:, columns[there]] = distance[:, there]
     notes = []
-    strangers = len(take.labels) - there.sum()
+    strangers = [label for m, label in enumerate(take.labels) if m not in columns]
     if strangers:
-        notes.append(f"{strangers} markers are not of the marker set; their gaps were filled from how markers move together.")
+        notes.append(f"Not of the marker set, so filled only from how markers move together: {', '.join(strangers)}.")
     poor = [take.labels[m] for m in columns[there] if (error[:, m] > FAR).sum() > 0.5 * (~np.isnan(error[:, m])).sum()]
     if poor:
         far = f"more than {FAR * 1e3:.0f} mm from the body for half the take"
         notes.append(f"{', '.join(poor)} lie {far}: are they labelled right?")
     return position, error, notes
+
+
+def guesses(after: Take) -> list[str]:
+    """-> a note on filled samples that are hardly more than guesses, none where all are better."""
+    poor = np.zeros(after.seen.shape, bool) if after.deviation is None else after.deviation > GUESS
+    if not poor.any():
+        return []
+    labels = ", ".join(after.labels[m] for m in np.flatnonzero(poor.any(0)))
+    return [
+        f"{poor.sum()} filled samples are hardly more than guesses, with a predicted error above {GUESS * 1e3:.0f} mm: {labels}."
+    ]
 
 
 def check_options(take: Take, options: FillOptions) -> None:

@@ -21,7 +21,7 @@ class FillOptions:
     """labels of markers that are left exactly as they are"""
     frames: tuple[int, int] | None = None
     """the only frames that may be touched, first and last, the file's own numbers"""
-    limit: float = 0.150
+    limit: float = 0.250
     """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
 
 

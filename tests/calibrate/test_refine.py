@@ -8,7 +8,6 @@ import pytest
 from mocapfix import marker_set, prior, synthetic
 from mocapfix.calibrate import refine
 from mocapfix.kernels import kinematics
-from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
 
@@ -35,8 +34,7 @@ def performed(subject, frames=90):
 
 
 def fitted(markers, start=NOMINAL):
-    posed = refine.posed(start, BODY, MEAN, markers)
-    return refine.refined(start, BODY, MEAN, WORN, markers, posed, np.arange(len(markers)))
+    return refine.refined(start, BODY, MEAN, markers, refine.posed(start, BODY, MEAN, markers))
 
 
 def test_groups_are_those_of_the_skeleton():
@@ -45,12 +43,14 @@ def test_groups_are_those_of_the_skeleton():
     assert (GROUPS[[0]] == -1).all()
 
 
-def test_a_body_scaled_in_its_groups_is_the_tree_of_its_shape():
+def test_the_problem_is_on_the_body_of_the_shape():
     scales = np.exp(np.random.default_rng(0).normal(0, 0.1, len(BODY.groups)))
-    shape = refine.Shape(np.log(1.1), np.log(scales), WORN.places)
-    tree = refine.tree_of(NOMINAL, BODY, GROUPS, shape)
-    np.testing.assert_allclose(tree.offsets, 1.1 * person(scales).skeleton.offsets)
-    np.testing.assert_array_equal(refine.tree_of(NOMINAL, BODY, GROUPS).offsets, BODY.skeleton.offsets)
+    shape, markers = refine.Shape(np.log(1.1), np.log(scales), 2 * WORN.places), np.zeros((1, len(WORN.labels), 3))
+    problem = refine.problem_of(NOMINAL, BODY, MEAN, markers, shape)
+    np.testing.assert_allclose(problem.tree.offsets, 1.1 * person(scales).skeleton.offsets)
+    np.testing.assert_array_equal(problem.attached.places, 2 * WORN.places)
+    same = refine.problem_of(NOMINAL, BODY, MEAN, markers, refine.unchanged(NOMINAL, BODY))
+    np.testing.assert_array_equal(same.tree.offsets, BODY.skeleton.offsets)
 
 
 def test_a_shape_moves_by_size_groups_and_places_in_that_order():
@@ -71,11 +71,6 @@ def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
     damped = refine.step(curvature, gradient, 10.0)
     assert np.linalg.norm(damped) < np.linalg.norm(bottom)
     assert damped @ gradient < 0
-
-
-def test_a_pull_that_pulls_nothing_has_no_information():
-    none = refine.no_pull(31)
-    assert not any(np.any(field) for field in none)
 
 
 def test_the_average_body_stays_itself():
@@ -128,12 +123,10 @@ def test_the_spread_is_what_a_marker_strays():
     assert np.median(found.spread) < 0.004
 
 
-def test_frames_that_are_not_chosen_do_not_count():
-    markers, _ = performed(NOMINAL)
+def test_the_poses_that_are_given_stay_as_they_are():
+    markers, _ = performed(NOMINAL, frames=30)
     posed = refine.posed(NOMINAL, BODY, MEAN, markers)
-    was = Motion(*(field.copy() for field in vars(posed).values()))
-    chosen = np.arange(0, 90, 3)
-    found = refine.refined(NOMINAL, BODY, MEAN, WORN, markers[chosen], posed, chosen)
-    assert found.frames == 30
-    for before, after in zip(vars(was).values(), vars(posed).values(), strict=True):
+    was = [field.copy() for field in vars(posed).values()]
+    assert refine.refined(NOMINAL, BODY, MEAN, markers, posed).frames == 30
+    for before, after in zip(was, vars(posed).values(), strict=True):
         np.testing.assert_array_equal(before, after)

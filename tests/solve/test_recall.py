@@ -140,7 +140,7 @@ def test_nothing_lost_is_nothing_changed():
 
 def test_circumstances_are_those_of_the_moving_root():
     t = np.arange(120) / RATE
-    turn = Rotation.from_euler("y", 0.5 * t).as_matrix()
+    turn = Rotation.from_euler("y", 0.5 * t[:, None]).as_matrix()
     root = np.stack([0 * t, 0.9 + 0.1 * t, 0 * t], 1) + 0.7 * np.stack([np.cos(0.5 * t), 0 * t, -np.sin(0.5 * t)], 1)
     said = recall.circumstances(root, turn, RATE)
     np.testing.assert_allclose(said[:, :3], np.tile([0, 1, 0], (120, 1)), atol=1e-12)  # upright
