@@ -108,7 +108,7 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
 
 
 def test_every_key_of_the_record_is_in_its_documentation():
-    said = record.__doc__
+    said = record.__doc__ or ""
     for made in (record.of_take(take(), None), record.of_fill(take(), take(), ())):
         assert all(key in said for key in made)
     assert all(key in said for key in ("bones_m", "spread_m", "by_marker", "iterations_mean", "severity_m", "notes", "total"))

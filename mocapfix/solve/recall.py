@@ -13,6 +13,7 @@ from mocapfix.subject import Subject
 from mocapfix.take import runs
 
 ENOUGH = 2.0  # seconds of wholly seen motion, without which a take cannot tell
+MOST = 0.5  # share of the joints: with more of them lost, there is no body left to recall the rest from
 FADE = 0.3  # seconds after which the difference at a gap's edge has lost most of its memory
 REACH = 0.1  # seconds beside a gap that are listened to
 UNSURE = 0.2  # radians per axis: what a recalled rotation counts as in the smoothing
@@ -43,6 +44,7 @@ def recalled(
     """
     joints = np.flatnonzero(free)[1:]
     whole = ~np.any(gone, axis=1)
+    gone = gone & (gone[:, joints].mean(axis=1) <= MOST)[:, None]
     if not gone.any() or whole.sum() < ENOUGH * rate:
         return local, variance
     mean = np.stack([Rotation.from_matrix(local[whole, j]).mean().as_matrix() for j in joints])

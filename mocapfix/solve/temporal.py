@@ -92,18 +92,13 @@ def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rat
 
 
 def continuous(rotations: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """-> quaternions (T, 4), each on the same side as the last known one before it."""
+    """-> quaternions (T, 4) of rotations (T, 3, 3), of the two that mean the same the one nearest the last known before."""
     quaternions = Rotation.from_matrix(rotations).as_quat()
-    before = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
-    before = np.r_[0, before[:-1]]
-    same = (quaternions * quaternions[before]).sum(1) >= 0
-    side = np.ones(len(quaternions))
-    for t in np.flatnonzero(~same):
-        side[t] = -1.0
-    # a frame's side is its own flip times the side of the frame it is held against
-    for t in range(1, len(side)):
-        side[t] *= side[before[t]]
-    return quaternions * side[:, None]
+    frames = np.flatnonzero(known) if known.any() else np.arange(len(known))
+    chain = quaternions[frames]
+    chain[1:] *= np.cumprod(np.where((chain[1:] * chain[:-1]).sum(1) < 0, -1.0, 1.0))[:, None]
+    last = chain[np.maximum(np.searchsorted(frames, np.arange(len(known)), side="right") - 1, 0)]
+    return quaternions * np.where((quaternions * last).sum(1) < 0, -1.0, 1.0)[:, None]
 
 
 def smoothed_root(root: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:

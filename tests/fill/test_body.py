@@ -58,7 +58,7 @@ def test_a_residual_is_carried_across_in_the_segments_axes(scene):
 
 
 def test_a_long_gap_is_the_less_sure_the_farther_from_its_edges(scene):
-    subject, _, on_body, _ = scene
+    on_body = scene[2]
     worn = on_body + np.random.default_rng(0).normal(0, 0.004, on_body.shape)
     wanted = gap(scene, 7, 100, 250)
     deviation = filled(scene, worn, wanted)[1][:, 7]

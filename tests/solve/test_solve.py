@@ -81,8 +81,8 @@ def check(motion: Motion):
     """What holds of every motion whatever was seen: finite, rotations, a deviation for every marker."""
     assert np.isfinite(motion.root).all()
     np.testing.assert_allclose(np.linalg.det(motion.rotations), 1.0)
-    np.testing.assert_allclose(motion.rotations @ np.swapaxes(motion.rotations, 2, 3), np.broadcast_to(np.eye(3), motion.rotations.shape),
-                               atol=1e-9)  # fmt: skip
+    across = motion.rotations @ np.swapaxes(motion.rotations, 2, 3)
+    np.testing.assert_allclose(across, np.broadcast_to(np.eye(3), across.shape), atol=1e-9)
     assert np.isfinite(motion.deviation).all()
     assert (motion.deviation > 0).all()
 
@@ -100,8 +100,8 @@ def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
     truth = exact(120.0)
     still = np.tile(truth.markers[200], (30, 1, 1))
     motion = solved(truth, still)
-    assert off(truth, motion, [200]).max() < 2e-3
-    assert off(truth, motion, [200]).mean() < 1e-4
+    assert off(truth, motion, slice(200, 201)).max() < 2e-3
+    assert off(truth, motion, slice(200, 201)).mean() < 1e-4
 
 
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
@@ -135,7 +135,6 @@ def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
     np.testing.assert_allclose(np.diff(motion.root[145:165], 2, axis=0), 0.0, atol=1e-3)  # no jump
 
 
-@pytest.mark.xfail(reason="joints that no marker tells of are led astray in the shortest gap, and recalled from a root that jumps")
 @pytest.mark.parametrize("habits", [NONE, MEAN], ids=["none", "mean-pose"])
 def test_a_blackout_of_a_twelfth_of_a_second_is_bridged(exact, habits):
     truth = exact(120.0)
