@@ -9,7 +9,8 @@ From Python:
 
 from mocapfix.errors import MocapfixError
 from mocapfix.fill import FillOptions
-from mocapfix.pipeline import Result, calibrated, clean
+from mocapfix.pipeline import calibrated, clean
+from mocapfix.result import Result
 from mocapfix.take import Take
 
 __all__ = ["FillOptions", "MocapfixError", "Result", "Take", "calibrated", "clean"]

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.errors import MocapfixError, ReadError
+from mocapfix.errors import MocapfixError, ReadError, WriteError
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -36,15 +36,16 @@ def demo(
     """
     from mocapfix import pipeline, synthetic
     from mocapfix.bench.demo import errors
+    from mocapfix.result import make_folder
 
-    pipeline.make_folder(folder)
+    make_folder(folder)
     truth, path = synthetic.take(seed=seed), folder / "demo.c3d"
     synthetic.write(path, truth)
     seconds, markers = len(truth.markers) / truth.rate, truth.markers.shape[1]
     out.print(f"Composed {escape(str(path))}: {seconds:.0f} s of {markers} markers, {truth.struck.sum()} samples missing.")
     with staged(path.name) as progress:
         result = pipeline.clean(path, progress=progress)
-        outputs = result.write(folder / "demo.mocapfix", overwrite=True)
+        outputs = result.write(folder / "demo.mocapfix", overwrite=True, progress=progress)
     table = Table("error, mm (root mean square)", title="From the known truth", title_justify="left")
     rows = errors(truth, result)
     for way in rows:
@@ -52,8 +53,8 @@ def demo(
     for damage in rows["mocapfix"]:
         table.add_row(damage, *(f"{rows[way][damage]:.1f}" for way in rows))
     out.print(table)
-    tell(result.report, outputs)
-    out.print(f"See it move: mocapfix view {escape(str(folder / 'demo.mocapfix'))}")
+    tell(json.loads(outputs["report.json"].read_text(encoding="utf-8")), outputs)
+    out.print(f"See it move: mocapfix view {escape(str(folder / 'demo.mocapfix'))}", soft_wrap=True)
     return DONE
 
 
@@ -100,10 +101,11 @@ def calibrate(
 ) -> int:
     """Find a person's bones and marker places from takes of them, to be given to `clean --subject`."""
     from mocapfix import pipeline, subject_file
+    from mocapfix.result import check_not_there
 
     if not takes:
         raise SystemExit(usage("calibrate: name at least one take (a C3D file)."))
-    pipeline.check_free([subject], overwrite)
+    check_not_there([subject], overwrite)
     with staged(", ".join(take.name for take in takes)) as progress:
         progress("calibrate")
         known = pipeline.calibrated(takes, marker_set, prior)
@@ -136,6 +138,7 @@ def clean(
     """Clean takes: faults found, gaps filled, spikes mended; a C3D, a BVH, a report and a recording written."""
     from mocapfix import pipeline
     from mocapfix.fill import FillOptions
+    from mocapfix.result import check_free
 
     if not takes:
         raise SystemExit(usage("clean: name at least one take (a C3D file)."))
@@ -143,28 +146,27 @@ def clean(
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
     labels = tuple(label.strip() for label in keep.split(",") if label.strip())
     options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
-    reports, failed, written = [], False, set()
+    reports, written = [], set()
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")
         try:
-            outputs = pipeline.outputs_in(where, take.stem, True)
-            pipeline.check_free(outputs.values(), overwrite and where / take.stem not in written)
+            if where / take.stem in written:
+                raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
+            check_free(where, take.stem, overwrite, take)
             with staged(take.name) as progress:
-                result = pipeline.clean(
-                    take, marker_set=marker_set, subject=subject, prior=prior, options=options, progress=progress
-                )
-                outputs = result.write(where, overwrite=True)
+                given = {"marker_set": marker_set, "subject": subject, "prior": prior, "options": options}
+                result = pipeline.clean(take, **given, progress=progress)
+                outputs = result.write(where, overwrite, progress)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
-            failed = True
             continue
         written.add(where / take.stem)
-        reports.append(result.report)
+        reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
         if not as_json:
-            tell(result.report, outputs)
+            tell(reports[-1], outputs)
     if as_json and reports:
         sys.stdout.write(json.dumps(reports if len(takes) > 1 else reports[0], indent=1) + "\n")
-    return FAILED if failed else DONE
+    return DONE if len(reports) == len(takes) else FAILED
 
 
 def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.rrd", help="what clean wrote")]) -> int:

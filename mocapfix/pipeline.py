@@ -1,101 +1,26 @@
 """The stages in order: the map of the whole program."""
 
-import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
 from mocapfix import calibrate, detect, fill, initialise, marker_set, prior, read, record, solve, subject_file
-from mocapfix.errors import TakeError, WriteError
-from mocapfix.faults import Faults
-from mocapfix.files import replacing
+from mocapfix.clock import Clock, Progress
+from mocapfix.errors import TakeError
 from mocapfix.fill import FillOptions
 from mocapfix.kernels import kinematics
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
+from mocapfix.result import Result
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-Progress = Callable[[str], None]
 ANYTHING = FillOptions()  # may be touched
 GUESS = 0.06  # metres per axis: a fill less sure than this is named
 FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
-
-
-@dataclass(frozen=True)
-class Result:
-    """A cleaned take and everything known of it.
-
-    before   the take as it was read;  take  as it was mended
-    faults   what was wrong
-    subject  the person, motion their poses: None where no marker set fits
-    joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
-    report   the record, as the JSON report holds it (see mocapfix.record)
-    """
-
-    before: Take
-    take: Take
-    faults: Faults
-    subject: Subject | None
-    motion: Motion | None
-    joints: np.ndarray | None
-    error: np.ndarray | None
-    report: dict
-
-    def write(self, folder: str | Path, overwrite: bool = False) -> dict[str, Path]:
-        """Write the mended C3D, BVH, subject, report and recording into a folder, made where it is not there.
-
-        -> the files by kind. Raises WriteError where one is there already (and overwrite is False), or cannot be written.
-        """
-        from mocapfix import show, write
-
-        outputs = outputs_in(Path(folder), self.before.path.stem if self.before.path else "take", self.subject is not None)
-        check_free(outputs.values(), overwrite)
-        make_folder(Path(folder))
-        clock = Clock(self.report["seconds"])
-        with clock("write"):
-            beyond = write.c3d(outputs["c3d"], self.before, self.take)
-            if beyond:
-                labels = sorted({self.before.labels[m] for _, m in beyond})
-                self.report["notes"].append(
-                    f"{len(beyond)} mended samples of {', '.join(labels)} lie beyond what this file can hold and were left empty."
-                )
-                self.report["fill"]["left_empty"] += len(beyond)
-                self.report["fill"]["filled"] -= len(beyond)
-            if self.subject and self.motion:
-                write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
-                subject_file.save(outputs["subject.yaml"], self.subject)
-        skeleton = self.subject.skeleton if self.subject else None
-        shown = (self.before, self.take, self.faults, skeleton, self.joints, self.error)
-        with clock("show"):
-            show.comparison(outputs["rrd"], *shown)
-            show.report(outputs["report.html"], self.report, *shown)
-        with replacing(outputs["report.json"]) as part:
-            part.write_text(json.dumps(self.report, indent=1) + "\n", encoding="utf-8")
-        return outputs
-
-
-@dataclass
-class Clock:
-    """Seconds per stage, and whom to tell that one begins."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    progress: Progress | None = None
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        if self.progress:
-            self.progress(stage)
-        start = perf_counter()
-        yield
-        self.seconds[stage] = round(perf_counter() - start, 3)
-        self.seconds["total"] = round(sum(v for k, v in self.seconds.items() if k != "total"), 3)
 
 
 def clean(
@@ -146,7 +71,7 @@ def clean(
         "seconds": clock.seconds,
         "notes": notes,
     }
-    return Result(take, after, faults, known, motion, joints, error, report)
+    return Result(take, after, faults, left, known, motion, joints, error, report)
 
 
 def posed(worn: Take, worn_set: MarkerSet, subject: Subject | None, name: str, clock: Clock) -> tuple[Subject, Motion]:
@@ -243,26 +168,7 @@ def check_options(take: Take, options: FillOptions) -> None:
     if options.frames:
         first, last = take.first_frame, take.frame_number(take.frames - 1)
         a, b = options.frames
-        if a > b or b < first or a > last:
+        if a > b:
+            raise TakeError(f"{take.name}: frames {a} to {b}: the first must not come after the last.")
+        if b < first or a > last:
             raise TakeError(f"{take.name}: frames {a} to {b} are not in the take, which has {first} to {last}.")
-
-
-def outputs_in(folder: Path, stem: str, body: bool) -> dict[str, Path]:
-    """-> what is written into a folder, by kind, each named by the input's stem; BVH and subject only with a body."""
-    kinds = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
-    return {kind: folder / f"{stem}.{kind}" for kind in kinds if body or kind not in ("bvh", "subject.yaml")}
-
-
-def check_free(outputs, overwrite: bool) -> None:
-    """Raise WriteError where an output is there already and must not be replaced."""
-    there = [path for path in outputs if path.exists()]
-    if there and not overwrite:
-        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or another folder with --out.")
-
-
-def make_folder(folder: Path) -> None:
-    """Make an output folder. Raises WriteError naming it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error

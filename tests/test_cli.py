@@ -108,7 +108,7 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert (tmp_path / "out" / "brief.subject.yaml").read_text() == subject.read_text()
     status, _, err = mocapfix("calibrate", brief.path, "-o", subject)
     assert status == 1
-    assert flat(err) == f"{subject}: is there already; give --overwrite to replace it, or another folder with --out."
+    assert flat(err) == f"{subject}: is there already; give --overwrite to replace it, or choose another place."
 
 
 def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_path):
@@ -120,7 +120,7 @@ def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_
     assert "walk.1.c3d: 40 samples were missing, 40 are filled; 1 faulty ones mended; 0 left empty." in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
-    assert "walk.1.c3d: is there already; give --overwrite to replace it, or another folder with --out." in err
+    assert "walk.1.c3d: is there already; give --overwrite to replace it, or choose another place." in err
     assert mocapfix("clean", take, "--subject", brief.subject, "--overwrite")[0] == 0
 
 
@@ -163,7 +163,7 @@ def test_a_second_take_of_the_same_stem_does_not_replace_the_first(mocapfix, bri
     status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--json", *overwrite)
     assert status == 1
     assert len(json.loads(out)) == 1
-    assert "walk.c3d: is there already" in err
+    assert "another take of this name was written" in err
 
 
 def test_view_opens_the_recording_that_clean_wrote(mocapfix, cleaned, monkeypatch):

@@ -90,7 +90,7 @@ def test_a_prior_that_does_not_say_what_it_must_is_told_by_file_and_joint(shelf,
     path = shelf(change)
     with pytest.raises(SceneError) as told:
         prior.load("mine", SKELETON)
-    assert str(told.value).startswith(f"{path}: joints.LeftArm must hold quaternion_xyzw and covariance (xx, yy, zz, xy, xz, yz)")
+    assert str(told.value).startswith(f"{path}: joints.LeftArm must hold quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz)")
     assert str(told.value).endswith("held.")
 
 

@@ -5,10 +5,12 @@ import numpy as np
 from mocapfix.fill.clusters import rigid
 from mocapfix.fill.splines import splines
 from mocapfix.kernels.gaussian import gaussian
-from mocapfix.take import Take
+from mocapfix.take import Take, runs
 
 LIMIT = 0.120  # metres per axis
 LONGEST = 0.5  # seconds
+FASTER = 2.0
+SLOW = 2.0  # metres a second: speeds of a take that hardly moves
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 
@@ -26,11 +28,31 @@ def trajectories(
     longest   seconds: longer gaps are no matter for splines
     """
     markers = np.where(believed[..., None], take.markers, np.nan)
+    if believed.all():
+        return markers, np.full(believed.shape, np.nan)
     path, sure = splines(markers, take.rate, longest)
     whole = np.where((sure <= SURE)[..., None], path, markers)
     place, deviation = weighed([(path, sure), gaussian(whole, take.rate), rigid(whole, take.rate)])
     fill = ~believed & (deviation <= limit)
     return np.where(fill[..., None], place, markers), np.where(fill, deviation, np.nan)
+
+
+def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T, M) bool: the gaps across which a marker would have to fly, faster than FASTER times any marker seen.
+
+    Few markers seen, or in a line, turn the body they are laid on over between two frames: no deviation tells of that.
+    """
+    speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) * rate
+    seen = believed[1:] & believed[:-1]
+    mask = np.zeros_like(believed)
+    if not seen.any():
+        return mask
+    limit = FASTER * max(float(np.percentile(speed[seen], 99.9)), SLOW)
+    for m in range(believed.shape[1]):
+        for first, last in runs(~believed[:, m]):
+            steps = speed[max(first - 1, 0) : last + 1, m]
+            mask[first : last + 1, m] = (steps > limit).any()
+    return mask
 
 
 def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

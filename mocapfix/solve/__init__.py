@@ -60,13 +60,15 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
 
     root, local, none = start.root.copy(), start.rotations.copy(), no_pull(len(body.free))
     _, alone = problem.solve(root, local, none, options.robust)
-    unsure = missed(listened, subject) & body.free
+    gone = recall.lost(listened, subject, body.free)
+    unsure = (missed(listened, subject) | gone) & body.free
     variance = problem.uncertainty(root, local, none, narrow).joints
-    problem.track(root, local, bridged(local, variance, unsure, worn.rate, options), unsure, narrow)
+    bridge, course_variance = bridged(local, variance, unsure, worn.rate, options)
+    problem.track(root, local, bridge, unsure, narrow)
 
     left_open = problem.uncertainty(root, local, none, narrow)
-    gone = recall.lost(listened, subject, body.free)
-    known, variance = recall.recalled(root, local, left_open.joints, gone, body.free, worn.rate)
+    told = np.where(gone, np.minimum(left_open.joints, course_variance + options.turn_sd**2), left_open.joints)
+    known, variance = recall.recalled(root, local, told, gone, body.free, worn.rate)
     target = smooth(root, known, variance, left_open.root, body.free, worn.rate, options)
     root, local = target.root.copy(), target.rotations.copy()
     status, together = problem.solve(root, local, target, (narrow,))
@@ -106,7 +108,7 @@ def polished(root, local, free, rate, options: SolveOptions) -> tuple[np.ndarray
     frames = len(root)
     for j in np.flatnonzero(free):
         out[:, j] = temporal.smoothed_rotations(local[:, j], np.full(frames, options.tremble_turn**2), rate)
-    return temporal.smoothed_root(root, np.full(frames, options.tremble_shift**2), rate), out
+    return temporal.smoothed_root(root, np.full(frames, options.tremble_shift**2), rate)[0], out
 
 
 def missed(listened: np.ndarray, subject: Subject) -> np.ndarray:
@@ -115,19 +117,21 @@ def missed(listened: np.ndarray, subject: Subject) -> np.ndarray:
     for k in np.flatnonzero(listened.any(0)):
         joint = subject.joints[k]
         lacking[:, joint] |= ~listened[:, k]
-        lacking[:, subject.skeleton.parents[joint]] |= ~listened[:, k]
+        lacking[:, max(subject.skeleton.parents[joint], 0)] |= ~listened[:, k]
     lacking[:, 0] = False
     return lacking
 
 
-def bridged(local, variance, unsure, rate, options: SolveOptions) -> Pull:
-    """-> where each joint's course leads while the joint itself is unsure, as a pull as strong as that course is certain."""
-    rotations, information = local.copy(), np.zeros_like(local)
+def bridged(local, variance, unsure, rate, options: SolveOptions) -> tuple[Pull, np.ndarray]:
+    """-> where each joint's course leads while the joint itself is unsure, as a pull as strong as that course is certain,
+    and the course's variance (T, J), rad^2, there.
+    """
+    rotations, information, left_open = local.copy(), np.zeros_like(local), np.zeros(unsure.shape)
     for j in np.flatnonzero(unsure.any(0)):
-        rotations[:, j], left_open = temporal.bridged(local[:, j], variance[:, j], unsure[:, j], rate)
-        certain = np.where(unsure[:, j], 1 / (left_open + options.turn_sd**2), 0.0)
+        rotations[:, j], left_open[:, j] = temporal.bridged(local[:, j], variance[:, j], unsure[:, j], rate)
+        certain = np.where(unsure[:, j], 1 / (left_open[:, j] + options.turn_sd**2), 0.0)
         information[:, j] = certain[:, None, None] * np.eye(3)
-    return Pull(rotations, information, np.zeros((len(local), 3)), np.zeros(len(local)))
+    return Pull(rotations, information, np.zeros((len(local), 3)), np.zeros(len(local))), left_open
 
 
 def smooth(root, local, variance, root_variance, free, rate, options: SolveOptions) -> Pull:
@@ -137,5 +141,5 @@ def smooth(root, local, variance, root_variance, free, rate, options: SolveOptio
         rotations[:, j] = temporal.smoothed_rotations(local[:, j], variance[:, j], rate)
         doubt = np.minimum(variance[:, j], LOOSEST**2)  # joints that share a turn, as the spine's do, are unsure one by one
         information[:, j] = np.eye(3) / (options.turn_sd**2 + doubt)[:, None, None]
-    smooth_root = temporal.smoothed_root(root, root_variance, rate)
-    return Pull(rotations, information, smooth_root, np.full(len(root), 1 / options.shift_sd**2))
+    smooth_root, left_open = temporal.smoothed_root(root, root_variance, rate)
+    return Pull(rotations, information, smooth_root, 1 / (options.shift_sd**2 + left_open))

@@ -19,7 +19,9 @@ WELL_KNOWN = 0.1  # radians (or metres times ten): frames less certain than this
 LIVELY = 2.0  # the quickest moments in a window over its average: smoothing must not cost them their speed
 DOUBT = 20.0  # likewise across a gap: a course that is surer than the motion is lively leads it astray
 QUIET = 0.02  # least power, as a share of the whole take's: a joint held still may yet move
+TREMBLE = 0.02  # radians: what is left of a joint's variance from one frame to the next
 SILENT = 1e4  # rad^2 or m^2: the variance of a frame that says nothing; with more the system would be singular to rounding
+UNKNOWN_ROOT = 0.1  # metres: a frame that knows its root no better does not know it
 LEAST = 1e-3  # least power, rad^2/s^3 or m^2/s^3
 
 
@@ -73,22 +75,30 @@ def smoothed_rotations(rotations: np.ndarray, variance: np.ndarray, rate: float)
 
 
 def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> the course of one joint (T, 3, 3) through the frames that are sure of it, and its variance (T,) at the others.
+    """-> the course of one joint (T, 3, 3) through the frames that are sure of it, and its variance (T,) at the others."""
+    # what makes a joint's place unsure, its markers' places, is the same from frame to frame: the course is known better
+    sure = np.where(unsure, SILENT, np.minimum(variance, TREMBLE**2))
+    quaternions = continuous(rotations, ~unsure)
+    power = liveliness(2 * quaternions, sure, rate, WELL_KNOWN) * 4 / 3
+    smooth = Rotation.from_quat(course(quaternions, sure, power, rate)).as_matrix()
+    return smooth, left_open(unsure, power, rate)
+
+
+def left_open(unsure: np.ndarray, power: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T,) the variance of a course of `power` (T,) at the frames that are unsure, 0 at the others.
 
     Between two known ends, a and b seconds away, an integrated random acceleration of power q has variance
     q a^3 b^3 / 3 (a + b)^3; beyond the last known end, q a^3 / 3.
     """
-    sure = np.where(unsure, SILENT, variance)
-    quaternions = continuous(rotations, ~unsure)
-    power = liveliness(2 * quaternions, sure, rate, WELL_KNOWN) * 4 / 3
-    smooth = Rotation.from_quat(course(quaternions, sure, power, rate)).as_matrix()
-    open_variance = np.zeros(len(rotations))
+    variance = np.zeros(len(unsure))
     for first, last in runs(unsure):
-        since, until = np.arange(1, last - first + 2) / rate, np.arange(last - first + 1, 0, -1) / rate
-        near = (first > 0) / since + (last < len(rotations) - 1) / until  # an end that is not there is infinitely far
-        third = np.divide(1.0, near**3, out=np.full(len(near), np.inf), where=near > 0)
-        open_variance[first : last + 1] = DOUBT * power[first : last + 1].mean() / 3 * third
-    return smooth, open_variance
+        a, b = np.arange(1, last - first + 2) / rate, np.arange(last - first + 1, 0, -1) / rate
+        if first == 0:
+            a = np.full(len(a), np.inf)
+        if last == len(unsure) - 1:
+            b = np.full(len(b), np.inf)
+        variance[first : last + 1] = DOUBT * power[first : last + 1].mean() / 3 / np.maximum(1 / a + 1 / b, 1e-9) ** 3
+    return variance
 
 
 def continuous(rotations: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -101,6 +111,10 @@ def continuous(rotations: np.ndarray, known: np.ndarray) -> np.ndarray:
     return quaternions * np.where((quaternions * last).sum(1) < 0, -1.0, 1.0)[:, None]
 
 
-def smoothed_root(root: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, 3) metres, the smooth course of the root, variance (T,) in m^2 per axis."""
-    return course(root, variance, liveliness(root, variance, rate, WELL_KNOWN / 10), rate)
+def smoothed_root(root: np.ndarray, variance: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> (T, 3) metres, the smooth course of the root, and its variance (T,) in frames that hardly tell the root.
+
+    variance  (T,) m^2 per axis, each frame's own
+    """
+    power = liveliness(root, variance, rate, WELL_KNOWN / 10)
+    return course(root, variance, power, rate), left_open(variance > UNKNOWN_ROOT**2, power, rate)

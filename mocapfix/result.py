@@ -1,0 +1,115 @@
+"""What cleaning a take gives, and how it is put into a folder."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from mocapfix import record, subject_file
+from mocapfix.clock import Clock, Progress
+from mocapfix.errors import WriteError
+from mocapfix.faults import Faults
+from mocapfix.fill import Left
+from mocapfix.motion import Motion
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+KINDS = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+OF_BODY = ("bvh", "subject.yaml")
+
+
+@dataclass(frozen=True)
+class Result:
+    """A cleaned take and everything known of it.
+
+    before   the take as it was read;  take  as it was mended
+    faults   what was wrong;  left  what stays empty, and why
+    subject  the person, motion their poses: None where no marker set fits
+    joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
+    report   the record, as the JSON report holds it (see mocapfix.record)
+    """
+
+    before: Take
+    take: Take
+    faults: Faults
+    left: tuple[Left, ...]
+    subject: Subject | None
+    motion: Motion | None
+    joints: np.ndarray | None
+    error: np.ndarray | None
+    report: dict
+
+    def write(self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None) -> dict[str, Path]:
+        """Write the mended C3D, BVH, subject, report and recording into a folder, made where it is not there.
+
+        All are written beside their places first and put there together, so that none is missing or half-written.
+        -> the files by kind. Raises WriteError where one is there already (and overwrite is False), or cannot be written.
+        """
+        folder, stem = Path(folder), self.before.path.stem if self.before.path else "take"
+        check_free(folder, stem, overwrite, self.before.path)
+        make_folder(folder)
+        try:
+            with TemporaryDirectory(dir=folder, prefix=f".{stem}.") as beside:
+                self._write_into(outputs_in(Path(beside), stem), Clock(dict(self.report["seconds"]), progress))
+                for kind, target in outputs_in(folder, stem).items():
+                    part = Path(beside) / target.name
+                    if part.exists():
+                        part.replace(target)
+                    elif kind in OF_BODY:  # of an earlier cleaning, with a body
+                        target.unlink(missing_ok=True)
+        except OSError as error:
+            raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
+        return {kind: path for kind, path in outputs_in(folder, stem).items() if self.subject or kind not in OF_BODY}
+
+    def _write_into(self, outputs: dict[str, Path], clock: Clock) -> None:
+        from mocapfix import show, write
+
+        report = {**self.report, "seconds": clock.seconds}
+        after, left = self.take, self.left
+        with clock("write"):
+            if beyond := write.c3d(outputs["c3d"], self.before, self.take):
+                markers = self.take.markers.copy()
+                markers[tuple(np.array(beyond).T)] = np.nan
+                after = self.take.with_markers(markers, self.take.deviation)
+                left += tuple(Left(m, t, t, "its mended place is beyond what this integer file can hold") for t, m in beyond)
+                report["fill"] = record.of_fill(self.before, after, left)
+            if self.subject and self.motion:
+                write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
+                subject_file.save(outputs["subject.yaml"], self.subject)
+        skeleton = self.subject.skeleton if self.subject else None
+        shown = (self.before, after, self.faults, skeleton, self.joints, self.error)
+        with clock("show"):
+            show.comparison(outputs["rrd"], *shown)
+            show.report(outputs["report.html"], report, *shown)
+        outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def outputs_in(folder: Path, stem: str) -> dict[str, Path]:
+    """-> what may be written into a folder, by kind, each named by the input's stem."""
+    return {kind: folder / f"{stem}.{kind}" for kind in KINDS}
+
+
+def check_free(folder: Path, stem: str, overwrite: bool, source: Path | None = None) -> None:
+    """Raise WriteError where an output is there already and must not be replaced, or would replace the input."""
+    outputs = outputs_in(folder, stem)
+    if source and outputs["c3d"].exists() and outputs["c3d"].samefile(source):
+        raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder than its own with --out.")
+    check_not_there(outputs.values(), overwrite)
+
+
+def check_not_there(outputs: Iterable[Path], overwrite: bool) -> None:
+    """Raise WriteError naming the first output that is there already, unless it may be replaced."""
+    there = [path for path in outputs if path.exists()]
+    if there and not overwrite:
+        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or choose another place.")
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output folder. Raises WriteError naming it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error
