@@ -16,10 +16,11 @@ from mocapfix.result import Result
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
 from mocapfix.subject import Subject
-from mocapfix.take import Take
+from mocapfix.take import Take, runs
 
 ANYTHING = FillOptions()  # may be touched
 GUESS = 0.06  # metres per axis: a fill less sure than this is named
+ASTRAY, STAYS = 0.1, 0.05  # metres and seconds: a marker so far from the body for so long is worth a look
 FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
 
 
@@ -138,15 +139,32 @@ def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.n
     distance = np.linalg.norm(worn.markers - kinematics.markers(subject, position, rotation), axis=-1)
     error = np.full(take.seen.shape, np.nan)
     error[:, columns[there]] = distance[:, there]
+    return position, error, [*other_markers(take, columns), *strays(take, error)]
+
+
+def other_markers(take: Take, columns: np.ndarray) -> list[str]:
+    """-> a note on the markers that are not the solved person's."""
+    others = [label for m, label in enumerate(take.labels) if m not in columns]
+    whose = {take.labels[m].rpartition(":")[0] for m in columns if m >= 0} - {""}
+    who = f"The body is {', '.join(sorted(whose))}'s. " if whose and others else ""
+    return [f"{who}Not of its marker set, so filled only from how markers move together: {', '.join(others)}."] if others else []
+
+
+def strays(take: Take, error: np.ndarray) -> list[str]:
+    """-> notes on markers that lie far from the body: all along, or over the frames where labels may have been swapped."""
     notes = []
-    strangers = [label for m, label in enumerate(take.labels) if m not in columns]
-    if strangers:
-        notes.append(f"Not of the marker set, so filled only from how markers move together: {', '.join(strangers)}.")
-    poor = [take.labels[m] for m in columns[there] if (error[:, m] > FAR).sum() > 0.5 * (~np.isnan(error[:, m])).sum()]
-    if poor:
-        far = f"more than {FAR * 1e3:.0f} mm from the body for half the take"
-        notes.append(f"{', '.join(poor)} lie {far}: are they labelled right?")
-    return position, error, notes
+    for m in np.flatnonzero((error > FAR).any(0)):
+        seen = ~np.isnan(error[:, m])
+        if (error[:, m] > FAR).sum() > 0.5 * seen.sum():
+            far = f"more than {FAR * 1e3:.0f} mm from the body for half the take"
+            notes.append(f"{take.labels[m]} lies {far}: is it labelled right?")
+            continue
+        for first, last in runs(error[:, m] > ASTRAY):
+            if (last - first + 1) / take.rate >= STAYS:
+                frames = f"frames {take.frame_number(first)} to {take.frame_number(last)}"
+                off = f"{np.median(error[first : last + 1, m]) * 1e3:.0f} mm from the body"
+                notes.append(f"{take.labels[m]}, {frames}: lies {off} and was kept; look for swapped labels.")
+    return notes
 
 
 def guesses(after: Take) -> list[str]:
