@@ -139,7 +139,14 @@ def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.n
     distance = np.linalg.norm(worn.markers - kinematics.markers(subject, position, rotation), axis=-1)
     error = np.full(take.seen.shape, np.nan)
     error[:, columns[there]] = distance[:, there]
-    return position, error, [*other_markers(take, columns), *strays(take, error)]
+    return position, error, [*unmarked(worn, subject), *other_markers(take, columns), *strays(take, error)]
+
+
+def unmarked(worn: Take, subject: Subject) -> list[str]:
+    """-> a note on the joints whose markers the take never shows."""
+    shown = set(subject.joints[worn.seen.any(0)].tolist())
+    names = [subject.skeleton.names[j] for j in dict.fromkeys(subject.joints.tolist()) if j not in shown]
+    return [f"No marker of {', '.join(names)} is in the take: there the pose is people's mean pose."] if names else []
 
 
 def other_markers(take: Take, columns: np.ndarray) -> list[str]:
