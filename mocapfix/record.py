@@ -63,10 +63,12 @@ def of_subject(subject: Subject) -> dict:
 def of_solve(take: Take, motion: Motion, error: np.ndarray) -> dict:
     """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere."""
     there = np.flatnonzero(~np.isnan(error).all(0))
+    twice = {label for label, count in Counter(take.labels).items() if count > 1}
+    names = [f"{label} #{m + 1}" if label in twice else label for m, label in enumerate(take.labels)]
     return {
         "marker_residual_mm": {
             **_spread(error),
-            "by_marker": {take.labels[m]: _spread(error[:, m]) for m in there},
+            "by_marker": {names[m]: _spread(error[:, m]) for m in there},
         },
         "iterations_mean": round(float(motion.iterations.mean()), 2),
         "status": {STATUS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},

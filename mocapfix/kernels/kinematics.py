@@ -4,8 +4,9 @@ Rotations carry a vector from a joint's axes into its parent's; world rotations 
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from mocapfix.kernels.threads import over_frames
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
@@ -34,16 +35,17 @@ def forward(parents, offsets, root, local, position, rotation):
                 rotation[j, a, b] = turned
 
 
-@njit(cache=True, parallel=True)
-def _forward_all(parents, offsets, root, local, position, rotation):
-    for t in prange(len(root)):
+@njit(cache=True, nogil=True)
+def _forward_frames(parents, offsets, root, local, position, rotation, first, stop):
+    for t in range(first, stop):
         forward(parents, offsets, root[t], local[t], position[t], rotation[t])
 
 
 def world(skeleton: Skeleton, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """-> joint positions (T, J, 3) in metres and rotations (T, J, 3, 3), in the world."""
     position, rotation = np.empty(motion.rotations.shape[:2] + (3,)), np.empty(motion.rotations.shape)
-    _forward_all(skeleton.parents, skeleton.offsets, motion.root, motion.rotations, position, rotation)
+    poses = (motion.root, motion.rotations, position, rotation)
+    over_frames(_forward_frames, motion.frames, skeleton.parents, skeleton.offsets, *poses)
     return position, rotation
 
 
