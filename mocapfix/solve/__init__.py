@@ -58,6 +58,7 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once)
     narrow = options.robust[-1]
 
+    # each frame alone; then those that lack a marker, from their neighbours and as far as the course through the others says
     root, local, none = start.root.copy(), start.rotations.copy(), no_pull(len(body.free))
     _, alone = problem.solve(root, local, none, options.robust)
     gone = recall.lost(listened, subject, body.free)
@@ -66,6 +67,7 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     bridge, course_variance = bridged(local, variance, unsure, worn.rate, options)
     problem.track(root, local, bridge, unsure, narrow)
 
+    # what no marker tells is recalled from the rest of the body, and all frames are solved again, pulled to their courses
     left_open = problem.uncertainty(root, local, none, narrow)
     told = np.where(gone, np.minimum(left_open.joints, course_variance + options.turn_sd**2), left_open.joints)
     known, variance = recall.recalled(root, local, told, gone, body.free, worn.rate)

@@ -16,6 +16,7 @@ ENOUGH = 2.0  # seconds of wholly seen motion, without which a take cannot tell
 MOST = 0.5  # share of the joints: with more of them lost, there is no body left to recall the rest from
 FADE = 0.3  # seconds after which the difference at a gap's edge has lost most of its memory
 REACH = 0.1  # seconds beside a gap that are listened to
+TREMBLE, LEAST = 0.01, 0.1  # radians: what one frame beside a gap cannot tell, and the least that recalling misses by
 UNSURE = 0.2  # radians per axis: what a recalled rotation counts as in the smoothing
 GRAIN = np.array([0.05] * 3 + [0.05] + [0.2] * 3 + [0.5] * 3)  # differences of tilt, height, velocity, turning that mean nothing
 TURN_GRAIN = 0.1  # radians, likewise of joints
@@ -60,7 +61,7 @@ def recalled(
         guess = Rotation.from_rotvec(expected[:, 3 * i : 3 * i + 3]).as_matrix() @ mean[i]
         missed = Rotation.from_matrix(local[:, j] @ np.swapaxes(guess, 1, 2)).as_rotvec()
         missed[where | ~near(where, rate)] = np.nan
-        course, _ = across(missed, where, rate, FADE, REACH, 0.01, 0.1)
+        course, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
         out[where, j] = Rotation.from_rotvec(course[where]).as_matrix() @ guess[where]
         out_variance[where, j] = UNSURE**2
     return out, out_variance
@@ -92,7 +93,6 @@ def conditional(features: np.ndarray, gone: np.ndarray, whole: np.ndarray, grain
     """
     mean = features[whole].mean(0)
     covariance = np.cov((features[whole] - mean).T) + np.diag(grain**2)
-    asked = gone.copy()
     losing = np.flatnonzero(gone.any(1))
     nearest = losing[np.clip(np.searchsorted(losing, np.arange(len(gone))), 0, len(losing) - 1)]
     before = losing[np.clip(np.searchsorted(losing, np.arange(len(gone))) - 1, 0, len(losing) - 1)]
