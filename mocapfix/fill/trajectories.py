@@ -1,15 +1,17 @@
 """Filling a take without a skeleton: what clusters, the whole marker set and the marker's own path say, by precision."""
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from mocapfix.fill.clusters import rigid
 from mocapfix.fill.splines import splines
 from mocapfix.kernels.gaussian import gaussian
-from mocapfix.take import Take, runs
+from mocapfix.take import Take
 
 LIMIT = 0.120  # metres per axis
 LONGEST = 0.5  # seconds
-FASTER = 2.0
+FASTER = 3.0
+ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
@@ -21,7 +23,7 @@ def trajectories(
 
     Each estimate counts by its precision, one over its variance. They err together, for all go by the same neighbours
     and edges, so that the whole is taken to be as sure as they are on their weighted average, not surer. A sample that
-    none places, or that is less sure than the limit, is NaN.
+    none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
 
     believed  (T, M) bool: samples that are kept bit for bit
     limit     metres: largest standard deviation per axis of a sample that is filled
@@ -33,26 +35,29 @@ def trajectories(
     path, sure = splines(markers, take.rate, longest)
     whole = np.where((sure <= SURE)[..., None], path, markers)
     place, deviation = weighed([(path, sure), gaussian(whole, take.rate), rigid(whole, take.rate)])
+    deviation[flying(np.where(believed[..., None], markers, place), believed, take.rate)] = np.nan
     fill = ~believed & (deviation <= limit)
     return np.where(fill[..., None], place, markers), np.where(fill, deviation, np.nan)
 
 
 def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, M) bool: the gaps across which a marker would have to fly, faster than FASTER times any marker seen.
+    """-> (T, M) bool: samples of gaps within ABOUT of a moment at which the marker would have to fly, FASTER times as fast
+    as any marker is seen to move.
 
     Few markers seen, or in a line, turn the body they are laid on over between two frames: no deviation tells of that.
+
+    path (T, M, 3) metres, believed (T, M) bool, rate in Hz
     """
-    speed = np.linalg.norm(np.diff(path, axis=0), axis=-1) * rate
-    seen = believed[1:] & believed[:-1]
-    mask = np.zeros_like(believed)
-    if not seen.any():
-        return mask
-    limit = FASTER * max(float(np.percentile(speed[seen], 99.9)), SLOW)
-    for m in range(believed.shape[1]):
-        for first, last in runs(~believed[:, m]):
-            steps = speed[max(first - 1, 0) : last + 1, m]
-            mask[first : last + 1, m] = (steps > limit).any()
-    return mask
+    speed = np.nan_to_num(np.linalg.norm(np.diff(path, axis=0), axis=-1)) * rate
+    both = believed[1:] & believed[:-1]
+    if not both.any():
+        return np.zeros_like(believed)
+    fast = speed > FASTER * max(float(np.percentile(speed[both], 99.9)), SLOW)
+    fast &= ~both
+    at = np.zeros_like(believed)
+    at[1:] |= fast
+    at[:-1] |= fast
+    return maximum_filter1d(at, 2 * round(ABOUT * rate) + 1, axis=0) & ~believed
 
 
 def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:

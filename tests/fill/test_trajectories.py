@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix import read
-from mocapfix.fill.trajectories import trajectories, weighed
+from mocapfix.fill.trajectories import flying, trajectories, weighed
 from mocapfix.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
@@ -85,3 +85,14 @@ def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
     error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
     assert error.mean() < 0.3 * np.linalg.norm(line - truth.markers[gap, hand], axis=1).mean()
     assert (error < 3 * np.sqrt(3) * deviation[gap, hand]).mean() > 0.9
+
+
+def test_the_moments_about_a_flight_are_found_and_no_others():
+    t = np.arange(200) / 100.0
+    path = np.stack([np.stack([t, 0 * t, 0 * t], 1), np.stack([0 * t, t, 0 * t], 1)], 1)  # both at a metre a second
+    believed = np.ones((200, 2), bool)
+    believed[40:140, 0] = believed[50:80, 1] = False
+    path[60, 0] += [0.0, 0.9, 0.0]  # 90 metres a second
+    mask = flying(path, believed, 100.0)
+    assert mask[40:87, 0].all()
+    assert mask.sum() == 47
