@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix.kernels import kinematics
-from mocapfix.kernels.levenberg import Attached, Tree
-from mocapfix.kernels.problem import Problem, no_pull, pull_to
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
 from mocapfix.kernels.registration import poses
 from mocapfix.kernels.shared import add_frames
 from mocapfix.kernels.threads import over_frames
@@ -100,8 +100,8 @@ def reduced(problem: Problem, groups: np.ndarray, root, local, start: Subject, s
     unknowns = 1 + count + shape.places.size
     curvature, gradient, cost = np.zeros((frames, unknowns, unknowns)), np.zeros((frames, unknowns)), np.zeros(frames)
     over_frames(
-        add_frames, frames, problem.tree, problem.attached, groups, count, problem.seen, problem.weight,
-        problem.scales2((ROBUST,))[0], no_pull(len(groups)), problem.prior, root, local, curvature, gradient, cost,
+        add_frames, frames, problem.tree, (problem.points, problem.prior), groups, count,
+        problem.scales2((ROBUST,))[0], root, local, curvature, gradient, cost,
     )  # fmt: skip
     away = np.r_[0.0, shape.groups, (shape.places - start.places).ravel()]
     information = np.r_[1e-6, np.full(count, 1 / GROUP_SD**2), np.full(shape.places.size, 1 / PLACE_SD**2)]

@@ -1,18 +1,30 @@
 """The pose problem of a whole take, bound together once: a body, what was seen of it, and what its poses are like."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.kernels.levenberg import Attached, Pull, Tree, solve_frames, track, uncertainties
+from mocapfix.kernels.levenberg import TAU, solve_frames
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.terms import Points, Targets
 from mocapfix.kernels.threads import over_frames
+from mocapfix.kernels.track import bridge_runs
+from mocapfix.kernels.uncertainty import uncertainties
 from mocapfix.prior import Prior
 from mocapfix.take import runs
 
 COMPILED = "levenberg.solve_frames-*.nbi"  # the index that Numba keeps of the longest compilation
 MOST = 12  # iterations of a frame at each robust scale
+
+
+class Attached(NamedTuple):
+    """The markers' places on the joints."""
+
+    joints: np.ndarray  # (K,)
+    places: np.ndarray  # (K, 3) metres
 
 
 class Uncertainty(NamedTuple):
@@ -29,14 +41,14 @@ def compiled() -> bool:
     return kept is not None and any(Path(kept).glob(COMPILED))
 
 
-def no_pull(joints: int) -> Pull:
+def no_pull(joints: int) -> Targets:
     """-> a pull that pulls nothing."""
-    return Pull(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
+    return Targets(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
 
 
-def pull_to(prior: Prior) -> Pull:
+def pull_to(prior: Prior) -> Targets:
     """-> a prior as the pull of every frame to its mean pose."""
-    return Pull(prior.rotations[None], prior.information[None], np.zeros((1, 3)), np.zeros(1))
+    return Targets(prior.rotations[None], prior.information[None], np.zeros((1, 3)), np.zeros(1))
 
 
 @dataclass(frozen=True)
@@ -54,43 +66,40 @@ class Problem:
     markers: np.ndarray
     listened: np.ndarray
     marker_sd: float
-    prior: Pull
+    prior: Targets
 
-    @property
-    def seen(self) -> np.ndarray:
-        return np.where(self.listened[..., None], self.markers, 0.0)
-
-    @property
-    def weight(self) -> np.ndarray:
-        return self.listened / self.marker_sd**2
+    @cached_property
+    def points(self) -> Points:
+        """The markers as a term."""
+        seen = np.where(self.listened[..., None], self.markers, 0.0)
+        return Points(self.attached.joints, self.attached.places, seen, self.listened / self.marker_sd**2)
 
     def scales2(self, scales: tuple[float, ...]) -> np.ndarray:
         """-> robust scales in metres as the kernels want them: squared, in units of marker_sd."""
         return (np.array(scales) / self.marker_sd) ** 2
 
-    def solve(self, root, local, pull: Pull, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, root, local, pull: Targets, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
         """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations"""
         status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
-            solve_frames, len(root), self.tree, self.attached, self.seen, self.weight, self.scales2(scales), pull, self.prior,
-            root, local, most, status, iterations,
+            solve_frames, len(root), self.tree, (self.points, pull, self.prior), self.scales2(scales), TAU, most, 0, root, local,
+            np.zeros((len(root), 0)), status, iterations,
         )  # fmt: skip
         return status, iterations
 
-    def track(self, root, local, pull: Pull, unsure: np.ndarray, scale: float) -> None:
+    def track(self, root, local, pull: Targets, unsure: np.ndarray, scale: float) -> None:
         """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""
         stretches = np.array(runs(np.any(unsure, axis=1)), int).reshape(-1, 2)
         over_frames(
-            track, len(stretches), self.tree, self.attached, self.seen, self.weight, self.scales2((scale,)), pull, self.prior,
-            root, local, unsure, MOST, stretches,
+            bridge_runs, len(stretches), self.tree, (self.points, pull, self.prior), self.scales2((scale,)), TAU, MOST, 0, root,
+            local, np.zeros((len(root), 0)), unsure, stretches,
         )  # fmt: skip
 
-    def uncertainty(self, root, local, pull: Pull, scale: float) -> Uncertainty:
+    def uncertainty(self, root, local, pull: Targets, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
         frames, joints = local.shape[:2]
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros((frames, joints)), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, self.attached, self.seen, self.weight, self.scales2((scale,))[0], pull, self.prior,
-            root, local, *left,
-        )  # fmt: skip
+            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], root, local, *left
+        )
         return left

@@ -8,9 +8,10 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.kinematics import forward
-from mocapfix.kernels.levenberg import arms, linearise, of_frame
-from mocapfix.kernels.residuals import geman_mcclure
+from mocapfix.kernels.levenberg import load, workspace
+from mocapfix.kernels.pose import forward
+from mocapfix.kernels.system import linearise
+from mocapfix.kernels.terms.robust import robust
 
 
 @njit(cache=True)
@@ -45,16 +46,15 @@ def pressed(attached, lever, weight, shift, g):
 
 
 @njit(cache=True)
-def given_way(tree, attached, arm, lever, shift, g, b, factors, twist, turn, moved):
+def given_way(tree, attached, system, lever, shift, g, b, factors, step, moved):
     """Write where the markers go, `moved` (K, 3), when they are shifted by `shift` (K, 3) and the pose gives way.
 
     g, b     (J, 6), (J, 3) what that presses the pose with; g is spoilt
-    factors  what sweep.factor left: the root's inverse, gains and inverse own curvatures
+    factors  what sweep.factor left
     """
-    root_inverse, gain, inverse_own = factors
-    sweep.solve(tree.parents, tree.free, arm, root_inverse, gain, inverse_own, g, b, twist, turn)
+    sweep.solve(tree, system, factors, g, b, step)
     for k in range(len(shift)):
-        t = twist[attached.joints[k]]
+        t = step.twist[attached.joints[k]]
         x, y, z = lever[k]
         moved[k, 0] = shift[k, 0] + t[3] + t[1] * z - t[2] * y
         moved[k, 1] = shift[k, 1] + t[4] + t[2] * x - t[0] * z
@@ -62,20 +62,19 @@ def given_way(tree, attached, arm, lever, shift, g, b, factors, twist, turn, mov
 
 
 @njit(cache=True)
-def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, local, curvature, gradient):
+def add_frame(tree, terms, t, groups, count, scale2, work, curvature, gradient):
     """Add one frame's part to the shared unknowns' curvature (P, P) and gradient (P,). -> the frame's cost
 
-    The pose is at its own optimum for the present shared unknowns, or near it.
+    terms  the markers' Points first
+    work   holds the pose, at its own optimum for the present shared unknowns, or near it
     """
-    joints, markers = len(local), len(attached.joints)
-    position, rotation, arm = np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3))
-    h, g, own, b = np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3))
-    gain, inverse_own, twist, turn = np.empty((joints, 6, 3)), np.empty_like(own), np.empty_like(g), np.empty_like(b)
-    forward(tree.parents, tree.offsets, root, local, position, rotation)
-    cost = linearise(tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b)
-    arms(position, arm)
-    sweep.factor(tree.parents, tree.free, arm, h, own, 1e-3, gain, inverse_own)
-    factors = (h[0], gain, inverse_own)
+    attached, seen, weight, places = terms[0], terms[0].seen[t], terms[0].weight[t], terms[0].places
+    joints, markers = len(tree.parents), len(attached.joints)
+    system, factors, step, g, b = work.system, work.factors, work.step, work.system.g, work.system.b
+    position, rotation, arm = work.pose.position, work.pose.rotation, work.system.arm
+    forward(tree, work.pose)
+    cost = linearise(tree, terms, t, scale2, work.pose, system)
+    sweep.factor(tree, system, 1e-3, factors)
     stretch = np.empty((count + 1, joints, 3))
     stretched(tree, groups, count, rotation, stretch)
     trusted, error, lever = np.zeros(markers), np.zeros((markers, 3)), np.empty((markers, 3))
@@ -84,12 +83,12 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
         for a in range(3):
             lever[k, a] = arm[j, a]
             for c in range(3):
-                lever[k, a] += rotation[j, a, c] * attached.places[k, c]
+                lever[k, a] += rotation[j, a, c] * places[k, c]
         if weight[k] > 0:
             for a in range(3):
                 error[k, a] = position[0, a] + lever[k, a] - seen[k, a]
                 square += error[k, a] ** 2
-            trusted[k] = weight[k] * geman_mcclure(weight[k] * square, scale2)[1]
+            trusted[k] = weight[k] * robust(attached.loss, weight[k] * square, scale2)[1]
     unknowns = 1 + count + 3 * markers
     shift, moved = np.zeros((markers, 3)), np.empty((markers, 3))
     press, unpressed = np.empty_like(g), np.zeros_like(b)
@@ -107,9 +106,9 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
                 shift[k, a] = rotation[attached.joints[k], a, (p - 1 - count) % 3]
         if p < unknowns:
             pressed(attached, lever, trusted, shift, press)
-            given_way(tree, attached, arm, lever, shift, press, unpressed, factors, twist, turn, moved)
+            given_way(tree, attached, system, lever, shift, press, unpressed, factors, step, moved)
         else:  # here the pulls on the pose press, too
-            given_way(tree, attached, arm, lever, error, g, b, factors, twist, turn, moved)
+            given_way(tree, attached, system, lever, error, g, b, factors, step, moved)
         for m in range(markers):
             if trusted[m] == 0.0:
                 continue
@@ -136,12 +135,9 @@ def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, 
 
 
 @njit(cache=True, nogil=True)
-def add_frames(
-    tree, attached, groups, count, seen, weight, scale2, target, prior, root, local, curvature, gradient, cost, first, stop
-):
+def add_frames(tree, terms, groups, count, scale2, root, local, curvature, gradient, cost, first, stop):
     """`add_frame` on first..stop, each into its own row: curvature (T, P, P), gradient (T, P), cost (T,)."""
+    work, none = workspace(local.shape[1], 0, 0), np.zeros((len(root), 0))
     for t in range(first, stop):
-        pulls = (of_frame(target, t), of_frame(prior, t))
-        cost[t] = add_frame(
-            tree, attached, groups, count, seen[t], weight[t], scale2, pulls, root[t], local[t], curvature[t], gradient[t]
-        )
+        load(root, local, none, t, work.pose)
+        cost[t] = add_frame(tree, terms, t, groups, count, scale2, work, curvature[t], gradient[t])

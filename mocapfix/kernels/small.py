@@ -1,4 +1,7 @@
-"""Inverses of the small symmetric matrices that the sweep meets."""
+"""Small dense algebra inside compiled loops: 3 x 3 matrices as tuples of nine numbers, and the inverses the sweep needs.
+
+A tuple lives in registers: nothing is allocated where an array would be.
+"""
 
 import math
 
@@ -6,42 +9,104 @@ from numba import njit
 
 
 @njit(cache=True)
-def inverse_3(m, out):
-    """Write the inverse of the positive definite `m` (3, 3) into `out`."""
-    c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
-    c01 = m[0, 2] * m[2, 1] - m[0, 1] * m[2, 2]
-    c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    d = 1.0 / (m[0, 0] * c00 + m[1, 0] * c01 + m[2, 0] * c02)
-    out[0, 0], out[0, 1], out[0, 2] = c00 * d, c01 * d, c02 * d
-    out[1, 0] = out[0, 1]
-    out[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[2, 0]) * d
-    out[1, 2] = (m[0, 2] * m[1, 0] - m[0, 0] * m[1, 2]) * d
-    out[2, 0], out[2, 1] = out[0, 2], out[1, 2]
-    out[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]) * d
+def matrix(m, j):
+    """-> matrix `j` of the stack m (J, 3, 3) as nine numbers, row by row."""
+    return (m[j, 0, 0], m[j, 0, 1], m[j, 0, 2], m[j, 1, 0], m[j, 1, 1], m[j, 1, 2], m[j, 2, 0], m[j, 2, 1], m[j, 2, 2])
 
 
 @njit(cache=True)
-def cholesky_inverse_6(m):
-    """Invert the positive definite `m` (6, 6) in place. A direction that nothing holds gets a tiny curvature."""
-    for j in range(6):
-        for i in range(j, 6):
+def product(a, b):
+    """-> a @ b."""
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6], a[0] * b[1] + a[1] * b[4] + a[2] * b[7], a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6], a[3] * b[1] + a[4] * b[4] + a[5] * b[7], a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6], a[6] * b[1] + a[7] * b[4] + a[8] * b[7], a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def transposed(a):
+    """-> a.T"""
+    return (a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8])
+
+
+@njit(cache=True)
+def times(a, x, y, z):
+    """-> a @ (x, y, z)"""
+    return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@njit(cache=True)
+def put(a, out, j):
+    """Write the nine numbers into matrix `j` of the stack `out` (J, 3, 3)."""
+    out[j, 0, 0], out[j, 0, 1], out[j, 0, 2] = a[0], a[1], a[2]
+    out[j, 1, 0], out[j, 1, 1], out[j, 1, 2] = a[3], a[4], a[5]
+    out[j, 2, 0], out[j, 2, 1], out[j, 2, 2] = a[6], a[7], a[8]
+
+
+@njit(cache=True)
+def inverse_3(m, j):
+    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place.
+
+    What nothing holds is held: a matrix without an inverse gives zeros, so that its joint stays where it is.
+    """
+    m00, m11, m22, m01, m02, m12 = m[j, 0, 0], m[j, 1, 1], m[j, 2, 2], m[j, 1, 0], m[j, 2, 0], m[j, 2, 1]
+    c00, c01, c02 = m11 * m22 - m12 * m12, m12 * m02 - m01 * m22, m01 * m12 - m11 * m02
+    determinant = m00 * c00 + m01 * c01 + m02 * c02
+    d = 1.0 / determinant if determinant > 0.0 else 0.0
+    m[j, 0, 0], m[j, 1, 1], m[j, 2, 2] = c00 * d, (m00 * m22 - m02 * m02) * d, (m00 * m11 - m01 * m01) * d
+    m[j, 0, 1] = m[j, 1, 0] = c01 * d
+    m[j, 0, 2] = m[j, 2, 0] = c02 * d
+    m[j, 1, 2] = m[j, 2, 1] = (m01 * m02 - m00 * m12) * d
+
+
+@njit(cache=True)
+def cholesky(m):
+    """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
+
+    A direction that nothing holds gets a tiny curvature.
+    """
+    for j in range(len(m)):
+        for i in range(j, len(m)):
             total = m[i, j]
             for c in range(j):
                 total -= m[i, c] * m[j, c]
             m[i, j] = math.sqrt(max(total, 1e-9)) if i == j else total / m[j, j]
-    for j in range(6):  # the lower triangle's inverse
+
+
+@njit(cache=True)
+def cholesky_solve(m, x):
+    """Solve L L' x = x in place with what `cholesky` left in `m` (N, N); x (N,)."""
+    for i in range(len(m)):
+        total = x[i]
+        for c in range(i):
+            total -= m[i, c] * x[c]
+        x[i] = total / m[i, i]
+    for i in range(len(m) - 1, -1, -1):
+        total = x[i]
+        for c in range(i + 1, len(m)):
+            total -= m[c, i] * x[c]
+        x[i] = total / m[i, i]
+
+
+@njit(cache=True)
+def cholesky_inverse(m):
+    """Invert the positive definite `m` (N, N) in place, both triangles."""
+    n = len(m)
+    cholesky(m)
+    for j in range(n):  # the lower triangle's inverse
         m[j, j] = 1.0 / m[j, j]
-        for i in range(j + 1, 6):
+        for i in range(j + 1, n):
             total = 0.0
             for c in range(j, i):
                 total -= m[i, c] * m[c, j]
             m[i, j] = total / m[i, i]
-    for i in range(6):  # L^-T L^-1, column by column: row i needs only rows at and below it
+    for i in range(n):  # L^-T L^-1, column by column: row i needs only rows at and below it
         for j in range(i + 1):
             total = 0.0
-            for c in range(i, 6):
+            for c in range(i, n):
                 total += m[c, i] * m[c, j]
             m[i, j] = total
-    for i in range(6):
-        for j in range(i + 1, 6):
+    for i in range(n):
+        for j in range(i + 1, n):
             m[i, j] = m[j, i]

@@ -1,156 +1,233 @@
 """The Gauss-Newton direction of a tree of joints in time linear in joints and measurements.
 
 SCOPE's Algorithm 1 as an articulated-body sweep. A body's twist (w, v) is its turn and the velocity of the point of it
-that lies at a common origin, both in world axes, so a child's twist is its parent's plus its own joint's turn:
+that lies at a common origin, both in world axes, so a child's twist is its parent's plus its own joint's turn and
+what the P unknowns that all joints share (SCOPE's beta, or a prior's latent code) do to its offset:
 
-    twist_i = twist_parent + S_i turn_i,    S_i = [I; [d_i]x],    d_i = joint position - origin
+    twist_i = twist_parent + S_i turn_i + [0; shift_i] shared,    S_i = [I; [d_i]x],    d_i = joint position - origin
 
-and every measurement on body i is a quadratic in twist_i alone: 1/2 twist' H_i twist + g_i' twist. Leaves to root each
-joint's turn is minimised out of its body's quadratic, which leaves a 6 x 6 quadratic in its parent's twist; root to
-leaves the turns follow. `factor` does the first half once; `solve` uses it for one right-hand side, `covariance` for the
-uncertainty of every body.
+and every measurement on body i is a quadratic in twist_i alone. Leaves to root each joint's turn is minimised out of its
+body's quadratic, which leaves a quadratic of 6 + P in its parent's twist and the shared unknowns; root to leaves the turns
+follow. `factor` does the first half once; `solve` uses it for one gradient, `covariance` for the uncertainty of all bodies.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.small import cholesky_inverse_6, inverse_3
+from mocapfix.kernels.pose import copy
+from mocapfix.kernels.small import cholesky, cholesky_inverse, cholesky_solve, inverse_3
+
+
+class Step(NamedTuple):
+    """A change of pose."""
+
+    twist: np.ndarray  # (J, 6) every body's twist; the root's is its own step
+    turn: np.ndarray  # (J, 3) every joint's turn in world axes; zero for the root and joints that are not free
+    shared: np.ndarray  # (P,)
+
+
+class Factors(NamedTuple):
+    """What `factor` leaves."""
+
+    h: np.ndarray  # (J, 6, 6) each body's curvature with its descendants'; the root's inverted
+    cross: np.ndarray  # (J, 6, P) likewise between its twist and the shared unknowns
+    gain: np.ndarray  # (J, 6, 3) H S (S'HS + own)^-1
+    inverse: np.ndarray  # (J, 3, 3) (S'HS + own)^-1
+    yielding: np.ndarray  # (J, 3, P) how a joint's turn gives way to the shared unknowns; the root's whole twist: root
+    root: np.ndarray  # (6, P)
+    shared: np.ndarray  # (P, P) the shared unknowns' curvature with all poses eliminated, its Cholesky factor
 
 
 @njit(cache=True)
-def factor(parents, free, arm, h, own, mu, gain, inverse_own):
-    """Eliminate every joint's turn. -> nothing; all in place.
+def empty_step(joints, unknowns):
+    """-> room for a step."""
+    return Step(np.zeros((joints, 6)), np.zeros((joints, 3)), np.zeros(unknowns))
 
-    arm   (J, 3) joint positions from the origin
-    h     (J, 6, 6) each body's own curvature, in: symmetric; out: with its descendants', the root's inverted
-    own   (J, 3, 3) curvature of each joint's own turn (priors on joints), in world axes
-    mu    Marquardt damping, added to the diagonal of every unknown
-    gain  (J, 6, 3) out: H S (S'HS + own)^-1
-    inverse_own  (J, 3, 3) out: (S'HS + own)^-1
+
+@njit(cache=True)
+def empty_factors(joints, unknowns):
+    """-> room for the factors of any frame's model."""
+    return Factors(
+        np.empty((joints, 6, 6)), np.empty((joints, 6, unknowns)), np.zeros((joints, 6, 3)), np.zeros((joints, 3, 3)),
+        np.zeros((joints, 3, unknowns)), np.empty((6, unknowns)), np.empty((unknowns, unknowns)),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def factor(tree, system, mu, f):
+    """Eliminate every joint's turn, the root's twist and the shared unknowns, in this order, into `f`.
+
+    mu  Marquardt damping, added to the diagonal of every unknown
     """
-    u = np.empty((6, 3))
-    k = np.empty((3, 3))
+    parents, free, arm, own = tree.parents, tree.free, system.arm, system.own
+    h, gain, inverse, unknowns = f.h, f.gain, f.inverse, len(system.shared)
+    copy(system.h, h)
+    if unknowns:
+        copy(system.cross, f.cross)
+        copy(system.shared, f.shared)
     for i in range(len(parents) - 1, 0, -1):
         p = parents[i]
+        if unknowns:
+            carry_shift(i, system.shift, h, f.cross, f.shared)
         if not free[i]:
             for a in range(6):
                 for b in range(6):
                     h[p, a, b] += h[i, a, b]
+                for c in range(unknowns):
+                    f.cross[p, a, c] += f.cross[i, a, c]
             continue
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
-        for a in range(6):  # u = H S; the columns of [d]x are (0, z, -y), (-z, 0, x), (y, -x, 0)
-            u[a, 0] = h[i, a, 0] + z * h[i, a, 4] - y * h[i, a, 5]
-            u[a, 1] = h[i, a, 1] - z * h[i, a, 3] + x * h[i, a, 5]
-            u[a, 2] = h[i, a, 2] + y * h[i, a, 3] - x * h[i, a, 4]
+        for a in range(6):  # gain is H S at first; the columns of [d]x are (0, z, -y), (-z, 0, x), (y, -x, 0)
+            gain[i, a, 0] = h[i, a, 0] + z * h[i, a, 4] - y * h[i, a, 5]
+            gain[i, a, 1] = h[i, a, 1] - z * h[i, a, 3] + x * h[i, a, 5]
+            gain[i, a, 2] = h[i, a, 2] + y * h[i, a, 3] - x * h[i, a, 4]
         for b in range(3):
-            k[0, b] = u[0, b] + z * u[4, b] - y * u[5, b] + own[i, 0, b]
-            k[1, b] = u[1, b] - z * u[3, b] + x * u[5, b] + own[i, 1, b]
-            k[2, b] = u[2, b] + y * u[3, b] - x * u[4, b] + own[i, 2, b]
-        for a in range(3):
-            k[a, a] += mu
-        inverse_3(k, inverse_own[i])
-        for a in range(6):
-            for b in range(3):
-                gain[i, a, b] = u[a, 0] * inverse_own[i, 0, b] + u[a, 1] * inverse_own[i, 1, b] + u[a, 2] * inverse_own[i, 2, b]
-        for a in range(6):
-            for b in range(a + 1):
-                left = h[i, a, b] - gain[i, a, 0] * u[b, 0] - gain[i, a, 1] * u[b, 1] - gain[i, a, 2] * u[b, 2]
+            inverse[i, 0, b] = gain[i, 0, b] + z * gain[i, 4, b] - y * gain[i, 5, b] + own[i, 0, b]
+            inverse[i, 1, b] = gain[i, 1, b] - z * gain[i, 3, b] + x * gain[i, 5, b] + own[i, 1, b]
+            inverse[i, 2, b] = gain[i, 2, b] + y * gain[i, 3, b] - x * gain[i, 4, b] + own[i, 2, b]
+            inverse[i, b, b] += mu
+        inverse_3(inverse, i)
+        if unknowns:
+            yield_to(i, p, arm, system.own_cross, gain, inverse, f.cross, f.yielding, f.shared)
+        for a in range(5, -1, -1):
+            u0, u1, u2 = gain[i, a, 0], gain[i, a, 1], gain[i, a, 2]
+            g0 = u0 * inverse[i, 0, 0] + u1 * inverse[i, 1, 0] + u2 * inverse[i, 2, 0]
+            g1 = u0 * inverse[i, 0, 1] + u1 * inverse[i, 1, 1] + u2 * inverse[i, 2, 1]
+            g2 = u0 * inverse[i, 0, 2] + u1 * inverse[i, 1, 2] + u2 * inverse[i, 2, 2]
+            for b in range(a + 1):  # rows below are gains by now, those up to a still H S
+                left = h[i, a, b] - g0 * gain[i, b, 0] - g1 * gain[i, b, 1] - g2 * gain[i, b, 2]
                 h[p, a, b] += left
                 if a != b:
                     h[p, b, a] += left
+            gain[i, a, 0], gain[i, a, 1], gain[i, a, 2] = g0, g1, g2
     for a in range(6):
         h[0, a, a] += mu
-    cholesky_inverse_6(h[0])
+    cholesky_inverse(h[0])
+    if unknowns:
+        eliminate_root(mu, h[0], f.cross[0], f.root, f.shared)
 
 
 @njit(cache=True)
-def solve(parents, free, arm, root_inverse, gain, inverse_own, g, b, twist, turn):
-    """Minimise 1/2 x'Hx + (gradient)'x with what `factor` left. -> nothing; writes `twist` and `turn`.
+def yield_to(i, p, arm, own_cross, u, inverse, cross, yielding, shared):
+    """Eliminate joint i's turn from what its body shares with the P unknowns; u (J, 6, 3) holds H S."""
+    x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
+    for c in range(len(shared)):
+        w0 = cross[i, 0, c] + z * cross[i, 4, c] - y * cross[i, 5, c] + own_cross[i, 0, c]
+        w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c]
+        w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c]
+        y0 = inverse[i, 0, 0] * w0 + inverse[i, 0, 1] * w1 + inverse[i, 0, 2] * w2
+        y1 = inverse[i, 1, 0] * w0 + inverse[i, 1, 1] * w1 + inverse[i, 1, 2] * w2
+        y2 = inverse[i, 2, 0] * w0 + inverse[i, 2, 1] * w1 + inverse[i, 2, 2] * w2
+        yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = y0, y1, y2
+        for d in range(c + 1):
+            shared[c, d] -= w0 * yielding[i, 0, d] + w1 * yielding[i, 1, d] + w2 * yielding[i, 2, d]
+        for a in range(6):
+            cross[p, a, c] += cross[i, a, c] - u[i, a, 0] * y0 - u[i, a, 1] * y1 - u[i, a, 2] * y2
 
-    g      (J, 6) gradient on each body's twist; spoilt
-    b      (J, 3) gradient on each joint's own turn
-    twist  (J, 6) out: every body's twist; the root's is its own step
-    turn   (J, 3) out: every joint's turn in world axes; zero for the root and joints that are not free
+
+@njit(cache=True)
+def carry_shift(i, shift, h, cross, shared):
+    """Write body i's quadratic as one of its twist before the shared unknowns move its joint."""
+    for c in range(len(shared)):
+        sx, sy, sz = shift[i, 0, c], shift[i, 1, c], shift[i, 2, c]
+        for d in range(c):  # cross[.., d] already has its own shift in it, cross[.., c] not yet
+            shared[c, d] += sx * cross[i, 3, d] + sy * cross[i, 4, d] + sz * cross[i, 5, d]
+            shared[c, d] += cross[i, 3, c] * shift[i, 0, d] + cross[i, 4, c] * shift[i, 1, d] + cross[i, 5, c] * shift[i, 2, d]
+        shared[c, c] += 2 * (sx * cross[i, 3, c] + sy * cross[i, 4, c] + sz * cross[i, 5, c])
+        for a in range(6):
+            moved = h[i, a, 3] * sx + h[i, a, 4] * sy + h[i, a, 5] * sz
+            cross[i, a, c] += moved
+            if a > 2:
+                shared[c, c] += shift[i, a - 3, c] * moved
+
+
+@njit(cache=True)
+def eliminate_root(mu, inverse, cross, root, shared):
+    """Eliminate the root's twist from the shared unknowns' curvature and factor what is left."""
+    for c in range(len(shared)):
+        for a in range(6):
+            root[a, c] = 0.0
+            for b in range(6):
+                root[a, c] += inverse[a, b] * cross[b, c]
+        for d in range(c + 1):
+            for a in range(6):
+                shared[c, d] -= cross[a, c] * root[a, d]
+        shared[c, c] += mu
+    cholesky(shared)
+
+
+@njit(cache=True)
+def solve(tree, system, f, g, b, step):
+    """Minimise 1/2 x'Hx + gradient'x with what `factor` left. -> nothing; writes the step.
+
+    g            (J, 6) gradient on each body's twist; spoilt
+    b            (J, 3) gradient on each joint's own turn
+    step.shared  (P,) in: gradient on the shared unknowns
     """
-    for i in range(len(parents) - 1, 0, -1):
-        p = parents[i]
-        if not free[i]:
+    arm, gain, inverse, shift = system.arm, f.gain, f.inverse, system.shift
+    twist, turn, shared = step.twist, step.turn, step.shared
+    for i in range(len(tree.parents) - 1, 0, -1):
+        p = tree.parents[i]
+        for c in range(len(shared)):
+            shared[c] += shift[i, 0, c] * g[i, 3] + shift[i, 1, c] * g[i, 4] + shift[i, 2, c] * g[i, 5]
+        if not tree.free[i]:
             for a in range(6):
                 g[p, a] += g[i, a]
             continue
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
-        turn[i, 0] = g[i, 0] + z * g[i, 4] - y * g[i, 5] + b[i, 0]
-        turn[i, 1] = g[i, 1] - z * g[i, 3] + x * g[i, 5] + b[i, 1]
-        turn[i, 2] = g[i, 2] + y * g[i, 3] - x * g[i, 4] + b[i, 2]
+        u0 = g[i, 0] + z * g[i, 4] - y * g[i, 5] + b[i, 0]
+        u1 = g[i, 1] - z * g[i, 3] + x * g[i, 5] + b[i, 1]
+        u2 = g[i, 2] + y * g[i, 3] - x * g[i, 4] + b[i, 2]
+        turn[i, 0], turn[i, 1], turn[i, 2] = u0, u1, u2
+        for c in range(len(shared)):
+            shared[c] -= f.yielding[i, 0, c] * u0 + f.yielding[i, 1, c] * u1 + f.yielding[i, 2, c] * u2
         for a in range(6):
-            g[p, a] += g[i, a] - gain[i, a, 0] * turn[i, 0] - gain[i, a, 1] * turn[i, 1] - gain[i, a, 2] * turn[i, 2]
-    for a in range(6):
-        twist[0, a] = 0.0
-        for c in range(6):
-            twist[0, a] -= root_inverse[a, c] * g[0, c]
-    for a in range(3):
-        turn[0, a] = 0.0
-    for i in range(1, len(parents)):
-        p = parents[i]
-        if not free[i]:
-            for a in range(3):
-                turn[i, a] = 0.0
+            g[p, a] += g[i, a] - gain[i, a, 0] * u0 - gain[i, a, 1] * u1 - gain[i, a, 2] * u2
+    solve_root(f, g, step)
+    for i in range(1, len(tree.parents)):
+        p = tree.parents[i]
+        w0, w1, w2 = 0.0, 0.0, 0.0
+        if tree.free[i]:
+            u0, u1, u2 = turn[i, 0], turn[i, 1], turn[i, 2]
+            w0 = -(inverse[i, 0, 0] * u0 + inverse[i, 0, 1] * u1 + inverse[i, 0, 2] * u2)
+            w1 = -(inverse[i, 1, 0] * u0 + inverse[i, 1, 1] * u1 + inverse[i, 1, 2] * u2)
+            w2 = -(inverse[i, 2, 0] * u0 + inverse[i, 2, 1] * u1 + inverse[i, 2, 2] * u2)
             for a in range(6):
-                twist[i, a] = twist[p, a]
-            continue
-        u0, u1, u2 = turn[i, 0], turn[i, 1], turn[i, 2]
-        for a in range(3):
-            total = -(inverse_own[i, a, 0] * u0 + inverse_own[i, a, 1] * u1 + inverse_own[i, a, 2] * u2)
-            for c in range(6):
-                total -= gain[i, c, a] * twist[p, c]
-            turn[i, a] = total
-        w0, w1, w2 = turn[i, 0], turn[i, 1], turn[i, 2]
+                w0 -= gain[i, a, 0] * twist[p, a]
+                w1 -= gain[i, a, 1] * twist[p, a]
+                w2 -= gain[i, a, 2] * twist[p, a]
+            for c in range(len(shared)):
+                w0 -= f.yielding[i, 0, c] * shared[c]
+                w1 -= f.yielding[i, 1, c] * shared[c]
+                w2 -= f.yielding[i, 2, c] * shared[c]
+        turn[i, 0], turn[i, 1], turn[i, 2] = w0, w1, w2
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
         twist[i, 0], twist[i, 1], twist[i, 2] = twist[p, 0] + w0, twist[p, 1] + w1, twist[p, 2] + w2
         twist[i, 3] = twist[p, 3] + y * w2 - z * w1
         twist[i, 4] = twist[p, 4] + z * w0 - x * w2
         twist[i, 5] = twist[p, 5] + x * w1 - y * w0
+        for c in range(len(shared)):
+            for a in range(3):
+                twist[i, 3 + a] += shift[i, a, c] * shared[c]
 
 
 @njit(cache=True)
-def covariance(parents, free, arm, root_inverse, gain, inverse_own, spread, turn_variance):
-    """Write each body's twist covariance (J, 6, 6) into `spread`, root to leaves, from what `factor` left with mu = 0.
-
-    twist_i = (I - S gain') twist_parent + S turn',  the remaining turn' having covariance inverse_own.
-    turn_variance (J,) out: each joint's turn, the mean over its three axes; 0 where a joint is not free.
-    """
-    s, cross = np.zeros((6, 3)), np.empty((3, 6))
-    for a in range(3):
-        s[a, a] = 1.0
-    turned = np.empty((3, 3))
+def solve_root(f, g, step):
+    """Write the shared unknowns' step and the root's."""
+    twist, shared = step.twist, step.shared
     for a in range(6):
+        twist[0, a] = 0.0
         for c in range(6):
-            spread[0, a, c] = root_inverse[a, c]
-    turn_variance[0] = (root_inverse[0, 0] + root_inverse[1, 1] + root_inverse[2, 2]) / 3
-    for i in range(1, len(parents)):
-        p = parents[i]
-        turn_variance[i] = 0.0
-        x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
-        s[3, 1], s[3, 2], s[4, 0], s[4, 2], s[5, 0], s[5, 1] = -z, y, z, -x, -y, x
-        if free[i]:
-            for a in range(3):  # cross = covariance of (turn, parent's twist); turned = covariance of turn
-                for c in range(6):
-                    cross[a, c] = 0.0
-                    for e in range(6):
-                        cross[a, c] -= gain[i, e, a] * spread[p, e, c]
-            for a in range(3):
-                for c in range(3):
-                    turned[a, c] = inverse_own[i, a, c]
-                    for e in range(6):
-                        turned[a, c] -= cross[a, e] * gain[i, e, c]
-                turn_variance[i] += turned[a, a] / 3
+            twist[0, a] -= f.h[0, a, c] * g[0, c]
+    for c in range(len(shared)):
         for a in range(6):
-            for c in range(a + 1):
-                total = spread[p, a, c]
-                if free[i]:
-                    for e in range(3):
-                        total += s[a, e] * cross[e, c] + s[c, e] * cross[e, a]
-                        for f in range(3):
-                            total += s[a, e] * turned[e, f] * s[c, f]
-                spread[i, a, c] = total
-                spread[i, c, a] = total
+            shared[c] -= f.root[a, c] * g[0, a]
+        shared[c] = -shared[c]
+    cholesky_solve(f.shared, shared)
+    for a in range(6):
+        for c in range(len(shared)):
+            twist[0, a] -= f.root[a, c] * shared[c]
+    for a in range(3):
+        step.turn[0, a] = 0.0

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix.kernels import kinematics
-from mocapfix.kernels.levenberg import Attached, Pull, Tree
-from mocapfix.kernels.problem import Problem, no_pull, pull_to
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.terms import Targets
+from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
@@ -124,7 +125,7 @@ def missed(listened: np.ndarray, subject: Subject) -> np.ndarray:
     return lacking
 
 
-def bridged(local, variance, unsure, rate, options: SolveOptions) -> tuple[Pull, np.ndarray]:
+def bridged(local, variance, unsure, rate, options: SolveOptions) -> tuple[Targets, np.ndarray]:
     """-> where each joint's course leads while the joint itself is unsure, as a pull as strong as that course is certain,
     and the course's variance (T, J), rad^2, there.
     """
@@ -133,10 +134,10 @@ def bridged(local, variance, unsure, rate, options: SolveOptions) -> tuple[Pull,
         rotations[:, j], left_open[:, j] = temporal.bridged(local[:, j], variance[:, j], unsure[:, j], rate)
         certain = np.where(unsure[:, j], 1 / (left_open[:, j] + options.turn_sd**2), 0.0)
         information[:, j] = certain[:, None, None] * np.eye(3)
-    return Pull(rotations, information, np.zeros((len(local), 3)), np.zeros(len(local))), left_open
+    return Targets(rotations, information, np.zeros((len(local), 3)), np.zeros(len(local))), left_open
 
 
-def smooth(root, local, variance, root_variance, free, rate, options: SolveOptions) -> Pull:
+def smooth(root, local, variance, root_variance, free, rate, options: SolveOptions) -> Targets:
     """-> the smooth course of every free joint and the root, as a pull for each frame."""
     rotations, information = local.copy(), np.zeros_like(local)
     for j in np.flatnonzero(free):
@@ -144,4 +145,4 @@ def smooth(root, local, variance, root_variance, free, rate, options: SolveOptio
         doubt = np.minimum(variance[:, j], LOOSEST**2)  # joints that share a turn, as the spine's do, are unsure one by one
         information[:, j] = np.eye(3) / (options.turn_sd**2 + doubt)[:, None, None]
     smooth_root, left_open = temporal.smoothed_root(root, root_variance, rate)
-    return Pull(rotations, information, smooth_root, 1 / (options.shift_sd**2 + left_open))
+    return Targets(rotations, information, smooth_root, 1 / (options.shift_sd**2 + left_open))

@@ -1,0 +1,90 @@
+"""One frame's pose inside compiled loops: where it puts the joints, and how a step changes it.
+
+Rotations carry a vector from a joint's axes into its parent's; world rotations carry it into the world.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mocapfix.kernels.rotation import orthonormalised, retraction
+from mocapfix.kernels.small import matrix, product, put, times, transposed
+
+
+class Tree(NamedTuple):
+    """The skeleton as the kernels see it: any tree whose parents come before their children.
+
+    Offsets may be linear in the first Q of the unknowns that all joints share (SCOPE, Eq. 1: S_i beta + l_i).
+    """
+
+    parents: np.ndarray  # (J,)
+    offsets: np.ndarray  # (J, 3) metres
+    free: np.ndarray  # (J,) bool
+    shape: np.ndarray = np.zeros((0, 0, 3))  # (Q, J, 3) metres: how the offsets change with each
+
+
+class Pose(NamedTuple):
+    """A pose, and where it puts the joints."""
+
+    root: np.ndarray  # (3,) metres
+    local: np.ndarray  # (J, 3, 3)
+    shared: np.ndarray  # (P,) unknowns that all joints share: shape, or a prior's latent code
+    position: np.ndarray  # (J, 3) metres, in the world
+    rotation: np.ndarray  # (J, 3, 3) in the world
+
+
+@njit(cache=True)
+def empty_pose(joints, unknowns):
+    """-> room for a pose."""
+    return Pose(np.empty(3), np.empty((joints, 3, 3)), np.zeros(unknowns), np.empty((joints, 3)), np.empty((joints, 3, 3)))
+
+
+@njit(cache=True)
+def copy(source, target):
+    """Write every number of `source` into `target`, both contiguous and of one shape."""
+    flat, out = source.reshape(-1), target.reshape(-1)
+    for i in range(len(flat)):
+        out[i] = flat[i]
+
+
+@njit(cache=True)
+def forward(tree, pose):
+    """Write the pose's world positions and rotations."""
+    position, rotation = pose.position, pose.rotation
+    for a in range(3):
+        position[0, a] = pose.root[a]
+    put(matrix(pose.local, 0), rotation, 0)
+    for j in range(1, len(tree.parents)):
+        p = tree.parents[j]
+        world = matrix(rotation, p)
+        x, y, z = tree.offsets[j, 0], tree.offsets[j, 1], tree.offsets[j, 2]
+        for q in range(len(tree.shape)):
+            x += tree.shape[q, j, 0] * pose.shared[q]
+            y += tree.shape[q, j, 1] * pose.shared[q]
+            z += tree.shape[q, j, 2] * pose.shared[q]
+        x, y, z = times(world, x, y, z)
+        position[j, 0], position[j, 1], position[j, 2] = position[p, 0] + x, position[p, 1] + y, position[p, 2] + z
+        put(product(world, matrix(pose.local, j)), rotation, j)
+
+
+@njit(cache=True)
+def stepped(tree, pose, step, new):
+    """Write into `new` the pose after a step: every joint turned about its world axes, the root moved with its twist.
+
+    The turn is carried into the parent's axes before it becomes a rotation, so that rounding in the parents' rotations
+    never gathers in their children's: the product parent' turn parent would double it at every step.
+    """
+    for a in range(3):
+        new.root[a] = pose.root[a] + step.twist[0, 3 + a]
+    for p in range(len(pose.shared)):
+        new.shared[p] = pose.shared[p] + step.shared[p]
+    turned = product(retraction(step.twist[0, 0], step.twist[0, 1], step.twist[0, 2]), matrix(pose.local, 0))
+    put(orthonormalised(turned), new.local, 0)
+    for j in range(1, len(tree.parents)):
+        local = matrix(pose.local, j)
+        if tree.free[j]:
+            world = transposed(matrix(pose.rotation, tree.parents[j]))
+            x, y, z = times(world, step.turn[j, 0], step.turn[j, 1], step.turn[j, 2])
+            local = orthonormalised(product(retraction(x, y, z), local))
+        put(local, new.local, j)

@@ -1,0 +1,52 @@
+"""Distances between two points of the body, on one segment or on two: hands that hold a stick, a marker pair's spacing."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix.kernels.small import matrix, times
+from mocapfix.kernels.terms.contract import adds
+
+TOUCHING = 1e-9  # metres: nearer points have no direction from one to the other
+
+
+class Distances(NamedTuple):
+    """Residual: (distance between the points - length) / standard deviation; each a row on top of the sweep."""
+
+    joints: np.ndarray  # (D, 2) whose bodies carry the points
+    places: np.ndarray  # (D, 2, 3) metres, in the joints' axes
+    length: np.ndarray  # (1 or T, D) metres
+    weight: np.ndarray  # (1 or T, D) 1 / m^2; 0 for none
+
+
+@adds(Distances)
+def add(term, t, scale2, tree, pose, system):
+    """Write one row for each distance. -> cost"""
+    f, cost, ends = min(t, len(term.weight) - 1), 0.0, np.empty((2, 3))
+    for k in range(len(term.joints)):
+        m = system.written[0]
+        system.written[0] += 1
+        if term.weight[f, k] == 0.0:
+            continue
+        for e in range(2):
+            j = term.joints[k, e]
+            x, y, z = times(matrix(pose.rotation, j), term.places[k, e, 0], term.places[k, e, 1], term.places[k, e, 2])
+            ends[e] = (x + pose.position[j, 0], y + pose.position[j, 1], z + pose.position[j, 2])
+        ux, uy, uz = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1], ends[1, 2] - ends[0, 2]
+        distance = math.sqrt(ux * ux + uy * uy + uz * uz)
+        root = math.sqrt(term.weight[f, k])
+        system.away[m] = root * (distance - term.length[f, k])
+        cost += 0.5 * system.away[m] ** 2
+        scale = root / max(distance, TOUCHING)
+        for e in range(2):
+            ux, uy, uz = -ux, -uy, -uz  # the first end pulls back, the second ahead
+            row, j = system.rows[m], term.joints[k, e]
+            x, y, z = ends[e, 0] - pose.position[0, 0], ends[e, 1] - pose.position[0, 1], ends[e, 2] - pose.position[0, 2]
+            row[j, 0] += scale * (y * uz - z * uy)
+            row[j, 1] += scale * (z * ux - x * uz)
+            row[j, 2] += scale * (x * uy - y * ux)
+            row[j, 3] += scale * ux
+            row[j, 4] += scale * uy
+            row[j, 5] += scale * uz
+    return cost

@@ -1,0 +1,72 @@
+"""Joint rotations that a decoder makes of a latent code, the code an unknown of the solve.
+
+An autoencoder's code is a number or P that all joints share, as SCOPE's shape is: every residual touches one joint and
+the code, so the sweep stays exact and linear in the joints. A decoder that is not linear is handed in as its values and
+Jacobian at a code and asked again between solves; a linear one is probabilistic principal components.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
+from mocapfix.kernels.small import matrix, product, times, transposed
+from mocapfix.kernels.terms.contract import adds
+
+
+class Latent(NamedTuple):
+    """Residuals: the rotation vector from the middle to each joint, in its parent's axes, less what the decoder says; and the
+    code itself, in its own standard deviations.
+
+    The code is all of the shared unknowns; a tree whose shape is unknown too cannot have one.
+    """
+
+    middle: np.ndarray  # (J, 3, 3) rotations
+    decoded: np.ndarray  # (1 or T, J, 3) radians, at the code `at`
+    jacobian: np.ndarray  # (1 or T, J, 3, P) radians: how that changes with the code
+    at: np.ndarray  # (1 or T, P)
+    information: np.ndarray  # (J, 3, 3) 1 / rad^2, symmetric; zero for a joint that the decoder does not know
+
+
+@adds(Latent)
+def add(term, t, scale2, tree, pose, system):
+    """Add the pull between each free joint's own turn and the code. -> cost"""
+    f, size = min(t, len(term.at) - 1), term.at.shape[1]
+    cost, slopes = 0.0, term.jacobian[f]
+    for j in range(len(tree.parents)):
+        information = matrix(term.information, j)
+        if not tree.free[j] or information[0] + information[4] + information[8] == 0.0:
+            continue
+        x, y, z, c = logarithm(product(matrix(pose.local, j), transposed(matrix(term.middle, j))))
+        through = left_jacobian_inverse(x, y, z, c)
+        if j:
+            through = product(through, transposed(matrix(pose.rotation, tree.parents[j])))
+        x, y, z = x - term.decoded[f, j, 0], y - term.decoded[f, j, 1], z - term.decoded[f, j, 2]
+        for p in range(size):
+            step = pose.shared[p] - term.at[f, p]
+            x -= slopes[j, 0, p] * step
+            y -= slopes[j, 1, p] * step
+            z -= slopes[j, 2, p] * step
+        px, py, pz = times(information, x, y, z)
+        cost += 0.5 * (px * x + py * y + pz * z)
+        held = product(transposed(through), information)
+        curvature, (bx, by, bz) = product(held, through), times(transposed(through), px, py, pz)
+        system.b[j, 0] += bx
+        system.b[j, 1] += by
+        system.b[j, 2] += bz
+        for a in range(3):
+            for d in range(3):
+                system.own[j, a, d] += curvature[3 * a + d]
+        for p in range(size):
+            ux, uy, uz = slopes[j, 0, p], slopes[j, 1, p], slopes[j, 2, p]
+            crossed, stiff = times(held, ux, uy, uz), times(information, ux, uy, uz)
+            for a in range(3):
+                system.own_cross[j, a, p] -= crossed[a]
+            system.shared_g[p] -= ux * px + uy * py + uz * pz
+            for q in range(p + 1):
+                system.shared[p, q] += stiff[0] * slopes[j, 0, q] + stiff[1] * slopes[j, 1, q] + stiff[2] * slopes[j, 2, q]
+    for p in range(size):
+        cost += 0.5 * pose.shared[p] ** 2
+        system.shared_g[p] += pose.shared[p]
+        system.shared[p, p] += 1.0
+    return cost

@@ -1,0 +1,68 @@
+"""Where points of the body were seen: markers on a joint's segment, or joints themselves (a place of zero)."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix.kernels.terms.contract import adds
+from mocapfix.kernels.terms.robust import GEMAN_MCCLURE, robust
+
+ABSURD = 1e6  # metres: no sample of a body lies so far from it, nor does one that is infinite or not a number
+
+
+class Points(NamedTuple):
+    """Residual: (place of the point - seen) / standard deviation, three numbers, robust together."""
+
+    joints: np.ndarray  # (K,)
+    places: np.ndarray  # (K, 3) metres, in the joint's axes
+    seen: np.ndarray  # (T, K, 3) metres; anything where the weight is 0
+    weight: np.ndarray  # (T, K) 1 / m^2; 0 where not seen
+    loss: int = GEMAN_MCCLURE
+
+
+@adds(Points)
+def add(term, t, scale2, tree, pose, system):
+    """Add the points to the curvature and gradient of their bodies' twists. -> cost"""
+    h, g, position, rotation, seen = system.h, system.g, pose.position, pose.rotation, term.seen
+    ox, oy, oz = position[0, 0], position[0, 1], position[0, 2]
+    cost = 0.0
+    for k in range(len(term.joints)):
+        trust = term.weight[t, k]
+        if trust == 0.0:
+            continue
+        j = term.joints[k]
+        a, b, c = term.places[k, 0], term.places[k, 1], term.places[k, 2]
+        x = position[j, 0] + rotation[j, 0, 0] * a + rotation[j, 0, 1] * b + rotation[j, 0, 2] * c
+        y = position[j, 1] + rotation[j, 1, 0] * a + rotation[j, 1, 1] * b + rotation[j, 1, 2] * c
+        z = position[j, 2] + rotation[j, 2, 0] * a + rotation[j, 2, 1] * b + rotation[j, 2, 2] * c
+        ex, ey, ez = x - seen[t, k, 0], y - seen[t, k, 1], z - seen[t, k, 2]
+        square = ex * ex + ey * ey + ez * ez
+        if not square < ABSURD * ABSURD:
+            continue
+        part, weight = robust(term.loss, trust * square, scale2)
+        cost += part
+        w = trust * weight
+        x, y, z = x - ox, y - oy, z - oz
+        wx, wy, wz = w * x, w * y, w * z
+        h[j, 0, 0] += wy * y + wz * z
+        h[j, 1, 0] -= wx * y
+        h[j, 1, 1] += wx * x + wz * z
+        h[j, 2, 0] -= wx * z
+        h[j, 2, 1] -= wy * z
+        h[j, 2, 2] += wx * x + wy * y
+        h[j, 3, 1] += wz
+        h[j, 3, 2] -= wy
+        h[j, 4, 0] -= wz
+        h[j, 4, 2] += wx
+        h[j, 5, 0] += wy
+        h[j, 5, 1] -= wx
+        h[j, 3, 3] += w
+        h[j, 4, 4] += w
+        h[j, 5, 5] += w
+        g[j, 0] += wy * ez - wz * ey
+        g[j, 1] += wz * ex - wx * ez
+        g[j, 2] += wx * ey - wy * ex
+        g[j, 3] += w * ex
+        g[j, 4] += w * ey
+        g[j, 5] += w * ez
+    return cost

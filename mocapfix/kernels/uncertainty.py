@@ -1,0 +1,96 @@
+"""How sure a pose is: the covariance of every body from the factors of the sweep, root to leaves.
+
+Exact to second order at the pose, in time linear in joints and markers.
+"""
+
+import numpy as np
+from numba import njit
+
+from mocapfix.kernels import sweep
+from mocapfix.kernels.levenberg import load, workspace
+from mocapfix.kernels.pose import forward
+from mocapfix.kernels.system import linearise
+
+HARDLY = 1e-3  # 1/m^2 or 1/rad^2: what holds an unknown that nothing holds, so that its variance is large, not infinite
+
+
+@njit(cache=True)
+def covariance(tree, system, f, spread, turn_variance):
+    """Write each body's twist covariance (J, 6, 6) into `spread`, from what `sweep.factor` left.
+
+    twist_i = (I - S gain') twist_parent + S turn',  the remaining turn' having covariance `inverse`; the shared
+    unknowns are taken as known.
+    turn_variance (J,) out: each joint's turn, the mean over its three axes; 0 where a joint is not free.
+    """
+    gain, arm = f.gain, system.arm
+    s, cross = np.zeros((6, 3)), np.empty((3, 6))
+    for a in range(3):
+        s[a, a] = 1.0
+    turned = np.empty((3, 3))
+    for a in range(6):
+        for c in range(6):
+            spread[0, a, c] = f.h[0, a, c]
+    turn_variance[0] = (f.h[0, 0, 0] + f.h[0, 1, 1] + f.h[0, 2, 2]) / 3
+    for i in range(1, len(tree.parents)):
+        p = tree.parents[i]
+        turn_variance[i] = 0.0
+        x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
+        s[3, 1], s[3, 2], s[4, 0], s[4, 2], s[5, 0], s[5, 1] = -z, y, z, -x, -y, x
+        if tree.free[i]:
+            for a in range(3):  # cross = covariance of (turn, parent's twist); turned = covariance of turn
+                for c in range(6):
+                    cross[a, c] = 0.0
+                    for e in range(6):
+                        cross[a, c] -= gain[i, e, a] * spread[p, e, c]
+            for a in range(3):
+                for c in range(3):
+                    turned[a, c] = f.inverse[i, a, c]
+                    for e in range(6):
+                        turned[a, c] -= cross[a, e] * gain[i, e, c]
+                turn_variance[i] += turned[a, a] / 3
+        for a in range(6):
+            for c in range(a + 1):
+                total = spread[p, a, c]
+                if tree.free[i]:
+                    for e in range(3):
+                        total += s[a, e] * cross[e, c] + s[c, e] * cross[e, a]
+                        for f_ in range(3):
+                            total += s[a, e] * turned[e, f_] * s[c, f_]
+                spread[i, a, c] = total
+                spread[i, c, a] = total
+
+
+@njit(cache=True)
+def at_point(v, j, x, y, z):
+    """-> the variance per axis of the point of body j that lies (x, y, z) from the origin; v (J, 6, 6) covariances."""
+    total = v[j, 3, 3] + v[j, 4, 4] + v[j, 5, 5]  # trace of [-[x]x, I] v [-[x]x, I]'
+    total += 2 * (z * v[j, 3, 1] - y * v[j, 3, 2] + x * v[j, 4, 2] - z * v[j, 4, 0] + y * v[j, 5, 0] - x * v[j, 5, 1])
+    total += (y * y + z * z) * v[j, 0, 0] + (x * x + z * z) * v[j, 1, 1] + (x * x + y * y) * v[j, 2, 2]
+    total -= 2 * (x * y * v[j, 0, 1] + x * z * v[j, 0, 2] + y * z * v[j, 1, 2])
+    return max(total, 0.0) / 3
+
+
+@njit(cache=True, nogil=True)
+def uncertainties(tree, terms, scale2, root, local, marker_sd, joint_var, root_var, first, stop):
+    """The uncertainty of the poses of frames first..stop, whose first term is the markers' Points.
+
+    marker_sd (T, K) metres and joint_var (T, J) rad^2 per axis, of the joints' turns ([:, 0]: the root's), root_var (T,)
+    m^2 of the root's place, out.
+    """
+    joints, points = local.shape[1], terms[0]
+    work, spread, none = workspace(joints, 0, 0), np.empty((joints, 6, 6)), np.zeros((len(root), 0))
+    arm, rotation = work.system.arm, work.pose.rotation
+    for t in range(first, stop):
+        load(root, local, none, t, work.pose)
+        forward(tree, work.pose)
+        linearise(tree, terms, t, scale2, work.pose, work.system)
+        sweep.factor(tree, work.system, HARDLY, work.factors)
+        covariance(tree, work.system, work.factors, spread, joint_var[t])
+        root_var[t] = (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
+        for k in range(len(points.joints)):
+            j = points.joints[k]
+            a, b, c = points.places[k, 0], points.places[k, 1], points.places[k, 2]
+            x = arm[j, 0] + rotation[j, 0, 0] * a + rotation[j, 0, 1] * b + rotation[j, 0, 2] * c
+            y = arm[j, 1] + rotation[j, 1, 0] * a + rotation[j, 1, 1] * b + rotation[j, 1, 2] * c
+            z = arm[j, 2] + rotation[j, 2, 0] * a + rotation[j, 2, 1] * b + rotation[j, 2, 2] * c
+            marker_sd[t, k] = np.sqrt(at_point(spread, j, x, y, z))
