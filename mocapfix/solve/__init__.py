@@ -6,8 +6,8 @@ import numpy as np
 
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Targets
 from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
+from mocapfix.kernels.terms import Targets
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
