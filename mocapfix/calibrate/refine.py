@@ -122,7 +122,7 @@ def finished(start: Subject, problem: Problem, root: np.ndarray, local: np.ndarr
     skeleton = replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size)
     subject = replace(start, skeleton=skeleton, places=places, frames=len(root))
     nothing = np.zeros(len(root), int)
-    placed = kinematics.markers(subject, *kinematics.world(skeleton, Motion(root, local, nothing, nothing, np.zeros(0))))
+    placed = kinematics.markers(subject, *kinematics.world(skeleton, Motion(root, local, nothing, nothing, np.zeros(0), np.zeros(0))))
     distance = np.linalg.norm(problem.markers - placed, axis=-1)
     seen = (~np.isnan(distance)).any(0)
     spread = start.spread.copy()

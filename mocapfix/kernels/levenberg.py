@@ -205,8 +205,22 @@ def solve_frame(tree, attached, seen, weight, scales2, pulls, root, local, most)
 
 
 @njit(cache=True)
-def uncertainty(tree, attached, seen, weight, scale2, pulls, root, local, marker_sd, joint_var):
-    """Write the standard deviation of each marker (K,), metres, and the variance per axis of each joint (J,), rad^2.
+def point_sd(spread, x, y, z):
+    """-> the standard deviation per axis, metres, of a point (x, y, z) from the origin on a body whose twist has covariance
+    `spread` (6, 6).
+    """
+    v = spread
+    total = v[3, 3] + v[4, 4] + v[5, 5]  # trace of [-[x]x, I] spread [-[x]x, I]'
+    total += 2 * (z * v[3, 1] - y * v[3, 2] + x * v[4, 2] - z * v[4, 0] + y * v[5, 0] - x * v[5, 1])
+    total += (y * y + z * z) * v[0, 0] + (x * x + z * z) * v[1, 1] + (x * x + y * y) * v[2, 2]
+    total -= 2 * (x * y * v[0, 1] + x * z * v[0, 2] + y * z * v[1, 2])
+    return np.sqrt(max(total, 0.0) / 3)
+
+
+@njit(cache=True)
+def uncertainty(tree, attached, seen, weight, scale2, pulls, root, local, marker_sd, joint_sd, joint_var):
+    """Write the standard deviation per axis of each marker (K,) and joint (J,), metres, and each joint's turn's variance
+    per axis (J,), rad^2.
 
     From the curvature at the pose, exact to second order; joint_var[0] is the root's turn.
     -> the variance of the root's place per axis, m^2
@@ -223,15 +237,13 @@ def uncertainty(tree, attached, seen, weight, scale2, pulls, root, local, marker
     sweep.covariance(tree.parents, tree.free, arm, h[0], gain, inverse_own, spread, joint_var)
     for k in range(len(attached.joints)):
         j = attached.joints[k]
-        c, v = attached.places[k], spread[j]
+        c = attached.places[k]
         x = arm[j, 0] + rotation[j, 0, 0] * c[0] + rotation[j, 0, 1] * c[1] + rotation[j, 0, 2] * c[2]
         y = arm[j, 1] + rotation[j, 1, 0] * c[0] + rotation[j, 1, 1] * c[1] + rotation[j, 1, 2] * c[2]
         z = arm[j, 2] + rotation[j, 2, 0] * c[0] + rotation[j, 2, 1] * c[1] + rotation[j, 2, 2] * c[2]
-        total = v[3, 3] + v[4, 4] + v[5, 5]  # trace of [-[x]x, I] spread [-[x]x, I]'
-        total += 2 * (z * v[3, 1] - y * v[3, 2] + x * v[4, 2] - z * v[4, 0] + y * v[5, 0] - x * v[5, 1])
-        total += (y * y + z * z) * v[0, 0] + (x * x + z * z) * v[1, 1] + (x * x + y * y) * v[2, 2]
-        total -= 2 * (x * y * v[0, 1] + x * z * v[0, 2] + y * z * v[1, 2])
-        marker_sd[k] = np.sqrt(max(total, 0.0) / 3)
+        marker_sd[k] = point_sd(spread[j], x, y, z)
+    for j in range(joints):
+        joint_sd[j] = point_sd(spread[j], arm[j, 0], arm[j, 1], arm[j, 2])
     return (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
 
 
@@ -244,12 +256,14 @@ def solve_frames(tree, attached, seen, weight, scales2, target, prior, root, loc
 
 
 @njit(cache=True, nogil=True)
-def uncertainties(tree, attached, seen, weight, scale2, target, prior, root, local, marker_sd, joint_var, root_var, first, stop):
-    """`uncertainty` of the frames first..stop: marker_sd (T, K), joint_var (T, J), root_var (T,) out."""
+def uncertainties(
+    tree, attached, seen, weight, scale2, target, prior, root, local, marker_sd, joint_sd, joint_var, root_var, first, stop
+):
+    """`uncertainty` of the frames first..stop: marker_sd (T, K), joint_sd and joint_var (T, J), root_var (T,) out."""
     for t in range(first, stop):
         pulls = (of_frame(target, t), of_frame(prior, t))
         root_var[t] = uncertainty(
-            tree, attached, seen[t], weight[t], scale2, pulls, root[t], local[t], marker_sd[t], joint_var[t]
+            tree, attached, seen[t], weight[t], scale2, pulls, root[t], local[t], marker_sd[t], joint_sd[t], joint_var[t]
         )
 
 

@@ -63,20 +63,20 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     _, alone = problem.solve(root, local, none, options.robust)
     gone = recall.lost(listened, subject, body.free)
     unsure = (missed(listened, subject) | gone) & body.free
-    variance = problem.uncertainty(root, local, none, narrow).joints
+    variance = problem.uncertainty(root, local, none, narrow).turns
     bridge, course_variance = bridged(local, variance, unsure, worn.rate, options)
     problem.track(root, local, bridge, unsure, narrow)
 
     # what no marker tells is recalled from the rest of the body, and all frames are solved again, pulled to their courses
     left_open = problem.uncertainty(root, local, none, narrow)
-    told = np.where(gone, np.minimum(left_open.joints, course_variance + options.turn_sd**2), left_open.joints)
+    told = np.where(gone, np.minimum(left_open.turns, course_variance + options.turn_sd**2), left_open.turns)
     known, variance = recall.recalled(root, local, told, gone, body.free, worn.rate)
     target = smooth(root, known, variance, left_open.root, body.free, worn.rate, options)
     root, local = target.root.copy(), target.rotations.copy()
     status, together = problem.solve(root, local, target, (narrow,))
-    deviation = problem.uncertainty(root, local, target, narrow).markers
+    sure = problem.uncertainty(root, local, target, narrow)
     root, local = polished(root, local, body.free, worn.rate, options)
-    solved = Motion(root, local, status, alone + together, deviation)
+    solved = Motion(root, local, status, alone + together, sure.markers, sure.joints)
     return replace(solved, status=judged(solved, subject, worn.markers))
 
 
