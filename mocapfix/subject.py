@@ -1,6 +1,6 @@
 """A subject: one person's bones and the places of the markers on them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,9 @@ class Subject:
     places      (K, 3) metres: the marker in its joint's axes
     spread      (K,) metres: how far the marker strays from its place on average over the calibration frames
     frames      how many frames the calibration used; 0 for a nominal body
+    joint_sd    (J,) metres: standard deviation per axis by which calibration's own error displaces the joint, poses giving
+                way; 0 for a nominal body, whose error nobody knows
+    marker_sd   (K,) metres: the same of the marker as the body places it
     """
 
     skeleton: Skeleton
@@ -27,3 +30,10 @@ class Subject:
     places: np.ndarray
     spread: np.ndarray
     frames: int = 0
+    joint_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    marker_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self):
+        for name, count in (("joint_sd", len(self.skeleton.names)), ("marker_sd", len(self.labels))):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros(count))

@@ -15,7 +15,8 @@ from mocapfix.subject import Subject
 HEADER = """\
 # A subject of mocapfix: one person's bones and where the markers lie on them.
 # All lengths are in metres. A bone's offset is the joint in its parent's axes, its end the tip of a last bone; a marker's
-# place is in the axes of the joint it rides on, and spread is how far it strays from there on average.
+# place is in the axes of the joint it rides on, and spread is how far it strays from there on average. What calibration
+# could not tell displaces joints and markers by sd (standard deviation per axis; 0 where they were measured otherwise).
 # Rest pose: a T-pose facing +Z, Y up, every joint's axes along the world's.
 """
 DIGITS = 7  # a tenth of a micrometre
@@ -42,6 +43,8 @@ def load(path: str | Path) -> Subject:
         joints=np.array([skeleton.index(marker.joint) for marker in markers], int),
         places=np.array([marker.place for marker in markers], float).reshape(-1, 3),
         spread=np.array([marker.spread for marker in markers], float),
+        joint_sd=np.array([bone.sd for bone in bones], float),
+        marker_sd=np.array([marker.sd for marker in markers], float),
         frames=form.frames,
     )
 
@@ -51,16 +54,18 @@ def save(path: str | Path, subject: Subject) -> None:
 
     Raises WriteError where the folder cannot be written, and then leaves what was there.
     """
-    names = subject.skeleton.names
-    bones, markers = {}, {}
-    for name, parent, offset, end in zip(
-        names, subject.skeleton.parents, subject.skeleton.offsets, subject.skeleton.ends, strict=True
+    skeleton, bones, markers = subject.skeleton, {}, {}
+    names = skeleton.names
+    for name, parent, offset, end, sd in zip(
+        names, skeleton.parents, skeleton.offsets, skeleton.ends, subject.joint_sd, strict=True
     ):
-        bones[name] = _Line(parent=names[parent] if parent >= 0 else None, offset=_metres(offset))
+        bones[name] = _Line(parent=names[parent] if parent >= 0 else None, offset=_metres(offset), sd=_length(sd))
         if not np.isnan(end).any():
             bones[name]["end"] = _metres(end)
-    for label, joint, place, spread in zip(subject.labels, subject.joints, subject.places, subject.spread, strict=True):
-        markers[label] = _Line(joint=names[joint], place=_metres(place), spread=round(float(spread), DIGITS))
+    for label, joint, place, spread, sd in zip(
+        subject.labels, subject.joints, subject.places, subject.spread, subject.marker_sd, strict=True
+    ):
+        markers[label] = _Line(joint=names[joint], place=_metres(place), spread=_length(spread), sd=_length(sd))
     data = {"marker_set": subject.marker_set, "frames": int(subject.frames), "bones": bones, "markers": markers}
     text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=130, allow_unicode=True)
     with replacing(Path(path)) as part:
@@ -68,7 +73,11 @@ def save(path: str | Path, subject: Subject) -> None:
 
 
 def _metres(vector: np.ndarray) -> list[float]:
-    return [round(float(x), DIGITS) for x in vector]
+    return [_length(x) for x in vector]
+
+
+def _length(value: float) -> float:
+    return round(float(value), DIGITS)
 
 
 class _Line(dict):
@@ -86,12 +95,14 @@ class _BoneForm(BaseModel, extra="forbid"):
     parent: str | None
     offset: Vector
     end: Vector | None = None
+    sd: FiniteFloat = Field(ge=0)
 
 
 class _MarkerForm(BaseModel, extra="forbid"):
     joint: Joint
     place: Vector
     spread: FiniteFloat = Field(ge=0)
+    sd: FiniteFloat = Field(ge=0)
 
 
 class _SubjectForm(BaseModel, extra="forbid"):

@@ -23,12 +23,15 @@ metres = st.floats(-2, 2)
     places=arrays(float, (41, 3), elements=metres),
     spread=arrays(float, 41, elements=st.floats(0, 0.1)),
     frames=st.integers(0, 10_000),
+    joint_sd=arrays(float, 31, elements=st.floats(0, 0.1)),
+    marker_sd=arrays(float, 41, elements=st.floats(0, 0.1)),
 )
-def test_round_trip(tmp_path_factory, offsets, places, spread, frames):
+def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd, marker_sd):
     average = cmu31().skeleton
     skeleton = Skeleton(average.names, average.parents, offsets, average.ends * 1.0123456)
     path = tmp_path_factory.getbasetemp() / "one.subject.yaml"
-    subject_file.save(path, Subject(skeleton, "cmu41", NOMINAL.labels, NOMINAL.joints, places, spread, frames))
+    worn = ("cmu41", NOMINAL.labels, NOMINAL.joints, places, spread)
+    subject_file.save(path, Subject(skeleton, *worn, frames, joint_sd, marker_sd))
     back = subject_file.load(path)
     assert (back.skeleton.names, back.marker_set, back.labels, back.frames) == (average.names, "cmu41", NOMINAL.labels, frames)
     np.testing.assert_array_equal(back.skeleton.parents, average.parents)
@@ -38,6 +41,8 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames):
         (back.skeleton.ends, skeleton.ends),
         (back.places, places),
         (back.spread, spread),
+        (back.joint_sd, joint_sd),
+        (back.marker_sd, marker_sd),
     ):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
 
@@ -48,8 +53,8 @@ def test_it_can_be_read_by_people(tmp_path):
     lines = path.read_text().splitlines()
     assert lines[0].startswith("# A subject of mocapfix")
     assert "metres" in lines[1]
-    assert "  LeftLeg: {parent: LeftUpLeg, offset: [0.143, -0.3929, 0.0]}" in lines
-    assert "  LFHD: {joint: Head, place: [0.078, 0.164, 0.073], spread: 0.013}" in lines
+    assert "  LeftLeg: {parent: LeftUpLeg, offset: [0.143, -0.3929, 0.0], sd: 0.0}" in lines
+    assert "  LFHD: {joint: Head, place: [0.078, 0.164, 0.073], spread: 0.013, sd: 0.0}" in lines
 
 
 def test_a_label_that_yaml_might_mistake_comes_back(tmp_path):
@@ -74,12 +79,14 @@ def test_the_order_of_bones_does_not_matter(tmp_path):
     [
         ("  Head: {parent: Neck1", "  Head: {parent: Neck", r"bones\.Head\.parent: must be Neck1, not Neck"),
         ("  Head: {parent", "  Skull: {parent", r"bones\.Skull: the skeleton has no such bone"),
-        ("  Hips: {parent: null, offset: [0.0, 0.0, 0.0]}\n", "", r"bones\.Hips: is missing"),
+        ("  Hips: {parent: null, offset: [0.0, 0.0, 0.0], sd: 0.0}\n", "", r"bones\.Hips: is missing"),
         (", end: [0.0, 0.1017, -0.0073]", "", r"bones\.Head\.end: is missing"),
-        ("0.3929, 0.0]}", "0.3929, 0.0], end: [0, 0, 1]}", r"bones\.LeftLeg\.end: only a last bone"),
+        ("0.3929, 0.0], ", "0.3929, 0.0], end: [0, 0, 1], ", r"bones\.LeftLeg\.end: only a last bone"),
         ("[0.143, -0.3929, 0.0]", "[0.143, high, 0.0]", r"bones\.LeftLeg\.offset\.1: "),
         ("LFHD: {joint: Head", "LFHD: {joint: Skull", r"markers\.LFHD\.joint: there is no joint 'Skull'"),
         ("[0.078, 0.164, 0.073]", "[0.078, .inf, 0.073]", r"markers\.LFHD\.place\.1: "),
+        ("0.3929, 0.0], sd: 0.0", "0.3929, 0.0], sd: -0.1", r"bones\.LeftLeg\.sd: Input should be greater than or equal to 0"),
+        (", spread: 0.013, sd: 0.0}", ", spread: 0.013}", r"markers\.LFHD\.sd: Field required"),
         ("frames: 120", "frames: -1", "frames: "),
         ("marker_set: cmu41\n", "", "marker_set: "),
     ],

@@ -1,39 +1,99 @@
 """What many frames say together of the unknowns they share, their poses eliminated (Schur complement by the sweep).
 
-Shared unknowns, P = 1 + G + 3 K of them: the logarithm of the body's size, of G bone groups' scales, and the K markers'
-places in their joints' axes, in metres.
+SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K unknowns. The first P change joints' offsets and
+markers' places along given directions, linearly; the rest are the K markers' places themselves, in their joints' axes.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mocapfix.kernels import sweep
 from mocapfix.kernels.kinematics import forward
-from mocapfix.kernels.levenberg import arms, linearise, of_frame
+from mocapfix.kernels.levenberg import Pull, arms, linearise, of_frame
+from mocapfix.kernels.problem import Problem
 from mocapfix.kernels.residuals import geman_mcclure
+from mocapfix.kernels.threads import over_frames
+
+
+class Directions(NamedTuple):
+    """What changes with P shared unknowns, in metres per unit."""
+
+    offsets: np.ndarray  # (P, J, 3) a joint in its parent's axes
+    places: np.ndarray  # (P, K, 3) a marker in its joint's axes
+
+
+class Responses(NamedTuple):
+    """What the frames do when the shared unknowns change and each frame's pose gives way, in metres per unit.
+
+    The last row of `moved` is what is left of the markers' errors after the pose's own next step, in metres.
+    """
+
+    cost: np.ndarray  # (T,) half the sum of squares, pulls included
+    trusted: np.ndarray  # (T, K) 1/m^2, the markers' robust weights
+    away: np.ndarray  # (T, P, K, 3) the markers, in their joints' axes, the pose held
+    moved: np.ndarray  # (T, Q + 1, K, 3) the markers, in their joints' axes
+    carried: np.ndarray  # (T, Q, J, 3) the joints, in world axes
+
+
+def responses(problem: Problem, directions: Directions, target: Pull, scale: float, root, local) -> Responses:
+    """-> how frames at their best poses, root (T, 3) and local (T, J, 3, 3), respond.
+
+    target  the pull of each frame's pose, beside the problem's prior
+    scale   metres, the robust scale
+    """
+    frames, joints = local.shape[:2]
+    dense, markers = directions.places.shape[:2]
+    unknowns = dense + 3 * markers
+    found = Responses(
+        np.empty(frames),
+        np.zeros((frames, markers)),
+        np.empty((frames, dense, markers, 3)),
+        np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns, joints, 3)),
+    )
+    over_frames(
+        respond_frames, frames, problem.tree, problem.attached, directions, problem.seen, problem.weight,
+        problem.scales2((scale,))[0], target, problem.prior, root, local, *found,
+    )  # fmt: skip
+    return found
+
+
+def reduced(found: Responses) -> tuple[np.ndarray, np.ndarray]:
+    """-> curvature (Q, Q) and gradient (Q,) of the shared unknowns, all frames together."""
+    dense, unknowns = found.away.shape[1], found.moved.shape[1] - 1
+    weighed = found.moved * found.trusted[:, None, :, None]
+    whole = np.empty((unknowns + 1, unknowns))
+    whole[:, dense:] = weighed.sum(0).reshape(unknowns + 1, -1)
+    for rows in (slice(0, dense), slice(unknowns, None)):
+        whole[rows, :dense] = np.tensordot(weighed[:, rows], found.away, axes=([0, 2, 3], [0, 2, 3]))
+    whole[dense:unknowns, :dense] = whole[:dense, dense:].T
+    return whole[:unknowns], whole[unknowns]
 
 
 @njit(cache=True)
-def stretched(tree, groups, count, rotation, stretch):
-    """Write how each joint moves (count + 1, J, 3) with the logarithm of the size [0] and of each group's scale [1:]."""
-    stretch.fill(0)
-    for j in range(1, len(tree.parents)):
-        p = tree.parents[j]
-        for c in range(count + 1):
-            mine = c == 0 or groups[j] == c - 1
-            for a in range(3):
-                stretch[c, j, a] = stretch[c, p, a]
-                if mine:
-                    for e in range(3):
-                        stretch[c, j, a] += rotation[p, a, e] * tree.offsets[j, e]
+def along(directions, p, attached, parents, rotation, stretch, shift):
+    """Write how joints (J, 3) and markers (K, 3) move, in world axes, with the p-th direction and no joint turning."""
+    stretch[0] = 0.0
+    for j in range(1, len(stretch)):
+        r = rotation[parents[j]]
+        x, y, z = directions.offsets[p, j]
+        for a in range(3):
+            stretch[j, a] = stretch[parents[j], a] + r[a, 0] * x + r[a, 1] * y + r[a, 2] * z
+    for k in range(len(shift)):
+        j = attached.joints[k]
+        x, y, z = directions.places[p, k]
+        for a in range(3):
+            shift[k, a] = stretch[j, a] + rotation[j, a, 0] * x + rotation[j, a, 1] * y + rotation[j, a, 2] * z
 
 
 @njit(cache=True)
-def pressed(attached, lever, weight, shift, g):
+def press(attached, lever, trusted, shift, g):
     """Write the gradient on the bodies' twists, g (J, 6), of markers shifted by `shift` (K, 3)."""
     g.fill(0)
     for k in range(len(shift)):
-        w, on = weight[k], g[attached.joints[k]]
+        w, on = trusted[k], g[attached.joints[k]]
         x, y, z = lever[k]
         ex, ey, ez = shift[k]
         on[0] += w * (y * ez - z * ey)
@@ -45,103 +105,84 @@ def pressed(attached, lever, weight, shift, g):
 
 
 @njit(cache=True)
-def given_way(tree, attached, arm, lever, shift, g, b, factors, twist, turn, moved):
-    """Write where the markers go, `moved` (K, 3), when they are shifted by `shift` (K, 3) and the pose gives way.
-
-    g, b     (J, 6), (J, 3) what that presses the pose with; g is spoilt
-    factors  what sweep.factor left: the root's inverse, gains and inverse own curvatures
-    """
-    root_inverse, gain, inverse_own = factors
-    sweep.solve(tree.parents, tree.free, arm, root_inverse, gain, inverse_own, g, b, twist, turn)
-    for k in range(len(shift)):
-        t = twist[attached.joints[k]]
-        x, y, z = lever[k]
-        moved[k, 0] = shift[k, 0] + t[3] + t[1] * z - t[2] * y
-        moved[k, 1] = shift[k, 1] + t[4] + t[2] * x - t[0] * z
-        moved[k, 2] = shift[k, 2] + t[5] + t[0] * y - t[1] * x
+def follow(twist, lever, shift, out):
+    """Write where a point of a body goes, `out` (3,): shifted by `shift` (3,) and taken along by the body's twist."""
+    x, y, z = lever
+    out[0] = shift[0] + twist[3] + twist[1] * z - twist[2] * y
+    out[1] = shift[1] + twist[4] + twist[2] * x - twist[0] * z
+    out[2] = shift[2] + twist[5] + twist[0] * y - twist[1] * x
 
 
 @njit(cache=True)
-def add_frame(tree, attached, groups, count, seen, weight, scale2, pulls, root, local, curvature, gradient):
-    """Add one frame's part to the shared unknowns' curvature (P, P) and gradient (P,). -> the frame's cost
+def inwards(rotation, vector, out):
+    """Write a vector (3,) in world axes as one in the axes of the joint turned by `rotation` (3, 3)."""
+    x, y, z = vector
+    for a in range(3):
+        out[a] = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
 
-    The pose is at its own optimum for the present shared unknowns, or near it.
-    """
-    joints, markers = len(local), len(attached.joints)
-    position, rotation, arm = np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3))
-    h, g, own, b = np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3))
-    gain, inverse_own, twist, turn = np.empty((joints, 6, 3)), np.empty_like(own), np.empty_like(g), np.empty_like(b)
-    forward(tree.parents, tree.offsets, root, local, position, rotation)
-    cost = linearise(tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b)
-    arms(position, arm)
-    sweep.factor(tree.parents, tree.free, arm, h, own, 1e-3, gain, inverse_own)
-    factors = (h[0], gain, inverse_own)
-    stretch = np.empty((count + 1, joints, 3))
-    stretched(tree, groups, count, rotation, stretch)
-    trusted, error, lever = np.zeros(markers), np.zeros((markers, 3)), np.empty((markers, 3))
-    for k in range(markers):
+
+@njit(cache=True)
+def errors(attached, seen, weight, scale2, arm, position, rotation, lever, error, trusted):
+    """Write the markers from the common origin, their errors (K, 3) and robust weights (K,)."""
+    for k in range(len(seen)):
         j, square = attached.joints[k], 0.0
         for a in range(3):
             lever[k, a] = arm[j, a]
             for c in range(3):
                 lever[k, a] += rotation[j, a, c] * attached.places[k, c]
-        if weight[k] > 0:
-            for a in range(3):
-                error[k, a] = position[0, a] + lever[k, a] - seen[k, a]
-                square += error[k, a] ** 2
-            trusted[k] = weight[k] * geman_mcclure(weight[k] * square, scale2)[1]
-    unknowns = 1 + count + 3 * markers
-    shift, moved = np.zeros((markers, 3)), np.empty((markers, 3))
-    press, unpressed = np.empty_like(g), np.zeros_like(b)
-    for p in range(unknowns + 1):  # the last: the residual itself
-        k = (p - 1 - count) // 3
-        if p <= count:
+            error[k, a] = position[0, a] + lever[k, a] - seen[k, a] if weight[k] > 0 else 0.0
+            square += error[k, a] ** 2
+        trusted[k] = weight[k] * geman_mcclure(weight[k] * square, scale2)[1]
+
+
+@njit(cache=True)
+def respond(tree, attached, directions, seen, weight, scale2, pulls, root, local, trusted, away, moved, carried):
+    """Write one frame's `Responses`. -> its cost"""
+    joints, markers, dense = len(local), len(seen), len(away)
+    position, rotation, arm = np.empty((joints, 3)), np.empty((joints, 3, 3)), np.empty((joints, 3))
+    h, g, own, b = np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3))
+    gain, inverse_own, twist, turn = np.empty((joints, 6, 3)), np.empty_like(own), np.empty_like(g), np.empty_like(b)
+    lever, error, at, pressed, unpressed = np.empty((markers, 3)), np.empty((markers, 3)), np.empty(3), g.copy(), np.zeros_like(b)
+    stretch, shift = np.zeros((joints, 3)), np.zeros((markers, 3))
+    forward(tree.parents, tree.offsets, root, local, position, rotation)
+    cost = linearise(tree, attached, seen, weight, scale2, pulls, local, position, rotation, h, g, own, b)
+    arms(position, arm)
+    errors(attached, seen, weight, scale2, arm, position, rotation, lever, error, trusted)
+    sweep.factor(tree.parents, tree.free, arm, h, own, 1e-3, gain, inverse_own)
+    for q in range(len(moved)):
+        k = (q - dense) // 3
+        if q < dense:
+            along(directions, q, attached, tree.parents, rotation, stretch, shift)
             for m in range(markers):
-                for a in range(3):
-                    shift[m, a] = stretch[p, attached.joints[m], a]
-        elif p < unknowns:
+                inwards(rotation[attached.joints[m]], shift[m], away[q, m])
+        else:
+            stretch.fill(0)
             shift.fill(0)
-            if trusted[k] == 0.0:
-                continue
-            for a in range(3):
-                shift[k, a] = rotation[attached.joints[k], a, (p - 1 - count) % 3]
-        if p < unknowns:
-            pressed(attached, lever, trusted, shift, press)
-            given_way(tree, attached, arm, lever, shift, press, unpressed, factors, twist, turn, moved)
-        else:  # here the pulls on the pose press, too
-            given_way(tree, attached, arm, lever, error, g, b, factors, twist, turn, moved)
+            for a in range(3 if k < markers else 0):
+                shift[k, a] = rotation[attached.joints[k], a, (q - dense) % 3]
+        if k < markers:
+            press(attached, lever, trusted, shift, pressed)
+            sweep.solve(tree.parents, tree.free, arm, h[0], gain, inverse_own, pressed, unpressed, twist, turn)
+            for j in range(joints):
+                follow(twist[j], arm[j], stretch[j], carried[q, j])
+        else:  # the errors themselves, and with them what the pulls say to the pose
+            sweep.solve(tree.parents, tree.free, arm, h[0], gain, inverse_own, g, b, twist, turn)
+            shift[:] = error
         for m in range(markers):
-            if trusted[m] == 0.0:
-                continue
-            r, x, y, z = (
-                rotation[attached.joints[m]],
-                moved[m, 0] * trusted[m],
-                moved[m, 1] * trusted[m],
-                moved[m, 2] * trusted[m],
-            )
-            at = 1 + count + 3 * m
-            for a in range(3):
-                along = r[0, a] * x + r[1, a] * y + r[2, a] * z
-                if p < unknowns:
-                    curvature[at + a, p] += along
-                else:
-                    gradient[at + a] += along
-            for c in range(count + 1):
-                s = stretch[c, attached.joints[m]]
-                if p < unknowns:
-                    curvature[c, p] += s[0] * x + s[1] * y + s[2] * z
-                else:
-                    gradient[c] += s[0] * x + s[1] * y + s[2] * z
+            j = attached.joints[m]
+            follow(twist[j], lever[m], shift[m], at)
+            inwards(rotation[j], at, moved[q, m])
     return cost
 
 
 @njit(cache=True, nogil=True)
-def add_frames(
-    tree, attached, groups, count, seen, weight, scale2, target, prior, root, local, curvature, gradient, cost, first, stop
+def respond_frames(
+    tree, attached, directions, seen, weight, scale2, target, prior, root, local, cost, trusted, away, moved, carried, first, stop
 ):
-    """`add_frame` on first..stop, each into its own row: curvature (T, P, P), gradient (T, P), cost (T,)."""
+    """`respond` on first..stop, each into its own row."""
     for t in range(first, stop):
         pulls = (of_frame(target, t), of_frame(prior, t))
-        cost[t] = add_frame(
-            tree, attached, groups, count, seen[t], weight[t], scale2, pulls, root[t], local[t], curvature[t], gradient[t]
-        )
+        cost[t] = respond(
+            tree, attached, directions, seen[t], weight[t], scale2, pulls, root[t], local[t],
+            trusted[t], away[t], moved[t], carried[t],
+        )  # fmt: skip

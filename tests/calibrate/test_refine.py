@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from mocapfix import marker_set, prior
-from mocapfix.calibrate import refine
+from mocapfix.calibrate import freedom, refine
 from mocapfix.kernels import kinematics
+from mocapfix.kernels.shared import Responses
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
 from mocapfix.synthetic import motions
@@ -15,7 +15,8 @@ from mocapfix.synthetic import motions
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN = prior.load("mean-pose", BODY.skeleton)
 NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
-GROUPS = refine.group_of(BODY)
+INDEX = {joint: g for g, joints in enumerate(BODY.groups.values()) for joint in joints}
+GROUPS = np.array([INDEX.get(joint, -1) for joint in range(len(BODY.skeleton.names))])
 
 
 def lengths(skeleton):
@@ -36,31 +37,6 @@ def performed(subject, frames=90):
 
 def fitted(markers, start=NOMINAL):
     return refine.refined(start, BODY, MEAN, markers, refine.posed(start, BODY, MEAN, markers))
-
-
-def test_groups_are_those_of_the_skeleton():
-    for g, (name, joints) in enumerate(BODY.groups.items()):
-        assert set(np.flatnonzero(np.equal(GROUPS, g))) == set(joints), name
-    assert (GROUPS[[0]] == -1).all()
-
-
-def test_the_problem_is_on_the_body_of_the_shape():
-    scales = np.exp(np.random.default_rng(0).normal(0, 0.1, len(BODY.groups)))
-    shape, markers = refine.Shape(np.log(1.1), np.log(scales), 2 * WORN.places), np.zeros((1, len(WORN.labels), 3))
-    problem = refine.problem_of(NOMINAL, BODY, MEAN, markers, shape)
-    np.testing.assert_allclose(problem.tree.offsets, 1.1 * person(scales).skeleton.offsets)
-    np.testing.assert_array_equal(problem.attached.places, 2 * WORN.places)
-    same = refine.problem_of(NOMINAL, BODY, MEAN, markers, refine.unchanged(NOMINAL, BODY))
-    np.testing.assert_array_equal(same.tree.offsets, BODY.skeleton.offsets)
-
-
-def test_a_shape_moves_by_size_groups_and_places_in_that_order():
-    shape = refine.Shape(0.1, np.array([0.2, 0.3]), np.zeros((2, 3)))
-    moved = shape.moved(np.arange(1.0, 10.0))
-    assert moved.size == pytest.approx(1.1)
-    np.testing.assert_allclose(moved.groups, [2.2, 3.3])
-    np.testing.assert_array_equal(moved.places, [[4, 5, 6], [7, 8, 9]])
-    assert shape.size == 0.1
 
 
 def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
@@ -102,6 +78,27 @@ def test_a_marker_stuck_elsewhere_is_found_there():
     somebody = replace(NOMINAL, places=places)
     found = fitted(performed(somebody)[0])
     assert np.linalg.norm(found.places[k] - places[k]) < 0.4 * np.linalg.norm(WORN.places[k] - places[k])
+
+
+def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
+    moved, carried = np.zeros((2, 3, 1, 3)), np.zeros((2, 2, 1, 3))
+    carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
+    moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
+    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, carried)
+    covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
+    joints, markers = refine.doubt(found, np.linalg.inv(covariance))
+    np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
+    np.testing.assert_allclose(markers, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
+
+
+def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
+    markers, _ = performed(NOMINAL, frames=30)
+    k = WORN.labels.index("RWRA")
+    markers[:, k] = np.nan
+    found = fitted(markers)
+    assert freedom.PLACE_SD < found.marker_sd[k] < 1.5 * freedom.PLACE_SD  # and a little of the forearm's
+    assert (np.delete(found.marker_sd, k) < 0.2 * freedom.PLACE_SD).all()
+    assert (found.joint_sd > 0).all()
 
 
 def test_what_is_never_seen_stays_nominal_in_place_and_spread():
