@@ -11,6 +11,7 @@ from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
 from mocapfix.solve import recall, temporal
+from mocapfix.solve.deviation import deviations
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
 
@@ -18,6 +19,7 @@ FLICKER = 0.025  # seconds
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
 LOOSEST = 0.5  # radians: the weakest pull to a joint's course
+SUREST = 0.01  # radians: no course is surer
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,13 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     target = smooth(root, known, variance, left_open.root, body.free, worn.rate, options)
     root, local = target.root.copy(), target.rotations.copy()
     status, together = problem.solve(root, local, target, (narrow,))
-    sure = problem.uncertainty(root, local, target, narrow)
     root, local = polished(root, local, body.free, worn.rate, options)
-    solved = Motion(root, local, status, alone + together, sure.markers, sure.joints)
+    solved = Motion(root, local, status, alone + together, left_open.markers, left_open.joints)
+
+    certain = unsure / np.maximum(course_variance, SUREST**2) + gone / np.maximum(variance, SUREST**2)
+    time = target._replace(information=certain[..., None, None] * np.eye(3))
+    markers, joints = deviations(problem, solved, subject, prior, left_open.markers, time, narrow)
+    solved = replace(solved, deviation=markers, joint_deviation=joints)
     return replace(solved, status=judged(solved, subject, worn.markers))
 
 
