@@ -21,6 +21,7 @@ class Motion:
     status      (T,) int: an index into STATUS
     iterations  (T,) int: Levenberg-Marquardt iterations spent on the frame
     deviation   (T, K) metres: predicted standard deviation per axis of the subject's K markers as the body places them
+    joint_deviation  (T, J) metres: likewise of the joints' places
     """
 
     root: np.ndarray
@@ -28,6 +29,7 @@ class Motion:
     status: np.ndarray
     iterations: np.ndarray
     deviation: np.ndarray
+    joint_deviation: np.ndarray
 
     def at(self, frames: np.ndarray) -> "Motion":
         """-> the motion of some frames alone, by index."""

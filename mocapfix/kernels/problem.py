@@ -31,7 +31,8 @@ class Uncertainty(NamedTuple):
     """What the curvature at a pose leaves open, per axis."""
 
     markers: np.ndarray  # (T, K) metres, standard deviation of each marker as the body places it
-    joints: np.ndarray  # (T, J) rad^2, variance of each joint's turn, [:, 0] of the root's
+    joints: np.ndarray  # (T, J) metres, standard deviation of each joint's place
+    turns: np.ndarray  # (T, J) rad^2, variance of each joint's turn, [:, 0] of the root's
     root: np.ndarray  # (T,) m^2, variance of the root's place
 
 
@@ -98,7 +99,7 @@ class Problem:
     def uncertainty(self, root, local, pull: Targets, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
         frames, joints = local.shape[:2]
-        left = Uncertainty(np.zeros(self.listened.shape), np.zeros((frames, joints)), np.zeros(frames))
+        left = Uncertainty(np.zeros(self.listened.shape), *np.zeros((2, frames, joints)), np.zeros(frames))
         over_frames(
             uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], root, local, *left
         )

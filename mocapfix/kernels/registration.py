@@ -64,7 +64,7 @@ def poses(subject: Subject, free: np.ndarray, prior: Prior, markers: np.ndarray)
         else:
             place_joint(skeleton, j, local, position, rotation)
     zeros = np.zeros(len(root), int)
-    return Motion(root, local, zeros, zeros, np.full(weight.shape, np.nan))
+    return Motion(root, local, zeros, zeros, np.full(weight.shape, np.nan), np.full(local.shape[:2], np.nan))
 
 
 def trunk(skeleton, joints, places, prior, seen, weight) -> tuple[np.ndarray, np.ndarray]:

@@ -61,21 +61,21 @@ def covariance(tree, system, f, spread, turn_variance):
 
 
 @njit(cache=True)
-def at_point(v, j, x, y, z):
-    """-> the variance per axis of the point of body j that lies (x, y, z) from the origin; v (J, 6, 6) covariances."""
+def point_sd(v, j, x, y, z):
+    """-> the standard deviation per axis of the point of body j that lies (x, y, z) from the origin; v (J, 6, 6) covariances."""
     total = v[j, 3, 3] + v[j, 4, 4] + v[j, 5, 5]  # trace of [-[x]x, I] v [-[x]x, I]'
     total += 2 * (z * v[j, 3, 1] - y * v[j, 3, 2] + x * v[j, 4, 2] - z * v[j, 4, 0] + y * v[j, 5, 0] - x * v[j, 5, 1])
     total += (y * y + z * z) * v[j, 0, 0] + (x * x + z * z) * v[j, 1, 1] + (x * x + y * y) * v[j, 2, 2]
     total -= 2 * (x * y * v[j, 0, 1] + x * z * v[j, 0, 2] + y * z * v[j, 1, 2])
-    return max(total, 0.0) / 3
+    return np.sqrt(max(total, 0.0) / 3)
 
 
 @njit(cache=True, nogil=True)
-def uncertainties(tree, terms, scale2, root, local, marker_sd, joint_var, root_var, first, stop):
+def uncertainties(tree, terms, scale2, root, local, marker_sd, joint_sd, joint_var, root_var, first, stop):
     """The uncertainty of the poses of frames first..stop, whose first term is the markers' Points.
 
-    marker_sd (T, K) metres and joint_var (T, J) rad^2 per axis, of the joints' turns ([:, 0]: the root's), root_var (T,)
-    m^2 of the root's place, out.
+    marker_sd (T, K) and joint_sd (T, J) metres, joint_var (T, J) rad^2, of the joints' turns ([:, 0]: the root's), and
+    root_var (T,) m^2, of the root's place, out; all per axis.
     """
     joints, points = local.shape[1], terms[0]
     work, spread, none = workspace(joints, 0, 0), np.empty((joints, 6, 6)), np.zeros((len(root), 0))
@@ -87,10 +87,12 @@ def uncertainties(tree, terms, scale2, root, local, marker_sd, joint_var, root_v
         sweep.factor(tree, work.system, HARDLY, work.factors)
         covariance(tree, work.system, work.factors, spread, joint_var[t])
         root_var[t] = (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
+        for j in range(joints):
+            joint_sd[t, j] = point_sd(spread, j, arm[j, 0], arm[j, 1], arm[j, 2])
         for k in range(len(points.joints)):
             j = points.joints[k]
             a, b, c = points.places[k, 0], points.places[k, 1], points.places[k, 2]
             x = arm[j, 0] + rotation[j, 0, 0] * a + rotation[j, 0, 1] * b + rotation[j, 0, 2] * c
             y = arm[j, 1] + rotation[j, 1, 0] * a + rotation[j, 1, 1] * b + rotation[j, 1, 2] * c
             z = arm[j, 2] + rotation[j, 2, 0] * a + rotation[j, 2, 1] * b + rotation[j, 2, 2] * c
-            marker_sd[t, k] = np.sqrt(at_point(spread, j, x, y, z))
+            marker_sd[t, k] = point_sd(spread, j, x, y, z)

@@ -12,6 +12,7 @@ from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
 from mocapfix.solve import recall, temporal
+from mocapfix.solve.deviation import deviations
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
 
@@ -19,6 +20,7 @@ FLICKER = 0.025  # seconds
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
 LOOSEST = 0.5  # radians: the weakest pull to a joint's course
+SUREST = 0.01  # radians: no course is surer
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,24 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     _, alone = problem.solve(root, local, none, options.robust)
     gone = recall.lost(listened, subject, body.free)
     unsure = (missed(listened, subject) | gone) & body.free
-    variance = problem.uncertainty(root, local, none, narrow).joints
+    variance = problem.uncertainty(root, local, none, narrow).turns
     bridge, course_variance = bridged(local, variance, unsure, worn.rate, options)
     problem.track(root, local, bridge, unsure, narrow)
 
     # what no marker tells is recalled from the rest of the body, and all frames are solved again, pulled to their courses
     left_open = problem.uncertainty(root, local, none, narrow)
-    told = np.where(gone, np.minimum(left_open.joints, course_variance + options.turn_sd**2), left_open.joints)
+    told = np.where(gone, np.minimum(left_open.turns, course_variance + options.turn_sd**2), left_open.turns)
     known, variance = recall.recalled(root, local, told, gone, body.free, worn.rate)
     target = smooth(root, known, variance, left_open.root, body.free, worn.rate, options)
     root, local = target.root.copy(), target.rotations.copy()
     status, together = problem.solve(root, local, target, (narrow,))
-    deviation = problem.uncertainty(root, local, target, narrow).markers
     root, local = polished(root, local, body.free, worn.rate, options)
-    solved = Motion(root, local, status, alone + together, deviation)
+    solved = Motion(root, local, status, alone + together, left_open.markers, left_open.joints)
+
+    certain = unsure / np.maximum(course_variance, SUREST**2) + gone / np.maximum(variance, SUREST**2)
+    time = target._replace(information=certain[..., None, None] * np.eye(3))
+    markers, joints = deviations(problem, solved, subject, prior, left_open.markers, time, narrow)
+    solved = replace(solved, deviation=markers, joint_deviation=joints)
     return replace(solved, status=judged(solved, subject, worn.markers))
 
 

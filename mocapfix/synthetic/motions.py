@@ -100,7 +100,7 @@ def _motion(subject: Subject, root: np.ndarray, posture: dict[str, np.ndarray]) 
     local = world.copy()
     local[:, 1:] = world[:, skeleton.parents[1:]].swapaxes(-1, -2) @ world[:, 1:]
     none = np.zeros(len(root), int)
-    return Motion(root, local, none, none, np.zeros((len(root), len(subject.labels))))
+    return Motion(root, local, none, none, np.zeros((len(root), len(subject.labels))), np.zeros(local.shape[:2]))
 
 
 def _stance(skeleton: Skeleton) -> dict[str, np.ndarray]:
