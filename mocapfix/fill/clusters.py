@@ -10,7 +10,7 @@ carried across. So a rigid cluster is exact, and a loose one as good as its past
 import numpy as np
 
 from mocapfix.kernels.course import across
-from mocapfix.kernels.registration import centred, fitted
+from mocapfix.kernels.rigid import centred, fitted
 from mocapfix.take import runs
 
 LOOSE = 0.1  # metres: a distance that varies by more tells nothing

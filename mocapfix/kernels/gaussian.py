@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.course import matern
-from mocapfix.kernels.registration import centred, fitted
+from mocapfix.kernels.rigid import centred, fitted
 from mocapfix.take import runs
 
 RARE = 0.05  # a marker seen in a smaller part of the frames tells nothing about the others
