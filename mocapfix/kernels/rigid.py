@@ -30,6 +30,13 @@ def fitted(cross: np.ndarray) -> np.ndarray:
     return turn
 
 
+def inside(points: np.ndarray, centre: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """-> points (T, K, 3) in the axes (T, 3, 3) that have their origin at `centre` (T, 3); NaN stays NaN."""
+    placed = np.empty(points.shape)
+    _inside(*(np.ascontiguousarray(each, float) for each in (points, centre, turn)), placed)
+    return placed
+
+
 @njit(cache=True)
 def means(seen, places, weight, here, there):
     """One frame: write the weighted means (3,) of points `seen` (K, 3) and of their `places` (K, 3)."""
@@ -131,3 +138,14 @@ def _fitted(cross, turn):
     m, vectors = np.empty((4, 4)), np.empty((4, 4))
     for t in range(len(cross)):
         nearest_rotation(cross[t], m, vectors, turn[t])
+
+
+@njit(cache=True)
+def _inside(points, centre, turn, placed):
+    for t in range(len(points)):
+        for k in range(points.shape[1]):
+            for a in range(3):
+                total = 0.0
+                for b in range(3):
+                    total += (points[t, k, b] - centre[t, b]) * turn[t, b, a]
+                placed[t, k, a] = total
