@@ -15,6 +15,12 @@ def matrix(m, j):
 
 
 @njit(cache=True)
+def lone(m):
+    """-> the matrix m (3, 3) as nine numbers."""
+    return (m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+
+
+@njit(cache=True)
 def product(a, b):
     """-> a @ b."""
     return (
