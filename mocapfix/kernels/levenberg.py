@@ -85,61 +85,64 @@ def direction(tree, work, mu):
 
 
 @njit(cache=True)
-def adopt(source, target):
-    """Copy a pose's unknowns, not where they put the joints."""
+def place(source, target):
+    """Copy a pose."""
     copy(source.root, target.root)
     copy(source.local, target.local)
     copy(source.shared, target.shared)
-
-
-@njit(cache=True)
-def descend(tree, terms, t, scale2, tau, most, work):
-    """Move the work's pose to where frame t's cost is least, its joints already placed. -> status, iterations
-
-    The start of a trust in the model is tau times its largest curvature: small where the start is good. A step whose
-    promise no longer matters is taken, but the terms are not asked again what it brought.
-    """
-    pose, new, system, step = work.pose, work.new, work.system, work.step
-    cost = linearise(tree, terms, t, scale2, pose, system)
-    mu, nu = tau * largest(system.h), 2.0
-    for iteration in range(1, most + 1):
-        if cost < EXACT:
-            return NOTHING_LEFT, iteration - 1
-        promised = direction(tree, work, mu)
-        if not math.isfinite(promised):
-            return UNHELD, iteration
-        stepped(tree, pose, step, new)
-        forward(tree, new)
-        if promised < SLIGHT:
-            adopt(new, pose)
-            return CONVERGED, iteration
-        new_cost = linearise(tree, terms, t, scale2, new, system)
-        if new_cost < cost:
-            mu *= max(1 / 3, 1 - (2 * (cost - new_cost) / promised - 1) ** 3)
-            nu, cost = 2.0, new_cost
-            adopt(new, pose)
-            copy(new.position, pose.position)
-            copy(new.rotation, pose.rotation)
-        else:
-            mu *= nu
-            nu *= 2
-            linearise(tree, terms, t, scale2, pose, system)
-    return RAN_OUT, most
+    copy(source.position, target.position)
+    copy(source.rotation, target.rotation)
 
 
 @njit(cache=True)
 def solve_frame(tree, terms, t, scales2, tau, most, work):
     """Move the work's pose to where frame t's cost is least. -> status, iterations
 
+    Every trial pose is linearised at once: most are accepted, and then the next step needs it. A step whose promise no
+    longer matters is taken, but the terms are not asked again what it brought.
+
     scales2  squared robust scales, wide to narrow: the solve runs through them, so that far-off starts are not cut off
+    tau      initial damping over the largest curvature: small where the start is good
     most     iterations at each scale
     """
-    iterations, status = 0, RAN_OUT
+    pose, new, system = work.pose, work.new, work.system
+    total, status = 0, RAN_OUT
+    forward(tree, pose)
     for scale2 in scales2:
-        forward(tree, work.pose)
-        status, more = descend(tree, terms, t, scale2, tau, most, work)
-        iterations += more
-    return status, iterations
+        place(pose, new)
+        status, iterations, cost, promised, mu, nu, trial = RAN_OUT, 0, 0.0, 0.0, -1.0, 2.0, False
+        while True:
+            there = linearise(tree, terms, t, scale2, new, system)
+            if trial and there < cost:
+                mu *= max(1 / 3, 1 - (2 * (cost - there) / promised - 1) ** 3)
+                nu = 2.0
+                place(new, pose)
+            if iterations == most:
+                break
+            if trial and not there < cost:  # more careful, from where it was, where the model must be made again
+                mu, nu, trial = mu * nu, nu * 2.0, False
+                place(pose, new)
+                continue
+            if mu < 0.0:
+                mu = tau * largest(system.h)
+            cost = there
+            if cost < EXACT:
+                status = NOTHING_LEFT
+                break
+            iterations += 1
+            promised = direction(tree, work, mu)
+            if not math.isfinite(promised):
+                status = UNHELD
+                break
+            stepped(tree, pose, work.step, new)
+            forward(tree, new)
+            if promised < SLIGHT:
+                status = CONVERGED
+                place(new, pose)
+                break
+            trial = True
+        total += iterations
+    return status, total
 
 
 @njit(cache=True)

@@ -29,7 +29,8 @@ class Answers(NamedTuple):
 def empty_answers(joints, unknowns, rows):
     """-> room for the answers to so many rows."""
     return Answers(
-        np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)), np.empty(rows)
+        np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)),
+        np.empty(rows),
     )
 
 
