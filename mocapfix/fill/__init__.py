@@ -53,7 +53,9 @@ def take(
     return after, left(after, before, touch, reasons)
 
 
-def body_estimate(before, believed, columns, subject, motion) -> tuple[np.ndarray, np.ndarray]:
+def body_estimate(
+    before: Take, believed: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion
+) -> tuple[np.ndarray, np.ndarray]:
     """-> what the solved body says of the take's missing samples (T, M, 3), and its deviation (T, M); NaN elsewhere."""
     place, deviation = np.full(before.markers.shape, np.nan), np.full(before.seen.shape, np.nan)
     there = columns >= 0

@@ -47,7 +47,7 @@ def rigid(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
             if len(asked) >= 3 and len(learn) >= FEWEST:
                 gap = slice(first, last + 1)
                 weight = 1 / (change[m, asked] ** 2 + STEADY**2)
-                filled[gap, m], deviation[gap, m] = carried(markers, m, asked, weight, spread(learn), first, last, rate)
+                filled[gap, m], deviation[gap, m] = carried(markers, int(m), asked, weight, spread(learn), first, last, rate)
     return filled, deviation
 
 
