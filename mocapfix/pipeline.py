@@ -132,7 +132,9 @@ def wearing(
     return known, worn_set, []
 
 
-def held_against(take, worn, columns, subject, motion) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def held_against(
+    take: Take, worn: Take, columns: np.ndarray, subject: Subject, motion: Motion
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """-> joints (T, J, 3), each believed marker's distance from the body (T, M), and notes where the body fits badly."""
     position, rotation = kinematics.world(subject.skeleton, motion)
     there = columns >= 0

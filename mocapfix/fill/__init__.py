@@ -6,6 +6,7 @@ import numpy as np
 
 from mocapfix.fill import body
 from mocapfix.fill.trajectories import trajectories, weighed
+from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
@@ -23,16 +24,6 @@ class FillOptions:
     """the only frames that may be touched, first and last, the file's own numbers"""
     limit: float = 0.250
     """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
-
-
-@dataclass(frozen=True)
-class Left:
-    """Samples that stay missing: a marker over first..last (indices into the take, inclusive), and why."""
-
-    marker: int
-    first: int
-    last: int
-    reason: str
 
 
 def take(
@@ -62,7 +53,9 @@ def take(
     return after, left(after, before, touch, reasons)
 
 
-def body_estimate(before, believed, columns, subject, motion) -> tuple[np.ndarray, np.ndarray]:
+def body_estimate(
+    before: Take, believed: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion
+) -> tuple[np.ndarray, np.ndarray]:
     """-> what the solved body says of the take's missing samples (T, M, 3), and its deviation (T, M); NaN elsewhere."""
     place, deviation = np.full(before.markers.shape, np.nan), np.full(before.seen.shape, np.nan)
     there = columns >= 0

@@ -47,7 +47,7 @@ def rigid(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
             if len(asked) >= 3 and len(learn) >= FEWEST:
                 gap = slice(first, last + 1)
                 weight = 1 / (change[m, asked] ** 2 + STEADY**2)
-                filled[gap, m], deviation[gap, m] = carried(markers, m, asked, weight, spread(learn), first, last, rate)
+                filled[gap, m], deviation[gap, m] = carried(markers, int(m), asked, weight, spread(learn), first, last, rate)
     return filled, deviation
 
 
@@ -74,9 +74,10 @@ def percentile(ordered: np.ndarray, share: float) -> np.ndarray:
     Each column ascends; NaN at its end does not count.
     """
     count = (~np.isnan(ordered)).sum(0)
-    place, columns = share * np.maximum(count - 1, 0), np.arange(ordered.shape[1])
+    last, columns = np.maximum(count - 1, 0), np.arange(ordered.shape[1])
+    place = share * last
     below = place.astype(int)
-    above = np.minimum(below + 1, len(ordered) - 1)
+    above = np.minimum(below + 1, last)
     between = ordered[below, columns] + (place - below) * (ordered[above, columns] - ordered[below, columns])
     return np.where(count >= 2, between, np.inf)
 

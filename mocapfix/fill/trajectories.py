@@ -1,5 +1,7 @@
 """Filling a take without a skeleton: what clusters, the whole marker set and the marker's own path say, by precision."""
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
@@ -32,12 +34,22 @@ def trajectories(
     markers = np.where(believed[..., None], take.markers, np.nan)
     if believed.all():
         return markers, np.full(believed.shape, np.nan)
-    path, sure = splines(markers, take.rate, longest)
-    whole = np.where((sure <= SURE)[..., None], path, markers)
-    place, deviation = weighed([(path, sure), gaussian(whole, take.rate), rigid(whole, take.rate)])
-    deviation[flying(np.where(believed[..., None], markers, place), believed, take.rate)] = np.nan
+    place, deviation = weighed(estimates(markers, take.rate, longest))
+    place[believed] = markers[believed]
+    deviation[flying(place, believed, take.rate)] = np.nan
     fill = ~believed & (deviation <= limit)
-    return np.where(fill[..., None], place, markers), np.where(fill, deviation, np.nan)
+    markers[fill] = place[fill]
+    return markers, np.where(fill, deviation, np.nan)
+
+
+def estimates(markers: np.ndarray, rate: float, longest: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """-> places (T, M, 3) of missing samples and their deviation (T, M), one way after the other: three are large."""
+    path, sure = splines(markers, rate, longest)
+    whole = np.where((sure <= SURE)[..., None], path, markers)
+    yield path, sure
+    del path
+    yield gaussian(whole, rate)
+    yield rigid(whole, rate)
 
 
 def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
@@ -48,7 +60,8 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
 
     path (T, M, 3) metres, believed (T, M) bool, rate in Hz
     """
-    speed = np.nan_to_num(np.linalg.norm(np.diff(path, axis=0), axis=-1)) * rate
+    steps = [np.linalg.norm(np.diff(path[:, m], axis=0), axis=-1) for m in range(path.shape[1])]
+    speed = np.nan_to_num(np.stack(steps, axis=1)) * rate
     both = believed[1:] & believed[:-1]
     if not both.any():
         return np.zeros_like(believed)
@@ -60,18 +73,21 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
     return maximum_filter1d(at, 2 * round(ABOUT * rate) + 1, axis=0) & ~believed
 
 
-def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def weighed(estimates: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is."""
-    place, deviation = np.zeros(estimates[0][0].shape), np.full(estimates[0][1].shape, np.nan)
-    precision, count = np.zeros(deviation.shape), np.zeros(deviation.shape)
+    place = precision = count = np.zeros(())
     for there, sure in estimates:
+        if not count.shape:
+            place, precision, count = np.zeros(there.shape), np.zeros(sure.shape), np.zeros(sure.shape)
         known = ~np.isnan(sure)
         weight = 1 / sure[known] ** 2
         place[known] += weight[:, None] * there[known]
         precision[known] += weight
         count[known] += 1
+        del there  # before the next one is made
     known = count > 0
     place[known] /= precision[known][:, None]
     place[~known] = np.nan
+    deviation = np.full(count.shape, np.nan)
     deviation[known] = np.sqrt(count[known] / precision[known])
     return place, deviation

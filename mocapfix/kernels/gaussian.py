@@ -63,18 +63,17 @@ def gaussian(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     common = np.flatnonzero((~np.isnan(markers[..., 0])).mean(0) > RARE) if len(markers) else np.zeros(0, int)
     if len(common) < 4:
         return filled, deviation
-    worn = markers.take(common, axis=1)
+    worn = markers.take(common, axis=1)  # a whole take is large: nothing below keeps more copies of it than it must
     turn, origin, placed = aligned(worn)
     if placed.sum() < 2:
         return filled, deviation
-    laid = inside(worn, origin, turn)
-    features = np.concatenate([laid.reshape(len(laid), -1), circumstances(turn, origin, rate)], 1)
     missing = np.isnan(worn[..., 0])
-    told = ~missing[placed].all(0)
-    model, features = completed(features, missing, placed)
-    own, sure = bridged(model, features, laid, missing, placed, rate)
-    filled[:, common[told]] = (np.einsum("tab,tmb->tma", turn, own) + origin[:, None])[:, told]
-    deviation[:, common[told]] = sure[:, told]
+    features = np.concatenate([inside(worn, origin, turn).reshape(len(worn), -1), circumstances(turn, origin, rate)], 1)
+    del worn
+    own, sure = bridged(completed(features, missing, placed), features, missing, placed, rate)
+    for m in np.flatnonzero(~missing[placed].all(0)):
+        filled[:, common[m]] = np.einsum("tab,tb->ta", turn, own[:, m]) + origin
+        deviation[:, common[m]] = sure[:, m]
     return filled, deviation
 
 
@@ -85,24 +84,29 @@ def aligned(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     maximum-likelihood form of Procrustes alignment).
     """
     seen = ~np.isnan(markers[..., 0])
-    solid = np.nan_to_num(markers)
     shape, variance = markers[np.argmax(seen.sum(1))], np.ones(markers.shape[1])
     shape = shape - np.nanmean(shape, 0)
     for _ in range(6):
         weight = seen * ~np.isnan(shape[:, 0]) / (SHAPE**2 + variance)
         placed = (weight > 0).sum(1) >= 3
-        cross, here, there = centred(solid, np.nan_to_num(shape), weight)
+        cross, here, there = centred(markers, np.nan_to_num(shape), weight)
         turn = fitted(cross)
         if not placed.any():
             break
-        laid = inside(solid, here - np.einsum("tab,tb->ta", turn, there), turn)
-        use = (seen & placed[:, None]).astype(float)
-        count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
-        shape = np.einsum("tma,tm->ma", laid, use) / count
-        laid -= shape
-        variance = np.nan_to_num(np.einsum("tma,tma,tm->ma", laid, laid, use) / count).mean(1)
+        shape, variance = common_shape(markers, seen & placed[:, None], turn, here - np.einsum("tab,tb->ta", turn, there))
         shape -= np.nanmean(shape, 0)
     return turn, here - np.einsum("tab,tb->ta", turn, there), placed
+
+
+def common_shape(markers: np.ndarray, use: np.ndarray, turn: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """-> where markers (T, M, 3) lie in the body's axes on average over the samples to `use` (T, M), and their variance (M,)."""
+    laid = inside(markers, origin, turn)
+    laid[~use] = 0.0
+    count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
+    shape = laid.sum(0) / count
+    laid -= shape
+    laid[~use] = 0.0
+    return shape, np.nan_to_num(np.einsum("tma,tma->ma", laid, laid) / count).mean(1)
 
 
 def circumstances(turn: np.ndarray, origin: np.ndarray, rate: float) -> np.ndarray:
@@ -129,16 +133,16 @@ def columns(markers: np.ndarray) -> np.ndarray:
     return (3 * markers[:, None] + np.arange(3)).ravel()
 
 
-def completed(features: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> tuple[Gaussian, np.ndarray]:
-    """-> the Gaussian, and the features (T, F) with what was missing as it expects it."""
+def completed(guess: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> Gaussian:
+    """-> the Gaussian of features (T, F); what was missing of them is replaced, in place, by what it expects."""
     learn = np.flatnonzero(placed)
     learn = learn[np.unique(np.linspace(0, len(learn) - 1, LEARNING).astype(int))]
-    guess, frames = features.copy(), np.arange(len(features))
-    for column in np.flatnonzero(np.isnan(features).any(0)):
-        known = placed & ~np.isnan(features[:, column])
-        gone = np.isnan(features[:, column])
-        guess[gone, column] = np.interp(frames[gone], frames[known], features[known, column]) if known.any() else 0.0
-    few, size = patterns(missing[learn]), features.shape[1]
+    frames = np.arange(len(guess))
+    for column in np.flatnonzero(np.isnan(guess).any(0)):
+        gone = np.isnan(guess[:, column])
+        known = placed & ~gone
+        guess[gone, column] = np.interp(frames[gone], frames[known], guess[known, column]) if known.any() else 0.0
+    few, size = patterns(missing[learn]), guess.shape[1]
     spread, model = np.zeros((size, size)), Gaussian(np.zeros(size), np.eye(size))
     for _ in range(ROUNDS):
         sample = guess[learn]
@@ -152,12 +156,14 @@ def completed(features: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> 
             spread[np.ix_(hidden, hidden)] += left * (len(rows) / len(learn))
     for rows, gone in patterns(missing):
         guess[np.ix_(rows, columns(gone))] = model.given(guess[rows], columns(gone))[0]
-    return model, guess
+    return model
 
 
-def bridged(model, features, laid, missing, placed, rate) -> tuple[np.ndarray, np.ndarray]:
+def bridged(
+    model: Gaussian, features: np.ndarray, missing: np.ndarray, placed: np.ndarray, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
     """-> places (T, M, 3) of the missing in the body's axes, tied to the edges of their gaps, and deviation (T, M)."""
-    own, deviation = np.full(laid.shape, np.nan), np.full(missing.shape, np.nan)
+    own, deviation = np.full((*missing.shape, 3), np.nan), np.full(missing.shape, np.nan)
     bridges, gap_of = gaps(missing, placed, rate)
     for rows, gone in patterns(missing & placed[:, None]):
         pieces = [(i, m, bridges[g]) for i, m in enumerate(gone) for g in np.unique(gap_of[rows, m])]
@@ -168,7 +174,7 @@ def bridged(model, features, laid, missing, placed, rate) -> tuple[np.ndarray, n
         for i, m, bridge in pieces:
             mine = np.intersect1d(rows, bridge.frames, assume_unique=True)
             within = mine - bridge.frames[0]
-            missed = laid[bridge.near, m] - expected[np.searchsorted(asked, bridge.near), i]
+            missed = features[bridge.near, 3 * m : 3 * m + 3] - expected[np.searchsorted(asked, bridge.near), i]
             own[mine, m] = expected[np.searchsorted(asked, mine), i] + bridge.weight[within] @ missed
             deviation[mine, m] = np.sqrt(variance[i] * bridge.left[within])
     return own, deviation

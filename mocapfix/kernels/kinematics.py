@@ -31,4 +31,7 @@ def world(skeleton: Skeleton, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
 
 def markers(subject: Subject, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """-> (T, K, 3) metres: where the body at these world joints carries the subject's markers."""
-    return position[:, subject.joints] + np.einsum("tkab,kb->tka", rotation[:, subject.joints], subject.places)
+    placed = np.empty((len(position), len(subject.joints), 3))
+    for k, (joint, place) in enumerate(zip(subject.joints, subject.places, strict=True)):  # no rotation for every marker
+        placed[:, k] = position[:, joint] + rotation[:, joint] @ place
+    return placed

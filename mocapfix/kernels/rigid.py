@@ -16,7 +16,7 @@ def centred(seen: np.ndarray, places: np.ndarray, weight: np.ndarray) -> tuple[n
     """
     frames = len(seen)
     cross, here, there = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3))
-    _centred(*(np.ascontiguousarray(each, float) for each in (seen, places, weight)), cross, here, there)
+    _centred(_plain(seen), _plain(places), _plain(weight), cross, here, there)
     return cross, here, there
 
 
@@ -26,15 +26,20 @@ def fitted(cross: np.ndarray) -> np.ndarray:
     cross  (T, 3, 3) sums of outer products, measured by model
     """
     turn = np.empty(cross.shape)
-    _fitted(np.ascontiguousarray(cross), turn)
+    _fitted(_plain(cross), turn)
     return turn
 
 
 def inside(points: np.ndarray, centre: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """-> points (T, K, 3) in the axes (T, 3, 3) that have their origin at `centre` (T, 3); NaN stays NaN."""
     placed = np.empty(points.shape)
-    _inside(*(np.ascontiguousarray(each, float) for each in (points, centre, turn)), placed)
+    _inside(_plain(points), _plain(centre), _plain(turn), placed)
     return placed
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    """-> the array as the kernels want it, so that each is compiled once."""
+    return np.ascontiguousarray(array, float)
 
 
 @njit(cache=True)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.clusters import changes, rigid
+from mocapfix.fill.clusters import changes, percentile, rigid
 
 RATE = 100.0
 
@@ -80,3 +80,14 @@ def test_distances_are_constant_on_a_rigid_thing_only():
     assert change[0, 1] < 1e-9
     assert change[0, 2] > 0.5
     assert np.isinf(np.diag(change)).all()
+
+
+@given(seed=st.integers(0, 99), share=st.floats(0, 1))
+def test_percentiles_are_the_usual_ones(seed, share):
+    rng = np.random.default_rng(seed)
+    numbers = rng.normal(size=(20, 4))
+    numbers[rng.random((20, 4)) < 0.3] = np.nan
+    numbers[1:, 3] = np.nan  # too few
+    expected = [np.nanpercentile(column, 100 * share) for column in numbers.T[:3]]
+    found = percentile(np.sort(numbers, axis=0), share)
+    np.testing.assert_allclose(found, [*expected, np.inf], atol=1e-12)

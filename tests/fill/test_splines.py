@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.fill.splines import hermite, splines
+from mocapfix.fill.splines import hermite, sound, splines
 
 RATE = 120.0
 
@@ -79,3 +79,25 @@ def test_what_splines_leave(first, last, why):
 
 def test_a_marker_seen_too_little_to_try_it_on_is_left():
     assert np.isnan(splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()
+
+
+def test_gaps_of_a_kind_are_filled_as_each_alone():
+    """What a gap listens to is what is seen beside it, however many other gaps are alike."""
+    truth = swinging(noise=0.0003)
+    damaged = truth.copy()
+    firsts = [100, 200, 300, 301, 420]
+    damaged[firsts, 0] = np.nan
+    filled, _ = splines(damaged, RATE, 0.5)
+    for first, last in ((100, 100), (200, 200), (300, 301), (420, 420)):
+        before, after = np.arange(7), np.arange(7)
+        across = hermite(last - first + 1, before, after)
+        beside = np.r_[first - 1 - before, last + 1 + after]
+        np.testing.assert_allclose(filled[first : last + 1, 0], across @ truth[beside, 0], atol=1e-12)
+
+
+@given(seed=st.integers(0, 99), step=st.integers(1, 5))
+def test_sound_stretches_are_those_where_all_is_seen(seed, step):
+    rng = np.random.default_rng(seed)
+    seen, used = rng.random(80) < 0.8, np.array([-3, -1, 0, 2])
+    expected = [s for s in range(3, 78, step) if seen[s + used].all()]
+    np.testing.assert_array_equal(sound(seen, used, step), expected)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.rigid import centred, fitted
+from mocapfix.kernels.rigid import centred, fitted, inside
 from tests.kernels import dense
 
 seeds = st.integers(0, 2**32 - 1)
@@ -60,3 +60,12 @@ def test_a_mirrored_cloud_gets_the_best_rotation_there_is(seed):
     cross = (model * [-1, 1, 1]).T @ model
     best = np.trace(fitted(cross[None])[0].T @ cross)
     assert best >= max(np.trace(each.T @ cross) for each in dense.rotations(rng, 200)) - 1e-9
+
+
+@given(seeds)
+def test_what_is_carried_inside_comes_back_out(seed):
+    rng = np.random.default_rng(seed)
+    points, centre, turn = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), dense.rotations(rng, 3)
+    points[1, 2] = np.nan
+    own = inside(points, centre, turn)
+    np.testing.assert_allclose(np.einsum("tab,tkb->tka", turn, own) + centre[:, None], points, atol=1e-12)
