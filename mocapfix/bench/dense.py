@@ -6,8 +6,8 @@ Jacobian filled in compiled code, the product by BLAS (syrk), the solve by LAPAC
 
 import numpy as np
 from numba import njit
-from scipy.linalg.blas import dgemv, dsyrk
-from scipy.linalg.lapack import dposv
+from scipy.linalg.blas import dgemv, dsyrk  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIssue]
 
 from mocapfix.bench.scene import ORIENTATION, POINT, PROJECTION, ROWS, Scene, rows, stretched
 from mocapfix.kernels.residuals import joint_target

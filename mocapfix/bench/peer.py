@@ -11,8 +11,6 @@ from scipy.optimize import least_squares
 
 from mocapfix.bench.common_task import CommonTask, turned
 
-TOLERANCES = {"xtol": 1e-5, "ftol": 1e-6, "gtol": 1e-8}
-
 
 class Solved(NamedTuple):
     """The poses of the frames that were solved, and how long that took."""
@@ -46,7 +44,7 @@ def solve(task: CommonTask, name: str, frames: int) -> Solved:
         def jacobian(x, seen=seen):
             return np.concatenate([marker_jacobian(pose(task, x), below)[seen].reshape(-1, len(x)), pull])
 
-        found[t] = x = least_squares(residual, x, jacobian, method="lm", **TOLERANCES).x
+        found[t] = x = least_squares(residual, x, jacobian, method="lm", xtol=1e-5, ftol=1e-6, gtol=1e-8).x  # pyright: ignore
     seconds = time.thread_time() - started
     return Solved(found[:, :3], turned(found[:, 3:].reshape(frames, joints, 3)), seconds)
 

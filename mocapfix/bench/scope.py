@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench.scene import ROWS, Measured, Scene, posed
-from mocapfix.kernels.levenberg import Pull, Tree
+from mocapfix.kernels.levenberg import Pull, Tree, of_frame
 
 # pelvis; hips and spine; knees, ankles, feet; neck, collars, head, shoulders, elbows, wrists
 BODY = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
@@ -31,22 +31,23 @@ def parents(hands: bool) -> np.ndarray:
     return np.array(tree)
 
 
-def scene(joints: int, points: int, each: bool, shapes: int, seed: int = 0) -> Scene:
+def scene(joints: int, keypoints: int, each: bool, shapes: int, seed: int = 0) -> Scene:
     """-> a random body of K = `joints` joints with so many 3-D keypoints spread over it.
 
     each  every joint also carries a 3-D keypoint, a 2-D keypoint and a part orientation
     """
     rng, tree = np.random.default_rng(seed), parents(hands=joints == max(JOINTS))
     bodies = np.arange(len(tree))
-    carried = np.concatenate([np.arange(points) % len(tree), bodies if each else bodies[:0]])
+    carried = np.concatenate([np.arange(keypoints) % len(tree), bodies if each else bodies[:0]])
     alone = bodies if each else bodies[:0]
-    kinds = [measured(rng, on, shapes) for on in (carried, alone, alone)]
+    points, projections, orientations = (measured(rng, on, shapes) for on in (carried, alone, alone))
     local = Rotation.from_rotvec(rng.normal(0, 0.5, (len(tree), 3))).as_matrix()
-    pull = Pull(local[rng.permutation(len(tree))], np.tile(np.eye(3) / HABIT**2, (len(tree), 1, 1)), np.zeros(3), 0.0)
+    habit = np.tile(np.eye(3) / HABIT**2, (1, len(tree), 1, 1))
+    pull = Pull(local[None, rng.permutation(len(tree))], habit, np.zeros((1, 3)), np.zeros(1))
     body = Tree(tree, rng.normal(0, 0.15, (len(tree), 3)), np.ones(len(tree), bool))
     growth = rng.normal(0, 0.01, (shapes, len(tree), 3))
-    found = posed(body, growth, *kinds, np.array([0.0, 0.0, -4.0]), pull, np.zeros(3), local)
-    return aimed(rng, found)
+    eye, root = np.array([0.0, 0.0, -4.0]), np.zeros(3)
+    return aimed(rng, posed(body, growth, points, projections, orientations, eye, of_frame(pull, 0), root, local))
 
 
 def measured(rng: np.random.Generator, joints: np.ndarray, shapes: int) -> Measured:

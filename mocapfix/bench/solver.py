@@ -6,7 +6,7 @@ runs on every core is timed by the clock.
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from mocapfix.bench.dense import Dense
 from mocapfix.bench.scene import Scene
 from mocapfix.kernels.threads import cores
 
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TAKES = ("clean", "noisy")
 
 
@@ -46,7 +46,10 @@ def alone(quick: bool) -> dict:
             return process.submit(measure, QUICK if quick else FULL).result()
     finally:
         for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def measure(effort: Effort) -> dict:
@@ -92,7 +95,7 @@ def on_common_task(effort: Effort) -> dict:
     }
 
 
-def on_experiments(effort: Effort):
+def on_experiments(effort: Effort) -> Iterator[dict]:
     """-> row by row SCOPE's experiments with their times."""
     for row, scene in scope.experiments():
         times = timed(scene, effort)
