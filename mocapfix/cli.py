@@ -182,18 +182,58 @@ def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=
     return DONE
 
 
+def bench_solver(
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of tables")] = False,
+    quick: Annotated[Flag, tyro.conf.arg(help="time everything a few times only: in seconds, but roughly")] = False,
+) -> int:
+    """Time the solver: beside scipy on a task with known truth, and SCOPE's experiments beside a dense solve."""
+    from mocapfix.bench import solver
+
+    with staged("solver"):
+        said = solver.alone(quick)
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        return DONE
+    table = Table("the common task", "clean", "noisy", title=f"600 frames, 53 markers, 31 joints; {said['threads']} threads")
+    for key, what, shown in (
+        ("fps_one_thread", "frames a second, one thread", ",.0f"),
+        ("fps_all_threads", "frames a second, all threads", ",.0f"),
+        ("scipy_fps", f"scipy's, of {said['scipy_frames']} frames", ",.0f"),
+        ("over_scipy", "times scipy's, one thread", ".0f"),
+        ("joint_error_mm", "joint error, mm", ".2f"),
+    ):
+        table.add_row(what, *(format(said[key][name], shown) for name in ("clean", "noisy")))
+    out.print(table)
+    table = Table("experiment", "joints", "numbers measured", "shape parameters", "us", "dense, us", "times as fast")
+    for row in said["experiments"]:
+        table.add_row(
+            *(str(row[key]) for key in ("experiment", "joints", "measured", "shapes")),
+            *(f"{row[key]:.1f}" for key in ("sparse_us", "dense_us", "speedup")),
+        )
+    out.print(table)
+    for joints, us in said["direction_us"].items():
+        out.print(f"One direction at {joints} joints: {us:.1f} us; dense {said['dense_direction_us'][joints]:.0f} us.")
+    out.print(f"51 joints cost {said['k51_over_k23']:.2f} times 23; dense {said['dense_k51_over_k23']:.2f} times.")
+    return DONE
+
+
+BENCHES = {"solver": bench_solver}
 COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and leave with its exit status: 0 done, 1 something could not be, 2 wrong usage."""
+    app, bench = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
+    for name, command in BENCHES.items():
+        bench.command(name=name)(command)
+    for name, command in COMMANDS.items():
+        app.command(name=name)(command)
+    app.command(bench, name="bench", help="Measure mocapfix against what is known to be true.")
     try:
-        status = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
+        status = app.cli(
             prog="mocapfix",
             description="Cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a before/after out.",
             args=arguments,
-            sort_subcommands=False,
         )
     except MocapfixError as error:
         err.print(escape(str(error)), style="red", soft_wrap=True)

@@ -10,6 +10,8 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
+OTHERS = ("joint-limits",)  # on the shelf of priors, but not of this kind
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -34,6 +36,20 @@ class Prior:
         return Prior(self.name, self.rotations, weight * (self.information - self.held) + self.held, self.held)
 
 
+@dataclass(frozen=True)
+class Limits:
+    """How far each joint turns from the mean pose, along the axes of its parent.
+
+    rotations    (J, 3, 3) local joint rotations of the mean pose, as in Prior
+    low, high    (J, 3) radians: between them lies the rotation vector from the mean pose to a person's pose; infinite for
+                 the root
+    """
+
+    rotations: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
 def load(name: str, skeleton: Skeleton) -> Prior:
     """-> the prior shipped as priors/NAME.yaml; "none" is the rest pose, held so weakly that it only breaks ties.
 
@@ -45,8 +61,8 @@ def load(name: str, skeleton: Skeleton) -> Prior:
         weak[0] = 0
         return Prior(name, np.tile(np.eye(3), (joints, 1, 1)), weak, np.zeros_like(weak))
     path = folder("priors") / f"{Path(name).name}.yaml"
-    if not path.is_file():
-        there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml")))
+    if not path.is_file() or path.stem in OTHERS:
+        there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml") if p.stem not in OTHERS))
         raise SceneError(f"There is no prior named {name!r}; choose one of: {there}, none.")
     data = read_yaml(path)
     rotations, information, held = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3)), np.zeros((joints, 3, 3))
@@ -62,3 +78,21 @@ def load(name: str, skeleton: Skeleton) -> Prior:
             keys = "quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz) and held"
             raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
     return Prior(name, rotations, information, held)
+
+
+def load_limits(skeleton: Skeleton) -> Limits:
+    """-> the joint limits shipped as priors/joint-limits.yaml.
+
+    Raises SceneError naming the file and the joint that does not say what it must.
+    """
+    path, rotations = folder("priors") / "joint-limits.yaml", load("mean-pose", skeleton).rotations
+    data, bounds = read_yaml(path), np.full((2, len(skeleton.names), 3), np.inf)
+    bounds[0, 0] = -np.inf
+    for j, joint in enumerate(skeleton.names[1:], start=1):
+        try:
+            bounds[:, j] = [[float(v) for v in data["joints"][joint][side]] for side in ("low", "high")]
+        except (KeyError, TypeError, ValueError) as error:
+            raise SceneError(f"{path}: joints.{joint} must hold low and high (x, y, z).") from error
+        if not (bounds[0, j] < bounds[1, j]).all():
+            raise SceneError(f"{path}: joints.{joint} has a low that is not below its high.")
+    return Limits(rotations, *bounds)

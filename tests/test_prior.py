@@ -118,3 +118,57 @@ def test_knees_and_hip_stubs_are_held_and_hips_are_not():
     assert ranks[2] == 0
     strengths = np.linalg.eigvalsh(loaded.information - loaded.held)
     assert strengths.min() > -1e-2 * loaded.information.max()  # held is a part of it
+
+
+# joint limits
+
+
+def test_the_shipped_limits_hold_the_mean_pose_and_leave_the_root_free():
+    limits = prior.load_limits(SKELETON)
+    assert (limits.low < 0).all()
+    assert (limits.high > 0).all()
+    assert np.isinf([limits.low[0], limits.high[0]]).all()
+    assert np.isfinite([limits.low[1:], limits.high[1:]]).all()
+    np.testing.assert_array_equal(limits.rotations, prior.load("mean-pose", SKELETON).rotations)
+
+
+def test_the_shipped_limits_are_mirrored_between_the_sides():
+    limits = prior.load_limits(SKELETON)
+    for name in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand"):
+        left, right = (SKELETON.index(side + name) for side in ("Left", "Right"))
+        np.testing.assert_allclose(limits.low[left] * [1, 0, 0], limits.low[right] * [1, 0, 0], atol=2e-3)
+        np.testing.assert_allclose(limits.low[left, 1:], -limits.high[right, 1:], atol=2e-3)
+
+
+def test_a_straight_knee_is_within_the_limits_and_one_bent_backwards_is_not():
+    limits, knee = prior.load_limits(SKELETON), SKELETON.index("LeftLeg")
+    for degrees, within in ((0.0, True), (90.0, True), (-40.0, False)):
+        bent = Rotation.from_euler("x", degrees, degrees=True).as_matrix() @ limits.rotations[knee].T
+        away = Rotation.from_matrix(bent).as_rotvec()
+        assert ((limits.low[knee] - 1e-3 <= away) & (away <= limits.high[knee] + 1e-3)).all() == within
+
+
+LIMIT_CHANGES = {
+    "no such joint": (lambda data: data["joints"].pop("LeftArm"), "must hold low and high (x, y, z)."),
+    "no low": (lambda data: data["joints"]["LeftArm"].pop("low"), "must hold low and high (x, y, z)."),
+    "two numbers": (lambda data: data["joints"]["LeftArm"]["high"].pop(), "must hold low and high (x, y, z)."),
+    "a word": (lambda data: data["joints"]["LeftArm"].update(low=["far", 0, 0]), "must hold low and high (x, y, z)."),
+    "upside down": (lambda data: data["joints"]["LeftArm"].update(low=[4, 4, 4]), "has a low that is not below its high."),
+}
+
+
+@pytest.mark.parametrize(("change", "told"), LIMIT_CHANGES.values(), ids=LIMIT_CHANGES.keys())
+def test_limits_that_do_not_say_what_they_must_are_told_by_file_and_joint(tmp_path, monkeypatch, change, told):
+    data = yaml.safe_load((SHIPPED.parent / "joint-limits.yaml").read_text(encoding="utf-8"))
+    change(data)
+    (tmp_path / "joint-limits.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    (tmp_path / "mean-pose.yaml").write_bytes(SHIPPED.read_bytes())
+    monkeypatch.setattr(prior, "folder", lambda name: tmp_path)
+    with pytest.raises(SceneError) as raised:
+        prior.load_limits(SKELETON)
+    assert str(raised.value) == f"{tmp_path / 'joint-limits.yaml'}: joints.LeftArm {told}"
+
+
+def test_the_limits_are_no_prior_of_poses():
+    with pytest.raises(SceneError, match="no prior named 'joint-limits'; choose one of: mean-pose"):
+        prior.load("joint-limits", SKELETON)

@@ -9,11 +9,15 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 
+def cores() -> int:
+    """-> how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def over_frames(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
     """Call kernel(*arguments, first, stop) on blocks that together make up 0..frames."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    size = max(1, -(-frames // (4 * cores)))
-    with ThreadPoolExecutor(cores) as pool:
+    size = max(1, -(-frames // (4 * cores())))
+    with ThreadPoolExecutor(cores()) as pool:
         blocks = [pool.submit(kernel, *arguments, a, min(a + size, frames)) for a in range(0, frames, size)]
         for block in blocks:
             block.result()

@@ -1,0 +1,91 @@
+"""The measuring of joint limits, on people whose joints turn as far as is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix import prior
+from mocapfix.prior import Prior
+from mocapfix.scenes import folder
+from mocapfix.skeleton import cmu31
+from mocapfix.train import joint_limits
+from mocapfix.train.mean_pose import FOREARM_TURN, HELD
+
+NAMES = ["Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"]
+STILL = np.tile(np.eye(3), (len(NAMES), 1, 1))
+
+
+def euler(turns):
+    """-> (T, 6, 3) degrees ZYX of rotation vectors (T, 6, 3)"""
+    flat = Rotation.from_rotvec(turns.reshape(-1, 3)).as_euler("ZYX", degrees=True)
+    return flat.reshape(turns.shape)
+
+
+def swinging(low, high, frames=2001):
+    """-> a trial in which the left arm alone turns about x, y and z, one after the other, to low, to high (3,) and back"""
+    turns = np.zeros((3 * frames, len(NAMES), 3))
+    for a in range(3):
+        turns[a * frames : (a + 1) * frames, 1, a] = np.interp(np.linspace(0, 3, frames), range(4), [0, low[a], high[a], 0])
+    return euler(turns)
+
+
+def measured(trials, people, held=0.0):
+    return joint_limits.measure(NAMES, trials, people, Prior("", STILL, STILL, held * STILL))
+
+
+def test_the_range_of_one_person_is_found_again_and_mirrored():
+    limits = measured([swinging([-0.5, -0.2, -0.3], [1.2, 0.6, 0.4])], ["01"])
+    np.testing.assert_allclose(limits["LeftArm"]["low"], [-0.5, -0.2, -0.3], atol=0.02)
+    np.testing.assert_allclose(limits["LeftArm"]["high"], [1.2, 0.6, 0.4], atol=0.02)
+    np.testing.assert_allclose(limits["RightArm"]["low"], [-0.5, -0.6, -0.4], atol=0.02)
+    np.testing.assert_allclose(limits["RightArm"]["high"], [1.2, 0.2, 0.3], atol=0.02)
+    assert list(limits) == NAMES[1:]
+
+
+def test_a_joint_is_given_room_about_the_axes_that_the_skeleton_holds():
+    limits = measured([np.zeros((100, len(NAMES), 3))], ["01"], held=1 / HELD**2)
+    np.testing.assert_allclose(limits["Head"]["high"], 3 * HELD, atol=1e-3)
+    np.testing.assert_allclose(limits["Head"]["low"], -3 * HELD, atol=1e-3)
+    np.testing.assert_allclose(limits["LeftForeArm"]["high"], 3 * np.array([np.hypot(HELD, FOREARM_TURN), HELD, HELD]), atol=1e-3)
+
+
+def test_two_people_widen_the_range_by_what_the_wider_one_would_have_needed():
+    near, far = swinging([-0.3, 0, 0], [0.3, 0, 0]), swinging([-0.5, 0, 0], [0.9, 0, 0])
+    alone = measured([far], ["02"])["LeftArm"]
+    limits = measured([near, far], ["01", "02"])["LeftArm"]
+    wider = np.array(limits["high"]) - alone["high"]
+    assert 0.4 < wider[0] < 0.6
+    np.testing.assert_allclose(np.array(alone["low"]) - limits["low"], wider, atol=0.02)
+
+
+def test_a_trial_in_which_a_joint_jumps_tells_nothing_of_that_joint_but_of_the_others():
+    good = swinging([-0.5, 0, 0], [0.5, 0, 0])
+    turns = np.zeros((600, len(NAMES), 3))
+    turns[300:, 1, 2] = 2.5  # flipped to the trial's end
+    turns[:, 5, 0] = np.linspace(0, 0.4, 600)
+    limits = measured([good, euler(turns)], ["01", "01"])
+    assert limits["LeftArm"]["high"][2] < 0.01
+    assert limits["Head"]["high"][0] == pytest.approx(0.4, abs=0.02)
+
+
+@pytest.mark.parametrize(("step", "expected"), [(0.9, True), (1.1, False)])
+def test_a_jump_is_a_turn_of_a_radian_in_a_thirtieth_of_a_second(step, expected):
+    course = Rotation.from_rotvec(np.outer(np.repeat([0.0, step], 5), [0, 0.6, 0.8])).as_matrix()
+    assert joint_limits.believed(course) is expected
+    assert joint_limits.believed(course[:1])
+
+
+def test_a_measured_file_is_one_that_loads(tmp_path, monkeypatch):
+    names = list(cmu31().skeleton.names)
+    (tmp_path / "mean-pose.yaml").write_bytes((folder("priors") / "mean-pose.yaml").read_bytes())
+    (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
+    angles = np.random.default_rng(1).uniform(-20, 20, (40, len(names), 3))
+    written = np.round(angles / 180 * 32767).astype(np.int16)
+    np.savez(tmp_path / "train-0.npz", euler=written, trial=np.array(["01_01", "02_01"]), start=np.array([0, 25]))
+    joint_limits.main(str(tmp_path), str(tmp_path / "joint-limits.yaml"))
+    text = (tmp_path / "joint-limits.yaml").read_text(encoding="utf-8")
+    assert "40 frames of 2 trials" in text
+    assert "NSF" in text
+    monkeypatch.setattr(prior, "folder", lambda _: tmp_path)
+    limits = prior.load_limits(cmu31().skeleton)
+    assert (limits.low[1:] < limits.high[1:]).all()
