@@ -11,7 +11,7 @@ from mocapfix.synthetic import Truth
 from mocapfix.take import Take
 
 SEEDS = tuple(range(100, 106))
-SECONDS, RATE = 20.0, 60.0  # both halves of the composed motion, at a rate that takes a third of a minute in all
+SECONDS, RATE = 20.0, 30.0  # the composed motion there and back
 BONE = 0.02  # metres: shorter offsets are no bones
 
 
