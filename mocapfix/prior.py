@@ -10,7 +10,7 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-OTHERS = ("joint-limits",)  # on the shelf of priors, but not of this kind
+OTHERS = ("joint-limits", "shape")  # on the shelf of priors, but not of this kind
 
 
 @dataclass(frozen=True)
