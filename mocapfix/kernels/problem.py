@@ -9,7 +9,7 @@ import numpy as np
 
 from mocapfix.kernels.levenberg import TAU, solve_frames
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Points, Targets
+from mocapfix.kernels.terms import Courses, Points, Targets
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.track import bridge_runs
 from mocapfix.kernels.uncertainty import uncertainties
@@ -42,14 +42,14 @@ def compiled() -> bool:
     return kept is not None and any(Path(kept).glob(COMPILED))
 
 
-def no_pull(joints: int) -> Targets:
+def no_pull(joints: int) -> Courses:
     """-> a pull that pulls nothing."""
-    return Targets(np.zeros((1, joints, 3, 3)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
+    return Courses(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1))
 
 
 def pull_to(prior: Prior) -> Targets:
     """-> a prior as the pull of every frame to its mean pose."""
-    return Targets(prior.rotations[None], prior.information[None], np.zeros((1, 3)), np.zeros(1))
+    return Targets(prior.rotations[None], prior.information[None])
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Problem:
         """-> robust scales in metres as the kernels want them: squared, in units of marker_sd."""
         return (np.array(scales) / self.marker_sd) ** 2
 
-    def solve(self, root, local, pull: Targets, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, root, local, pull: Courses, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
         """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations"""
         status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
@@ -88,7 +88,7 @@ class Problem:
         )  # fmt: skip
         return status, iterations
 
-    def track(self, root, local, pull: Targets, unsure: np.ndarray, scale: float) -> None:
+    def track(self, root, local, pull: Courses, unsure: np.ndarray, scale: float) -> None:
         """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""
         stretches = np.array(runs(np.any(unsure, axis=1)), int).reshape(-1, 2)
         over_frames(
@@ -96,7 +96,7 @@ class Problem:
             local, np.zeros((len(root), 0)), unsure, stretches,
         )  # fmt: skip
 
-    def uncertainty(self, root, local, pull: Targets, scale: float) -> Uncertainty:
+    def uncertainty(self, root, local, pull: Courses, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
         frames, joints = local.shape[:2]
         left = Uncertainty(np.zeros(self.listened.shape), *np.zeros((2, frames, joints)), np.zeros(frames))

@@ -14,7 +14,7 @@ from mocapfix.kernels.levenberg import load, workspace
 from mocapfix.kernels.pose import forward
 from mocapfix.kernels.problem import Problem
 from mocapfix.kernels.system import linearise
-from mocapfix.kernels.terms import Targets
+from mocapfix.kernels.terms import Courses
 from mocapfix.kernels.terms.robust import robust
 from mocapfix.kernels.threads import over_frames
 
@@ -41,7 +41,7 @@ class Responses(NamedTuple):
     carried: np.ndarray  # (T, Q, J, 3) the joints, in world axes
 
 
-def responses(problem: Problem, directions: Directions, target: Targets, scale: float, root, local) -> Responses:
+def responses(problem: Problem, directions: Directions, target: Courses, scale: float, root, local) -> Responses:
     """-> how frames at their best poses, root (T, 3) and local (T, J, 3, 3), respond.
 
     target  the pull of each frame's pose, beside the problem's prior

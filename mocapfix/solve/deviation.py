@@ -17,7 +17,7 @@ import numpy as np
 
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.problem import Problem, pull_to
-from mocapfix.kernels.terms import Targets
+from mocapfix.kernels.terms import Courses
 from mocapfix.motion import Motion
 from mocapfix.prior import Prior
 from mocapfix.subject import Subject
@@ -28,7 +28,7 @@ HEARD = 0.9  # a marker whose error the pose takes up almost whole tells nothing
 
 
 def deviations(
-    problem: Problem, motion: Motion, subject: Subject, prior: Prior, alone: np.ndarray, time: Targets, robust: float
+    problem: Problem, motion: Motion, subject: Subject, prior: Prior, alone: np.ndarray, time: Courses, robust: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """-> standard deviations per axis, metres, of the markers (T, K) as the body places them and of the joints (T, J).
 

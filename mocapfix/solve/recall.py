@@ -8,8 +8,8 @@ carried across as a course that fades (the same idea as the residual of a filled
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mocapfix.kernels import quaternions
 from mocapfix.kernels.course import across
-from mocapfix.subject import Subject
 from mocapfix.take import runs
 
 ENOUGH = 2.0  # seconds of wholly seen motion, without which a take cannot tell
@@ -22,49 +22,43 @@ GRAIN = np.array([0.05] * 3 + [0.05] + [0.2] * 3 + [0.5] * 3)  # differences of 
 TURN_GRAIN = 0.1  # radians, likewise of joints
 
 
-def lost(listened: np.ndarray, subject: Subject, free: np.ndarray) -> np.ndarray:
-    """-> (T, J) bool: free joints below the root that no marker tells of: none on them or farther out is there.
-
-    listened (T, K): the subject's markers that the solve listens to
-    """
-    told = np.zeros((len(listened), len(free)), bool)
-    for k, joint in enumerate(subject.joints):
-        told[:, joint] |= listened[:, k]
-    for j in range(len(free) - 1, 0, -1):
-        told[:, subject.skeleton.parents[j]] |= told[:, j]
-    carrying = told.any(0)
-    return ~told & free & carrying & (np.arange(len(free)) > 0)
-
-
-def recalled(
+def lost_joints(
     root: np.ndarray, local: np.ndarray, variance: np.ndarray, gone: np.ndarray, free: np.ndarray, rate: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> local rotations (T, J, 3, 3) and variances (T, J) with lost joints recalled where the take has seen enough.
+) -> None:
+    """Write what the take tells of lost joints into `local` (T, J, 3, 3) and `variance` (T, J), rad^2, where it has seen enough.
 
-    root (T, 3) metres, local (T, J, 3, 3), variance (T, J) rad^2: each frame's own solve; gone (T, J) as `lost` says.
+    root (T, 3) metres, local and variance: each frame's own solve; gone (T, J) as `listening.lost` says.
     """
     joints = np.flatnonzero(free)[1:]
     whole = ~np.any(gone, axis=1)
     gone = gone & (gone[:, joints].mean(axis=1) <= MOST)[:, None]
     if not gone.any() or whole.sum() < ENOUGH * rate:
-        return local, variance
-    mean = np.stack([Rotation.from_matrix(local[whole, j]).mean().as_matrix() for j in joints])
-    turns = np.stack([Rotation.from_matrix(local[:, j] @ m.T).as_rotvec() for j, m in zip(joints, mean, strict=True)], 1)
-    features = np.concatenate([turns.reshape(len(root), -1), circumstances(root, local[:, 0], rate)], 1)
+        return
+    turns = [quaternions.of_joint(local, j, whole) for j in joints]
+    mean = [Rotation.from_quat(turn[whole]).mean() for turn in turns]
+    away = [quaternions.vectors(turn, m.as_quat()) for turn, m in zip(turns, mean, strict=True)]
+    features = np.concatenate([*away, circumstances(root, local[:, 0], rate)], axis=1)
     grain = np.r_[np.full(3 * len(joints), TURN_GRAIN), GRAIN]
-    expected = conditional(features, np.repeat(gone[:, joints], 3, axis=1), whole, grain)
-    out, out_variance = local.copy(), variance.copy()
+    asked = np.flatnonzero(near(np.any(gone, axis=1), rate))
+    expected = conditional(features, np.repeat(gone[:, joints], 3, axis=1), whole, asked, grain)
     for i, j in enumerate(joints):
         where = gone[:, j]
-        if not where.any():
-            continue
-        guess = Rotation.from_rotvec(expected[:, 3 * i : 3 * i + 3]).as_matrix() @ mean[i]
-        missed = Rotation.from_matrix(local[:, j] @ np.swapaxes(guess, 1, 2)).as_rotvec()
-        missed[where | ~near(where, rate)] = np.nan
-        course, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
-        out[where, j] = Rotation.from_rotvec(course[where]).as_matrix() @ guess[where]
-        out_variance[where, j] = UNSURE**2
-    return out, out_variance
+        if where.any():
+            local[where, j] = corrected(expected[:, 3 * i : 3 * i + 3], mean[i], turns[i], where, rate)
+            variance[where, j] = UNSURE**2
+
+
+def corrected(expected: np.ndarray, mean: Rotation, turns: np.ndarray, where: np.ndarray, rate: float) -> np.ndarray:
+    """-> (n, 3, 3) a joint's rotations in the n frames `where` (T,) it is lost: as expected, corrected by what that misses
+    beside them.
+
+    expected (T, 3) rotation vectors from the joint's mean; turns (T, 4) quaternions, what the frames' own solve says
+    """
+    missed, beside = np.full((len(where), 3), np.nan), near(where, rate) & ~where
+    guess = Rotation.from_rotvec(expected[beside]) * mean
+    missed[beside] = (Rotation.from_quat(turns[beside]) * guess.inv()).as_rotvec()
+    course, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
+    return (Rotation.from_rotvec(course[where]) * Rotation.from_rotvec(expected[where]) * mean).as_matrix()
 
 
 def near(where: np.ndarray, rate: float) -> np.ndarray:
@@ -85,26 +79,31 @@ def circumstances(root: np.ndarray, turn: np.ndarray, rate: float) -> np.ndarray
     return np.concatenate([up, root[:, 1:2], moving, np.r_[step, step[-1:]]], 1)
 
 
-def conditional(features: np.ndarray, gone: np.ndarray, whole: np.ndarray, grain: np.ndarray) -> np.ndarray:
-    """-> (T, 3 J') expected joint features of every frame that lost some, or lies beside one that did, given the rest.
+def conditional(features: np.ndarray, gone: np.ndarray, whole: np.ndarray, asked: np.ndarray, grain: np.ndarray) -> np.ndarray:
+    """-> (T, 3 J') expected joint features of the frames `asked`, those that are lost given the rest; 0 elsewhere.
 
     features (T, F), of which the first are the joints'; gone (T, 3 J') which of those are lost in a frame; a frame that
     lost nothing is asked as though it had lost what the nearest frame with a loss has, so that edges can be compared.
+    whole (T,) bool: the frames to learn from; asked: indices of frames, rising; grain (F,): differences that mean nothing
     """
     mean = features[whole].mean(0)
     covariance = np.cov((features[whole] - mean).T) + np.diag(grain**2)
-    losing = np.flatnonzero(gone.any(1))
-    nearest = losing[np.clip(np.searchsorted(losing, np.arange(len(gone))), 0, len(losing) - 1)]
-    before = losing[np.clip(np.searchsorted(losing, np.arange(len(gone))) - 1, 0, len(losing) - 1)]
-    frames = np.arange(len(gone))
-    closest = np.where(np.abs(before - frames) < np.abs(nearest - frames), before, nearest)
-    asked = gone | gone[closest]
-    expected = np.zeros_like(gone, float)
-    patterns, which = np.unique(asked, axis=0, return_inverse=True)
+    hidden = gone[asked] | gone[nearest(np.flatnonzero(gone.any(1)), asked)]
+    first = np.flatnonzero(np.r_[True, np.any(hidden[1:] != hidden[:-1], axis=1)])  # of each stretch of one pattern
+    patterns, which = np.unique(hidden[first], axis=0, return_inverse=True)
+    which = np.repeat(which.ravel(), np.diff(np.r_[first, len(asked)]))
+    expected = np.zeros(gone.shape)
     for p, pattern in enumerate(patterns):
-        rows = np.flatnonzero(which.ravel() == p)
-        hidden = np.r_[pattern, np.zeros(features.shape[1] - len(pattern), bool)]
-        gain = np.linalg.solve(covariance[np.ix_(~hidden, ~hidden)], covariance[np.ix_(~hidden, hidden)])
-        guess = mean[hidden] + (features[np.ix_(rows, ~hidden)] - mean[~hidden]) @ gain
+        rows = asked[which == p]
+        unknown = np.r_[pattern, np.zeros(features.shape[1] - len(pattern), bool)]
+        gain = np.linalg.solve(covariance[np.ix_(~unknown, ~unknown)], covariance[np.ix_(~unknown, unknown)])
+        guess = mean[unknown] + (features[np.ix_(rows, ~unknown)] - mean[~unknown]) @ gain
         expected[np.ix_(rows, pattern)] = guess
     return expected
+
+
+def nearest(among: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """-> for each of `frames` the nearest of `among`, both rising indices; the later of two as near."""
+    after = np.searchsorted(among, frames)
+    later, earlier = among[np.minimum(after, len(among) - 1)], among[np.maximum(after - 1, 0)]
+    return np.where(np.abs(earlier - frames) < np.abs(later - frames), earlier, later)

@@ -9,7 +9,6 @@ banded system.
 import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from mocapfix.take import runs
 
@@ -66,22 +65,22 @@ def liveliness(path: np.ndarray, variance: np.ndarray, rate: float, well_known: 
     return np.maximum(LIVELY * np.maximum(local, QUIET * second[known].mean()), LEAST)
 
 
-def smoothed_rotations(rotations: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, 3, 3) the smooth course of one joint's rotations (T, 3, 3), variance (T,) in rad^2 per axis."""
-    quaternions = continuous(rotations, np.ones(len(rotations), bool))
-    power = liveliness(2 * quaternions, variance, rate, WELL_KNOWN) * 4 / 3  # three degrees of freedom in four numbers
-    smooth = course(quaternions, variance, power, rate)
-    return Rotation.from_quat(smooth).as_matrix()
+def smoothed_turns(quaternions: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T, 4), not of unit length, the smooth course of one joint's quaternions (T, 4), variance (T,) in rad^2 per axis."""
+    return course(quaternions, variance, turn_power(quaternions, variance, rate), rate)
 
 
-def bridged(rotations: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> the course of one joint (T, 3, 3) through the frames that are sure of it, and its variance (T,) at the others."""
+def bridged(quaternions: np.ndarray, variance: np.ndarray, unsure: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> the course of one joint (T, 4) through the frames that are sure of it, and its variance (T,) at the others."""
     # what makes a joint's place unsure, its markers' places, is the same from frame to frame: the course is known better
     sure = np.where(unsure, SILENT, np.minimum(variance, TREMBLE**2))
-    quaternions = continuous(rotations, ~unsure)
-    power = liveliness(2 * quaternions, sure, rate, WELL_KNOWN) * 4 / 3
-    smooth = Rotation.from_quat(course(quaternions, sure, power, rate)).as_matrix()
-    return smooth, left_open(unsure, power, rate)
+    power = turn_power(quaternions, sure, rate)
+    return course(quaternions, sure, power, rate), left_open(unsure, power, rate)
+
+
+def turn_power(quaternions: np.ndarray, variance: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T,) rad^2/s^3 per axis: the power that a joint's quaternions (T, 4) show."""
+    return liveliness(2 * quaternions, variance, rate, WELL_KNOWN) * 4 / 3  # three degrees of freedom in four numbers
 
 
 def left_open(unsure: np.ndarray, power: np.ndarray, rate: float) -> np.ndarray:
@@ -99,16 +98,6 @@ def left_open(unsure: np.ndarray, power: np.ndarray, rate: float) -> np.ndarray:
             b = np.full(len(b), np.inf)
         variance[first : last + 1] = DOUBT * power[first : last + 1].mean() / 3 / np.maximum(1 / a + 1 / b, 1e-9) ** 3
     return variance
-
-
-def continuous(rotations: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """-> quaternions (T, 4) of rotations (T, 3, 3), of the two that mean the same the one nearest the last known before."""
-    quaternions = Rotation.from_matrix(rotations).as_quat()
-    frames = np.flatnonzero(known) if known.any() else np.arange(len(known))
-    chain = quaternions[frames]
-    chain[1:] *= np.cumprod(np.where((chain[1:] * chain[:-1]).sum(1) < 0, -1.0, 1.0))[:, None]
-    last = chain[np.maximum(np.searchsorted(frames, np.arange(len(known)), side="right") - 1, 0)]
-    return quaternions * np.where((quaternions * last).sum(1) < 0, -1.0, 1.0)[:, None]
 
 
 def smoothed_root(root: np.ndarray, variance: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,66 +1,20 @@
-"""Lost limbs: which they are, and that a take in which one arm mirrors the other tells where the lost one was."""
+"""Lost limbs: a take in which one arm mirrors the other tells where the lost one was."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import marker_set
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import recall
-from mocapfix.subject import Subject
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
-SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+BODY = cmu31()
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")
 LEFT = [BODY.skeleton.index(name) for name in ARM]
 RIGHT = [BODY.skeleton.index(name.replace("Left", "Right")) for name in ARM]
 RATE, FRAMES = 60.0, 600
 LOST = slice(300, 400)
-
-
-def listening(*labels, frames=(2,)):
-    """-> (5, K) bool: all markers are listened to, but for these in these frames"""
-    listened = np.ones((5, len(WORN.labels)), bool)
-    for label in labels:
-        listened[list(frames), WORN.labels.index(label)] = False
-    return listened
-
-
-def on(*names):
-    return [label for label, joint in zip(WORN.labels, WORN.joints, strict=True) if BODY.skeleton.names[joint] in names]
-
-
-def lost(listened):
-    return {(int(t), BODY.skeleton.names[j]) for t, j in np.argwhere(recall.lost(listened, SUBJECT, BODY.free))}
-
-
-def test_while_all_is_seen_nothing_is_lost():
-    assert lost(listening()) == set()
-
-
-def test_an_arm_without_markers_is_lost_in_those_frames():
-    assert lost(listening(*on(*ARM))) == {(2, name) for name in ARM}
-    assert lost(listening(*on(*ARM), frames=(0, 4))) == {(t, name) for t in (0, 4) for name in ARM}
-
-
-def test_a_joint_with_a_marker_farther_out_is_not_lost():
-    assert lost(listening(*on("LeftArm", "LeftForeArm"))) == set()
-    assert lost(listening(*on("LeftForeArm", "LeftHand"))) == {(2, "LeftForeArm"), (2, "LeftHand")}
-    assert lost(listening(*on("LeftHand")[1:])) == set()
-
-
-def test_a_limb_that_the_take_never_shows_is_not_lost_but_unknown():
-    assert lost(listening(*on(*ARM), frames=range(5))) == set()
-
-
-def test_the_root_and_joints_that_cannot_turn_are_never_lost():
-    nothing = np.zeros((5, len(WORN.labels)), bool)
-    nothing[0] = True
-    gone = recall.lost(nothing, SUBJECT, BODY.free)
-    assert not gone[:, 0].any()
-    assert not gone[:, ~BODY.free].any()
-    assert gone[1:, LEFT].all()
-    assert not gone[0].any()
 
 
 def mirroring(rng, frames=FRAMES):
@@ -76,9 +30,12 @@ def mirroring(rng, frames=FRAMES):
 
 
 def recalled(root, truth, gone):
-    solved, variance = truth.copy(), np.full(gone.shape, 1e-4)
-    solved[gone], variance[gone] = np.eye(3), 0.3
-    return *recall.recalled(root, solved, variance, gone, BODY.free, RATE), solved, variance
+    """-> rotations and variances after recalling, and before"""
+    solved, unsure = truth.copy(), np.full(gone.shape, 1e-4)
+    solved[gone], unsure[gone] = np.eye(3), 0.3
+    found, variance = solved.copy(), unsure.copy()
+    recall.lost_joints(root, found, variance, gone, BODY.free, RATE)
+    return found, variance, solved, unsure
 
 
 def away(a, b):
@@ -155,9 +112,27 @@ def test_the_expectation_is_the_gaussians_conditional_mean():
     features = rng.normal(size=(4000, 5)) @ mixing.T + rng.normal(size=5)
     gone, whole = np.zeros((4000, 3), bool), np.ones(4000, bool)
     gone[10, 1], whole[10] = True, False
-    found = recall.conditional(features, gone, whole, np.full(5, 1e-6))[10]
+    expected = recall.conditional(features, gone, whole, np.arange(5, 30), np.full(5, 1e-6))
     others = [0, 2, 3, 4]
     design = np.c_[features[whole][:, others], np.ones(whole.sum())]
     plane = np.linalg.lstsq(design, features[whole, 1], rcond=None)[0]
-    assert found[1] == pytest.approx(features[10, others] @ plane[:4] + plane[4], abs=1e-6)
-    assert found[[0, 2]].tolist() == [0.0, 0.0]  # not asked
+    np.testing.assert_allclose(expected[5:30, 1], features[5:30][:, others] @ plane[:4] + plane[4], atol=1e-6)
+    assert not expected[:, [0, 2]].any()  # never lost
+    assert not expected[:5].any()  # not asked
+    assert not expected[30:].any()
+
+
+def test_each_frame_is_asked_as_though_it_had_lost_what_the_nearest_loss_has():
+    features = np.random.default_rng(6).normal(size=(200, 4)) + 5
+    gone, whole = np.zeros((200, 2), bool), np.ones(200, bool)
+    gone[50, 0], gone[60, 1], whole[[50, 60]] = True, True, False
+    expected = recall.conditional(features, gone, whole, np.arange(40, 70), np.full(4, 1e-3))
+    np.testing.assert_array_equal(expected[40:70] != 0, np.arange(40, 70)[:, None] // 55 == [0, 1])
+
+
+@given(st.sets(st.integers(0, 50), min_size=1), st.sets(st.integers(0, 50), min_size=1))
+def test_the_nearest_is_no_farther_than_any_other(among, frames):
+    among, frames = np.array(sorted(among)), np.array(sorted(frames))
+    found = recall.nearest(among, frames)
+    assert np.isin(found, among).all()
+    np.testing.assert_array_equal(np.abs(found - frames), np.abs(among[None] - frames[:, None]).min(1))

@@ -1,4 +1,4 @@
-"""The solve: masks with known answers, and poses of a body whose markers are exact."""
+"""The solve: poses of a body whose markers are exact."""
 
 from dataclasses import replace
 
@@ -11,48 +11,12 @@ from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
 from mocapfix.subject import Subject
-from mocapfix.take import Take, runs
+from mocapfix.take import Take
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN, NONE = (prior.load(name, BODY.skeleton) for name in ("mean-pose", "none"))
 NAMES = BODY.skeleton.names
 SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
-
-
-# which samples and joints are listened to
-
-
-@pytest.mark.parametrize(
-    ("rate", "gap", "silent"),
-    [
-        (100.0, (40, 59), (35, 64)),  # 0.2 s: 0.05 s on either side
-        (100.0, (40, 44), (38, 46)),  # 0.05 s: half of that, rounded
-        (100.0, (40, 41), None),  # flicker
-        (240.0, (40, 87), (28, 99)),
-        (100.0, (0, 19), (0, 24)),
-        (100.0, (90, 99), (85, 99)),
-        (100.0, (0, 99), (0, 99)),
-    ],
-)
-def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
-    believed = np.ones((100, 2), bool)
-    believed[gap[0] : gap[1] + 1, 0] = False
-    mask = solve.beside_gaps(believed, rate, 0.05)
-    assert runs(mask[:, 0]) == ([] if silent is None else [silent])
-    assert not mask[:, 1].any()
-
-
-def test_a_joint_misses_its_own_markers_and_its_childrens():
-    listened = np.ones((5, 41), bool)
-    listened[3, WORN.labels.index("LFRM")] = False
-    listened[4, WORN.labels.index("LFWT")] = False
-    listened[:, WORN.labels.index("RFRM")] = False  # never there: nothing to miss
-    joint = NAMES[WORN.joints[WORN.labels.index("LFRM")]]
-    lacking = {(int(t), NAMES[j]) for t, j in np.argwhere(solve.missed(listened, SUBJECT) & BODY.free)}
-    assert lacking == {(3, joint), (3, NAMES[BODY.skeleton.parents[NAMES.index(joint)]])}  # the root never
-
-
-# poses
 
 
 @pytest.fixture(scope="module")

@@ -83,30 +83,33 @@ def test_frames_that_are_not_well_known_do_not_tell_the_power():
     assert temporal.liveliness(torn, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * told
 
 
-def test_quaternions_run_on_without_flips_over_a_full_turn():
-    angle = np.linspace(0, 4 * np.pi, 200)
-    found = temporal.continuous(Rotation.from_rotvec(angle[:, None] * [[0, 1, 0]]).as_matrix(), np.ones(200, bool))
-    expected = np.c_[np.zeros(200), np.sin(angle / 2), np.zeros(200), np.cos(angle / 2)]
-    np.testing.assert_allclose(found * np.sign(found[0, 3]), expected, atol=1e-12)
-
-
-def test_an_unknown_frame_does_not_flip_those_after_it():
-    angle = np.linspace(0, 1, 20)
-    angle[8:12] += np.pi  # nonsense
-    known = np.ones(20, bool)
-    known[8:12] = False
-    found = temporal.continuous(Rotation.from_rotvec(angle[:, None] * [[1, 0, 0]]).as_matrix(), known)[known]
-    assert ((found[1:] * found[:-1]).sum(1) > 0.9).all()
-
-
 def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
     t = np.arange(200) / RATE
-    steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]]).as_matrix()
-    variance, torn = np.full(200, 1e-4), steady.copy()
-    variance[90:110], torn[90:110] = 1e4, np.eye(3)
-    smooth = temporal.smoothed_rotations(torn, variance, RATE)
-    away = Rotation.from_matrix(smooth @ np.swapaxes(steady, 1, 2)).magnitude()
-    assert away.max() < np.radians(1)
+    steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
+    variance, torn = np.full(200, 1e-4), steady.as_quat()
+    variance[90:110], torn[90:110] = 1e4, [0.0, 0.0, 0.0, 1.0]
+    smooth = Rotation.from_quat(temporal.smoothed_turns(torn, variance, RATE))
+    assert (smooth * steady.inv()).magnitude().max() < np.radians(1)
+
+
+def test_a_bridge_leads_across_the_unsure_frames_and_knows_how_unsure_it_is():
+    t = np.arange(200) / RATE
+    steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
+    unsure, torn = np.zeros(200, bool), steady.as_quat()
+    unsure[90:110], torn[90:110] = True, [0.0, 0.0, 0.0, 1.0]
+    bridge, variance = temporal.bridged(torn, np.full(200, 1e-4), unsure, RATE)
+    assert (Rotation.from_quat(bridge) * steady.inv()).magnitude().max() < np.radians(1)
+    np.testing.assert_array_equal(variance > 0, unsure)
+    assert 99 <= variance.argmax() <= 100  # the middle
+
+
+def test_the_least_known_is_what_an_integrated_random_acceleration_leaves_open():
+    unsure, power = np.zeros(100, bool), np.full(100, 2.0)
+    unsure[40:59] = unsure[95:] = True
+    found = temporal.left_open(unsure, power, RATE) / temporal.DOUBT
+    assert found[49] == pytest.approx(2.0 * 0.1**3 / 24)  # a = b = 0.1 s
+    assert found[-1] == pytest.approx(2.0 * 0.05**3 / 3)  # beyond the last known end
+    assert not found[~unsure].any()
 
 
 def test_the_root_moves_on_through_lost_frames():

@@ -4,13 +4,15 @@ points        places of markers and joints
 directions    directions of bones
 orientations  orientations of bodies
 views         points seen by cameras
-targets       joint rotations to be near to
+targets       joint rotations to be near to, about some axes more than about others: a mean pose
+courses       joint rotations and a root to be near to: a course through time, a start
 limits        how far joints turn
 latent        joint rotations that a decoder makes of a code
 distances     distances between points, also of different bodies
 whole         any one number that depends on all joints
 """
 
+from mocapfix.kernels.terms.courses import Courses
 from mocapfix.kernels.terms.directions import Directions
 from mocapfix.kernels.terms.distances import Distances
 from mocapfix.kernels.terms.latent import Latent
@@ -25,6 +27,7 @@ from mocapfix.kernels.terms.whole import Whole
 __all__ = [
     "GEMAN_MCCLURE",
     "HUBER",
+    "Courses",
     "Directions",
     "Distances",
     "Latent",

@@ -1,4 +1,4 @@
-"""Joint rotations, and a root, to be near to: a mean pose, a smooth course, a start, the neighbours in time."""
+"""A mean pose: joint rotations to be near to, about some axes more than about others."""
 
 from typing import NamedTuple
 
@@ -10,24 +10,22 @@ from mocapfix.kernels.terms.contract import adds
 
 
 class Targets(NamedTuple):
-    """Residual: the rotation vector from each target to the joint, in the parent's axes; and the root's distance.
+    """Residual: the rotation vector from each target to the joint, in the parent's axes.
 
     One pose for all frames, or one per frame. A joint whose information is zero is not pulled.
     """
 
     rotations: np.ndarray  # (1 or T, J, 3, 3)
     information: np.ndarray  # (1 or T, J, 3, 3) 1/rad^2, symmetric
-    root: np.ndarray  # (1 or T, 3) metres
-    root_information: np.ndarray  # (1 or T,) 1/m^2; 0 for none
 
 
 @adds(Targets)
 def add(term, t, scale2, tree, pose, system):
-    """Add the pull to each free joint's own turn, and to the root's shift. -> cost
+    """Add the pull to each free joint's own turn. -> cost
 
     A turn w of the joint in world axes changes its residual r by J(r) parent' w, J the logarithm's derivative.
     """
-    f = min(t, len(term.root) - 1)
+    f = min(t, len(term.rotations) - 1)
     rotations, informations, rotation, local = term.rotations[f], term.information[f], pose.rotation, pose.local
     parents, free, own, b, cost = tree.parents, tree.free, system.own, system.b, 0.0
     for j in range(len(parents)):
@@ -50,10 +48,4 @@ def add(term, t, scale2, tree, pose, system):
             own[j, a, 0] += stiff[3 * a]
             own[j, a, 1] += stiff[3 * a + 1]
             own[j, a, 2] += stiff[3 * a + 2]
-    w = term.root_information[f]
-    for a in range(3):
-        e = pose.position[0, a] - term.root[f, a]
-        cost += 0.5 * w * e * e
-        system.g[0, 3 + a] += w * e
-        system.h[0, 3 + a, 3 + a] += w
     return cost

@@ -1,0 +1,87 @@
+"""One joint's rotations over time, as quaternions (x, y, z, w) that run on without flips, and back.
+
+`of_joint` and `into_joint` read and write the joint's column of all joints' matrices where it lies, which for a long take
+is far too large to copy.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def quaternion(m):
+    """-> x, y, z, w of the rotation matrix `m` (nine numbers, row by row), w not negative, of whatever length.
+
+    The largest component is told from the diagonal, the others from it, so that it holds near half a turn too.
+    """
+    trace = m[0] + m[4] + m[8]
+    if trace > m[0] and trace > m[4] and trace > m[8]:
+        w, x, y, z = 1 + trace, m[7] - m[5], m[2] - m[6], m[3] - m[1]
+    elif m[0] >= m[4] and m[0] >= m[8]:
+        w, x, y, z = m[7] - m[5], 1 + 2 * m[0] - trace, m[1] + m[3], m[2] + m[6]
+    elif m[4] >= m[8]:
+        w, x, y, z = m[2] - m[6], m[1] + m[3], 1 + 2 * m[4] - trace, m[5] + m[7]
+    else:
+        w, x, y, z = m[3] - m[1], m[2] + m[6], m[5] + m[7], 1 + 2 * m[8] - trace
+    if w < 0:
+        w, x, y, z = -w, -x, -y, -z
+    return x, y, z, w
+
+
+@njit(cache=True)
+def of_joint(rotations, joint, known):
+    """-> (T, 4) the quaternions of rotations[:, joint] (T, J, 3, 3): of the two that mean the same turn, the one that lies
+    nearer the last frame that is `known` (T,), before there is one the first that is. Where no frame is, all count as known.
+    """
+    frames, unknown = len(rotations), not known.any()
+    out = np.empty((frames, 4))
+    nearest = 0
+    for t in range(frames - 1, -1, -1):
+        x, y, z, w = quaternion(rotations[t, joint].ravel())
+        length = math.sqrt(x * x + y * y + z * z + w * w)
+        out[t, 0], out[t, 1], out[t, 2], out[t, 3] = x / length, y / length, z / length, w / length
+        if unknown or known[t]:
+            nearest = t
+    for t in range(frames):
+        product = 0.0
+        for a in range(4):
+            product += out[t, a] * out[nearest, a]
+        if product < 0:
+            for a in range(4):
+                out[t, a] = -out[t, a]
+        if unknown or known[t]:
+            nearest = t
+    return out
+
+
+@njit(cache=True)
+def into_joint(quaternions, joint, rotations):
+    """Write quaternions (T, 4) of any length but 0 into rotations[:, joint] (T, J, 3, 3) as matrices."""
+    for t in range(len(quaternions)):
+        x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
+        s = 2 / (x * x + y * y + z * z + w * w)
+        m = rotations[t, joint]
+        m[0, 0], m[0, 1], m[0, 2] = 1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+        m[1, 0], m[1, 1], m[1, 2] = s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)
+        m[2, 0], m[2, 1], m[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
+
+
+@njit(cache=True)
+def vectors(quaternions, reference):
+    """-> (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4), each as turned on from `reference` (4,).
+
+    All of unit length; the vector v means exp(v) reference.
+    """
+    out = np.empty((len(quaternions), 3))
+    a, b, c, d = -reference[0], -reference[1], -reference[2], reference[3]
+    for t in range(len(quaternions)):
+        x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
+        i, j, k = w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a, w * c + x * b - y * a + z * d
+        real = w * d - x * a - y * b - z * c
+        sign = -1.0 if real < 0 else 1.0
+        length = math.sqrt(i * i + j * j + k * k)
+        factor = 2 * sign if length < 1e-12 else 2 * sign * math.atan2(length, abs(real)) / length
+        out[t, 0], out[t, 1], out[t, 2] = factor * i, factor * j, factor * k
+    return out

@@ -1,0 +1,25 @@
+"""What may be chosen about the solve."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """How the solve weighs what it is told."""
+
+    marker_sd: float = 0.010
+    """how far a sound marker lies from its place on the body, metres (standard deviation per axis)"""
+    robust: tuple[float, ...] = (0.2, 0.1, 0.05)
+    """Geman-McClure scales, metres, one after the other: a marker farther off than the last hardly counts"""
+    habit: float = 1.0
+    """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
+    beside: float = 0.05
+    """how long beside a gap a marker is not listened to, seconds; see `listening.beside_gaps`"""
+    tremble_turn: float = 0.01
+    """how much a joint trembles from frame to frame beyond its motion, radians"""
+    tremble_shift: float = 0.001
+    """how much the root does, metres"""
+    turn_sd: float = 0.1
+    """how far a joint strays from its smooth course, radians"""
+    shift_sd: float = 0.03
+    """how far the root strays from its smooth course, metres"""

@@ -1,0 +1,91 @@
+"""What the solve listens to, and the joints that are thereby unsure or lost: masks with known answers."""
+
+import numpy as np
+import pytest
+
+from mocapfix import marker_set
+from mocapfix.skeleton import cmu31
+from mocapfix.solve import listening
+from mocapfix.subject import Subject
+from mocapfix.take import runs
+
+BODY, WORN = cmu31(), marker_set.load("cmu41")
+NAMES = BODY.skeleton.names
+SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+ARM = ("LeftArm", "LeftForeArm", "LeftHand")
+LEFT = [BODY.skeleton.index(name) for name in ARM]
+
+
+@pytest.mark.parametrize(
+    ("rate", "gap", "silent"),
+    [
+        (100.0, (40, 59), (35, 64)),  # 0.2 s: 0.05 s on either side
+        (100.0, (40, 44), (38, 46)),  # 0.05 s: half of that, rounded
+        (100.0, (40, 41), None),  # flicker
+        (240.0, (40, 87), (28, 99)),
+        (100.0, (0, 19), (0, 24)),
+        (100.0, (90, 99), (85, 99)),
+        (100.0, (0, 99), (0, 99)),
+    ],
+)
+def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
+    believed = np.ones((100, 2), bool)
+    believed[gap[0] : gap[1] + 1, 0] = False
+    mask = listening.beside_gaps(believed, rate, 0.05)
+    assert runs(mask[:, 0]) == ([] if silent is None else [silent])
+    assert not mask[:, 1].any()
+
+
+def test_a_joint_misses_its_own_markers_and_its_childrens():
+    listened = np.ones((5, 41), bool)
+    listened[3, WORN.labels.index("LFRM")] = False
+    listened[4, WORN.labels.index("LFWT")] = False
+    listened[:, WORN.labels.index("RFRM")] = False  # never there: nothing to miss
+    joint = NAMES[WORN.joints[WORN.labels.index("LFRM")]]
+    lacking = {(int(t), NAMES[j]) for t, j in np.argwhere(listening.missed(listened, SUBJECT) & BODY.free)}
+    assert lacking == {(3, joint), (3, NAMES[BODY.skeleton.parents[NAMES.index(joint)]])}  # the root never
+
+
+def heard(*labels, frames=(2,)):
+    """-> (5, K) bool: all markers are listened to, but for these in these frames"""
+    listened = np.ones((5, len(WORN.labels)), bool)
+    for label in labels:
+        listened[list(frames), WORN.labels.index(label)] = False
+    return listened
+
+
+def on(*names):
+    return [label for label, joint in zip(WORN.labels, WORN.joints, strict=True) if BODY.skeleton.names[joint] in names]
+
+
+def lost(listened):
+    return {(int(t), BODY.skeleton.names[j]) for t, j in np.argwhere(listening.lost(listened, SUBJECT, BODY.free))}
+
+
+def test_while_all_is_seen_nothing_is_lost():
+    assert lost(heard()) == set()
+
+
+def test_an_arm_without_markers_is_lost_in_those_frames():
+    assert lost(heard(*on(*ARM))) == {(2, name) for name in ARM}
+    assert lost(heard(*on(*ARM), frames=(0, 4))) == {(t, name) for t in (0, 4) for name in ARM}
+
+
+def test_a_joint_with_a_marker_farther_out_is_not_lost():
+    assert lost(heard(*on("LeftArm", "LeftForeArm"))) == set()
+    assert lost(heard(*on("LeftForeArm", "LeftHand"))) == {(2, "LeftForeArm"), (2, "LeftHand")}
+    assert lost(heard(*on("LeftHand")[1:])) == set()
+
+
+def test_a_limb_that_the_take_never_shows_is_not_lost_but_unknown():
+    assert lost(heard(*on(*ARM), frames=range(5))) == set()
+
+
+def test_the_root_and_joints_that_cannot_turn_are_never_lost():
+    nothing = np.zeros((5, len(WORN.labels)), bool)
+    nothing[0] = True
+    gone = listening.lost(nothing, SUBJECT, BODY.free)
+    assert not gone[:, 0].any()
+    assert not gone[:, ~BODY.free].any()
+    assert gone[1:, LEFT].all()
+    assert not gone[0].any()
