@@ -136,12 +136,12 @@ def held_against(
     take: Take, worn: Take, columns: np.ndarray, subject: Subject, motion: Motion
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """-> joints (T, J, 3), each believed marker's distance from the body (T, M), and notes where the body fits badly."""
-    position, rotation = kinematics.world(subject.skeleton, motion)
+    joints, markers = kinematics.placed(subject, motion)
     there = columns >= 0
-    distance = np.linalg.norm(worn.markers - kinematics.markers(subject, position, rotation), axis=-1)
+    distance = np.linalg.norm(worn.markers - markers, axis=-1)
     error = np.full(take.seen.shape, np.nan)
     error[:, columns[there]] = distance[:, there]
-    return position, error, [*unmarked(worn, subject), *other_markers(take, columns), *strays(take, error)]
+    return joints, error, [*unmarked(worn, subject), *other_markers(take, columns), *strays(take, error)]
 
 
 def unmarked(worn: Take, subject: Subject) -> list[str]:

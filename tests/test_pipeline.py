@@ -112,7 +112,7 @@ def test_predicted_deviations_are_honest(cleaned, lasting):
 
 def test_markers_are_as_far_from_the_body_as_the_report_says(cleaned):
     result = cleaned.result
-    body = kinematics.markers(result.subject, *kinematics.world(result.subject.skeleton, result.motion))
+    body = kinematics.placed(result.subject, result.motion)[1]
     columns = pipeline.marker_set.load("cmu41").columns(result.before.labels)
     believed = result.faults.believed(result.before)[:, columns]
     distance = np.linalg.norm(result.before.markers[:, columns] - body, axis=-1)[believed]

@@ -181,7 +181,7 @@ def test_a_crooked_person_has_bones_of_their_own_on_either_side():
 
 def test_skin_slides_by_millimetres_and_smoothly():
     truth = synthetic.take(2, seconds=20.0)
-    rigid = kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, truth.motion))
+    rigid = kinematics.placed(truth.subject, truth.motion)[1]
     slide = truth.markers - rigid
     assert np.std(slide) == pytest.approx(0.004, rel=0.05)
     lag = round(0.3 * RATE)

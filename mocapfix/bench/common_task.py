@@ -49,11 +49,10 @@ def make() -> CommonTask:
     seconds = np.arange(scene["frames"]) / scene["rate"]
     root = np.stack([about + swing * np.sin(2 * np.pi * hz * seconds) for about, swing, hz in scene["way"]], axis=1)
     truth = posed(root, turned(swung(scene, mean, seconds, rng)))
-    positions, turns = kinematics.world(subject.skeleton, truth)
-    clean = kinematics.markers(subject, positions, turns)
+    positions, clean = kinematics.placed(subject, truth)
     takes = {"clean": clean, "noisy": worn(scene, clean, rng)}
     rest = turned(mean)[None]
-    placed = kinematics.markers(subject, *kinematics.world(subject.skeleton, posed(np.zeros((1, 3)), rest)))[0]
+    placed = kinematics.placed(subject, posed(np.zeros((1, 3)), rest))[1][0]
     pelvis = [subject.labels.index(label) for label in scene["start"]]
     starts = {name: np.nanmean(markers[:, pelvis] - placed[pelvis], axis=1) for name, markers in takes.items()}
     return CommonTask(subject, scene["rate"], mean, scene["pull"], takes, starts, positions)
@@ -112,4 +111,4 @@ def turned(angles: np.ndarray) -> np.ndarray:
 def posed(root: np.ndarray, rotations: np.ndarray) -> Motion:
     """-> poses root (T, 3), rotations (T, J, 3, 3) as a motion of which nothing else is known."""
     nothing = np.zeros(len(root), int)
-    return Motion(root, rotations, nothing, nothing, np.zeros((len(root), 0)))
+    return Motion(root, rotations, nothing, nothing, np.zeros((len(root), 0)), np.zeros((len(root), 0)))

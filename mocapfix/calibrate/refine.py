@@ -121,7 +121,7 @@ def finished(start: Subject, fit: Fit) -> Subject:
     subject = replace(start, skeleton=skeleton, places=places, frames=len(fit.root), joint_sd=joint_sd, marker_sd=marker_sd)
     nothing = np.zeros(len(fit.root), int)
     motion = Motion(fit.root, fit.local, nothing, nothing, np.zeros(0), np.zeros(0))
-    placed = kinematics.markers(subject, *kinematics.world(skeleton, motion))
+    _, placed = kinematics.placed(subject, motion)
     distance = np.linalg.norm(fit.problem.markers - placed, axis=-1)
     seen = (~np.isnan(distance)).any(0)
     spread = start.spread.copy()

@@ -23,15 +23,15 @@ def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Moti
     worn  (T, K, 3) metres, the subject's markers, NaN where not seen or not believed
     """
     position, rotation = kinematics.world(subject.skeleton, motion)
-    placed = kinematics.markers(subject, position, rotation)
     out, deviation = np.full(worn.shape, np.nan), np.full(wanted.shape, np.nan)
     for k, joint in enumerate(subject.joints):
         if not wanted[:, k].any():
             continue
-        residual = np.einsum("tba,tb->ta", rotation[:, joint], worn[:, k] - placed[:, k])
+        turn, placed = rotation[:, joint], position[:, joint] + rotation[:, joint] @ subject.places[k]
+        residual = np.einsum("tba,tb->ta", turn, worn[:, k] - placed)
         course, variance = across(residual, wanted[:, k], rate, FADE, REACH, NOISE, LEAST)
         where = wanted[:, k]
-        out[where, k] = placed[where, k] + np.einsum("tab,tb->ta", rotation[where, joint], course[where])
+        out[where, k] = placed[where] + np.einsum("tab,tb->ta", turn[where], course[where])
         seen = ~np.isnan(worn[:, k, 0])
         usual = np.median(motion.deviation[seen, k]) if seen.any() else 0.0
         pose = np.maximum(motion.deviation[where, k] ** 2 - usual**2, 0.0)

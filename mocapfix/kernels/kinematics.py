@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels.pose import Pose, Tree, forward
+from mocapfix.kernels.small import matrix, times
 from mocapfix.kernels.threads import over_frames
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
@@ -14,24 +15,41 @@ from mocapfix.subject import Subject
 
 
 @njit(cache=True, nogil=True)
-def _forward_frames(tree, root, local, position, rotation, first, stop):
+def _world_frames(tree, root, local, position, rotation, first, stop):
     none = np.empty(0)
     for t in range(first, stop):
         forward(tree, Pose(root[t], local[t], none, position[t], rotation[t]))
 
 
+@njit(cache=True, nogil=True)
+def _place_frames(tree, joints, places, root, local, position, markers, first, stop):
+    none, rotation = np.empty(0), np.empty(local.shape[1:])
+    for t in range(first, stop):
+        forward(tree, Pose(root[t], local[t], none, position[t], rotation))
+        for k in range(len(joints)):
+            x, y, z = times(matrix(rotation, joints[k]), places[k, 0], places[k, 1], places[k, 2])
+            markers[t, k, 0] = position[t, joints[k], 0] + x
+            markers[t, k, 1] = position[t, joints[k], 1] + y
+            markers[t, k, 2] = position[t, joints[k], 2] + z
+
+
+def tree_of(skeleton: Skeleton) -> Tree:
+    """-> the skeleton as the kernels see it, all joints free."""
+    return Tree(skeleton.parents, skeleton.offsets, np.ones(len(skeleton.parents), bool))
+
+
 def world(skeleton: Skeleton, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """-> joint positions (T, J, 3) in metres and rotations (T, J, 3, 3), in the world."""
     position, rotation = np.empty(motion.rotations.shape[:2] + (3,)), np.empty(motion.rotations.shape)
-    poses = (motion.root, motion.rotations, position, rotation)
-    tree = Tree(skeleton.parents, skeleton.offsets, np.ones(len(skeleton.parents), bool))
-    over_frames(_forward_frames, motion.frames, tree, *poses)
+    over_frames(_world_frames, motion.frames, tree_of(skeleton), motion.root, motion.rotations, position, rotation)
     return position, rotation
 
 
-def markers(subject: Subject, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """-> (T, K, 3) metres: where the body at these world joints carries the subject's markers."""
-    placed = np.empty((len(position), len(subject.joints), 3))
-    for k, (joint, place) in enumerate(zip(subject.joints, subject.places, strict=True)):  # no rotation for every marker
-        placed[:, k] = position[:, joint] + rotation[:, joint] @ place
-    return placed
+def placed(subject: Subject, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """-> joints (T, J, 3) and the subject's markers (T, K, 3), in metres, where the poses carry them."""
+    position, markers = np.empty(motion.rotations.shape[:2] + (3,)), np.empty((motion.frames, len(subject.joints), 3))
+    over_frames(
+        _place_frames, motion.frames, tree_of(subject.skeleton), subject.joints, subject.places, motion.root, motion.rotations,
+        position, markers,
+    )  # fmt: skip
+    return position, markers

@@ -21,7 +21,6 @@ __all__ = ["SolveOptions", "motion"]
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
 SUREST = 0.01  # radians: no course is surer
-AT_ONCE = 4096  # frames that are judged together
 
 
 def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion, options: SolveOptions) -> Motion:
@@ -84,12 +83,8 @@ def judged(motion: Motion, subject: Subject, markers: np.ndarray) -> np.ndarray:
 
     markers  (T, K, 3) metres, the subject's markers, NaN where not believed
     """
-    status = motion.status.copy()
-    for first in range(0, motion.frames, AT_ONCE):
-        frames = np.arange(first, min(first + AT_ONCE, motion.frames))
-        placed = kinematics.markers(subject, *kinematics.world(subject.skeleton, motion.at(frames)))
-        distance = np.linalg.norm(markers[frames] - placed, axis=-1)
-        seen = (~np.isnan(distance)).sum(1)
-        mean = np.nansum(distance, axis=1) / np.maximum(seen, 1)
-        status[frames] = np.where(seen < 3, GUESSED, np.where(mean > POOR, FAR_OFF, status[frames]))
-    return status
+    _, placed = kinematics.placed(subject, motion)
+    distance = np.linalg.norm(markers - placed, axis=-1)
+    seen = (~np.isnan(distance)).sum(1)
+    mean = np.nansum(distance, axis=1) / np.maximum(seen, 1)
+    return np.where(seen < 3, GUESSED, np.where(mean > POOR, FAR_OFF, motion.status))

@@ -37,7 +37,7 @@ def deviations(
     time     what the moments around say of the joints that miss a marker and of the root, as surely as they do
     robust   metres: the scale beyond which the solve no longer believed a marker
     """
-    markers = kinematics.markers(subject, *kinematics.world(subject.skeleton, motion))
+    _, markers = kinematics.placed(subject, motion)
     taken_up = (alone / problem.marker_sd) ** 2
     distance = np.linalg.norm(problem.markers - markers, axis=-1)
     marker_sd = strayed(distance, taken_up, problem.listened & (taken_up < HEARD), problem.marker_sd)

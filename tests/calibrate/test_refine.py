@@ -32,7 +32,7 @@ def person(scales):
 def performed(subject, frames=90):
     """-> the markers (N, K, 3) of somebody who walks, reaches and crouches, and the motion"""
     motion = motions.compose(subject, 9.0, frames / 9.0)
-    return kinematics.markers(subject, *kinematics.world(subject.skeleton, motion)), motion
+    return kinematics.placed(subject, motion)[1], motion
 
 
 def fitted(markers, start=NOMINAL):

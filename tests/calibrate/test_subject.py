@@ -64,7 +64,7 @@ def test_children_and_giants_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
     somebody = replace(truth.subject, skeleton=skeleton, places=WORN.places * factor)
     motion = replace(truth.motion, root=truth.motion.root * factor)
-    found = calibrated(kinematics.markers(somebody, *kinematics.world(skeleton, motion)))
+    found = calibrated(kinematics.placed(somebody, motion)[1])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.016)
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
 

@@ -17,8 +17,8 @@ def scene():
     """-> subject, motion, the body's own markers (T, K, 3) and world rotations; all markers as sure as each other"""
     truth = synthetic.take(seed=2, seconds=6.0, rate=RATE)
     motion = replace(truth.motion, deviation=np.full(truth.struck.shape, 0.004))
-    position, rotation = kinematics.world(truth.subject.skeleton, motion)
-    return truth.subject, motion, kinematics.markers(truth.subject, position, rotation), rotation
+    _, rotation = kinematics.world(truth.subject.skeleton, motion)
+    return truth.subject, motion, kinematics.placed(truth.subject, motion)[1], rotation
 
 
 def gap(scene, marker, first, last):

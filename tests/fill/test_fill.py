@@ -127,7 +127,7 @@ def test_a_take_without_faults_is_returned_as_it_is(rod):
 def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbours(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
     motion = replace(truth.motion, deviation=np.full(truth.struck.shape, 0.005))
-    on_body = kinematics.markers(subject, *kinematics.world(subject.skeleton, motion))
+    on_body = kinematics.placed(subject, motion)[1]
     prop = on_body[:, [subject.labels.index("LFHD")]] + [0.0, 0.2, 0.0]
     markers = np.concatenate([on_body, prop], 1)[:, ::-1].copy()
     labels = (*subject.labels, "prop")[::-1]

@@ -25,7 +25,7 @@ def exact():
 
     def at(rate, seconds=3.0):
         truth = synthetic.take(seed=2, seconds=seconds, rate=rate)
-        return replace(truth, markers=kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, truth.motion)))
+        return replace(truth, markers=kinematics.placed(truth.subject, truth.motion)[1])
 
     return at
 
@@ -71,7 +71,7 @@ def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
     truth = exact(120.0)
     motion = solved(truth, truth.markers, MEAN)
-    carried = kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, motion))
+    carried = kinematics.placed(truth.subject, motion)[1]
     assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
     told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
     assert off(truth, motion)[:, told].mean() < 0.003
