@@ -13,6 +13,7 @@ LONGEST = 0.5  # seconds
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
+ALIKE = 0.6  # correlation of the errors of two estimates of one sample
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 
@@ -21,9 +22,7 @@ def trajectories(
 ) -> tuple[np.ndarray, np.ndarray]:
     """-> markers (T, M, 3) in metres with what was missing or not believed filled, and those samples' deviation (T, M).
 
-    Each estimate counts by its precision, one over its variance. They err together, for all go by the same neighbours
-    and edges, so that the whole is taken to be as sure as they are on their weighted average, not surer. A sample that
-    none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
+    A sample that none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
 
     believed  (T, M) bool: samples that are kept bit for bit
     limit     metres: largest standard deviation per axis of a sample that is filled
@@ -61,17 +60,16 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
 
 
 def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is."""
-    place, deviation = np.zeros(estimates[0][0].shape), np.full(estimates[0][1].shape, np.nan)
-    precision, count = np.zeros(deviation.shape), np.zeros(deviation.shape)
+    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is.
+
+    They err together, for all go by the same neighbours and edges: the mean is less sure than independent ones would make it.
+    """
+    place, precision, root = np.zeros(estimates[0][0].shape), np.zeros(estimates[0][1].shape), np.zeros(estimates[0][1].shape)
     for there, sure in estimates:
         known = ~np.isnan(sure)
         weight = 1 / sure[known] ** 2
         place[known] += weight[:, None] * there[known]
         precision[known] += weight
-        count[known] += 1
-    known = count > 0
-    place[known] /= precision[known][:, None]
-    place[~known] = np.nan
-    deviation[known] = np.sqrt(count[known] / precision[known])
-    return place, deviation
+        root[known] += 1 / sure[known]
+    precision[precision == 0] = np.nan
+    return place / precision[..., None], np.sqrt(ALIKE * root**2 + (1 - ALIKE) * precision) / precision

@@ -15,8 +15,9 @@ LISTENED = 6  # samples on either side
 
 def across(
     residual: np.ndarray, wanted: np.ndarray, rate: float, fade: float, reach: float, noise: float, least: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> the course (T, 3) of a residual over the samples `wanted` (T,), and its variance (T,) per axis.
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """-> the course (T, 3) of a residual over the samples `wanted` (T,), its variance (T,) per axis, and what that would be
+    far from any known sample.
 
     residual  (T, 3) in any unit, NaN where not known
     fade      seconds after which a residual has lost most of its memory
@@ -43,7 +44,7 @@ def across(
         weight = np.linalg.solve(among, between.T).T
         course[gap] = weight @ residual[near]
         variance[gap] = np.maximum(power - (weight * between).sum(1), 0.0)
-    return course, variance
+    return course, variance, power
 
 
 def matern(seconds: np.ndarray, fade: float) -> np.ndarray:

@@ -61,7 +61,7 @@ def recalled(
         guess = Rotation.from_rotvec(expected[:, 3 * i : 3 * i + 3]).as_matrix() @ mean[i]
         missed = Rotation.from_matrix(local[:, j] @ np.swapaxes(guess, 1, 2)).as_rotvec()
         missed[where | ~near(where, rate)] = np.nan
-        course, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
+        course, _, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
         out[where, j] = Rotation.from_rotvec(course[where]).as_matrix() @ guess[where]
         out_variance[where, j] = UNSURE**2
     return out, out_variance
