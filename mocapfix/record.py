@@ -15,7 +15,7 @@ from collections import Counter
 import numpy as np
 
 from mocapfix.faults import Faults
-from mocapfix.fill import Left
+from mocapfix.left import Left
 from mocapfix.motion import STATUS, Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take

@@ -12,7 +12,7 @@ from mocapfix import record, subject_file
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
-from mocapfix.fill import Left
+from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take

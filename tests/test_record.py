@@ -8,7 +8,7 @@ import pytest
 
 from mocapfix import marker_set, record
 from mocapfix.faults import Fault, Faults
-from mocapfix.fill import Left
+from mocapfix.left import Left
 from mocapfix.motion import STATUS, Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject

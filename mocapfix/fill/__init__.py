@@ -6,6 +6,7 @@ import numpy as np
 
 from mocapfix.fill import body
 from mocapfix.fill.trajectories import trajectories, weighed
+from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
@@ -23,16 +24,6 @@ class FillOptions:
     """the only frames that may be touched, first and last, the file's own numbers"""
     limit: float = 0.250
     """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
-
-
-@dataclass(frozen=True)
-class Left:
-    """Samples that stay missing: a marker over first..last (indices into the take, inclusive), and why."""
-
-    marker: int
-    first: int
-    last: int
-    reason: str
 
 
 def take(

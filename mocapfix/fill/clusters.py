@@ -10,7 +10,7 @@ carried across. So a rigid cluster is exact, and a loose one as good as its past
 import numpy as np
 
 from mocapfix.kernels.course import across
-from mocapfix.kernels.registration import centred, fitted
+from mocapfix.kernels.rigid import centred, fitted, inside
 from mocapfix.take import runs
 
 LOOSE = 0.1  # metres: a distance that varies by more tells nothing
@@ -59,28 +59,39 @@ def spread(frames: np.ndarray) -> np.ndarray:
 def changes(markers: np.ndarray) -> np.ndarray:
     """-> (M, M) metres: by how much the distance of two markers varies over the take, robustly; infinite where not known."""
     some = markers[spread(np.arange(len(markers)))]
-    seen = ~np.isnan(some[..., 0])
-    enough = np.flatnonzero(seen.sum(0) >= min(FEWEST, len(some) // 10 + 2))
+    enough = np.flatnonzero((~np.isnan(some[..., 0])).sum(0) >= min(FEWEST, len(some) // 10 + 2))
     change = np.full((markers.shape[1],) * 2, np.inf)
-    for n, i in enumerate(enough):
-        for j in enough[:n]:
-            both = seen[:, i] & seen[:, j]
-            if both.sum() >= 2:
-                low, high = np.percentile(np.linalg.norm(some[both, i] - some[both, j], axis=-1), [16, 84])
-                change[i, j] = change[j, i] = (high - low) / 2  # a normal distribution's standard deviation
+    for n, i in enumerate(enough[1:], start=1):
+        distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, enough[:n]], axis=-1), axis=0)  # NaN comes last
+        low, high = (percentile(distance, share) for share in (0.16, 0.84))
+        change[i, enough[:n]] = change[enough[:n], i] = (high - low) / 2  # a normal distribution's standard deviation
     return change
 
 
-def carried(markers, m, asked, weight, learn, first, last, rate) -> tuple[np.ndarray, np.ndarray]:
+def percentile(ordered: np.ndarray, share: float) -> np.ndarray:
+    """-> (N,) what that share of the numbers in each column of `ordered` (T, N) lies below; infinite for fewer than two.
+
+    Each column ascends; NaN at its end does not count.
+    """
+    count = (~np.isnan(ordered)).sum(0)
+    place, columns = share * np.maximum(count - 1, 0), np.arange(ordered.shape[1])
+    below = place.astype(int)
+    above = np.minimum(below + 1, len(ordered) - 1)
+    between = ordered[below, columns] + (place - below) * (ordered[above, columns] - ordered[below, columns])
+    return np.where(count >= 2, between, np.inf)
+
+
+def carried(
+    markers: np.ndarray, m: int, asked: np.ndarray, weight: np.ndarray, learn: np.ndarray, first: int, last: int, rate: float
+) -> tuple[np.ndarray, np.ndarray]:
     """-> places (G, 3) and deviation (G,) of marker m over first..last, from the markers `asked` (K,), by their weight (K,)."""
     reach = max(1, round(REACH * rate))
     frames = np.arange(max(0, first - reach), min(len(markers), last + 1 + reach))
-    frames = frames[~np.isnan(markers[frames][:, asked, 0]).any(1)]
-    stretch = markers[np.r_[learn, frames]]
-    cluster, turn, centre = laid(stretch[:, asked], weight)
-    own = np.einsum("ta,tab->tb", stretch[:, m] - centre, turn)
-    n = len(learn)
-    told, missed = regressed(cluster.reshape(len(stretch), -1), own[:n])
+    frames = frames[~np.isnan(markers[np.ix_(frames, asked)][..., 0]).any(1)]
+    n, rows = len(learn), np.r_[learn, frames]
+    cluster, turn, centre = laid(markers[np.ix_(rows, asked)], weight)
+    own = inside(markers[rows, m][:, None], centre, turn)[:, 0]
+    told, missed = regressed(cluster.reshape(len(rows), -1), own[:n])
     residual = np.full((frames[-1] - frames[0] + 1, 3), np.nan)  # the frames beside a gap need not be in a row
     residual[frames - frames[0]] = (own - told)[n:]
     gap = np.arange(first, last + 1)
@@ -99,9 +110,9 @@ def laid(cluster: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
     for _ in range(2):
         cross, centre, _ = centred(cluster, shape, weights)
         turn = fitted(cross)
-        inside = np.einsum("tka,tab->tkb", cluster - centre[:, None], turn)
-        shape = inside.mean(0)
-    return inside, turn, centre
+        own = inside(cluster, centre, turn)
+        shape = own.mean(0)
+    return own, turn, centre
 
 
 def regressed(shape: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
@@ -109,13 +120,14 @@ def regressed(shape: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
 
     And the root mean square of what it misses per axis where it has not learnt, in metres.
     """
-    n = len(own)
+    n, size = len(own), shape.shape[1]
     mean, centre = shape[:n].mean(0), own.mean(0)
     x, y = shape - mean, own - centre
+    square, moment = x[:n].T @ x[:n], x[:n].T @ y
 
-    def gain(rows):
-        return np.linalg.solve(x[rows].T @ x[rows] + len(rows) * RIDGE**2 * np.eye(x.shape[1]), x[rows].T @ y[rows])
+    def gain(fold: np.ndarray) -> np.ndarray:  # learnt without it
+        a, b = x[fold], y[fold]
+        return np.linalg.solve(square - a.T @ a + (n - len(a)) * RIDGE**2 * np.eye(size), moment - a.T @ b)
 
-    folds = np.array_split(np.arange(n), FOLDS)
-    missed = np.concatenate([y[fold] - x[fold] @ gain(np.setdiff1d(np.arange(n), fold)) for fold in folds])
-    return centre + x @ gain(np.arange(n)), float(np.sqrt((missed**2).mean()))
+    missed = np.concatenate([y[fold] - x[fold] @ gain(fold) for fold in np.array_split(np.arange(n), FOLDS)])
+    return centre + x @ gain(np.arange(0)), float(np.sqrt((missed**2).mean()))

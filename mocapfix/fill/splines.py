@@ -5,14 +5,20 @@ throw the curve. The path across is then a fixed linear map of those samples, an
 the same marker, struck out for the purpose: what it misses there is how sure it is here.
 """
 
+from functools import cache
+
 import numpy as np
+from numba import njit
 
 from mocapfix.take import runs
 
 LISTENED = 0.06  # seconds on either side whose samples make the edge's place and velocity
 TRIALS = 60  # sound stretches on which a gap's length is tried
 FEWEST = 8  # stretches, fewer of which tell nothing of the error
+MOMENTS = 20_000  # at most, evenly spread, that are looked at to find sound stretches
 SURE = 0.0003  # metres: no fill is surer than this
+
+Kind = tuple[int, tuple[int, ...], tuple[int, ...]]  # a gap's length, and which samples are seen before and after it, in frames
 
 
 def splines(markers: np.ndarray, rate: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -29,31 +35,55 @@ def splines(markers: np.ndarray, rate: float, longest: float) -> tuple[np.ndarra
     filled, deviation = np.full(markers.shape, np.nan), np.full(seen.shape, np.nan)
     listened = max(3, round(LISTENED * rate))
     for m in np.flatnonzero(~seen.all(0) & seen.any(0)):
-        for first, last in runs(~seen[:, m]):
-            before = np.flatnonzero(seen[max(0, first - listened) : first, m][::-1])
-            after = np.flatnonzero(seen[last + 1 : last + 1 + listened, m])
-            gap = np.arange(first, last + 1)
-            if len(gap) > longest * rate or min(len(before), len(after)) < 3:
-                continue
-            across = hermite(len(gap), before, after)
-            near = np.r_[-1 - before, len(gap) + after]
-            missed = tried(markers[:, m], seen[:, m], across, near)
+        path = np.ascontiguousarray(markers[:, m])
+        for (length, before, after), firsts in alike(seen[:, m], listened, longest * rate).items():
+            across = hermite(length, np.array(before), np.array(after))
+            near = np.r_[-1 - np.array(before), length + np.array(after)]
+            missed = tried(path, seen[:, m], across, near)
             if missed is not None:
-                filled[gap, m] = across @ markers[first + near, m]
+                first = np.array(firsts)[:, None]
+                gap = first + np.arange(length)
+                filled[gap, m] = across @ path[first + near]
                 deviation[gap, m] = np.maximum(missed, SURE)
     return filled, deviation
+
+
+def alike(seen: np.ndarray, listened: int, longest: float) -> dict[Kind, list[int]]:
+    """-> the first frames of the gaps in `seen` (T,) that have samples enough beside them, by kind.
+
+    Gaps of a kind have one map in common: flicker makes thousands of gaps of a few kinds.
+    """
+    kinds: dict[Kind, list[int]] = {}
+    for first, last in runs(~seen):
+        if last - first + 1 > longest:
+            continue
+        before = tuple(np.flatnonzero(seen[max(0, first - listened) : first][::-1]).tolist())
+        after = tuple(np.flatnonzero(seen[last + 1 : last + 1 + listened]).tolist())
+        if min(len(before), len(after)) >= 3:
+            kinds.setdefault((last - first + 1, before, after), []).append(first)
+    return kinds
 
 
 def hermite(gap: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """-> (gap, B + A): the map from samples so many frames (B,) before and (A,) after the gap's edge samples to those in it."""
     s = np.arange(1, gap + 1)[:, None] / (gap + 1)
 
-    def side(steps, s):
-        parabola = np.linalg.pinv(np.stack([np.ones(len(steps)), -steps, steps**2], 1))
-        place, velocity = parabola[0], parabola[1]  # at the edge, a frame at a time into the gap
+    def side(steps: np.ndarray, s: np.ndarray) -> np.ndarray:
+        place, velocity = edge(tuple(steps.tolist()))
         return (1 + 2 * s) * (1 - s) ** 2 * place + (gap + 1) * s * (1 - s) ** 2 * velocity
 
     return np.concatenate([side(before, s), side(after, 1 - s)], 1)
+
+
+@cache
+def edge(steps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """-> the maps (N,) from samples so many frames (N,) before a gap's edge to the parabola's place and velocity there.
+
+    The velocity is that of a frame at a time into the gap.
+    """
+    away = np.array(steps)
+    parabola = np.linalg.pinv(np.stack([np.ones(len(away)), -away, away**2], 1))
+    return parabola[0], parabola[1]
 
 
 def tried(path: np.ndarray, seen: np.ndarray, across: np.ndarray, near: np.ndarray) -> np.ndarray | None:
@@ -62,12 +92,25 @@ def tried(path: np.ndarray, seen: np.ndarray, across: np.ndarray, near: np.ndarr
     None where there are too few. near: the frames that the map listens to, counted from the gap's first.
     """
     gap = np.arange(len(across))
-    used = np.r_[near, gap]
-    starts = np.arange(-used.min(), len(path) - used.max())
-    for frame in used:
-        starts = starts[seen[starts + frame]]
+    starts = sound(seen, np.r_[near, gap], 1 + len(path) // MOMENTS)
     if len(starts) < FEWEST:
         return None
     starts = starts[np.unique(np.linspace(0, len(starts) - 1, TRIALS).astype(int))][:, None]
     missed = path[starts + gap] - across @ path[starts + near]
     return np.sqrt((missed**2).mean((0, 2)))
+
+
+@njit(cache=True)
+def sound(seen, used, step):
+    """-> the frames, of every `step`th, from which all those `used` (N,), counted from there, are in `seen` (T,)."""
+    found, count = np.empty(len(seen), np.int64), 0
+    for start in range(-used.min(), len(seen) - used.max(), step):
+        whole = True
+        for frame in used:
+            if not seen[start + frame]:
+                whole = False
+                break
+        if whole:
+            found[count] = start
+            count += 1
+    return found[:count]

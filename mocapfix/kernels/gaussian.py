@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.course import matern
-from mocapfix.kernels.registration import centred, fitted
+from mocapfix.kernels.rigid import centred, fitted, inside
 from mocapfix.take import runs
 
 RARE = 0.05  # a marker seen in a smaller part of the frames tells nothing about the others
@@ -63,17 +63,17 @@ def gaussian(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     common = np.flatnonzero((~np.isnan(markers[..., 0])).mean(0) > RARE) if len(markers) else np.zeros(0, int)
     if len(common) < 4:
         return filled, deviation
-    worn = markers[:, common]
+    worn = markers.take(common, axis=1)
     turn, origin, placed = aligned(worn)
     if placed.sum() < 2:
         return filled, deviation
-    laid = np.einsum("tma,tab->tmb", worn - origin[:, None], turn)
+    laid = inside(worn, origin, turn)
     features = np.concatenate([laid.reshape(len(laid), -1), circumstances(turn, origin, rate)], 1)
     missing = np.isnan(worn[..., 0])
     told = ~missing[placed].all(0)
     model, features = completed(features, missing, placed)
-    inside, sure = bridged(model, features, laid, missing, placed, rate)
-    filled[:, common[told]] = (np.einsum("tab,tmb->tma", turn, inside) + origin[:, None])[:, told]
+    own, sure = bridged(model, features, laid, missing, placed, rate)
+    filled[:, common[told]] = (np.einsum("tab,tmb->tma", turn, own) + origin[:, None])[:, told]
     deviation[:, common[told]] = sure[:, told]
     return filled, deviation
 
@@ -95,11 +95,12 @@ def aligned(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         turn = fitted(cross)
         if not placed.any():
             break
-        laid = np.einsum("tma,tab->tmb", solid - here[:, None], turn) + there[:, None]
-        use = seen & placed[:, None]
+        laid = inside(solid, here - np.einsum("tab,tb->ta", turn, there), turn)
+        use = (seen & placed[:, None]).astype(float)
         count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
-        shape = (laid * use[..., None]).sum(0) / count
-        variance = np.nan_to_num((((laid - shape) ** 2) * use[..., None]).sum(0) / count).mean(1)
+        shape = np.einsum("tma,tm->ma", laid, use) / count
+        laid -= shape
+        variance = np.nan_to_num(np.einsum("tma,tma,tm->ma", laid, laid, use) / count).mean(1)
         shape -= np.nanmean(shape, 0)
     return turn, here - np.einsum("tab,tb->ta", turn, there), placed
 
@@ -117,10 +118,10 @@ def circumstances(turn: np.ndarray, origin: np.ndarray, rate: float) -> np.ndarr
 
 def patterns(missing: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """-> for every set of markers that are missing together, their frames and their indices."""
-    kinds, which = np.unique(missing, axis=0, return_inverse=True)
-    order = np.argsort(which.ravel(), kind="stable")
-    parts = np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
-    return [(rows, np.flatnonzero(kind)) for rows, kind in zip(parts, kinds, strict=True) if kind.any()]
+    kinds: dict[bytes, list[int]] = {}
+    for t in np.flatnonzero(missing.any(1)):
+        kinds.setdefault(missing[t].tobytes(), []).append(int(t))
+    return [(np.array(rows), np.flatnonzero(missing[rows[0]])) for rows in kinds.values()]
 
 
 def columns(markers: np.ndarray) -> np.ndarray:
@@ -141,7 +142,8 @@ def completed(features: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> 
     spread, model = np.zeros((size, size)), Gaussian(np.zeros(size), np.eye(size))
     for _ in range(ROUNDS):
         sample = guess[learn]
-        covariance = np.atleast_2d(np.cov(sample.T, bias=True)) + spread + NOISE**2 * np.eye(size)
+        off = sample - sample.mean(0)
+        covariance = off.T @ off / len(learn) + spread + NOISE**2 * np.eye(size)
         model = Gaussian(sample.mean(0), np.linalg.inv(covariance))
         spread = np.zeros_like(spread)
         for rows, gone in few:
@@ -155,7 +157,7 @@ def completed(features: np.ndarray, missing: np.ndarray, placed: np.ndarray) -> 
 
 def bridged(model, features, laid, missing, placed, rate) -> tuple[np.ndarray, np.ndarray]:
     """-> places (T, M, 3) of the missing in the body's axes, tied to the edges of their gaps, and deviation (T, M)."""
-    inside, deviation = np.full(laid.shape, np.nan), np.full(missing.shape, np.nan)
+    own, deviation = np.full(laid.shape, np.nan), np.full(missing.shape, np.nan)
     bridges, gap_of = gaps(missing, placed, rate)
     for rows, gone in patterns(missing & placed[:, None]):
         pieces = [(i, m, bridges[g]) for i, m in enumerate(gone) for g in np.unique(gap_of[rows, m])]
@@ -167,9 +169,9 @@ def bridged(model, features, laid, missing, placed, rate) -> tuple[np.ndarray, n
             mine = np.intersect1d(rows, bridge.frames, assume_unique=True)
             within = mine - bridge.frames[0]
             missed = laid[bridge.near, m] - expected[np.searchsorted(asked, bridge.near), i]
-            inside[mine, m] = expected[np.searchsorted(asked, mine), i] + bridge.weight[within] @ missed
+            own[mine, m] = expected[np.searchsorted(asked, mine), i] + bridge.weight[within] @ missed
             deviation[mine, m] = np.sqrt(variance[i] * bridge.left[within])
-    return inside, deviation
+    return own, deviation
 
 
 def gaps(missing: np.ndarray, placed: np.ndarray, rate: float) -> tuple[list[Bridge], np.ndarray]:
