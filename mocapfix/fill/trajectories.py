@@ -13,7 +13,7 @@ LONGEST = 0.5  # seconds
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
-ALIKE = 0.6  # correlation of the errors of two estimates of one sample
+ALIKE = 0.5  # correlation of the errors of two estimates of one sample
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 
@@ -62,14 +62,23 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
 def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is.
 
-    They err together, for all go by the same neighbours and edges: the mean is less sure than independent ones would make it.
+    They err together, for all go by the same neighbours and edges, so the mean is less sure than independent ones would make
+    it. Where they lie farther apart than they say, they say too little: the deviation grows by as much (Birge 1932, "The
+    calculation of errors by the method of least squares").
     """
-    place, precision, root = np.zeros(estimates[0][0].shape), np.zeros(estimates[0][1].shape), np.zeros(estimates[0][1].shape)
+    shape = estimates[0][1].shape
+    place, precision, root, count, apart = np.zeros((*shape, 3)), *np.zeros((4, *shape))
     for there, sure in estimates:
         known = ~np.isnan(sure)
         weight = 1 / sure[known] ** 2
         place[known] += weight[:, None] * there[known]
         precision[known] += weight
         root[known] += 1 / sure[known]
-    precision[precision == 0] = np.nan
-    return place / precision[..., None], np.sqrt(ALIKE * root**2 + (1 - ALIKE) * precision) / precision
+        count[known] += 1
+    precision[count == 0] = np.nan
+    place /= precision[..., None]
+    for there, sure in estimates:
+        known = ~np.isnan(sure)
+        apart[known] += ((there[known] - place[known]) ** 2).sum(1) / sure[known] ** 2
+    birge = np.maximum(apart / np.maximum(3 * (count - 1), 1), 1)
+    return place, np.sqrt((ALIKE * root**2 + (1 - ALIKE) * precision) * birge) / precision

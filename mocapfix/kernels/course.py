@@ -11,6 +11,7 @@ import numpy as np
 from mocapfix.take import runs
 
 LISTENED = 6  # samples on either side
+MOMENT = 0.025  # seconds over which a course is rough, where it is
 
 
 def across(
@@ -29,6 +30,7 @@ def across(
     course, variance = np.zeros_like(residual), np.zeros(len(residual))
     # 2.2 times the median square is the mean square of a normal residual; outliers do not count
     power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, least**2)
+    restless = roughness(residual, rate, fade, noise, power)
     steps = max(1, round(reach * rate))
     pick = np.unique(np.linspace(0, steps - 1, min(LISTENED, steps)).astype(int))
     for first, last in runs(wanted):
@@ -43,8 +45,28 @@ def across(
         between = power * matern((gap[:, None] - near[None]) / rate, fade)
         weight = np.linalg.solve(among, between.T).T
         course[gap] = weight @ residual[near]
-        variance[gap] = np.maximum(power - (weight * between).sum(1), 0.0)
+        left = np.maximum(power - (weight * between).sum(1), 0.0)
+        variance[gap] = np.minimum(left + restless * bridge(first, last, len(residual)) / rate, power)
     return course, variance, power
+
+
+def roughness(residual: np.ndarray, rate: float, fade: float, noise: float, power: float) -> float:
+    """-> by how much more than foretold a residual (T, 3) changes in a moment, squared, per second: skin may slide in steps."""
+    step = max(1, round(MOMENT * rate))
+    change = residual[step:] - residual[:-step]
+    change = change[~np.isnan(change[:, 0])]
+    if len(change) < LISTENED:
+        return 0.0
+    foretold = 2 * power * (1 - matern(np.array(step / rate), fade)) + 2 * noise**2
+    return max(float(2.2 * np.median(change**2) - foretold), 0.0) * rate / step
+
+
+def bridge(first: int, last: int, frames: int) -> np.ndarray:
+    """-> (G,) the variance, in that of one frame's step, of a random walk over first..last that is known on both sides."""
+    gap = np.arange(first, last + 1)
+    before = gap - first + 1.0 if first > 0 else np.full(len(gap), np.inf)
+    after = last + 1.0 - gap if last < frames - 1 else np.full(len(gap), np.inf)
+    return 1 / (1 / before + 1 / after)
 
 
 def matern(seconds: np.ndarray, fade: float) -> np.ndarray:
