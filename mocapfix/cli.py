@@ -182,18 +182,45 @@ def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=
     return DONE
 
 
+def bench_uncertainty(
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
+) -> int:
+    """Compare predicted deviations with the truth of composed takes: does it lie within them as often as it should?"""
+    from mocapfix.bench import uncertainty
+
+    with staged("uncertainty"):
+        said = uncertainty.measure()
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        return DONE
+    table = Table("per axis", "samples", "error, mm", "predicted, mm", "within it", "within twice")
+    for what, name in (("joints", "joints"), ("filled_markers", "filled markers")):
+        for part, row in ((f"[bold]{name}[/]", said[what]), *said[what]["by"].items()):
+            shown = (f"{row['error_mm']:.1f}", f"{row['deviation_mm']:.1f}")
+            table.add_row(part, str(row["samples"]), *shown, f"{row['within_1_sigma']:.0%}", f"{row['within_2_sigma']:.0%}")
+        table.add_section()
+    out.print(table)
+    out.print("Of a normal distribution, 68 % lie within one standard deviation and 95 % within two.")
+    return DONE
+
+
+BENCHES = {"uncertainty": bench_uncertainty}
 COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and leave with its exit status: 0 done, 1 something could not be, 2 wrong usage."""
+    app, bench = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
+    for name, command in BENCHES.items():
+        bench.command(name=name)(command)
+    for name, command in COMMANDS.items():
+        app.command(name=name)(command)
+    app.command(bench, name="bench", help="Measure mocapfix against what is known to be true.")
     try:
-        status = tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
+        status = app.cli(
             prog="mocapfix",
             description="Cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a before/after out.",
             args=arguments,
-            sort_subcommands=False,
         )
     except MocapfixError as error:
         err.print(escape(str(error)), style="red", soft_wrap=True)
