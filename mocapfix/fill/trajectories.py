@@ -67,7 +67,7 @@ def weighed(estimates: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray,
     calculation of errors by the method of least squares").
     """
     shape = estimates[0][1].shape
-    place, precision, root, count, apart = np.zeros((*shape, 3)), *np.zeros((4, *shape))
+    place, precision, root, count, apart = np.zeros((*shape, 3)), *(np.zeros(shape) for _ in range(4))
     for there, sure in estimates:
         known = ~np.isnan(sure)
         weight = 1 / sure[known] ** 2

@@ -125,7 +125,7 @@ def sliding(seed, frames, rate, fade=FADE, size=0.004):
     """-> (T, 3) skin that slides in steps: an Ornstein-Uhlenbeck process"""
     keep = np.exp(-1 / (fade * rate))
     steps = np.random.default_rng(seed).normal(0, size * np.sqrt(1 - keep**2), (frames, 3))
-    return lfilter([1], [1, -keep], steps, axis=0)
+    return np.asarray(lfilter([1], [1, -keep], steps, axis=0))
 
 
 @pytest.mark.parametrize("rate", [60.0, 120.0, 480.0])

@@ -31,7 +31,8 @@ def solved(problem, seen, weight, scales2, target, prior, root, local, most=50):
 def foretold(problem, seen, weight, target, prior, root, local):
     """-> standard deviation of markers (T, K) and joints (T, J), variance of joints' turns (T, J) and the root's place (T,)"""
     frames = len(seen)
-    marker_sd, joint_sd, joint_var, root_var = np.empty(weight.shape), *np.empty((2, *local.shape[:2])), np.empty(frames)
+    marker_sd, root_var = np.empty(weight.shape), np.empty(frames)
+    joint_sd, joint_var = np.empty(local.shape[:2]), np.empty(local.shape[:2])
     over_frames(
         uncertainties, frames, problem.tree, problem.attached, seen, weight, np.inf, target, prior, root, local, marker_sd,
         joint_sd, joint_var, root_var,
