@@ -217,7 +217,29 @@ def bench_solver(
     return DONE
 
 
-BENCHES = {"solver": bench_solver}
+def bench_uncertainty(
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
+) -> int:
+    """Compare predicted deviations with the truth of composed takes: does it lie within them as often as it should?"""
+    from mocapfix.bench import uncertainty
+
+    with staged("uncertainty"):
+        said = uncertainty.measure()
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        return DONE
+    table = Table("per axis", "samples", "error, mm", "predicted, mm", "within it", "within twice")
+    for what, name in (("joints", "joints"), ("filled_markers", "filled markers")):
+        for part, row in ((f"[bold]{name}[/]", said[what]), *said[what]["by"].items()):
+            shown = (f"{row['error_mm']:.1f}", f"{row['deviation_mm']:.1f}")
+            table.add_row(part, str(row["samples"]), *shown, f"{row['within_1_sigma']:.0%}", f"{row['within_2_sigma']:.0%}")
+        table.add_section()
+    out.print(table)
+    out.print("Of a normal distribution, 68 % lie within one standard deviation and 95 % within two.")
+    return DONE
+
+
+BENCHES = {"solver": bench_solver, "uncertainty": bench_uncertainty}
 COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
 
 

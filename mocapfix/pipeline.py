@@ -67,7 +67,7 @@ def clean(
         "take": record.of_take(take, set_of_take.name if set_of_take else None),
         "faults": record.of_faults(take, faults),
         "subject": record.of_subject(known) if known else None,
-        "solve": record.of_solve(take, motion, error) if motion is not None and error is not None else None,
+        "solve": record.of_solve(take, known, motion, error) if known and motion and error is not None else None,
         "fill": record.of_fill(take, after, left),
         "seconds": clock.seconds,
         "notes": notes,

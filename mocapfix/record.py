@@ -4,7 +4,8 @@ take     file, frames, first_frame, rate_hz, markers, marker_set (null where non
 faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
          no second edge), reason
 subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
-solve    null, or marker_residual_mm (mean, p95, by_marker), iterations_mean, status (sentence: frames)
+solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
+         deviation per axis), iterations_mean, status (sentence: frames)
 fill     missing_before, filled, mended (doubted samples replaced), left_empty, left (a list: marker, first, last, reason)
 seconds  per stage, and total
 notes    sentences on anything else a technician should know
@@ -60,7 +61,7 @@ def of_subject(subject: Subject) -> dict:
     }
 
 
-def of_solve(take: Take, motion: Motion, error: np.ndarray) -> dict:
+def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray) -> dict:
     """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere."""
     there = np.flatnonzero(~np.isnan(error).all(0))
     twice = {label for label, count in Counter(take.labels).items() if count > 1}
@@ -69,6 +70,9 @@ def of_solve(take: Take, motion: Motion, error: np.ndarray) -> dict:
         "marker_residual_mm": {
             **_spread(error),
             "by_marker": {names[m]: _spread(error[:, m]) for m in there},
+        },
+        "joint_deviation_mm": {
+            name: _spread(deviation) for name, deviation in zip(subject.skeleton.names, motion.joint_deviation.T, strict=True)
         },
         "iterations_mean": round(float(motion.iterations.mean()), 2),
         "status": {STATUS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},

@@ -53,9 +53,14 @@ def test_no_faults_are_an_empty_list():
     assert record.of_faults(take(), Faults()) == []
 
 
+def person():
+    worn = marker_set.load("cmu41")
+    return Subject(cmu31().skeleton, worn.name, worn.labels, worn.joints, worn.places, worn.spread, 150)
+
+
 def test_the_subjects_bones_are_lengths_by_joint():
     worn, skeleton = marker_set.load("cmu41"), cmu31().skeleton
-    said = plain(record.of_subject(Subject(skeleton, worn.name, worn.labels, worn.joints, worn.places, worn.spread, 150)))
+    said = plain(record.of_subject(person()))
     assert set(said) == {"marker_set", "frames", "bones_m", "spread_m"}
     assert (said["marker_set"], said["frames"]) == ("cmu41", 150)
     shin = skeleton.index("LeftFoot")
@@ -66,12 +71,17 @@ def test_the_subjects_bones_are_lengths_by_joint():
 
 
 def test_the_solves_residuals_iterations_and_statuses():
-    motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.array([0, 0, 3, 0, 1, 0]), np.arange(6), np.zeros((6, 3)))
+    sure = np.full((6, 31), 0.004)
+    sure[:, 4] = 0.001 * np.arange(6)
+    motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.array([0, 0, 3, 0, 1, 0]), np.arange(6), np.zeros((6, 3)), sure)
     error = np.full((6, 3), NAN)
     error[:, 0], error[:5, 1] = 0.002, [0.001, 0.002, 0.003, 0.004, 0.005]
-    said = plain(record.of_solve(take(), motion, error))
+    said = plain(record.of_solve(take(), person(), motion, error))
     residual = said["marker_residual_mm"]
-    assert set(said) == {"marker_residual_mm", "iterations_mean", "status"}
+    assert set(said) == {"marker_residual_mm", "joint_deviation_mm", "iterations_mean", "status"}
+    assert len(said["joint_deviation_mm"]) == 31
+    assert said["joint_deviation_mm"]["Hips"] == {"mean": 4.0, "p95": 4.0}
+    assert said["joint_deviation_mm"]["LeftFoot"] == {"mean": 2.5, "p95": 4.75}
     assert residual["mean"] == pytest.approx((6 * 2 + 15) / 11, abs=1e-3)
     assert residual["p95"] == pytest.approx(4.5)
     assert residual["by_marker"]["Jim:RFHD"] == {"mean": 3.0, "p95": 4.8}
@@ -81,8 +91,10 @@ def test_the_solves_residuals_iterations_and_statuses():
 
 
 def test_a_solve_that_no_marker_could_be_held_against():
-    motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.full(6, 3), np.zeros(6, int), np.zeros((6, 3)))
-    said = plain(record.of_solve(take(), motion, np.full((6, 3), NAN)))
+    motion = Motion(
+        np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.full(6, 3), np.zeros(6, int), np.zeros((6, 3)), np.zeros((6, 31))
+    )
+    said = plain(record.of_solve(take(), person(), motion, np.full((6, 3), NAN)))
     assert said["marker_residual_mm"] == {"mean": None, "p95": None, "by_marker": {}}
 
 
@@ -111,4 +123,7 @@ def test_every_key_of_the_record_is_in_its_documentation():
     said = record.__doc__ or ""
     for made in (record.of_take(take(), None), record.of_fill(take(), take(), ())):
         assert all(key in said for key in made)
-    assert all(key in said for key in ("bones_m", "spread_m", "by_marker", "iterations_mean", "severity_m", "notes", "total"))
+    assert all(
+        key in said
+        for key in ("bones_m", "spread_m", "by_marker", "joint_deviation_mm", "iterations_mean", "severity_m", "notes", "total")
+    )

@@ -11,14 +11,14 @@ FADE = 0.2  # seconds after which a residual has lost most of its memory
 REACH = 0.3  # seconds on either side of a gap that are listened to
 NOISE = 0.0005  # metres: what cameras add to a sample
 LEAST = 0.002  # metres: least size of a residual's course
-SURE = 0.001  # metres: no fill is surer than this
+SURE = 0.0005  # metres: no fill is surer than this
 
 
 def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """-> positions (T, K, 3) at the samples `wanted` (T, K), NaN elsewhere, and their standard deviation per axis (T, K).
 
-    The deviation adds what the residual's course leaves open to what the pose does, beyond what it left open at the
-    measured samples, where the residual holds it already.
+    In a gap the residual is the marker's stray from its place on the segment and the error of a pose that was not told of the
+    marker. Both are known at the gap's edges and forgotten as the residual's course forgets.
 
     worn  (T, K, 3) metres, the subject's markers, NaN where not seen or not believed
     """
@@ -29,11 +29,8 @@ def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Moti
             continue
         turn, placed = rotation[:, joint], position[:, joint] + rotation[:, joint] @ subject.places[k]
         residual = np.einsum("tba,tb->ta", turn, worn[:, k] - placed)
-        course, variance = across(residual, wanted[:, k], rate, FADE, REACH, NOISE, LEAST)
+        course, variance, power = across(residual, wanted[:, k], rate, FADE, REACH, NOISE, LEAST)
         where = wanted[:, k]
         out[where, k] = placed[where] + np.einsum("tab,tb->ta", turn[where], course[where])
-        seen = ~np.isnan(worn[:, k, 0])
-        usual = np.median(motion.deviation[seen, k]) if seen.any() else 0.0
-        pose = np.maximum(motion.deviation[where, k] ** 2 - usual**2, 0.0)
-        deviation[where, k] = np.sqrt(np.maximum(variance[where] + pose, SURE**2))
+        deviation[where, k] = np.sqrt(np.maximum(variance[where] * (1 + motion.deviation[where, k] ** 2 / power), SURE**2))
     return out, deviation

@@ -98,7 +98,7 @@ def carried(
     gap = np.arange(first, last + 1)
     wanted = np.zeros(len(residual), bool)
     wanted[gap - frames[0]] = True
-    course, variance = across(residual, wanted, rate, FADE, REACH, TREMBLE, max(missed, LEAST))
+    course, variance, _ = across(residual, wanted, rate, FADE, REACH, TREMBLE, max(missed, LEAST))
     rows = n + np.searchsorted(frames, gap)
     place = np.einsum("tab,tb->ta", turn[rows], told[rows] + course[wanted]) + centre[rows]
     return place, np.sqrt(variance[wanted] + TREMBLE**2)

@@ -15,6 +15,7 @@ LONGEST = 0.5  # seconds
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
+ALIKE = 0.5  # correlation of the errors of two estimates of one sample
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 
@@ -23,9 +24,7 @@ def trajectories(
 ) -> tuple[np.ndarray, np.ndarray]:
     """-> markers (T, M, 3) in metres with what was missing or not believed filled, and those samples' deviation (T, M).
 
-    Each estimate counts by its precision, one over its variance. They err together, for all go by the same neighbours
-    and edges, so that the whole is taken to be as sure as they are on their weighted average, not surer. A sample that
-    none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
+    A sample that none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
 
     believed  (T, M) bool: samples that are kept bit for bit
     limit     metres: largest standard deviation per axis of a sample that is filled
@@ -74,20 +73,27 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
 
 
 def weighed(estimates: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is."""
-    place = precision = count = np.zeros(())
+    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is.
+
+    They err together, for all go by the same neighbours and edges, so the mean is less sure than independent ones would make
+    it. Where they lie farther apart than they say, they say too little: the deviation grows by as much (Birge 1932, "The
+    calculation of errors by the method of least squares").
+    """
+    place = precision = root = count = square = np.zeros(())
     for there, sure in estimates:
         if not count.shape:
-            place, precision, count = np.zeros(there.shape), np.zeros(sure.shape), np.zeros(sure.shape)
+            place = np.zeros(there.shape)
+            precision, root, count, square = (np.zeros(sure.shape) for _ in range(4))
         known = ~np.isnan(sure)
         weight = 1 / sure[known] ** 2
         place[known] += weight[:, None] * there[known]
         precision[known] += weight
+        root[known] += 1 / sure[known]
         count[known] += 1
+        square[known] += weight * (there[known] ** 2).sum(1)
         del there  # before the next one is made
-    known = count > 0
-    place[known] /= precision[known][:, None]
-    place[~known] = np.nan
-    deviation = np.full(count.shape, np.nan)
-    deviation[known] = np.sqrt(count[known] / precision[known])
-    return place, deviation
+    precision[count == 0] = np.nan
+    place /= precision[..., None]
+    apart = square - precision * (place**2).sum(-1)
+    birge = np.maximum(apart / np.maximum(3 * (count - 1), 1), 1)
+    return place, np.sqrt((ALIKE * root**2 + (1 - ALIKE) * precision) * birge) / precision

@@ -1,7 +1,8 @@
 """Carrying what was seen beside a gap across it.
 
 What a marker does beyond its segment's motion (skin, and the solve's own error), or a joint beyond what was expected of it,
-is a smooth random course about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17).
+is a smooth random course about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17),
+part of it as rough as the residual shows itself to be (Matern-1/2).
 Given the samples on both sides of a gap its mean goes on smoothly from them and fades towards zero in the middle of a long
 gap, and its variance says how far it can be trusted.
 """
@@ -11,12 +12,14 @@ import numpy as np
 from mocapfix.take import runs
 
 LISTENED = 6  # samples on either side
+MOMENT = 0.025  # seconds over which a course is rough, where it is
 
 
 def across(
     residual: np.ndarray, wanted: np.ndarray, rate: float, fade: float, reach: float, noise: float, least: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> the course (T, 3) of a residual over the samples `wanted` (T,), and its variance (T,) per axis.
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """-> the course (T, 3) of a residual over the samples `wanted` (T,), its variance (T,) per axis, and what that would be
+    far from any known sample.
 
     residual  (T, 3) in any unit, NaN where not known
     fade      seconds after which a residual has lost most of its memory
@@ -28,6 +31,7 @@ def across(
     course, variance = np.zeros_like(residual), np.zeros(len(residual))
     # 2.2 times the median square is the mean square of a normal residual; outliers do not count
     power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, least**2)
+    rough = roughness(residual, rate, fade, noise, power)
     steps = max(1, round(reach * rate))
     pick = np.unique(np.linspace(0, steps - 1, min(LISTENED, steps)).astype(int))
     for first, last in runs(wanted):
@@ -38,12 +42,35 @@ def across(
         if len(near) == 0:
             variance[gap] = power
             continue
-        among = power * matern((near[:, None] - near[None]) / rate, fade) + noise**2 * np.eye(len(near))
-        between = power * matern((gap[:, None] - near[None]) / rate, fade)
+        among = power * correlation((near[:, None] - near[None]) / rate, fade, rough) + noise**2 * np.eye(len(near))
+        between = power * correlation((gap[:, None] - near[None]) / rate, fade, rough)
         weight = np.linalg.solve(among, between.T).T
         course[gap] = weight @ residual[near]
         variance[gap] = np.maximum(power - (weight * between).sum(1), 0.0)
-    return course, variance
+    return course, variance, power
+
+
+def roughness(residual: np.ndarray, rate: float, fade: float, noise: float, power: float) -> float:
+    """-> the part of a residual's (T, 3) power that is rough: 0 for a smooth course, 1 for one that goes on in steps.
+
+    From how far it gets in a moment, which a smooth course hardly does; robustly, as the power is.
+    """
+    step = max(1, round(MOMENT * rate))
+    change = residual[step:] - residual[:-step]
+    change = change[~np.isnan(change[:, 0])]
+    if len(change) < LISTENED:
+        return 0.0
+    seconds = np.array(step / rate)
+    smooth, rough = (float(correlation(seconds, fade, part)) for part in (0.0, 1.0))
+    lost = (2.2 * float(np.median(change**2)) - 2 * noise**2) / (2 * power)
+    return float(np.clip((lost - (1 - smooth)) / (smooth - rough), 0.0, 1.0))
+
+
+def correlation(seconds: np.ndarray, fade: float, rough: float) -> np.ndarray:
+    """-> the correlation of the course at two moments so far apart, `rough` (0 to 1) of its power an Ornstein-Uhlenbeck
+    process of the same fade, the rest Matern's.
+    """
+    return (1 - rough) * matern(seconds, fade) + rough * np.exp(-np.abs(seconds) / fade)
 
 
 def matern(seconds: np.ndarray, fade: float) -> np.ndarray:

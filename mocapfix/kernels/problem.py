@@ -99,7 +99,8 @@ class Problem:
     def uncertainty(self, root, local, pull: Courses, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
         frames, joints = local.shape[:2]
-        left = Uncertainty(np.zeros(self.listened.shape), *np.zeros((2, frames, joints)), np.zeros(frames))
+        each = (frames, joints)
+        left = Uncertainty(np.zeros(self.listened.shape), np.zeros(each), np.zeros(each), np.zeros(frames))
         over_frames(
             uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], root, local, *left
         )

@@ -34,7 +34,9 @@ def bridges(
     return Courses(rotations, weight, np.zeros((len(local), 3)), np.zeros(len(local))), left_open
 
 
-def smooth(root: np.ndarray, local: np.ndarray, known: Uncertainty, free: np.ndarray, rate: float, options: SolveOptions) -> Courses:
+def smooth(
+    root: np.ndarray, local: np.ndarray, known: Uncertainty, free: np.ndarray, rate: float, options: SolveOptions
+) -> Courses:
     """-> the smooth course of every free joint and the root, as a pull for each frame. Its rotations lie in `local`.
 
     root (T, 3) metres, local (T, J, 3, 3) and how far they are known: what is smoothed

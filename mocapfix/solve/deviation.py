@@ -26,6 +26,8 @@ LEAST = 0.001  # metres: no marker keeps its place better
 NORMAL = 2.366  # the median of a chi-squared of three degrees of freedom
 HEARD = 0.9  # a marker whose error the pose takes up almost whole tells nothing of its size
 
+PLACED = 0.85  # of the calibration's own deviation: people's marker places and bones stray less from the average than it allows
+
 
 def deviations(
     problem: Problem, motion: Motion, subject: Subject, prior: Prior, alone: np.ndarray, time: Courses, robust: float
@@ -43,7 +45,7 @@ def deviations(
     marker_sd = strayed(distance, taken_up, problem.listened & (taken_up < HEARD), problem.marker_sd)
     honest = replace(problem, marker_sd=marker_sd, prior=pull_to(prior))
     posed = honest.uncertainty(motion.root, motion.rotations, time, robust)
-    return np.hypot(posed.markers, subject.marker_sd), np.hypot(posed.joints, subject.joint_sd)
+    return np.hypot(posed.markers, PLACED * subject.marker_sd), np.hypot(posed.joints, PLACED * subject.joint_sd)
 
 
 def strayed(distance: np.ndarray, taken_up: np.ndarray, tell: np.ndarray, otherwise: float) -> float:

@@ -17,7 +17,7 @@ MOST = 0.5  # share of the joints: with more of them lost, there is no body left
 FADE = 0.3  # seconds after which the difference at a gap's edge has lost most of its memory
 REACH = 0.1  # seconds beside a gap that are listened to
 TREMBLE, LEAST = 0.01, 0.1  # radians: what one frame beside a gap cannot tell, and the least that recalling misses by
-UNSURE = 0.2  # radians per axis: what a recalled rotation counts as in the smoothing
+UNSURE = 0.15  # radians per axis: what a recalled rotation counts as in the smoothing
 GRAIN = np.array([0.05] * 3 + [0.05] + [0.2] * 3 + [0.5] * 3)  # differences of tilt, height, velocity, turning that mean nothing
 TURN_GRAIN = 0.1  # radians, likewise of joints
 
@@ -57,7 +57,7 @@ def corrected(expected: np.ndarray, mean: Rotation, turns: np.ndarray, where: np
     missed, beside = np.full((len(where), 3), np.nan), near(where, rate) & ~where
     guess = Rotation.from_rotvec(expected[beside]) * mean
     missed[beside] = (Rotation.from_quat(turns[beside]) * guess.inv()).as_rotvec()
-    course, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
+    course, _, _ = across(missed, where, rate, FADE, REACH, TREMBLE, LEAST)
     return (Rotation.from_rotvec(course[where]) * Rotation.from_rotvec(expected[where]) * mean).as_matrix()
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix import read
-from mocapfix.fill.trajectories import flying, trajectories, weighed
+from mocapfix.fill.trajectories import ALIKE, flying, trajectories, weighed
 from mocapfix.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
@@ -22,12 +22,31 @@ def prop(frames=400):
     return Take(markers, tuple("ABCDEF"), RATE)
 
 
-def test_two_estimates_meet_by_their_precision_and_are_no_surer_than_both():
-    place = [np.full((1, 1, 3), 0.0), np.full((1, 1, 3), 1.0), np.full((1, 1, 3), np.nan)]
-    sure = [np.array([[0.1]]), np.array([[0.2]]), np.array([[np.nan]])]
-    mean, deviation = weighed(list(zip(place, sure, strict=True)))
-    np.testing.assert_allclose(mean[0, 0], 0.2)  # weights 100 and 25
-    np.testing.assert_allclose(deviation[0, 0] ** 2, 0.8 * 0.1**2 + 0.2 * 0.2**2)
+def estimate(place, sure):
+    """-> an estimate of one sample that lies at `place` on every axis"""
+    return np.full((1, 1, 3), place), np.array([[sure]])
+
+
+def test_two_estimates_meet_by_their_precision_and_are_half_alike():
+    nothing = estimate(np.nan, np.nan)
+    mean, deviation = weighed([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
+    np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
+    alike = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ALIKE * 0.8 * 0.1 * 0.2 * 0.2
+    np.testing.assert_allclose(deviation[0, 0] ** 2, alike)
+    assert np.isnan(weighed([nothing, nothing])[0]).all()
+    assert np.isnan(weighed([nothing, nothing])[1]).all()
+
+
+def test_one_estimate_is_taken_as_it_is():
+    mean, deviation = weighed([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
+    np.testing.assert_allclose(mean, 0.3)
+    np.testing.assert_allclose(deviation, 0.02)
+
+
+def test_estimates_that_lie_farther_apart_than_they_say_are_less_sure_by_as_much():
+    near = weighed([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
+    _, far = weighed([estimate(0.0, 0.01), estimate(0.1, 0.01)])
+    np.testing.assert_allclose(far / near, np.sqrt(2 * 0.05**2 / 0.01**2))  # Birge's ratio, per axis, of two estimates
 
 
 @given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))

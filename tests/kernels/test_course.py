@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
-from mocapfix.kernels.course import across, matern
+from mocapfix.kernels.course import LISTENED, across, correlation, matern, roughness
 
 RATE, FADE, REACH, NOISE, LEAST = 100.0, 0.3, 0.1, 1e-3, 1e-3
 seeds = st.integers(0, 2**32 - 1)
@@ -22,13 +23,13 @@ def torn(residual, wanted):
 
 
 def crossed(residual, wanted, rate=RATE, fade=FADE, reach=REACH, noise=NOISE, least=LEAST):
-    return across(residual, wanted, rate, fade, reach, noise, least)
+    return across(residual, wanted, rate, fade, reach, noise, least)[:2]
 
 
 @given(seeds, st.integers(1, 60))
 def test_the_course_is_the_regression_on_the_samples_beside_the_gap(seed, length):
-    rng = np.random.default_rng(seed)
-    residual, wanted = rng.normal(0, 0.01, (100, 3)), gap(100, 20, 19 + length)
+    t, phase = np.arange(100)[:, None] / RATE, np.random.default_rng(seed).uniform(0, 2 * np.pi, 3)
+    residual, wanted = 0.01 * np.sin(3 * t + phase), gap(100, 20, 19 + length)  # smooth: nothing is added for roughness
     course, variance = crossed(torn(residual, wanted), wanted)
     away = np.array([0, 1, 3, 5, 7, 9])  # of the ten samples within the reach
     near = np.r_[19 - away, 20 + length + away]
@@ -118,6 +119,41 @@ def test_what_happens_depends_on_seconds_not_on_frames():
     np.testing.assert_allclose(fine[::4], coarse, atol=1.5e-3)
     middle = np.flatnonzero(wanted[::4])[30]
     assert fine_variance[4 * middle] == pytest.approx(coarse_variance[middle], rel=0.1)
+
+
+def sliding(seed, frames, rate, fade=FADE, size=0.004):
+    """-> (T, 3) skin that slides in steps: an Ornstein-Uhlenbeck process"""
+    keep = np.exp(-1 / (fade * rate))
+    steps = np.random.default_rng(seed).normal(0, size * np.sqrt(1 - keep**2), (frames, 3))
+    return np.asarray(lfilter([1], [1, -keep], steps, axis=0))
+
+
+@pytest.mark.parametrize("rate", [60.0, 120.0, 480.0])
+def test_what_slides_in_steps_is_rough_and_what_goes_smoothly_is_not(rate):
+    rng, t = np.random.default_rng(4), np.arange(0, 60, 1 / rate)[:, None]
+    rough = sliding(4, len(t), rate)
+    assert roughness(rough, rate, FADE, 0.0, 0.004**2) == pytest.approx(1.0, abs=0.15)
+    smooth = 0.004 * np.sin(3 * t + np.arange(3.0))
+    assert roughness(smooth + rng.normal(0, NOISE, smooth.shape), rate, FADE, NOISE, 0.004**2 / 2) < 0.05
+    assert 0.3 < roughness((rough + smooth) / np.sqrt(2), rate, FADE, 0.0, 0.75 * 0.004**2) < 0.9
+    assert roughness(rough[: LISTENED // 2], rate, FADE, NOISE, 1e-6) == 0  # too few to tell
+
+
+def test_a_part_of_a_course_is_rough():
+    seconds = np.linspace(-1, 1, 21)
+    np.testing.assert_array_equal(correlation(seconds, FADE, 0.0), matern(seconds, FADE))
+    np.testing.assert_allclose(correlation(seconds, FADE, 1.0), np.exp(-np.abs(seconds) / FADE))
+    assert (correlation(seconds, FADE, 0.4)[[10]] == 1.0).all()
+
+
+@pytest.mark.parametrize("length", [3, 10, 30])
+def test_a_rough_course_is_as_unsure_in_a_gap_as_it_strays(length):
+    rough = sliding(5, 20000, RATE)
+    wanted = (np.arange(len(rough)) % 200 >= 100) & (np.arange(len(rough)) % 200 < 100 + length)
+    course, variance, power = across(torn(rough, wanted), wanted, RATE, FADE, REACH, 0.0, LEAST)
+    strayed = ((course - rough)[wanted] ** 2).mean()
+    assert 0.6 < variance[wanted].mean() / strayed < 1.6
+    assert (variance <= power).all()
 
 
 def test_the_correlation_falls_from_one_alike_both_ways():

@@ -15,7 +15,7 @@ FRAMES = 4
 
 def motion_of(root, rotations):
     zeros = np.zeros(len(root), int)
-    return Motion(root, rotations, zeros, zeros, np.zeros((len(root), 0)))
+    return Motion(root, rotations, zeros, zeros, np.zeros((len(root), 0)), np.zeros((len(root), 0)))
 
 
 def skeleton_of(tree):

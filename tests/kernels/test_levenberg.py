@@ -29,14 +29,15 @@ def solved(problem, seen, weight, scales2, target, prior, root, local, most=50):
 
 
 def foretold(problem, seen, weight, target, prior, root, local):
-    """-> standard deviation of markers (T, K), variance of joints' turns (T, J) and of the root's place (T,)"""
+    """-> standard deviation of markers (T, K) and joints (T, J), variance of joints' turns (T, J) and the root's place (T,)"""
     frames = len(seen)
-    marker_sd, joint_var, root_var = np.empty(weight.shape), np.empty(local.shape[:2]), np.empty(frames)
+    marker_sd, root_var = np.empty(weight.shape), np.empty(frames)
+    joint_sd, joint_var = np.empty(local.shape[:2]), np.empty(local.shape[:2])
     over_frames(
         uncertainties, frames, problem.tree, problem.attached, seen, weight, np.inf, target, prior, root, local, marker_sd,
-        joint_var, root_var,
+        joint_sd, joint_var, root_var,
     )  # fmt: skip
-    return marker_sd, joint_var, root_var
+    return marker_sd, joint_sd, joint_var, root_var
 
 
 def placed(problem, root, local):
@@ -125,7 +126,7 @@ def test_frames_that_say_little_end_in_a_status_and_a_finite_pose(held, scales2)
     found = foretold(problem, seen, weight, none, loose(8), root, local)
     assert all(np.isfinite(each).all() for each in found)
     assert (found[0] >= 0).all()
-    assert found[2][0] > 1e6  # without a marker the root may be anywhere
+    assert found[3][0] > 1e6  # without a marker the root may be anywhere
 
 
 def test_rotations_stay_rotations_over_thousands_of_steps_down_a_deep_tree():
@@ -199,12 +200,16 @@ def test_errors_are_as_large_as_foretold():
     none = dense.no_pull(joints)
     root_found, found, status, _ = solved(problem, seen, weight, PLAIN, none, prior, problem.root, problem.local)
     assert (status == CONVERGED).all()
-    marker_sd, joint_var, root_var = foretold(problem, seen, weight, none, prior, root_found, found)
+    marker_sd, foretold_joint_sd, joint_var, root_var = foretold(problem, seen, weight, none, prior, root_found, found)
+
+    def points(root, local):
+        return np.stack([dense.forward(problem.tree, *pose)[0] for pose in zip(root, local, strict=True)])
 
     def agree(errors, foretold_sd):
         np.testing.assert_allclose(np.sqrt((errors**2).mean((0, -1))), np.sqrt((foretold_sd**2).mean(0)), rtol=0.15)
 
     agree(placed(problem, root_found, found) - truth, marker_sd)
+    agree(points(root_found, found) - points(root, local), foretold_joint_sd)
     agree(root_found - root, np.sqrt(root_var))
     below = np.flatnonzero(problem.tree.free)
     relative = (found @ np.swapaxes(local, 2, 3)).reshape(-1, 3, 3)

@@ -28,7 +28,7 @@ def standing(root, turn):
     local = np.tile(MEAN.rotations, (len(root), 1, 1, 1))
     local[:, 0] = turn
     zeros = np.zeros(len(root), int)
-    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)))
+    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)), np.zeros(local.shape[:2]))
     position, rotation = kinematics.world(BODY.skeleton, motion)
     return position, rotation, kinematics.markers(NOMINAL, position, rotation)
 

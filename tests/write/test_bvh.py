@@ -85,7 +85,7 @@ def turns(rotations):
 def motion_of(rotations, root=None):
     frames = len(rotations)
     root = np.zeros((frames, 3)) if root is None else root
-    return Motion(root, rotations, np.zeros(frames, int), np.zeros(frames, int), np.zeros((frames, 0)))
+    return Motion(root, rotations, np.zeros(frames, int), np.zeros(frames, int), np.zeros((frames, 0)), np.zeros((frames, 0)))
 
 
 def about(axis, degrees):

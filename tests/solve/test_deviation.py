@@ -1,0 +1,95 @@
+"""Predicted deviations: the markers' own from what is left of them, and where the truth lies on a body that is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import prior, synthetic
+from mocapfix.kernels.levenberg import Attached, Tree
+from mocapfix.kernels.problem import Problem, no_pull, pull_to
+from mocapfix.skeleton import cmu31
+from mocapfix.solve.deviation import LEAST, PLACED, deviations, strayed
+
+BODY = cmu31()
+MEAN = prior.load("mean-pose", BODY.skeleton)
+NAMES = BODY.skeleton.names
+
+
+@pytest.mark.parametrize("taken_up", [0.0, 0.3, 0.8])
+def test_what_the_pose_took_up_of_the_markers_errors_is_made_good(taken_up):
+    left = np.random.default_rng(0).normal(0, 0.005 * np.sqrt(1 - taken_up), (400, 40, 3))
+    distance = np.linalg.norm(left, axis=-1)
+    distance[:20] = 0.3  # some markers are not where they are believed to be
+    share, everywhere = np.full(distance.shape, taken_up), np.ones(distance.shape, bool)
+    assert strayed(distance, share, everywhere, 0.01) == pytest.approx(0.005, rel=0.07)
+    distance[:, 0], share[:, 0] = 0.0, 1.0  # a marker that the pose follows wholly
+    tell = everywhere.copy()
+    tell[:, 0] = False
+    assert strayed(distance, share, tell, 0.01) == pytest.approx(0.005, rel=0.07)
+
+
+def test_without_a_marker_that_tells_the_deviation_is_the_solves_and_never_nothing():
+    some = np.zeros((3, 2))
+    assert strayed(some, some, np.zeros((3, 2), bool), 0.01) == 0.01
+    assert strayed(some, some, np.ones((3, 2), bool), 0.01) == LEAST
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """-> a person, their motion and a problem whose markers lie 4 mm per axis off, those of the left hand not seen"""
+    truth = synthetic.take(seed=101, seconds=2.0, rate=60.0)
+    subject = truth.subject
+    listened = np.ones(truth.struck.shape, bool)
+    listened[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False
+    noise = np.random.default_rng(1).normal(0, 0.004, truth.markers.shape)
+    tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free)
+    problem = Problem(
+        tree, Attached(subject.joints, subject.places), truth.markers + noise, listened, 0.01, pull_to(MEAN.weakened(0.01))
+    )
+    return subject, truth.motion, problem
+
+
+def foretold(scene, course_sd=None, subject=None):
+    person, motion, problem = scene
+    alone = problem.uncertainty(motion.root, motion.rotations, no_pull(31), 0.05).markers
+    time = no_pull(31)
+    if course_sd is not None:
+        information = np.zeros((31, 3, 3))
+        information[NAMES.index("LeftForeArm")] = information[NAMES.index("LeftHand")] = np.eye(3) / course_sd**2
+        time = time._replace(rotations=motion.rotations[:1], information=information[None])
+    return deviations(problem, motion, subject or person, MEAN, alone, time, 0.05)
+
+
+def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scene):
+    _, free = foretold(scene)
+    _, held = foretold(scene, course_sd=0.1)
+    lost, seen = NAMES.index("LeftHand"), NAMES.index("RightHand")
+    assert free.shape == (scene[1].frames, 31)
+    assert (free[:, lost] > 10 * free[:, seen]).all()
+    assert (held[:, lost] < 0.8 * free[:, lost]).all()
+    np.testing.assert_allclose(held[:, NAMES.index("LeftLeg")], free[:, NAMES.index("LeftLeg")], rtol=1e-3)
+
+
+def test_markers_that_stray_less_make_surer_joints(scene):
+    subject, motion, problem = scene
+    markers = problem.markers - 0.5 * np.nan_to_num(problem.markers - place(scene))
+    _, near = foretold((subject, motion, replace(problem, markers=markers)))
+    _, far = foretold(scene)
+    knee = NAMES.index("LeftLeg")
+    assert np.median(near[:, knee] / far[:, knee]) == pytest.approx(0.5, abs=0.1)
+
+
+def place(scene):
+    from mocapfix.kernels import kinematics
+
+    return kinematics.markers(scene[0], *kinematics.world(scene[0].skeleton, scene[1]))
+
+
+def test_calibrations_own_error_comes_on_top(scene):
+    subject, _, _ = scene
+    posed_markers, posed_joints = foretold(scene)
+    doubted = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))
+    markers, joints = foretold(scene, subject=doubted)
+    np.testing.assert_allclose(joints**2, posed_joints**2 + (PLACED * 0.02) ** 2)
+    np.testing.assert_allclose(markers**2, posed_markers**2 + (PLACED * 0.03) ** 2)
