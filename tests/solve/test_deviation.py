@@ -55,9 +55,9 @@ def foretold(scene, course_sd=None, subject=None):
     alone = problem.uncertainty(motion.root, motion.rotations, no_pull(31), 0.05).markers
     time = no_pull(31)
     if course_sd is not None:
-        information = np.zeros((31, 3, 3))
-        information[NAMES.index("LeftForeArm")] = information[NAMES.index("LeftHand")] = np.eye(3) / course_sd**2
-        time = time._replace(rotations=motion.rotations[:1], information=information[None])
+        weight = np.zeros((1, 31))
+        weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / course_sd**2
+        time = time._replace(rotations=motion.rotations[:1], weight=weight)
     return deviations(problem, motion, subject or person, MEAN, alone, time, 0.05)
 
 
