@@ -10,6 +10,8 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
+OTHERS = ("shape",)  # on the shelf of priors, but not of this kind
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -45,8 +47,8 @@ def load(name: str, skeleton: Skeleton) -> Prior:
         weak[0] = 0
         return Prior(name, np.tile(np.eye(3), (joints, 1, 1)), weak, np.zeros_like(weak))
     path = folder("priors") / f"{Path(name).name}.yaml"
-    if not path.is_file():
-        there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml")))
+    if not path.is_file() or path.stem in OTHERS:
+        there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml") if p.stem not in OTHERS))
         raise SceneError(f"There is no prior named {name!r}; choose one of: {there}, none.")
     data = read_yaml(path)
     rotations, information, held = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3)), np.zeros((joints, 3, 3))

@@ -10,7 +10,10 @@ from functools import cache
 
 import numpy as np
 
-from mocapfix.scenes import load_yaml
+from mocapfix import shape
+from mocapfix.scenes import folder, load_yaml
+
+CMU31 = "skeletons/cmu31.yaml"
 
 
 @dataclass(frozen=True)
@@ -37,23 +40,31 @@ class Body:
     """The skeleton with what calibration and solving know of any body.
 
     groups  G named groups of joints whose offsets have one scale in common (left and right together)
+    shapes  (P, J, 3) metres: how people's offsets differ at one size, one standard deviation of each of P components
     free    (J,) bool: joints that markers can turn; the hip stubs are redundant with the thighs, and toes, fingers and
             thumbs carry no markers, so they stay as they rest
     """
 
     skeleton: Skeleton
     groups: dict[str, tuple[int, ...]]
+    shapes: np.ndarray
     free: np.ndarray
 
 
 @cache
 def cmu31() -> Body:
     """-> the average body over the CMU subjects, left and right alike, from scenes/skeletons/cmu31.yaml."""
-    data = load_yaml("skeletons/cmu31.yaml")
-    names = tuple(joint["name"] for joint in data["joints"])
-    parents = np.array([names.index(j["parent"]) if j["parent"] else -1 for j in data["joints"]])
-    offsets = np.array([joint["offset"] for joint in data["joints"]], float)
-    ends = np.array([joint.get("end", [np.nan] * 3) for joint in data["joints"]], float)
-    groups = {name: tuple(names.index(j) for j in joints) for name, joints in data["groups"].items()}
-    free = np.array([name not in data["fixed"] for name in names])
-    return Body(Skeleton(names, parents, offsets, ends), groups, free)
+    data, skeleton = load_yaml(CMU31), average()
+    groups = {name: tuple(skeleton.index(j) for j in joints) for name, joints in data["groups"].items()}
+    free = np.array([name not in data["fixed"] for name in skeleton.names])
+    return Body(skeleton, groups, shape.load(folder("priors") / "shape.yaml", skeleton.names), free)
+
+
+def average() -> Skeleton:
+    """-> the skeleton of `cmu31` alone, which its shapes are fitted about."""
+    joints = load_yaml(CMU31)["joints"]
+    names = tuple(joint["name"] for joint in joints)
+    parents = np.array([names.index(j["parent"]) if j["parent"] else -1 for j in joints])
+    offsets = np.array([joint["offset"] for joint in joints], float)
+    ends = np.array([joint.get("end", [np.nan] * 3) for joint in joints], float)
+    return Skeleton(names, parents, offsets, ends)

@@ -66,7 +66,7 @@ def test_none_is_the_rest_pose_held_weakly():
     np.testing.assert_allclose(loaded.information[1:], np.tile(np.eye(3) / 9, (30, 1, 1)))
 
 
-@pytest.mark.parametrize("name", ["nobody", "../mean-posed", "", "mean-pose.yaml"])
+@pytest.mark.parametrize("name", ["nobody", "../mean-posed", "", "mean-pose.yaml", "shape"])
 def test_an_unknown_prior_is_told_with_the_ones_there_are(name):
     with pytest.raises(SceneError) as told:
         prior.load(name, SKELETON)

@@ -159,6 +159,26 @@ def test_markers_are_placed_by_hand_on_a_body_of_its_own(truth):
         assert 0 < abs(scales[0] - 1) < 0.16
 
 
+def test_a_crooked_person_has_bones_of_their_own_on_either_side():
+    straight, crooked = (synthetic.take(7, 0.5, crooked=which).subject for which in (False, True))
+    lengths = [np.linalg.norm(one.skeleton.offsets, axis=1) for one in (straight, crooked)]
+    names = straight.skeleton.names
+    thighs = [names.index("LeftLeg"), names.index("RightLeg")]
+    assert lengths[0][thighs[0]] == lengths[0][thighs[1]]
+    assert lengths[1][thighs[0]] != lengths[1][thighs[1]]
+    ratio = lengths[1][lengths[0] > 0] / lengths[0][lengths[0] > 0]
+    assert 0.015 < ratio.std() < 0.05
+    along = (straight.skeleton.offsets * crooked.skeleton.offsets).sum(1)
+    turned = np.arccos(np.clip(along / np.maximum(lengths[0] * lengths[1], 1e-9), -1, 1))
+    limbs = [j for j, name in enumerate(names) if name.endswith(("Leg", "ForeArm", "Hand", "Foot")) and "Up" not in name]
+    np.testing.assert_allclose(turned[limbs], 0, atol=1e-6)  # they lie along their own axes
+    assert turned[names.index("LeftArm")] > 0.01
+    for shoulder in ("LeftShoulder", "RightShoulder"):
+        np.testing.assert_array_equal(
+            crooked.skeleton.offsets[names.index(shoulder)], crooked.skeleton.offsets[names.index("Neck")]
+        )
+
+
 def test_skin_slides_by_millimetres_and_smoothly():
     truth = synthetic.take(2, seconds=20.0)
     rigid = kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, truth.motion))

@@ -20,20 +20,24 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
 
     Raises TakeError where no frame shows three markers or more, or the markers lie as on no body that there is.
     """
-    markers = worn.markers
-    if not ((~np.isnan(markers[..., 0])).sum(1) >= 3).any():
-        raise TakeError(f"{worn.name}: no frame shows three markers of the body; there is nothing to calibrate from.")
-    ratio = size.ratio(body.skeleton, marker_set, markers)
-    if not size.SMALLEST < ratio < size.LARGEST:
-        apart = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
-    whole = scaled(body.skeleton, ratio)
-    places = marker_set.places * ratio
-    start = Subject(whole, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
+    start, markers = average(worn, marker_set, body), worn.markers
     looked = frames.candidates(markers)
     motion = refine.posed(start, body, prior, markers[looked])
     chosen = frames.varied(motion.rotations, np.random.default_rng(0))
     return refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
+
+
+def average(worn: Take, marker_set: MarkerSet, body: Body) -> Subject:
+    """-> the average body at the size that the take tells, from where `subject` sets out; raises as it does."""
+    if not ((~np.isnan(worn.markers[..., 0])).sum(1) >= 3).any():
+        raise TakeError(f"{worn.name}: no frame shows three markers of the body; there is nothing to calibrate from.")
+    ratio = size.ratio(body.skeleton, marker_set, worn.markers)
+    if not size.SMALLEST < ratio < size.LARGEST:
+        apart = "near together" if ratio < 1 else "far apart"
+        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
+    places = marker_set.places * ratio
+    whole = scaled(body.skeleton, ratio)
+    return Subject(whole, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
 
 
 def scaled(skeleton: Skeleton, factor: float) -> Skeleton:

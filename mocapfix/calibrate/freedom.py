@@ -35,12 +35,16 @@ class Freedom:
 
 
 def of(start: Subject, body: Body) -> Freedom:
-    """-> the size, the scales of bone groups and the marker places of `start`, free to change."""
+    """-> the size, the scales of bone groups, the shape and the marker places of `start`, free to change.
+
+    start  `body` at some size
+    """
     offsets, places = start.skeleton.offsets, start.places
-    stretches = np.zeros((1 + len(body.groups), *offsets.shape))
-    stretches[0] = offsets
-    for stretch, joints in zip(stretches[1:], body.groups.values(), strict=True):
-        stretch[list(joints)] = offsets[list(joints)]
-    directions = Directions(stretches, np.zeros((len(stretches), *places.shape)))
-    deviations = np.r_[SIZE_SD, np.full(len(body.groups), GROUP_SD), np.full(places.size, PLACE_SD)]
-    return Freedom(offsets, places, directions, 1 / deviations**2)
+    groups = np.zeros((len(body.groups), *offsets.shape))
+    for g, joints in enumerate(map(list, body.groups.values())):
+        groups[g, joints] = offsets[joints]
+    shapes = body.shapes * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
+    along = np.concatenate([offsets[None], groups, shapes])
+    with_size = np.concatenate([places[None], np.zeros((len(along) - 1, *places.shape))])
+    deviations = (SIZE_SD, *[GROUP_SD] * len(groups), *[1.0] * len(shapes), *[PLACE_SD] * places.size)
+    return Freedom(offsets, places, Directions(along, with_size), 1 / np.square(deviations))

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_set
 from mocapfix.kernels import kinematics
@@ -13,6 +14,8 @@ from mocapfix.subject import Subject
 from mocapfix.synthetic import damage, motions
 
 LENGTHS = 0.04  # standard deviation of a bone group's length, as a part of it
+OWN_LENGTHS, OWN_LEANS = 0.03, 0.06  # what a bone has for itself: a part of its length, radians (CMU's subjects, about)
+LEANING = ("LeftUpLeg", "RightUpLeg", "Spine", "Spine1", "Neck", "Neck1", "Head", "LeftArm", "RightArm")  # limbs do not
 PLACES = 0.012  # metres: standard deviation per axis of a marker's place on the person
 SLIDE, SLIDE_TIME = 0.004, 0.3  # metres and seconds: how far skin carries a marker per axis, and for how long
 NOISE = 0.0003  # metres: the cameras' own
@@ -44,13 +47,15 @@ class Truth:
     rate: float
 
 
-def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0) -> Truth:
+def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, crooked: bool = False) -> Truth:
     """-> somebody who walks, reaches, crouches and turns round, and again; the same for the same arguments.
 
     The seed draws the person, the skin and the damage; the motion differs with the person's legs only.
+
+    crooked  left and right differ and bones lean as people's do, where else only groups of bones are longer or shorter
     """
     rng = np.random.default_rng(seed)
-    subject = _subject(rng)
+    subject = _subject(rng, crooked)
     motion = motions.compose(subject, seconds, rate)
     joints, rotation = kinematics.world(subject.skeleton, motion)
     slide = _skin(rng, motion.frames, len(subject.labels), rate)
@@ -63,12 +68,14 @@ def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0) -> Truth:
     return Truth(motion, subject, joints, markers, damaged, struck, (shift != 0).any(axis=2), subject.labels, rate)
 
 
-def _subject(rng: np.random.Generator) -> Subject:
+def _subject(rng: np.random.Generator, crooked: bool) -> Subject:
     """The average body, every group of bones somewhat longer or shorter, markers put on by hand."""
     nominal = marker_set.load("cmu41")
     places = nominal.places + rng.normal(0, PLACES, nominal.places.shape)
     spread = np.full(len(nominal.labels), SLIDE)
-    return Subject(_skeleton(rng, cmu31()), nominal.name, nominal.labels, nominal.joints, places, spread)
+    skeleton = _skeleton(rng, cmu31())
+    skeleton = _crooked(rng, skeleton) if crooked else skeleton
+    return Subject(skeleton, nominal.name, nominal.labels, nominal.joints, places, spread)
 
 
 def _skeleton(rng: np.random.Generator, body: Body) -> Skeleton:
@@ -76,6 +83,17 @@ def _skeleton(rng: np.random.Generator, body: Body) -> Skeleton:
     for joints in body.groups.values():
         offsets[list(joints)] *= rng.normal(1, LENGTHS)
     return replace(body.skeleton, offsets=offsets)
+
+
+def _crooked(rng: np.random.Generator, skeleton: Skeleton) -> Skeleton:
+    """Every bone with a length and, where none lies along its own axis, a direction of its own."""
+    offsets = skeleton.offsets * rng.normal(1, OWN_LENGTHS, (len(skeleton.names), 1))
+    leans = Rotation.from_rotvec(rng.normal(0, OWN_LEANS, offsets.shape)).as_matrix()
+    leaning = [skeleton.index(name) for name in LEANING]
+    offsets[leaning] = np.einsum("jab,jb->ja", leans[leaning], offsets[leaning])
+    shoulders = [skeleton.index("LeftShoulder"), skeleton.index("RightShoulder")]
+    offsets[shoulders] = offsets[skeleton.index("Neck")]  # one bone, the thorax, carries all three
+    return replace(skeleton, offsets=offsets)
 
 
 def _skin(rng: np.random.Generator, frames: int, markers: int, rate: float) -> np.ndarray:
