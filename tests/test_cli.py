@@ -314,3 +314,17 @@ def refused(done, name, sentence):
     assert "Traceback" not in err
     assert len(err.strip().splitlines()) == 1
     assert err.strip().endswith((".", "?"))
+
+
+def test_bench_uncertainty_shows_its_table_or_one_json_object(mocapfix, monkeypatch):
+    from mocapfix.bench import uncertainty
+
+    part = {"samples": 3, "error_mm": 4.0, "deviation_mm": 5.0, "within_1_sigma": 0.68, "within_2_sigma": 0.954}
+    said = {what: {**part, "by": {"all missing": part}} for what in ("joints", "filled_markers")}
+    monkeypatch.setattr(uncertainty, "measure", lambda: said)
+    status, out, _ = mocapfix("bench", "uncertainty", "--json")
+    assert (status, json.loads(out)) == (0, said)
+    status, out, _ = mocapfix("bench", "uncertainty")
+    assert status == 0
+    assert out.count("68%") == 4
+    assert out.count("95%") == 4

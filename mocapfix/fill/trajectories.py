@@ -15,7 +15,7 @@ LONGEST = 0.5  # seconds
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
-ALIKE = 0.5  # correlation of the errors of two estimates of one sample
+ALIKE = 0.3  # correlation of the errors of two estimates of one sample
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
 

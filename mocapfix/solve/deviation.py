@@ -26,7 +26,7 @@ LEAST = 0.001  # metres: no marker keeps its place better
 NORMAL = 2.366  # the median of a chi-squared of three degrees of freedom
 HEARD = 0.9  # a marker whose error the pose takes up almost whole tells nothing of its size
 
-PLACED = 0.85  # of the calibration's own deviation: people's marker places and bones stray less from the average than it allows
+PLACED = 0.75  # of the calibration's own deviation: people's marker places and bones stray less from the average than it allows
 
 
 def deviations(
