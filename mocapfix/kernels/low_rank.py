@@ -29,8 +29,9 @@ class Answers(NamedTuple):
 def empty_answers(joints, unknowns, rows):
     """-> room for the answers to so many rows."""
     return Answers(
-        np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)), np.empty(rows)
-    )
+        np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)),
+        np.empty(rows),
+    )  # fmt: skip
 
 
 @njit(cache=True)
