@@ -64,6 +64,19 @@ def largest(h):
 
 
 @njit(cache=True)
+def held(system):
+    """-> whether anything says where the pose should be."""
+    for j in range(len(system.h)):
+        for a in range(6):
+            if system.h[j, a, a] > 0.0:
+                return True
+        for a in range(3):
+            if system.own[j, a, a] > 0.0:
+                return True
+    return dot(system.rows, system.rows) + dot(system.rows_own, system.rows_own) > 0.0
+
+
+@njit(cache=True)
 def direction(tree, work, mu):
     """Write the damped Gauss-Newton step of the work's system. -> the fall of the cost that the damped model promises"""
     system, step, g, b = work.system, work.step, work.g, work.b
@@ -97,10 +110,13 @@ def descend(tree, terms, t, scale2, tau, most, work):
     """Move the work's pose to where frame t's cost is least, its joints already placed. -> status, iterations
 
     The start of a trust in the model is tau times its largest curvature: small where the start is good. A step whose
-    promise no longer matters is taken, but the terms are not asked again what it brought.
+    promise no longer matters is taken, but the terms are not asked again what it brought. Where nothing says where the pose
+    should be, it stays.
     """
     pose, new, system, step = work.pose, work.new, work.system, work.step
     cost = linearise(tree, terms, t, scale2, pose, system)
+    if not held(system):
+        return UNHELD, 0
     mu, nu = tau * largest(system.h), 2.0
     for iteration in range(1, most + 1):
         if cost < EXACT:
@@ -111,7 +127,8 @@ def descend(tree, terms, t, scale2, tau, most, work):
         stepped(tree, pose, step, new)
         forward(tree, new)
         if promised < SLIGHT:
-            adopt(new, pose)
+            if nu == 2.0:  # after a refusal not even a slight promise is believed unasked
+                adopt(new, pose)
             return CONVERGED, iteration
         new_cost = linearise(tree, terms, t, scale2, new, system)
         if new_cost < cost:
