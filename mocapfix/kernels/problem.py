@@ -100,6 +100,7 @@ class Problem:
         frames, joints = local.shape[:2]
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros((frames, joints)), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], root, local, *left
-        )
+            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], 0, root, local,
+            np.zeros((frames, 0)), *left,
+        )  # fmt: skip
         return left
