@@ -13,7 +13,7 @@ from mocapfix.kernels.registration import fitted, poses
 from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
-from tests.kernels import dense
+from tests.kernels import drawn
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN = prior.load("mean-pose", BODY.skeleton)
@@ -40,7 +40,7 @@ def posed(markers):
 @given(seeds)
 def test_a_rigid_motion_is_found_exactly(seed):
     rng = np.random.default_rng(seed)
-    position, rotation, markers = standing(rng.normal(0, 3, (4, 3)), dense.rotations(rng, 4))
+    position, rotation, markers = standing(rng.normal(0, 3, (4, 3)), drawn.rotations(rng, 4))
     found = posed(markers)
     world = kinematics.world(BODY.skeleton, found)
     np.testing.assert_allclose(world[0], position, atol=1e-9)
@@ -63,12 +63,12 @@ def test_a_mirrored_cloud_gets_the_best_rotation_there_is(seed):
     model = rng.normal(size=(6, 3))
     cross = (model * [-1, 1, 1]).T @ model
     best = np.trace(fitted(cross[None])[0].T @ cross)
-    assert best >= max(np.trace(each.T @ cross) for each in dense.rotations(rng, 200)) - 1e-9
+    assert best >= max(np.trace(each.T @ cross) for each in drawn.rotations(rng, 200)) - 1e-9
 
 
 def test_a_coplanar_trunk_is_not_turned_inside_out():
     flat = replace(NOMINAL, places=np.where(TRUNK[:, None], NOMINAL.places * [1, 1, 0], NOMINAL.places))
-    turn = dense.rotations(np.random.default_rng(1), 1)
+    turn = drawn.rotations(np.random.default_rng(1), 1)
     position, rotation, _ = standing(np.ones((1, 3)), turn)
     found = poses(flat, BODY.free, MEAN, kinematics.markers(flat, position, rotation))
     np.testing.assert_allclose(np.linalg.det(found.rotations), 1.0)
@@ -77,8 +77,8 @@ def test_a_coplanar_trunk_is_not_turned_inside_out():
 
 def test_a_frame_without_its_trunk_takes_the_root_from_its_neighbours():
     rng = np.random.default_rng(2)
-    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), dense.rotations(rng, 1).repeat(11, 0)
-    turn[8:] = dense.rotations(rng, 1)
+    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), drawn.rotations(rng, 1).repeat(11, 0)
+    turn[8:] = drawn.rotations(rng, 1)
     _, _, markers = standing(root, turn)
     markers[3:8, TRUNK] = np.nan
     markers[:2] = np.nan
