@@ -9,6 +9,8 @@ STATUS = (
     "solved: the iterations ran out while still improving a little",
     "poor: the markers lie far from the body; look at labels and swaps in these frames",
     "guessed: too few markers were seen; the pose comes from the frames around",
+    "solved: the markers lie on the body exactly",
+    "not solved: nothing holds the pose; it stays as it was",
 )
 
 

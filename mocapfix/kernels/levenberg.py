@@ -64,6 +64,19 @@ def largest(h):
 
 
 @njit(cache=True)
+def held(system):
+    """-> whether anything says where the pose should be."""
+    for j in range(len(system.h)):
+        for a in range(6):
+            if system.h[j, a, a] > 0.0:
+                return True
+        for a in range(3):
+            if system.own[j, a, a] > 0.0:
+                return True
+    return dot(system.rows, system.rows) + dot(system.rows_own, system.rows_own) > 0.0
+
+
+@njit(cache=True)
 def direction(tree, work, mu):
     """Write the damped Gauss-Newton step of the work's system. -> the fall of the cost that the damped model promises"""
     system, step, g, b = work.system, work.step, work.g, work.b
@@ -99,7 +112,8 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
     """Move the work's pose to where frame t's cost is least. -> status, iterations
 
     Every trial pose is linearised at once: most are accepted, and then the next step needs it. A step whose promise no
-    longer matters is taken, but the terms are not asked again what it brought.
+    longer matters is taken, but the terms are not asked again what it brought. Where nothing says where the pose should be,
+    it stays.
 
     scales2  squared robust scales, wide to narrow: the solve runs through them, so that far-off starts are not cut off
     tau      initial damping over the largest curvature: small where the start is good
@@ -124,6 +138,8 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
                 place(pose, new)
                 continue
             if mu < 0.0:
+                if not held(system):
+                    return UNHELD, total
                 mu = tau * largest(system.h)
             cost = there
             if cost < EXACT:
@@ -138,7 +154,8 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
             forward(tree, new)
             if promised < SLIGHT:
                 status = CONVERGED
-                place(new, pose)
+                if nu == 2.0:  # after a refusal not even a slight promise is believed unasked
+                    place(new, pose)
                 break
             trial = True
         total += iterations

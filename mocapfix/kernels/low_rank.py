@@ -31,7 +31,7 @@ def empty_answers(joints, unknowns, rows):
     return Answers(
         np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)),
         np.empty(rows),
-    )
+    )  # fmt: skip
 
 
 @njit(cache=True)

@@ -102,6 +102,7 @@ class Problem:
         each = (frames, joints)
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros(each), np.zeros(each), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], root, local, *left
-        )
+            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], 0, root, local,
+            np.zeros((frames, 0)), *left,
+        )  # fmt: skip
         return left

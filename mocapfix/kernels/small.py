@@ -52,18 +52,28 @@ def put(a, out, j):
 
 @njit(cache=True)
 def inverse_3(m, j):
-    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place.
+    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place. -> L and D^-1 of L D L'
 
-    What nothing holds is held: a matrix without an inverse gives zeros, so that its joint stays where it is.
+    Cofactors would lose twice the digits. An axis that nothing holds is held: its zero stays a zero, so that the
+    joint does not turn about it.
     """
-    m00, m11, m22, m01, m02, m12 = m[j, 0, 0], m[j, 1, 1], m[j, 2, 2], m[j, 1, 0], m[j, 2, 0], m[j, 2, 1]
-    c00, c01, c02 = m11 * m22 - m12 * m12, m12 * m02 - m01 * m22, m01 * m12 - m11 * m02
-    determinant = m00 * c00 + m01 * c01 + m02 * c02
-    d = 1.0 / determinant if determinant > 0.0 else 0.0
-    m[j, 0, 0], m[j, 1, 1], m[j, 2, 2] = c00 * d, (m00 * m22 - m02 * m02) * d, (m00 * m11 - m01 * m01) * d
-    m[j, 0, 1] = m[j, 1, 0] = c01 * d
-    m[j, 0, 2] = m[j, 2, 0] = c02 * d
-    m[j, 1, 2] = m[j, 2, 1] = (m01 * m02 - m00 * m12) * d
+    d0 = m[j, 0, 0]
+    i0 = 1.0 / d0 if d0 > 0.0 else 0.0
+    l10, l20 = m[j, 1, 0] * i0, m[j, 2, 0] * i0
+    d1 = m[j, 1, 1] - m[j, 1, 0] * l10
+    i1 = 1.0 / d1 if d1 > 0.0 else 0.0
+    left = m[j, 2, 1] - m[j, 2, 0] * l10
+    l21 = left * i1
+    d2 = m[j, 2, 2] - m[j, 2, 0] * l20 - left * l21
+    i2 = 1.0 / d2 if d2 > 0.0 else 0.0
+    k20 = l10 * l21 - l20  # of L's inverse
+    m02, m12 = k20 * i2, -l21 * i2
+    m01 = -l10 * i1 - l21 * m02
+    m[j, 0, 0], m[j, 1, 1], m[j, 2, 2] = i0 + l10 * l10 * i1 + k20 * m02, i1 - l21 * m12, i2
+    m[j, 0, 1] = m[j, 1, 0] = m01
+    m[j, 0, 2] = m[j, 2, 0] = m02
+    m[j, 1, 2] = m[j, 2, 1] = m12
+    return l10, l20, l21, i0, i1, i2
 
 
 @njit(cache=True)

@@ -88,20 +88,21 @@ def factor(tree, system, mu, f):
             inverse[i, 1, b] = gain[i, 1, b] - z * gain[i, 3, b] + x * gain[i, 5, b] + own[i, 1, b]
             inverse[i, 2, b] = gain[i, 2, b] + y * gain[i, 3, b] - x * gain[i, 4, b] + own[i, 2, b]
             inverse[i, b, b] += mu
-        inverse_3(inverse, i)
+        l10, l20, l21, d0, d1, d2 = ldl = inverse_3(inverse, i)
+        for a in range(6):  # H S L^-T: with it the differences keep the digits that they would lose with an explicit inverse
+            gain[i, a, 1] -= l10 * gain[i, a, 0]
+            gain[i, a, 2] -= l20 * gain[i, a, 0] + l21 * gain[i, a, 1]
         if unknowns:
-            yield_to(i, p, arm, system.own_cross, gain, inverse, f.cross, f.yielding, f.shared)
+            yield_to(i, p, arm, system.own_cross, gain, ldl, f.cross, f.yielding, f.shared)
         for a in range(5, -1, -1):
-            u0, u1, u2 = gain[i, a, 0], gain[i, a, 1], gain[i, a, 2]
-            g0 = u0 * inverse[i, 0, 0] + u1 * inverse[i, 1, 0] + u2 * inverse[i, 2, 0]
-            g1 = u0 * inverse[i, 0, 1] + u1 * inverse[i, 1, 1] + u2 * inverse[i, 2, 1]
-            g2 = u0 * inverse[i, 0, 2] + u1 * inverse[i, 1, 2] + u2 * inverse[i, 2, 2]
-            for b in range(a + 1):  # rows below are gains by now, those up to a still H S
+            g0, g1, g2 = gain[i, a, 0] * d0, gain[i, a, 1] * d1, gain[i, a, 2] * d2
+            for b in range(a + 1):  # rows below are gains by now, those up to a not yet
                 left = h[i, a, b] - g0 * gain[i, b, 0] - g1 * gain[i, b, 1] - g2 * gain[i, b, 2]
                 h[p, a, b] += left
                 if a != b:
                     h[p, b, a] += left
-            gain[i, a, 0], gain[i, a, 1], gain[i, a, 2] = g0, g1, g2
+            g1 -= l21 * g2
+            gain[i, a, 0], gain[i, a, 1], gain[i, a, 2] = g0 - l10 * g1 - l20 * g2, g1, g2
     for a in range(6):
         h[0, a, a] += mu
     cholesky_inverse(h[0])
@@ -110,21 +111,24 @@ def factor(tree, system, mu, f):
 
 
 @njit(cache=True)
-def yield_to(i, p, arm, own_cross, u, inverse, cross, yielding, shared):
-    """Eliminate joint i's turn from what its body shares with the P unknowns; u (J, 6, 3) holds H S."""
+def yield_to(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
+    """Eliminate joint i's turn from what its body shares with the P unknowns; u (J, 6, 3) holds H S L^-T."""
     x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
+    l10, l20, l21, d0, d1, d2 = ldl
     for c in range(len(shared)):
         w0 = cross[i, 0, c] + z * cross[i, 4, c] - y * cross[i, 5, c] + own_cross[i, 0, c]
-        w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c]
-        w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c]
-        y0 = inverse[i, 0, 0] * w0 + inverse[i, 0, 1] * w1 + inverse[i, 0, 2] * w2
-        y1 = inverse[i, 1, 0] * w0 + inverse[i, 1, 1] * w1 + inverse[i, 1, 2] * w2
-        y2 = inverse[i, 2, 0] * w0 + inverse[i, 2, 1] * w1 + inverse[i, 2, 2] * w2
-        yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = y0, y1, y2
+        w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c] - l10 * w0
+        w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c] - l20 * w0 - l21 * w1
+        yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = w0, w1, w2
+        w0, w1, w2 = d0 * w0, d1 * w1, d2 * w2
         for d in range(c + 1):
             shared[c, d] -= w0 * yielding[i, 0, d] + w1 * yielding[i, 1, d] + w2 * yielding[i, 2, d]
         for a in range(6):
-            cross[p, a, c] += cross[i, a, c] - u[i, a, 0] * y0 - u[i, a, 1] * y1 - u[i, a, 2] * y2
+            cross[p, a, c] += cross[i, a, c] - u[i, a, 0] * w0 - u[i, a, 1] * w1 - u[i, a, 2] * w2
+    for c in range(len(shared)):
+        y2 = d2 * yielding[i, 2, c]
+        y1 = d1 * yielding[i, 1, c] - l21 * y2
+        yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = d0 * yielding[i, 0, c] - l10 * y1 - l20 * y2, y1, y2
 
 
 @njit(cache=True)

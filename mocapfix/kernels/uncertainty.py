@@ -6,7 +6,7 @@ Exact to second order at the pose, in time linear in joints and markers.
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels import sweep
+from mocapfix.kernels import low_rank, sweep
 from mocapfix.kernels.levenberg import load, workspace
 from mocapfix.kernels.pose import forward
 from mocapfix.kernels.system import linearise
@@ -18,8 +18,8 @@ HARDLY = 1e-3  # 1/m^2 or 1/rad^2: what holds an unknown that nothing holds, so 
 def covariance(tree, system, f, spread, turn_variance):
     """Write each body's twist covariance (J, 6, 6) into `spread`, from what `sweep.factor` left.
 
-    twist_i = (I - S gain') twist_parent + S turn',  the remaining turn' having covariance `inverse`; the shared
-    unknowns are taken as known.
+    twist_i = (I - S gain') twist_parent + S turn',  the remaining turn' having covariance `inverse`; as though the shared
+    unknowns were known and no row told anything.
     turn_variance (J,) out: each joint's turn, the mean over its three axes; 0 where a joint is not free.
     """
     gain, arm = f.gain, system.arm
@@ -61,6 +61,56 @@ def covariance(tree, system, f, spread, turn_variance):
 
 
 @njit(cache=True)
+def add_outer(sign, twist, turn, spread, turn_variance):
+    """Add to the covariances, or take away, what one step (J, 6), (J, 3) of one standard deviation spreads."""
+    for j in range(len(turn)):
+        for a in range(6):
+            for c in range(6):
+                spread[j, a, c] += sign * twist[j, a] * twist[j, c]
+        for a in range(3):
+            turned = twist[0, a] if j == 0 else turn[j, a]
+            turn_variance[j] += sign * turned * turned / 3
+
+
+@njit(cache=True)
+def add_shared(tree, work, spread, turn_variance):
+    """Add what is open because the shared unknowns are.
+
+    With L L' their curvature, all poses eliminated, a pull by a column of L moves them, and the pose with them, by one
+    standard deviation of one independent part.
+    """
+    step, factor = work.step, work.factors.shared
+    for c in range(len(step.shared)):
+        for d in range(len(step.shared)):
+            step.shared[d] = factor[d, c] if d >= c else 0.0
+        work.g.fill(0)
+        work.b.fill(0)
+        sweep.solve(tree, work.system, work.factors, work.g, work.b, step)
+        add_outer(1.0, step.twist, step.turn, spread, turn_variance)
+
+
+@njit(cache=True)
+def take_rows(tree, work, spread, turn_variance):
+    """Take away what the rows tell (Woodbury, as in low_rank): Y (L L')^-1 Y', the columns of Y the answers to the rows."""
+    answers = work.answers
+    low_rank.answer(tree, work.system, work.factors, work.g, answers)
+    for m in range(len(answers.twist)):
+        twist, turn = answers.twist[m], answers.turn[m]
+        for n in range(m):
+            for j in range(len(turn)):
+                for a in range(6):
+                    twist[j, a] -= answers.among[m, n] * answers.twist[n, j, a]
+                for a in range(3):
+                    turn[j, a] -= answers.among[m, n] * answers.turn[n, j, a]
+        for j in range(len(turn)):
+            for a in range(6):
+                twist[j, a] /= answers.among[m, m]
+            for a in range(3):
+                turn[j, a] /= answers.among[m, m]
+        add_outer(-1.0, twist, turn, spread, turn_variance)
+
+
+@njit(cache=True)
 def point_sd(v, j, x, y, z):
     """-> the standard deviation per axis of the point of body j that lies (x, y, z) from the origin; v (J, 6, 6) covariances."""
     total = v[j, 3, 3] + v[j, 4, 4] + v[j, 5, 5]  # trace of [-[x]x, I] v [-[x]x, I]'
@@ -71,21 +121,24 @@ def point_sd(v, j, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def uncertainties(tree, terms, scale2, root, local, marker_sd, joint_sd, joint_var, root_var, first, stop):
-    """The uncertainty of the poses of frames first..stop, whose first term is the markers' Points.
+def uncertainties(tree, terms, scale2, rows, root, local, shared, marker_sd, joint_sd, joint_var, root_var, first, stop):
+    """The uncertainty of the poses of frames first..stop, whose first term is the markers' Points; rows: how many the terms
+    write.
 
     marker_sd (T, K) and joint_sd (T, J) metres, joint_var (T, J) rad^2, of the joints' turns ([:, 0]: the root's), and
     root_var (T,) m^2, of the root's place, out; all per axis.
     """
     joints, points = local.shape[1], terms[0]
-    work, spread, none = workspace(joints, 0, 0), np.empty((joints, 6, 6)), np.zeros((len(root), 0))
+    work, spread = workspace(joints, shared.shape[1], rows), np.empty((joints, 6, 6))
     arm, rotation = work.system.arm, work.pose.rotation
     for t in range(first, stop):
-        load(root, local, none, t, work.pose)
+        load(root, local, shared, t, work.pose)
         forward(tree, work.pose)
         linearise(tree, terms, t, scale2, work.pose, work.system)
         sweep.factor(tree, work.system, HARDLY, work.factors)
         covariance(tree, work.system, work.factors, spread, joint_var[t])
+        add_shared(tree, work, spread, joint_var[t])
+        take_rows(tree, work, spread, joint_var[t])
         root_var[t] = (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
         for j in range(joints):
             joint_sd[t, j] = point_sd(spread, j, arm[j, 0], arm[j, 1], arm[j, 2])

@@ -1,7 +1,7 @@
 """The oracle: the same problem in plain NumPy, written out in full, its derivatives by finite differences.
 
-A frame's pose changes by x = (root turn, root shift, the free joints' turns), N = 6 + 3 (free joints below the root), all in
-world axes, as the sweep's unknowns are.
+A frame's pose changes by x = (root turn, root shift, the free joints' turns, P shared unknowns), all turns and shifts in
+world axes, as the sweep's unknowns are: N = 3 + 3 (free joints, the root among them) + P numbers.
 """
 
 from collections.abc import Callable
@@ -10,102 +10,161 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg import Attached, Pull, Tree
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.system import System
+from mocapfix.kernels.terms import HUBER, Directions, Distances, Latent, Limits, Orientations, Points, Targets, Views, Whole
 
 
 class Frame(NamedTuple):
-    """One frame's problem: a body, what was seen of it with which information (1/m^2), what it is pulled to, and a pose."""
+    """One frame's problem: a body, the terms on it (frame 0 of each), and a pose."""
 
     tree: Tree
-    attached: Attached
-    seen: np.ndarray
-    weight: np.ndarray
-    pull: Pull
-    root: np.ndarray
+    terms: tuple
+    root: np.ndarray  # (3,)
+    local: np.ndarray  # (J, 3, 3)
+    shared: np.ndarray  # (P,)
+
+
+class World(NamedTuple):
+    """A pose, and where it puts the joints."""
+
+    tree: Tree
     local: np.ndarray
+    shared: np.ndarray
+    position: np.ndarray  # (J, 3)
+    rotation: np.ndarray  # (J, 3, 3)
 
 
-def tree(rng: np.random.Generator, joints: int) -> Tree:
-    """-> a random tree: about every fourth joint is fixed, the root never."""
-    parents = np.array([-1, *(rng.integers(j) for j in range(1, joints))])
-    free = rng.random(joints) < 0.75
-    free[0] = True
-    return Tree(parents, rng.normal(0, 0.3, (joints, 3)), free)
-
-
-def spd(rng: np.random.Generator, count: int, size: int, scale: float = 1.0) -> np.ndarray:
-    """-> (count, size, size) random symmetric positive definite matrices."""
-    half = rng.normal(size=(count, size, size))
-    return scale * (half @ np.swapaxes(half, 1, 2) + 0.1 * np.eye(size))
-
-
-def rotations(rng: np.random.Generator, count: int, largest: float = 3.0) -> np.ndarray:
-    """-> (count, 3, 3) random rotations, each by up to `largest` radians an axis."""
-    return Rotation.from_rotvec(rng.uniform(-largest, largest, (count, 3)) / np.sqrt(3)).as_matrix()
-
-
-def frame(rng: np.random.Generator, joints: int, markers_each: int = 3, noise: float = 0.02) -> Frame:
-    """-> a random body whose markers are all seen, `noise` metres off, under a random pull."""
-    body = tree(rng, joints)
-    attached = Attached(np.repeat(np.arange(joints), markers_each), rng.normal(0, 0.15, (joints * markers_each, 3)))
-    root, local = rng.normal(0, 1.0, 3), rotations(rng, joints)
-    seen = markers(attached, *forward(body, root, local)) + rng.normal(0, noise, (len(attached.joints), 3))
-    pull = Pull(
-        rotations(rng, joints, 0.5) @ local,
-        spd(rng, joints, 3, 30.0),
-        root + rng.normal(0, 0.1, 3),
-        np.array(rng.uniform(10, 200)),
-    )
-    return Frame(body, attached, seen, rng.uniform(1e2, 1e4, len(seen)), pull, root, local)
-
-
-def forward(tree: Tree, root: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> world positions (J, 3) and rotations (J, 3, 3)."""
+def world(tree: Tree, root: np.ndarray, local: np.ndarray, shared: np.ndarray | None = None) -> World:
+    """-> where a pose puts the joints; shared None: no shape is unknown."""
+    shared = np.zeros(0) if shared is None else shared
+    offsets = tree.offsets + np.einsum("qja,q->ja", tree.shape, shared[: len(tree.shape)]) if len(tree.shape) else tree.offsets
     position, rotation = [root], [local[0]]
     for j, p in list(enumerate(tree.parents))[1:]:
-        position.append(position[p] + rotation[p] @ tree.offsets[j])
+        position.append(position[p] + rotation[p] @ offsets[j])
         rotation.append(rotation[p] @ local[j])
-    return np.array(position), np.array(rotation)
+    return World(tree, local, shared, np.array(position), np.array(rotation))
 
 
-def markers(attached: Attached, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """-> (K, 3) where the body carries its markers."""
-    return position[attached.joints] + np.einsum("kab,kb->ka", rotation[attached.joints], attached.places)
+def placed(joints: np.ndarray, places: np.ndarray, at: World) -> np.ndarray:
+    """-> (K, 3) where the body carries points."""
+    return at.position[joints] + np.einsum("kab,kb->ka", at.rotation[joints], places)
 
 
-def moved(tree: Tree, root: np.ndarray, local: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> root and local rotations after the change x (N,): each joint turned about world axes, in its parent as it stands."""
-    rotation, after = forward(tree, root, local)[1], local.copy()
-    after[0] = Rotation.from_rotvec(x[:3]).as_matrix() @ local[0]
+def rotvec(rotations: np.ndarray) -> np.ndarray:
+    """-> (K, 3) rotation vectors of (K, 3, 3)."""
+    return Rotation.from_matrix(rotations).as_rotvec().reshape(-1, 3)
+
+
+def from_middle(middle: np.ndarray, at: World) -> np.ndarray:
+    """-> (J, 3) rotation vectors from `middle` (J, 3, 3) to the joints, 0 where a joint is not free."""
+    return rotvec(at.local @ np.swapaxes(middle, 1, 2)) * at.tree.free[:, None]
+
+
+def whitened(information: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """-> (J, 3) residuals (J, 3) over their standard deviations; information (J, 3, 3) symmetric."""
+    values, vectors = np.linalg.eigh(information)
+    root = vectors * np.sqrt(np.maximum(values, 0))[:, None] @ np.swapaxes(vectors, 1, 2)
+    return np.einsum("jab,jb->ja", root, residual)
+
+
+# each kind's residuals, (n, d) over their standard deviations: n of them, d numbers each, which are robust together
+
+
+def of_points(term: Points, at: World) -> np.ndarray:
+    return placed(term.joints, term.places, at) - term.seen[0]
+
+
+def of_directions(term: Directions, at: World) -> np.ndarray:
+    return np.einsum("kab,kb->ka", at.rotation[term.joints], term.along) - term.seen[0]
+
+
+def of_orientations(term: Orientations, at: World) -> np.ndarray:
+    return rotvec(at.rotation[term.joints] @ np.swapaxes(term.seen[0], 1, 2))
+
+
+def of_views(term: Views, at: World) -> np.ndarray:
+    point = placed(term.joints, term.places, at)
+    before = np.einsum("kab,kb->ka", term.rotation[term.cameras], point) + term.translation[term.cameras]
+    flat = before[:, :2] / np.where(term.perspective[term.cameras], before[:, 2], 1.0)[:, None]
+    return flat - term.seen[0]
+
+
+def of_targets(term: Targets, at: World) -> np.ndarray:
+    turned = whitened(term.information[0], from_middle(term.rotations[0], at))
+    return np.r_[turned, (np.sqrt(term.root_information[0]) * (at.position[0] - term.root[0]))[None]]
+
+
+def of_limits(term: Limits, at: World) -> np.ndarray:
+    vector = from_middle(term.middle, at)
+    excess = vector - np.clip(vector, term.low, term.high)
+    return np.sqrt(term.weight) * excess[1:] * at.tree.free[1:, None]
+
+
+def of_latent(term: Latent, at: World) -> np.ndarray:
+    code = at.shared[: term.at.shape[1]]
+    decoded = term.decoded[0] + term.jacobian[0] @ (code - term.at[0])
+    away = (from_middle(term.middle, at) - decoded) * at.tree.free[:, None]
+    return np.r_[whitened(term.information, away).ravel(), code][:, None]
+
+
+def of_distances(term: Distances, at: World) -> np.ndarray:
+    ends = [placed(term.joints[:, e], term.places[:, e], at) for e in (0, 1)]
+    away = np.linalg.norm(ends[1] - ends[0], axis=1) - term.length[0]
+    return (np.sqrt(term.weight[0]) * away)[:, None]
+
+
+def of_whole(term: Whole, at: World) -> np.ndarray:
+    total = term.value[0] + (term.gradient[0] * from_middle(term.at[0], at)).sum()
+    return np.sqrt(term.weight[0]) * np.array([[total]])
+
+
+OF = {
+    Points: of_points,
+    Directions: of_directions,
+    Orientations: of_orientations,
+    Views: of_views,
+    Targets: of_targets,
+    Limits: of_limits,
+    Latent: of_latent,
+    Distances: of_distances,
+    Whole: of_whole,
+}
+ROBUST = (Points, Directions, Orientations, Views)
+
+
+def residual(term, at: World) -> np.ndarray:
+    """-> (n, d) a term's residuals over their standard deviations, nothing of what does not weigh."""
+    if not isinstance(term, ROBUST):
+        return OF[type(term)](term, at)
+    heard = term.weight[0] > 0
+    with np.errstate(invalid="ignore"):
+        return (OF[type(term)](term, at) * np.sqrt(term.weight[0])[:, None])[heard]
+
+
+def loss(kind: int, square: np.ndarray, scale2: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> cost and weight of squared residuals, as Geman & McClure (1987) and Huber (1964) print them."""
+    if scale2 == np.inf:
+        return square / 2, np.ones_like(square)
+    if kind == HUBER:
+        s, c = np.sqrt(square), np.sqrt(scale2)
+        return np.where(s <= c, s**2 / 2, c * s - c**2 / 2), np.minimum(1.0, c / np.maximum(s, 1e-300))
+    return scale2 * square / (scale2 + square) / 2, (scale2 / (scale2 + square)) ** 2
+
+
+def moved(frame: Frame, x: np.ndarray) -> Frame:
+    """-> the frame after the change x (N,): each joint turned about world axes, in its parent as it stands."""
+    tree, rotation, after = frame.tree, world(*frame[:1], *frame[2:]).rotation, frame.local.copy()
+    after[0] = Rotation.from_rotvec(x[:3]).as_matrix() @ frame.local[0]
     for n, j in enumerate(np.flatnonzero(tree.free[1:]) + 1):
         parent = rotation[tree.parents[j]]
-        after[j] = parent.T @ Rotation.from_rotvec(x[6 + 3 * n : 9 + 3 * n]).as_matrix() @ parent @ local[j]
-    return root + x[3:6], after
+        after[j] = parent.T @ Rotation.from_rotvec(x[6 + 3 * n : 9 + 3 * n]).as_matrix() @ parent @ frame.local[j]
+    return frame._replace(root=frame.root + x[3:6], local=after, shared=frame.shared + x[len(x) - len(frame.shared) :])
 
 
-def residuals(problem: Frame) -> np.ndarray:
-    """-> every residual over its standard deviation: markers, free joints' pulls, the root's."""
-    body, attached, seen, weight, pull, root, local = problem
-    away = (markers(attached, *forward(body, root, local)) - seen) * np.sqrt(weight)[:, None]
-    turned = Rotation.from_matrix(local @ np.swapaxes(pull.rotations, 1, 2)).as_rotvec()[body.free]
-    upper = np.swapaxes(np.linalg.cholesky(pull.information[body.free]), 1, 2)
-    shifted = (root - pull.root) * np.sqrt(pull.root_information)
-    return np.r_[away.ravel(), np.einsum("jab,jb->ja", upper, turned).ravel(), shifted]
-
-
-def pose_residuals(problem: Frame) -> Callable[[np.ndarray], np.ndarray]:
-    """-> the residuals as a function of the change x (N,) of the pose."""
-
-    def of(x: np.ndarray) -> np.ndarray:
-        root, local = moved(problem.tree, problem.root, problem.local, x)
-        return residuals(problem._replace(root=root, local=local))
-
-    return of
-
-
-def unknowns(tree: Tree) -> int:
+def unknowns(frame: Frame) -> int:
     """-> N, the length of a pose's change."""
-    return 3 + 3 * int(tree.free.sum())
+    return 3 + 3 * int(frame.tree.free.sum()) + len(frame.shared)
 
 
 def jacobian(function: Callable[[np.ndarray], np.ndarray], count: int, step: float = 1e-5) -> np.ndarray:
@@ -113,18 +172,30 @@ def jacobian(function: Callable[[np.ndarray], np.ndarray], count: int, step: flo
     return np.stack([(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(count)], axis=-1)
 
 
-def body_jacobians(tree: Tree, arm: np.ndarray) -> np.ndarray:
-    """-> (J, 6, N) how each body's twist, about the common origin of the joints' places `arm` (J, 3), follows from x."""
-    whole = np.zeros((len(arm), 6, unknowns(tree)))
-    whole[0, :, :6] = np.eye(6)
-    column = 6
-    for j, p in list(enumerate(tree.parents))[1:]:
-        whole[j] = whole[p]
-        if tree.free[j]:
-            whole[j, :3, column : column + 3] = np.eye(3)
-            whole[j, 3:, column : column + 3] = cross(arm[j])
-            column += 3
-    return whole
+def cost(frame: Frame, scale2: float = np.inf) -> float:
+    """-> half the sum of squares, robust where a term is."""
+    return quadratic(frame, scale2, slopes=False)[0]
+
+
+def quadratic(frame: Frame, scale2: float = np.inf, slopes: bool = True) -> tuple[float, np.ndarray, np.ndarray]:
+    """-> cost, J'Wr (N,) and J'WJ (N, N) of all terms, J by differences, W the robust weights."""
+    count, total = unknowns(frame), 0.0
+    gradient, curvature = np.zeros(count), np.zeros((count, count))
+    for term in frame.terms:
+
+        def of(x, term=term):
+            after = moved(frame, x)
+            return residual(term, world(*after[:1], *after[2:]))
+
+        r = of(np.zeros(count))
+        scale = scale2 if isinstance(term, ROBUST) else np.inf
+        part, weight = loss(getattr(term, "loss", 0), (r**2).sum(1), scale)
+        total += part.sum()
+        if slopes and r.size:
+            slope = jacobian(of, count)
+            gradient += np.einsum("ndx,n,nd->x", slope, weight, r)
+            curvature += np.einsum("ndx,n,ndy->xy", slope, weight, slope)
+    return float(total), gradient, curvature
 
 
 def cross(v: np.ndarray) -> np.ndarray:
@@ -132,12 +203,30 @@ def cross(v: np.ndarray) -> np.ndarray:
     return np.cross(v, np.eye(3)).T
 
 
-def one(pull: Pull) -> Pull:
-    """-> a frame's pull as the pull of a take of one frame."""
-    root_information = np.array([float(pull.root_information)])
-    return Pull(pull.rotations[None], pull.information[None], pull.root[None], root_information)
+def twists(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """-> how bodies' twists (J, 6, N), joints' own turns (J, 3, N) and the shared unknowns (P, N) follow from x."""
+    joints, shared = len(tree.parents), len(system.shared_g)
+    count = 3 + 3 * int(tree.free.sum()) + shared
+    twist, turn = np.zeros((joints, 6, count)), np.zeros((joints, 3, count))
+    twist[0, :, :6], column = np.eye(6), 6
+    for j, p in list(enumerate(tree.parents))[1:]:
+        twist[j] = twist[p]
+        twist[j, 3:, count - shared :] += system.shift[j]
+        if tree.free[j]:
+            turn[j, :, column : column + 3] = np.eye(3)
+            twist[j, :3] += turn[j]
+            twist[j, 3:] += cross(system.arm[j]) @ turn[j]
+            column += 3
+    return twist, turn, np.eye(count)[count - shared :]
 
 
-def no_pull(joints: int) -> Pull:
-    """-> a pull on any frame that pulls nothing."""
-    return Pull(np.tile(np.eye(3), (1, joints, 1, 1)), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1))
+def assembled(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray]:
+    """-> gradient (N,) and curvature (N, N) of a system as one whole quadratic in x."""
+    twist, turn, shared = twists(tree, system)
+    among = np.tril(system.shared) + np.tril(system.shared, -1).T
+    crossed = (np.einsum("jan,jap->np", twist, system.cross) + np.einsum("jan,jap->np", turn, system.own_cross)) @ shared
+    rows = np.einsum("mja,jan->mn", system.rows, twist) + np.einsum("mja,jan->mn", system.rows_own, turn)
+    bodies, joints = np.swapaxes(twist, 1, 2) @ system.h @ twist, np.swapaxes(turn, 1, 2) @ system.own @ turn
+    curvature = bodies.sum(0) + joints.sum(0) + shared.T @ among @ shared + crossed + crossed.T + rows.T @ rows
+    gradient = np.einsum("jan,ja->n", twist, system.g) + np.einsum("jan,ja->n", turn, system.b)
+    return gradient + shared.T @ system.shared_g + rows.T @ system.away, curvature

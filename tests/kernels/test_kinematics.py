@@ -4,11 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.kernels import kinematics
-from mocapfix.kernels.levenberg import Attached
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
-from tests.kernels import dense
+from tests.kernels import dense, drawn
 
 FRAMES = 4
 
@@ -26,17 +25,17 @@ def skeleton_of(tree):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 15))
 def test_joints_and_markers_lie_where_a_walk_down_the_tree_leads(seed, joints):
     rng = np.random.default_rng(seed)
-    tree = dense.tree(rng, joints)
-    root, local = rng.normal(size=(FRAMES, 3)), np.stack([dense.rotations(rng, joints) for _ in range(FRAMES)])
+    tree = drawn.tree(rng, joints)
+    root, local = rng.normal(size=(FRAMES, 3)), np.stack([drawn.rotations(rng, joints) for _ in range(FRAMES)])
     position, rotation = kinematics.world(skeleton_of(tree), motion_of(root, local))
-    on = Attached(rng.integers(joints, size=5), rng.normal(size=(5, 3)))
-    subject = Subject(skeleton_of(tree), "", tuple("abcde"), on.joints, on.places, np.ones(5))
+    on, places = rng.integers(joints, size=5), rng.normal(size=(5, 3))
+    subject = Subject(skeleton_of(tree), "", tuple("abcde"), on, places, np.ones(5))
     carried = kinematics.markers(subject, position, rotation)
     for t in range(FRAMES):
-        expected = dense.forward(tree, root[t], local[t])
-        np.testing.assert_allclose(position[t], expected[0], atol=1e-12)
-        np.testing.assert_allclose(rotation[t], expected[1], atol=1e-12)
-        np.testing.assert_allclose(carried[t], dense.markers(on, *expected), atol=1e-12)
+        expected = dense.world(tree, root[t], local[t])
+        np.testing.assert_allclose(position[t], expected.position, atol=1e-12)
+        np.testing.assert_allclose(rotation[t], expected.rotation, atol=1e-12)
+        np.testing.assert_allclose(carried[t], dense.placed(on, places, expected), atol=1e-12)
 
 
 @pytest.mark.parametrize(("axis", "hand"), [(1, [0, 2, -1]), (2, [0, 3, 0])])

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from mocapfix import marker_set, prior, synthetic
 from mocapfix.kernels import kinematics
-from mocapfix.kernels.registration import poses
+from mocapfix.kernels.registration import fitted, poses
 from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
-from tests.kernels import dense
+from tests.kernels import drawn
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN = prior.load("mean-pose", BODY.skeleton)
@@ -28,7 +28,7 @@ def standing(root, turn):
     local = np.tile(MEAN.rotations, (len(root), 1, 1, 1))
     local[:, 0] = turn
     zeros = np.zeros(len(root), int)
-    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)), np.zeros(local.shape[:2]))
+    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)))
     position, rotation = kinematics.world(BODY.skeleton, motion)
     return position, rotation, kinematics.markers(NOMINAL, position, rotation)
 
@@ -40,16 +40,35 @@ def posed(markers):
 @given(seeds)
 def test_a_rigid_motion_is_found_exactly(seed):
     rng = np.random.default_rng(seed)
-    position, rotation, markers = standing(rng.normal(0, 3, (4, 3)), dense.rotations(rng, 4))
+    position, rotation, markers = standing(rng.normal(0, 3, (4, 3)), drawn.rotations(rng, 4))
     found = posed(markers)
     world = kinematics.world(BODY.skeleton, found)
     np.testing.assert_allclose(world[0], position, atol=1e-9)
     np.testing.assert_allclose(world[1], rotation, atol=1e-8)
 
 
+@given(seeds, st.sampled_from([0, 1, 2, 3]))
+def test_what_is_fitted_is_never_a_reflection(seed, rank):
+    rng = np.random.default_rng(seed)
+    model, measured = rng.normal(size=(2, 5, 6, 3))
+    model[..., rank:] = measured[..., rank:] = 0.0  # at one point, collinear, coplanar, in space
+    found = fitted(np.einsum("tka,tkb->tab", measured, model))
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+
+
+@given(seeds)
+def test_a_mirrored_cloud_gets_the_best_rotation_there_is(seed):
+    rng = np.random.default_rng(seed)
+    model = rng.normal(size=(6, 3))
+    cross = (model * [-1, 1, 1]).T @ model
+    best = np.trace(fitted(cross[None])[0].T @ cross)
+    assert best >= max(np.trace(each.T @ cross) for each in drawn.rotations(rng, 200)) - 1e-9
+
+
 def test_a_coplanar_trunk_is_not_turned_inside_out():
     flat = replace(NOMINAL, places=np.where(TRUNK[:, None], NOMINAL.places * [1, 1, 0], NOMINAL.places))
-    turn = dense.rotations(np.random.default_rng(1), 1)
+    turn = drawn.rotations(np.random.default_rng(1), 1)
     position, rotation, _ = standing(np.ones((1, 3)), turn)
     found = poses(flat, BODY.free, MEAN, kinematics.markers(flat, position, rotation))
     np.testing.assert_allclose(np.linalg.det(found.rotations), 1.0)
@@ -58,8 +77,8 @@ def test_a_coplanar_trunk_is_not_turned_inside_out():
 
 def test_a_frame_without_its_trunk_takes_the_root_from_its_neighbours():
     rng = np.random.default_rng(2)
-    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), dense.rotations(rng, 1).repeat(11, 0)
-    turn[8:] = dense.rotations(rng, 1)
+    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), drawn.rotations(rng, 1).repeat(11, 0)
+    turn[8:] = drawn.rotations(rng, 1)
     _, _, markers = standing(root, turn)
     markers[3:8, TRUNK] = np.nan
     markers[:2] = np.nan

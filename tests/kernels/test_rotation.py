@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import rotation
-from tests.kernels import dense
+from tests.kernels import dense, drawn
 
 ANGLES = [0.0, 1e-300, 1e-12, 1e-8, 1e-5, 9.9e-5, 1.01e-4, 1e-3, 0.3, 2.0, np.pi - 1e-3, np.pi - 1e-7, np.pi - 1e-12, np.pi]
 AXES = [(1, 0, 0), (0, -1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 1), (-0.2, 0.5, 3)]
@@ -15,15 +15,20 @@ vectors = st.tuples(st.sampled_from(ANGLES) | st.floats(0, np.pi), st.integers(0
 
 
 def turned(vector):
-    out = np.empty((3, 3))
-    rotation.exponential(float(vector[0]), float(vector[1]), float(vector[2]), out)
-    return out
+    return np.reshape(rotation.exponential(*map(float, vector)), (3, 3))
+
+
+def numbers(matrix):
+    return tuple(map(float, np.ravel(matrix)))
 
 
 def vector_of(matrix):
-    out = np.empty(3)
-    rotation.logarithm(np.ascontiguousarray(matrix), out)
-    return out
+    return np.array(rotation.logarithm(numbers(matrix))[:3])
+
+
+def jacobian_inverse(vector):
+    """-> (3, 3) at the rotation of a vector no longer than half a turn"""
+    return np.reshape(rotation.left_jacobian_inverse(*rotation.logarithm(numbers(turned(vector)))), (3, 3))
 
 
 def of(angle, seed):
@@ -66,30 +71,39 @@ def test_half_a_turn_about_an_axis_has_length_pi_along_it(matrix):
     np.testing.assert_allclose(np.abs(vector_of(matrix)), np.pi * (np.diag(matrix) > 0))
 
 
+@given(st.floats(0, 50), st.integers(0, 2**32 - 1))
+def test_the_retraction_is_a_rotation_about_the_same_axis(length, seed):
+    vector = of(length, seed)
+    matrix = np.reshape(rotation.retraction(*map(float, vector)), (3, 3))
+    about = 2 * np.arctan(length / 2) * vector / max(length, 1e-300)
+    np.testing.assert_allclose(matrix, turned(about), atol=1e-13)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_retraction_agrees_with_the_exponential_to_second_order(seed):
+    for length in (1e-2, 1e-3):
+        vector = of(length, seed)
+        difference = np.reshape(rotation.retraction(*map(float, vector)), (3, 3)) - turned(vector)
+        assert np.abs(difference).max() < length**3 / 6
+
+
 @given(st.sampled_from([0.0, 1e-6, 9e-4, 1.1e-3]) | st.floats(0, 3.0), st.integers(0, 2**32 - 1))
 def test_left_jacobian_inverse_is_the_logarithms_derivative(angle, seed):
-    vector, found = of(angle, seed), np.empty((3, 3))
-    rotation.left_jacobian_inverse(vector, found)
+    vector = of(angle, seed)
     there = turned(vector)
-    np.testing.assert_allclose(found, dense.jacobian(lambda d: vector_of(turned(d) @ there), 3), atol=1e-8)
+    found = dense.jacobian(lambda d: vector_of(turned(d) @ there), 3)
+    np.testing.assert_allclose(jacobian_inverse(vector), found, atol=1e-8)
 
 
 def test_left_jacobian_inverse_stays_finite_at_half_a_turn():
-    found = np.empty((3, 3))
-    rotation.left_jacobian_inverse(np.array([np.pi, 0.0, 0.0]), found)
+    found = jacobian_inverse(np.array([np.pi, 0.0, 0.0]))
     np.testing.assert_allclose(found, [[1, 0, 0], [0, 0, np.pi / 2], [0, -np.pi / 2, 0]], atol=1e-12)
 
 
-def test_orthonormalise_mends_a_rotation_that_has_drifted():
-    drifted = dense.rotations(np.random.default_rng(1), 1)[0]
-    mended = drifted + np.random.default_rng(2).normal(0, 1e-4, (3, 3))
-    rotation.orthonormalise(mended)
+def test_orthonormalised_mends_a_rotation_that_has_drifted():
+    drifted = drawn.rotations(np.random.default_rng(1), 1)[0]
+    worse = drifted + np.random.default_rng(2).normal(0, 1e-4, (3, 3))
+    mended = np.reshape(rotation.orthonormalised(numbers(worse)), (3, 3))
     np.testing.assert_allclose(mended @ mended.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(mended, drifted, atol=1e-3)
     assert np.linalg.det(mended) == pytest.approx(1)
-
-
-def test_multiply_is_the_matrix_product():
-    a, b, out = *np.random.default_rng(0).normal(size=(2, 3, 3)), np.empty((3, 3))
-    rotation.multiply(a, b, out)
-    np.testing.assert_allclose(out, a @ b)

@@ -2,31 +2,65 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.small import cholesky_inverse_6, inverse_3
-from tests.kernels import dense
+from mocapfix.kernels import small
+from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
 
 
+def test_nine_numbers_are_a_matrix():
+    rng = np.random.default_rng(0)
+    stack, vector = rng.normal(size=(2, 3, 3)), rng.normal(size=3)
+    a, b = small.matrix(stack, 0), small.matrix(stack, 1)
+    np.testing.assert_array_equal(a, stack[0].ravel())
+    np.testing.assert_allclose(small.product(a, b), (stack[0] @ stack[1]).ravel(), rtol=1e-14)
+    np.testing.assert_array_equal(small.transposed(a), stack[0].T.ravel())
+    np.testing.assert_allclose(small.times(a, *map(float, vector)), stack[0] @ vector, rtol=1e-14)
+    small.put(a, stack, 1)
+    np.testing.assert_array_equal(stack[1], stack[0])
+
+
 @given(seeds, st.floats(-6, 6))
-def test_inverse_3_inverts(seed, power):
-    matrix, out = dense.spd(np.random.default_rng(seed), 1, 3, 10.0**power)[0], np.empty((3, 3))
-    inverse_3(matrix, out)
-    np.testing.assert_allclose(out @ matrix, np.eye(3), atol=1e-9)
-    np.testing.assert_array_equal(out, out.T)
+def test_inverse_3_inverts_in_place(seed, power):
+    stack = drawn.spd(np.random.default_rng(seed), 3, 3, 10.0**power)
+    out = stack.copy()
+    l10, l20, l21, *d = small.inverse_3(out, 1)
+    np.testing.assert_allclose(out[1] @ stack[1], np.eye(3), atol=1e-9)
+    np.testing.assert_array_equal(out[1], out[1].T)
+    np.testing.assert_array_equal(out[[0, 2]], stack[[0, 2]])
+    lower = np.array([[1, 0, 0], [l10, 1, 0], [l20, l21, 1]])
+    np.testing.assert_allclose(lower / d @ lower.T, stack[1], rtol=1e-9, atol=1e-12 * 10.0**power)
 
 
-@given(seeds, st.floats(-3, 6))
-def test_cholesky_inverse_6_inverts_in_place(seed, power):
-    matrix = dense.spd(np.random.default_rng(seed), 1, 6, 10.0**power)[0]
+@given(seeds, st.integers(0, 12), st.floats(-3, 6))
+def test_cholesky_inverse_inverts_in_place(seed, size, power):
+    matrix = drawn.spd(np.random.default_rng(seed), 1, size, 10.0**power)[0]
     out = matrix.copy()
-    cholesky_inverse_6(out)
-    np.testing.assert_allclose(out @ matrix, np.eye(6), atol=1e-9)
+    small.cholesky_inverse(out)
+    np.testing.assert_allclose(out @ matrix, np.eye(size), atol=1e-8)
     np.testing.assert_array_equal(out, out.T)
+
+
+@given(seeds, st.integers(0, 12))
+def test_cholesky_solves(seed, size):
+    rng = np.random.default_rng(seed)
+    matrix, x = drawn.spd(rng, 1, size)[0], rng.normal(size=size)
+    factor, found = matrix.copy(), x.copy()
+    factor[np.triu_indices(size, 1)] = np.nan  # the lower triangle is enough
+    small.cholesky(factor)
+    small.cholesky_solve(factor, found)
+    np.testing.assert_allclose(matrix @ found, x, atol=1e-8)
+    np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-10)
 
 
 def test_a_direction_that_nothing_holds_is_all_but_free_and_does_not_spoil_the_others():
     held = np.diag([4.0, 0, 9, 0, 1, 25])
-    cholesky_inverse_6(held)
+    small.cholesky_inverse(held)
     np.testing.assert_allclose(np.diag(held), [1 / 4, 1e9, 1 / 9, 1e9, 1, 1 / 25])
     np.testing.assert_array_equal(held - np.diag(np.diag(held)), 0)
+
+
+def test_a_joint_that_nothing_holds_is_held():
+    stack = np.zeros((1, 3, 3))
+    small.inverse_3(stack, 0)
+    np.testing.assert_array_equal(stack, 0)

@@ -1,79 +1,98 @@
-"""The sweep in linear time against the same quadratic written out whole and solved densely."""
+"""The direction in linear time against the same quadratic written out whole and solved densely."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels import sweep
-from tests.kernels import dense
+from mocapfix.kernels.levenberg import direction, workspace
+from tests.kernels import dense, drawn
+from tests.kernels.model import worked
 
-seeds, sizes = st.integers(0, 2**32 - 1), st.integers(1, 16)
+seeds, sizes, dampings = st.integers(0, 2**32 - 1), st.integers(1, 16), st.sampled_from([1e-3, 1.0, 100.0])
+ROUNDING = np.finfo(float).eps
 
 
-class Quadratic:
-    """A random quadratic on a random tree, as the sweep takes it and as one matrix.
+def random_work(rng, tree, unknowns, rows):
+    """-> a workspace whose system is random but for being positive semidefinite, sparse as terms on some bodies leave it."""
+    joints = len(tree.parents)
+    work = workspace(joints, unknowns, rows)
+    s = work.system
+    s.shared[:] = 0.0
+    for size, curvature, crossed in ((6, s.h, s.cross), (3, s.own, s.own_cross)):
+        half = rng.normal(size=(joints, size, size + unknowns)) * rng.integers(0, 2, (joints, size, 1))
+        half[0] *= size == 6  # the root's own turn is part of its twist
+        both = np.swapaxes(half, 1, 2) @ half
+        curvature[:], crossed[:] = both[:, :size, :size], both[:, :size, size:]
+        s.shared[:] += both[:, size:, size:].sum(0)
+    for each in (s.g, s.b, s.shared_g, s.rows, s.rows_own, s.away):
+        each[:] = rng.normal(size=each.shape)
+    s.arm[:], s.shift[:] = rng.normal(size=s.arm.shape), rng.normal(size=s.shift.shape)
+    s.arm[0] = s.shift[0] = s.b[0] = s.rows_own[:, 0] = 0.0
+    return work
 
-    Curvature on bodies is that of random markers, from none to three to a body; on joints it is random; on the root full.
+
+def check(tree, work, damping):
+    """The work's direction is the dense one, and promises the model's fall: to 1e-9 of its largest number or, where even the
+    dense solve cannot know it so well, to the rounding times the condition number.
     """
-
-    def __init__(self, seed, joints, damping):
-        rng = np.random.default_rng(seed)
-        self.tree = dense.tree(rng, joints)
-        self.arm, self.mu = np.r_[np.zeros((1, 3)), rng.normal(size=(joints - 1, 3))], damping
-        self.h, self.g = np.zeros((joints, 6, 6)), rng.normal(size=(joints, 6))
-        for j in np.repeat(np.arange(joints), rng.integers(0, 4, joints)):
-            point = np.hstack([-dense.cross(rng.normal(size=3)), np.eye(3)])
-            self.h[j] += rng.uniform(0.1, 10) * point.T @ point
-        self.h[0] += dense.spd(rng, 1, 6)[0]
-        self.own, self.b = dense.spd(rng, joints, 3), rng.normal(size=(joints, 3))
-        self.own[0] = self.b[0] = 0.0
-        self.jacobian = dense.body_jacobians(self.tree, self.arm)
-
-    def whole(self):
-        """-> curvature (N, N) and gradient (N,)"""
-        turning = np.flatnonzero(self.tree.free[1:]) + 1
-        curvature = np.einsum("jan,jab,jbm->nm", self.jacobian, self.h, self.jacobian) + self.mu * np.eye(self.jacobian.shape[2])
-        gradient = np.einsum("jan,ja->n", self.jacobian, self.g)
-        for n, j in enumerate(turning):
-            at = slice(6 + 3 * n, 9 + 3 * n)
-            curvature[at, at] += self.own[j]
-            gradient[at] += self.b[j]
-        return curvature, gradient
-
-    def factored(self):
-        """-> root's inverse, gains and inverse own curvatures"""
-        joints = len(self.arm)
-        h, gain, inverse_own = self.h.copy(), np.empty((joints, 6, 3)), np.empty((joints, 3, 3))
-        sweep.factor(self.tree.parents, self.tree.free, self.arm, h, self.own, self.mu, gain, inverse_own)
-        return h[0], gain, inverse_own
+    gradient, curvature = dense.assembled(tree, work.system)
+    twist, turn, shared = dense.twists(tree, work.system)
+    damped = curvature + damping * np.eye(len(gradient))
+    x, relative = np.linalg.solve(damped, -gradient), max(1e-9, 20 * ROUNDING * np.linalg.cond(damped))
+    promised = direction(tree, work, damping)
+    for found, expected in ((work.step.twist, twist @ x), (work.step.turn, turn @ x), (work.step.shared, shared @ x)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max(initial=1e-9))
+    assert promised == pytest.approx(-gradient @ x - 0.5 * x @ curvature @ x, rel=relative, abs=1e-12)
 
 
-def close(found, expected, relative):
-    np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max(initial=1e-3))
+@given(seeds, sizes, st.integers(0, 10), st.integers(0, 4), dampings)
+def test_of_any_quadratic(seed, joints, unknowns, rows, damping):
+    rng = np.random.default_rng(seed)
+    tree = drawn.tree(rng, joints)
+    check(tree, random_work(rng, tree, unknowns, rows), damping)
 
 
-@given(seeds, sizes, st.sampled_from([0.0, 1e-3, 1.0, 100.0]))
-def test_the_step_is_the_dense_one(seed, joints, damping):
-    problem = Quadratic(seed, joints, damping)
-    twist, turn = np.empty((joints, 6)), np.empty((joints, 3))
-    factors = problem.factored()
-    sweep.solve(problem.tree.parents, problem.tree.free, problem.arm, *factors, problem.g.copy(), problem.b, twist, turn)
-    curvature, gradient = problem.whole()
-    x = np.linalg.solve(curvature, -gradient)
-    close(twist, problem.jacobian @ x, 1e-9)
-    close(turn[1:][problem.tree.free[1:]], x[6:].reshape(-1, 3), 1e-9)
-    np.testing.assert_array_equal(turn[1:][~problem.tree.free[1:]], 0)
-    np.testing.assert_array_equal(turn[0], 0)
+@given(seeds, sizes, st.integers(0, 10), st.sampled_from([np.inf, 9.0]), dampings)
+def test_of_all_terms_on_a_body_of_unknown_shape(seed, joints, shapes, scale2, damping):
+    frame = drawn.frame(np.random.default_rng(seed), joints, shapes=shapes)
+    check(frame.tree, worked(frame, scale2)[1], damping)
 
 
-@given(seeds, sizes)
-def test_covariances_are_the_dense_inverses_blocks(seed, joints):
-    problem = Quadratic(seed, joints, 0.0)
-    spread, turn_variance = np.empty((joints, 6, 6)), np.empty(joints)
-    sweep.covariance(problem.tree.parents, problem.tree.free, problem.arm, *problem.factored(), spread, turn_variance)
-    inverse = np.linalg.inv(problem.whole()[0])
-    close(spread, problem.jacobian @ inverse @ np.swapaxes(problem.jacobian, 1, 2), 1e-9)
-    diagonal = np.diag(inverse)
-    close(turn_variance[0], diagonal[:3].mean(), 1e-9)
-    close(turn_variance[1:][problem.tree.free[1:]], diagonal[6:].reshape(-1, 3).mean(1), 1e-9)
-    np.testing.assert_array_equal(turn_variance[1:][~problem.tree.free[1:]], 0)
+@given(seeds, sizes, st.integers(1, 32), dampings)
+def test_of_all_terms_with_a_code(seed, joints, codes, damping):
+    frame = drawn.frame(np.random.default_rng(seed), joints, codes=codes)
+    check(frame.tree, worked(frame)[1], damping)
+
+
+@given(seeds, sizes, st.sampled_from([1e-4, 1e-7, 1e-10, 1e-12]), st.sampled_from([1e4, 1e8]))
+def test_of_what_is_hardly_held(seed, joints, share, sharp):
+    """A few markers, some of them very sure: many unknowns are held by the damping alone, a `share` of the largest curvature.
+
+    The condition number is 1 / share, and the sweep shall lose no more digits by it than the dense solve does.
+    """
+    rng = np.random.default_rng(seed)
+    frame = drawn.frame(rng, joints, ["points", "limits", "distances"])
+    points = frame.terms[0]
+    points.weight[:, ::2] = sharp
+    points.weight[:, rng.random(points.weight.shape[1]) < 0.5] = 0.0
+    _, work = worked(frame)
+    largest = np.linalg.eigvalsh(dense.assembled(frame.tree, work.system)[1]).max()
+    check(frame.tree, work, share * max(largest, 1.0))
+
+
+def test_a_joint_that_nothing_holds_stays_and_does_not_spoil_the_others():
+    """Without damping: the joint's own block has no inverse."""
+    rng = np.random.default_rng(5)
+    tree = drawn.tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
+    work = random_work(rng, tree, 0, 0)
+    work.system.h[:] = drawn.spd(rng, 3, 6)
+    work.system.own[1:] = drawn.spd(rng, 2, 3)
+    for loose in (work.system.h, work.system.g, work.system.own, work.system.b):
+        loose[2] = 0.0
+    gradient, curvature = dense.assembled(tree, work.system)
+    direction(tree, work, 0.0)
+    np.testing.assert_array_equal(work.step.turn[2], 0)
+    held = slice(0, 9)
+    x = np.linalg.solve(curvature[held, held], -gradient[held])
+    np.testing.assert_allclose(np.r_[work.step.twist[0], work.step.turn[1]], x, rtol=1e-9)

@@ -1,0 +1,172 @@
+"""Random bodies, poses and terms, and what says nothing of each kind.
+
+Every test hands the kernels one tuple with all kinds of terms, so that they are compiled once.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.terms import (
+    GEMAN_MCCLURE,
+    HUBER,
+    Directions,
+    Distances,
+    Latent,
+    Limits,
+    Orientations,
+    Points,
+    Targets,
+    Views,
+    Whole,
+)
+from tests.kernels import dense
+
+KINDS = ("points", "directions", "orientations", "views", "targets", "limits", "latent", "distances", "whole")
+FREE_CAMERA = np.array([0.0, 0.0, 8.0])  # metres: what is within three metres of the origin lies before it
+
+
+def tree(rng: np.random.Generator, joints: int, shapes: int = 0) -> Tree:
+    """-> a random tree: about every fourth joint is fixed, the root never."""
+    parents = np.array([-1, *(rng.integers(j) for j in range(1, joints))])
+    free = rng.random(joints) < 0.75
+    free[0] = True
+    return Tree(parents, rng.normal(0, 0.3, (joints, 3)), free, rng.normal(0, 0.1, (shapes, joints, 3)))
+
+
+def spd(rng: np.random.Generator, count: int, size: int, scale: float = 1.0) -> np.ndarray:
+    """-> (count, size, size) random symmetric positive definite matrices."""
+    half = rng.normal(size=(count, size, size))
+    return scale * (half @ np.swapaxes(half, 1, 2) + 0.1 * np.eye(size))
+
+
+def rotations(rng: np.random.Generator, count: int, largest: float = 3.0) -> np.ndarray:
+    """-> (count, 3, 3) random rotations, each by up to `largest` radians."""
+    return Rotation.from_rotvec(rng.uniform(-largest, largest, (count, 3)) / np.sqrt(3)).as_matrix().reshape(-1, 3, 3)
+
+
+def units(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """-> (*shape, 3) random directions."""
+    v = rng.normal(size=(*shape, 3))
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def nothing(joints: int, frames: int = 1) -> dict:
+    """-> a term of every kind that says nothing."""
+    one, eye = np.zeros(0, int), np.tile(np.eye(3), (joints, 1, 1))
+    return {
+        "points": Points(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
+        "directions": Directions(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
+        "orientations": Orientations(one, np.zeros((frames, 0, 3, 3)), np.zeros((frames, 0))),
+        "views": Views(
+            one, np.zeros((0, 3)), one, np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros((frames, 0, 2)),
+            np.zeros((frames, 0)),
+        ),
+        "targets": Targets(eye[None].copy(), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1)),
+        "limits": Limits(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
+        "latent": Latent(
+            eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3))
+        ),
+        "distances": Distances(np.zeros((0, 2), int), np.zeros((0, 2, 3)), np.zeros((1, 0)), np.zeros((1, 0))),
+        "whole": Whole(
+            np.zeros(frames), np.zeros((frames, joints, 3)), np.tile(np.eye(3), (frames, joints, 1, 1)), np.zeros(frames)
+        ),
+    }  # fmt: skip
+
+
+def terms(joints: int, frames: int = 1, **said) -> tuple:
+    """-> the tuple of all kinds, those that are not `said` saying nothing."""
+    return tuple((nothing(joints, frames) | said)[kind] for kind in KINDS)
+
+
+def rows(every: tuple) -> int:
+    """-> how many rows the terms write: one a distance, and the whole's."""
+    return len(every[KINDS.index("distances")].joints) + 1
+
+
+def points(rng, at: dense.World, count: int, noise: float = 0.02) -> Points:
+    """-> markers on random joints, the first of them joints themselves, seen `noise` metres off."""
+    joints, places = rng.integers(len(at.local), size=count), rng.normal(0, 0.15, (count, 3))
+    places[: count // 3] = 0.0
+    seen = dense.placed(joints, places, at) + rng.normal(0, noise, (count, 3))
+    return Points(joints, places, seen[None], rng.uniform(1e2, 1e4, (1, count)), any_loss(rng))
+
+
+def any_loss(rng) -> int:
+    return int(rng.choice([GEMAN_MCCLURE, HUBER]))
+
+
+def directions(rng, at: dense.World, count: int) -> Directions:
+    joints = rng.integers(len(at.local), size=count)
+    return Directions(joints, units(rng, count), units(rng, 1, count), rng.uniform(1, 100, (1, count)), any_loss(rng))
+
+
+def orientations(rng, at: dense.World, count: int) -> Orientations:
+    joints = rng.integers(len(at.local), size=count)
+    seen = rotations(rng, count, 2.0) @ at.rotation[joints]
+    return Orientations(joints, seen[None], rng.uniform(1, 100, (1, count)), any_loss(rng))
+
+
+def views(rng, at: dense.World, count: int) -> Views:
+    """-> points as four cameras round the body see them, two of them perspective, two orthographic."""
+    joints, places = rng.integers(len(at.local), size=count), rng.normal(0, 0.15, (count, 3))
+    cameras, rotation = rng.integers(4, size=count), rotations(rng, 4)
+    translation = FREE_CAMERA - np.einsum("cab,b->ca", rotation, at.position.mean(0))
+    seen, weight = rng.normal(0, 0.1, (1, count, 2)), rng.uniform(1e2, 1e4, (1, count))
+    return Views(
+        joints, places, cameras, rotation, translation, np.array([True, False, True, False]), seen, weight, any_loss(rng)
+    )
+
+
+def targets(rng, at: dense.World) -> Targets:
+    information = spd(rng, len(at.local), 3, 30.0)
+    information[rng.random(len(information)) < 0.2] = 0.0
+    wanted = rotations(rng, len(at.local), 2.0) @ at.local
+    return Targets(wanted[None], information[None], at.position[:1] + rng.normal(0, 0.1, 3), rng.uniform(10, 200, 1))
+
+
+def limits(rng, at: dense.World) -> Limits:
+    """-> ranges that some joints keep to, some do not, and some have none."""
+    low = rng.uniform(-1, 0, (len(at.local), 3))
+    high = low + rng.uniform(0, 2, low.shape)
+    low[rng.random(low.shape) < 0.1], high[rng.random(low.shape) < 0.1] = -np.inf, np.inf
+    return Limits(rotations(rng, len(at.local), 2.0) @ at.local, low, high, float(rng.uniform(1, 1e3)))
+
+
+def latent(rng, at: dense.World) -> Latent:
+    """-> a decoder of all the shared unknowns; some joints it does not know."""
+    joints, size = len(at.local), len(at.shared)
+    information = spd(rng, joints, 3, 30.0)
+    information[rng.random(joints) < 0.2] = 0.0
+    decoded, slope = rng.normal(0, 0.3, (1, joints, 3)), rng.normal(0, 0.3, (1, joints, 3, size))
+    return Latent(rotations(rng, joints, 2.0) @ at.local, decoded, slope, rng.normal(size=(1, size)), information)
+
+
+def distances(rng, at: dense.World, count: int) -> Distances:
+    """-> between random points, about every third pair on one body; the last weighs nothing."""
+    joints = rng.integers(len(at.local), size=(count, 2))
+    joints[::3, 1] = joints[::3, 0]
+    weight = rng.uniform(1e2, 1e4, (1, count))
+    weight[:, -1:] = 0.0
+    return Distances(joints, rng.normal(0, 0.15, (count, 2, 3)), rng.uniform(0, 1, (1, count)), weight)
+
+
+def whole(rng, at: dense.World) -> Whole:
+    joints = len(at.local)
+    taken = rotations(rng, joints, 2.0) @ at.local
+    return Whole(rng.normal(size=1), rng.normal(size=(1, joints, 3)), taken[None], rng.uniform(0.1, 10, 1))
+
+
+def term(kind: str, rng, at: dense.World):
+    """-> a random term of a kind."""
+    counts = {"points": 9, "directions": 5, "orientations": 4, "views": 8, "distances": 4}
+    return globals()[kind](rng, at, *([counts[kind]] if kind in counts else []))
+
+
+def frame(rng: np.random.Generator, joints: int, kinds=KINDS, shapes: int = 0, codes: int = 0) -> dense.Frame:
+    """-> a random body in a random pose with random terms of some kinds; `shapes` or `codes` unknowns shared."""
+    body, root, local = tree(rng, joints, shapes), rng.normal(0, 1.0, 3), rotations(rng, joints)
+    shared = rng.normal(size=shapes + codes)
+    at = dense.world(body, root, local, shared)
+    spoken = [kind for kind in kinds if kind != "latent" or not shapes]
+    return dense.Frame(body, terms(joints, **{kind: term(kind, rng, at) for kind in spoken}), root, local, shared)

@@ -1,0 +1,51 @@
+"""The kernels' own work on a frame as the oracle draws it."""
+
+import numpy as np
+
+from mocapfix.kernels.levenberg import TAU, Workspace, solve_frames, workspace
+from mocapfix.kernels.pose import forward
+from mocapfix.kernels.system import System, linearise
+from mocapfix.kernels.threads import over_frames
+from mocapfix.kernels.uncertainty import uncertainties
+from tests.kernels import drawn
+from tests.kernels.dense import Frame
+
+
+def worked(frame: Frame, scale2: float = np.inf) -> tuple[float, Workspace]:
+    """-> cost, and the workspace with the model of the frame's terms at its pose."""
+    work = workspace(len(frame.local), len(frame.shared), drawn.rows(frame.terms))
+    work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
+    forward(frame.tree, work.pose)
+    return linearise(frame.tree, frame.terms, 0, float(scale2), work.pose, work.system), work
+
+
+def linearised(frame: Frame, scale2: float = np.inf) -> tuple[float, System]:
+    """-> cost, and the model."""
+    cost, work = worked(frame, scale2)
+    return cost, work.system
+
+
+def solved(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
+    """-> root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
+    root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
+    status, iterations = np.full(frames, -1), np.full(frames, -1)
+    over_frames(
+        solve_frames, frames, frame.tree, frame.terms, scales2, TAU, most, drawn.rows(frame.terms), root, local, shared, status,
+        iterations,
+    )  # fmt: skip
+    return root, local, shared, status, iterations
+
+
+def foretold(frame: Frame, scale2: float, root=None, local=None, shared=None):
+    """-> standard deviation of markers (T, K), variance of joints' turns (T, J) and of the root's place (T,), at the frame's
+    pose or at others.
+    """
+    given = zip(frame[2:], (root, local, shared), strict=True)
+    root, local, shared = (one[None] if many is None else many for one, many in given)
+    frames, joints = local.shape[:2]
+    marker_sd, joint_var, root_var = np.empty((frames, len(frame.terms[0].joints))), np.empty((frames, joints)), np.empty(frames)
+    over_frames(
+        uncertainties, frames, frame.tree, frame.terms, float(scale2), drawn.rows(frame.terms), root, local, shared, marker_sd,
+        joint_var, root_var,
+    )  # fmt: skip
+    return marker_sd, joint_var, root_var

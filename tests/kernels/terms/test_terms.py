@@ -1,0 +1,116 @@
+"""Every term's cost, gradient and Gauss-Newton curvature against finite differences of its residual, by one test."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels.terms import normalised
+from mocapfix.kernels.terms.robust import GEMAN_MCCLURE, HUBER, robust
+from tests.kernels import dense, drawn
+from tests.kernels.model import linearised
+
+seeds, sizes, scales = st.integers(0, 2**32 - 1), st.integers(1, 8), st.sampled_from([np.inf, 100.0, 9.0, 1.0])
+
+
+def check(frame, scale2):
+    """The model that the kernels make of a frame's terms is the differences' own."""
+    cost, system = linearised(frame, scale2)
+    expected_cost, *expected = dense.quadratic(frame, scale2)
+    assert cost == pytest.approx(expected_cost, rel=1e-10, abs=1e-15)
+    for found, should in zip(dense.assembled(frame.tree, system), expected, strict=True):
+        np.testing.assert_allclose(found, should, rtol=0, atol=1e-7 * max(1.0, np.abs(should).max()))
+
+
+@pytest.mark.parametrize("kind", drawn.KINDS)
+@given(seed=seeds, joints=sizes, scale2=scales)
+def test_a_terms_model_is_that_of_its_residuals(kind, seed, joints, scale2):
+    check(drawn.frame(np.random.default_rng(seed), joints, [kind], codes=3 if kind == "latent" else 0), scale2)
+
+
+@pytest.mark.parametrize(("shapes", "codes"), [(0, 0), (4, 0), (0, 5)])
+@given(seed=seeds, joints=sizes, scale2=scales)
+def test_terms_add_up_with_shape_and_with_a_code(shapes, codes, seed, joints, scale2):
+    check(drawn.frame(np.random.default_rng(seed), joints, shapes=shapes, codes=codes), scale2)
+
+
+def test_the_drawn_terms_show_every_side_of_themselves():
+    """So that the tests above are about something: cameras of both kinds, walls on either side, one body and two."""
+    frame = drawn.frame(np.random.default_rng(0), 8)
+    of = dict(zip(drawn.KINDS, frame.terms, strict=True))
+    assert len(set(of["views"].perspective[of["views"].cameras])) == 2
+    vector = dense.from_middle(of["limits"].middle, dense.world(*frame[:1], *frame[2:]))[frame.tree.free]
+    low, high = of["limits"].low[frame.tree.free], of["limits"].high[frame.tree.free]
+    assert (vector < low).any()
+    assert (vector > high).any()
+    assert ((vector >= low) & (vector <= high)).any()
+    assert len(set(of["distances"].joints[:, 0] == of["distances"].joints[:, 1])) == 2
+    assert not of["points"].places[0].any()
+    assert of["points"].places[-1].any()
+
+
+@pytest.mark.parametrize("kind", ["points", "directions", "orientations", "views"])
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300])
+def test_what_is_not_seen_or_cannot_be_is_not_listened_to(kind, wild):
+    frame = drawn.frame(np.random.default_rng(1), 4, [kind])
+    term = frame.terms[drawn.KINDS.index(kind)]
+    term.weight[0, 2] = 0.0
+    cost, without = linearised(frame, 9.0)
+    term.seen[0, 2] = wild
+    again, unseen = linearised(frame, 9.0)
+    term.weight[0, 2] = 1.0
+    absurd = linearised(frame, 9.0)
+    assert again == cost
+    for found, expected in zip(unseen, without, strict=True):
+        assert np.isfinite(expected).all()
+        np.testing.assert_array_equal(found, expected)
+    assert absurd[0] == pytest.approx(cost, abs=4.6)  # not at all, or at most as one that is far off: c^2 / 2, for Huber more
+    assert all(np.isfinite(each).all() for each in absurd[1])
+
+
+def test_what_lies_behind_a_perspective_camera_is_not_seen():
+    frame = drawn.frame(np.random.default_rng(2), 3, ["views"])
+    term = frame.terms[drawn.KINDS.index("views")]
+    term.perspective[:] = True
+    term.translation[:] -= 2 * drawn.FREE_CAMERA
+    cost, system = linearised(frame)
+    assert cost == 0
+    assert not system.h.any()
+
+
+def test_pixels_become_tangents_and_metres():
+    np.testing.assert_allclose(normalised(np.array([[960.0, 640.0]]), 1000.0, np.array([460.0, 540.0])), [[0.5, 0.1]])
+    both = normalised(np.array([[[960.0, 640.0]]]), np.array([1000.0, 500.0]), np.array([460.0, 540.0]))
+    np.testing.assert_allclose(both, [[[0.5, 0.2]]])
+
+
+def test_points_that_touch_have_no_direction_but_a_distance():
+    body = drawn.tree(np.random.default_rng(3), 1)
+    touching = drawn.Distances(np.zeros((1, 2), int), np.zeros((1, 2, 3)), np.array([[0.3]]), np.array([[100.0]]))
+    frame = dense.Frame(body, drawn.terms(1, distances=touching), np.zeros(3), np.eye(3)[None], np.zeros(0))
+    cost, system = linearised(frame)
+    assert cost == pytest.approx(0.5 * 9)
+    assert not system.rows.any()
+
+
+# robust losses
+
+
+def test_known_losses():
+    for kind in (GEMAN_MCCLURE, HUBER):
+        assert robust(kind, 8.0, np.inf) == (4.0, 1.0)
+        assert robust(kind, 0.0, 4.0) == (0.0, 1.0)
+        assert robust(kind, 3.0, 1e15) == pytest.approx((1.5, 1.0))
+        assert robust(kind, 1e-6, 4.0) == pytest.approx((0.5e-6, 1.0), rel=1e-5)
+    assert robust(GEMAN_MCCLURE, 4.0, 4.0) == pytest.approx((1.0, 0.25))
+    assert robust(GEMAN_MCCLURE, 1e12, 4.0) == pytest.approx((2.0, 1.6e-23))  # bounded
+    assert robust(HUBER, 4.0, 4.0) == (2.0, 1.0)
+    assert robust(HUBER, 100.0, 4.0) == pytest.approx((2 * 10 - 2, 0.2))  # a straight line
+
+
+@given(st.sampled_from([GEMAN_MCCLURE, HUBER]), st.floats(0.01, 100), st.floats(0.1, 100))
+def test_a_weight_is_twice_its_losses_derivative_to_the_square(kind, square, scale2):
+    step = 1e-5 * square
+    slope = (robust(kind, square + step, scale2)[0] - robust(kind, square - step, scale2)[0]) / (2 * step)
+    assert robust(kind, square, scale2)[1] == pytest.approx(2 * slope, rel=1e-5)
+    assert robust(kind, square, scale2) == pytest.approx(tuple(map(float, dense.loss(kind, np.array(square), scale2))))
