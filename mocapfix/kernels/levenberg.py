@@ -29,14 +29,17 @@ class Workspace(NamedTuple):
     system: System
     factors: Factors
     step: Step
-    answers: Answers
+    answers: Answers | None  # where there are rows
     g: np.ndarray  # (J, 6) spare
     b: np.ndarray  # (J, 3) spare
 
 
 @njit(cache=True)
 def workspace(joints, unknowns, rows):
-    """-> room to solve frames of so many joints, unknowns shared by the joints, and rows."""
+    """-> room to solve frames of so many joints, unknowns shared by the joints, and rows (None for none).
+
+    None spares those who have no rows the compilation of what is done with them.
+    """
     return Workspace(
         empty_pose(joints, unknowns), empty_pose(joints, unknowns), empty_system(joints, unknowns, rows),
         empty_factors(joints, unknowns), empty_step(joints, unknowns), empty_answers(joints, unknowns, rows),
@@ -76,7 +79,7 @@ def held(system):
     return dot(system.rows, system.rows) + dot(system.rows_own, system.rows_own) > 0.0
 
 
-@njit(cache=True)
+@njit(inline="always")
 def direction(tree, work, mu):
     """Write the damped Gauss-Newton step of the work's system. -> the fall of the cost that the damped model promises"""
     system, step, g, b = work.system, work.step, work.g, work.b
@@ -84,15 +87,11 @@ def direction(tree, work, mu):
     copy(system.g, g)
     copy(system.b, b)
     copy(system.shared_g, step.shared)
-    if len(system.away):
-        low_rank.add_gradient(system, g, b)
+    low_rank.add_gradient(system, work.answers, g, b)
     sweep.solve(tree, system, work.factors, g, b, step)
-    if len(system.away):
-        low_rank.answer(tree, system, work.factors, g, work.answers)
-        low_rank.corrected(system, work.answers, step)
-    fall = -dot(system.g, step.twist) - dot(system.b, step.turn) - dot(system.shared_g, step.shared)
-    for m in range(len(system.away)):
-        fall -= system.away[m] * low_rank.along_row(system, m, step.twist, step.turn)
+    low_rank.heed_rows(tree, system, work.factors, work.answers, g, step)
+    fall = low_rank.fall(system, work.answers, step)
+    fall -= dot(system.g, step.twist) + dot(system.b, step.turn) + dot(system.shared_g, step.shared)
     size = dot(step.twist[0], step.twist[0]) + dot(step.turn, step.turn) + dot(step.shared, step.shared)
     return 0.5 * (mu * size + fall)
 
@@ -107,7 +106,7 @@ def place(source, target):
     copy(source.rotation, target.rotation)
 
 
-@njit(cache=True)
+@njit(inline="always")
 def solve_frame(tree, terms, t, scales2, tau, most, work):
     """Move the work's pose to where frame t's cost is least. -> status, iterations
 
@@ -178,13 +177,27 @@ def store(pose, root, local, shared, t):
     copy(pose.shared, shared[t])
 
 
+@njit(cache=True)
+def take_over(root, local, shared, source, t, taken):
+    """Give frame t what it takes from the pose of another."""
+    for j in range(len(taken)):
+        if taken[j]:
+            copy(local[source, j], local[t, j])
+    if taken[0]:
+        copy(root[source], root[t])
+        copy(shared[source], shared[t])
+
+
 @njit(cache=True, nogil=True)
-def solve_frames(tree, terms, scales2, tau, most, rows, root, local, shared, status, iterations, first, stop):
-    """`solve_frame` on the frames first..stop: root (T, 3), local (T, J, 3, 3), shared (T, P) in place; status,
-    iterations (T,) out. rows: how many the terms write.
+def solve_frames(tree, terms, plan, scales2, tau, most, rows, root, local, shared, status, iterations, first, stop):
+    """`solve_frame` on the chains first..stop of a plan: root (T, 3), local (T, J, 3, 3), shared (T, P) in place; status,
+    iterations (T,) out. rows: how many the terms write, None where they write none.
     """
     work = workspace(local.shape[1], shared.shape[1], rows)
-    for t in range(first, stop):
+    for i in range(plan.chains[first], plan.chains[stop]):
+        t, source = plan.order[i], plan.source[i]
+        if source >= 0:
+            take_over(root, local, shared, source, t, plan.taken[min(t, len(plan.taken) - 1)])
         load(root, local, shared, t, work.pose)
         status[t], iterations[t] = solve_frame(tree, terms, t, scales2, tau, most, work)
         store(work.pose, root, local, shared, t)

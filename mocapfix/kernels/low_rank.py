@@ -27,7 +27,9 @@ class Answers(NamedTuple):
 
 @njit(cache=True)
 def empty_answers(joints, unknowns, rows):
-    """-> room for the answers to so many rows."""
+    """-> room for the answers to so many rows; None where there are none."""
+    if rows is None:
+        return None
     return Answers(
         np.empty((rows, joints, 6)), np.empty((rows, joints, 3)), np.empty((rows, unknowns)), np.empty((rows, rows)),
         np.empty(rows),
@@ -47,8 +49,10 @@ def along_row(system, m, twist, turn):
 
 
 @njit(cache=True)
-def add_gradient(system, g, b):
+def add_gradient(system, answers, g, b):
     """Add the rows' own gradient to g (J, 6) and b (J, 3)."""
+    if answers is None:
+        return
     for m in range(len(system.away)):
         for j in range(len(g)):
             for a in range(6):
@@ -87,3 +91,22 @@ def corrected(system, answers, step):
                 step.turn[j, a] += along[m] * answers.turn[m, j, a]
         for c in range(len(step.shared)):
             step.shared[c] += along[m] * answers.shared[m, c]
+
+
+@njit(cache=True)
+def heed_rows(tree, system, factors, answers, spare_g, step):
+    """Make the sweep's step one that heeds the rows' curvature, too; spare_g (J, 6) is spoilt."""
+    if answers is None:
+        return
+    answer(tree, system, factors, spare_g, answers)
+    corrected(system, answers, step)
+
+
+@njit(cache=True)
+def fall(system, answers, step):
+    """-> what the rows' gradient takes from the cost along a step."""
+    total = 0.0
+    if answers is not None:
+        for m in range(len(system.away)):
+            total -= system.away[m] * along_row(system, m, step.twist, step.turn)
+    return total

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.kernels import plan
 from mocapfix.kernels.levenberg import TAU, solve_frames
 from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Courses, Points, Targets
 from mocapfix.kernels.threads import over_frames
-from mocapfix.kernels.track import bridge_runs
 from mocapfix.kernels.uncertainty import uncertainties
 from mocapfix.prior import Prior
 from mocapfix.take import runs
@@ -81,20 +81,20 @@ class Problem:
 
     def solve(self, root, local, pull: Courses, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
         """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations"""
-        status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
-        over_frames(
-            solve_frames, len(root), self.tree, (self.points, pull, self.prior), self.scales2(scales), TAU, most, 0, root, local,
-            np.zeros((len(root), 0)), status, iterations,
-        )  # fmt: skip
-        return status, iterations
+        return self.follow(plan.alone(*local.shape[:2]), root, local, pull, scales, most)
 
     def track(self, root, local, pull: Courses, unsure: np.ndarray, scale: float) -> None:
         """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""
-        stretches = np.array(runs(np.any(unsure, axis=1)), int).reshape(-1, 2)
+        self.follow(plan.bridges(runs(np.any(unsure, axis=1)), unsure), root, local, pull, (scale,), MOST)
+
+    def follow(self, order: plan.Plan, root, local, pull: Courses, scales: tuple[float, ...], most: int):
+        """Solve frames as a plan says. -> status, iterations, 0 where a frame is not in the plan"""
+        status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
-            bridge_runs, len(stretches), self.tree, (self.points, pull, self.prior), self.scales2((scale,)), TAU, MOST, 0, root,
-            local, np.zeros((len(root), 0)), unsure, stretches,
+            solve_frames, len(order.chains) - 1, self.tree, (self.points, pull, self.prior), order, self.scales2(scales), TAU, most,
+            None, root, local, np.zeros((len(root), 0)), status, iterations,
         )  # fmt: skip
+        return status, iterations
 
     def uncertainty(self, root, local, pull: Courses, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
@@ -102,7 +102,7 @@ class Problem:
         each = (frames, joints)
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros(each), np.zeros(each), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], 0, root, local,
+            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], None, root, local,
             np.zeros((frames, 0)), *left,
         )  # fmt: skip
         return left

@@ -11,7 +11,7 @@ from numba import njit
 
 from mocapfix.kernels import sweep
 from mocapfix.kernels.levenberg import load, workspace
-from mocapfix.kernels.pose import forward
+from mocapfix.kernels.pose import copy, forward
 from mocapfix.kernels.problem import Problem
 from mocapfix.kernels.system import linearise
 from mocapfix.kernels.terms import Courses
@@ -140,12 +140,12 @@ def errors(points, t, scale2, arm, pose, lever, error, trusted):
         trusted[k] = weight * robust(points.loss, weight * square, scale2)[1]
 
 
-@njit(cache=True)
+@njit(inline="always")
 def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carried):
     """Write one frame's `Responses` at the work's pose, the markers being the first term. -> its cost"""
     points, system, step, rotation, arm = terms[0], work.system, work.step, work.pose.rotation, work.system.arm
     joints, markers, dense = len(arm), len(trusted), len(away)
-    lever, error, at, unpressed = np.empty((markers, 3)), np.empty((markers, 3)), np.empty(3), np.zeros((joints, 3))
+    lever, error, at = np.empty((markers, 3)), np.empty((markers, 3)), np.empty(3)
     stretch, shift = np.zeros((joints, 3)), np.zeros((markers, 3))
     forward(tree, work.pose)
     cost = linearise(tree, terms, t, scale2, work.pose, system)
@@ -164,14 +164,14 @@ def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carr
                 shift[k, a] = rotation[points.joints[k], a, (q - dense) % 3]
         if k < markers:
             press(points, lever, trusted, shift, work.g)
-            sweep.solve(tree, system, work.factors, work.g, unpressed, step)
-            for j in range(joints):
-                follow(step.twist[j], arm[j], stretch[j], carried[q, j])
+            work.b.fill(0)
         else:  # the errors themselves, and with them what the pulls say to the pose
-            sweep.solve(tree, system, work.factors, system.g, system.b, step)
-            for m in range(markers):
-                for a in range(3):
-                    shift[m, a] = error[m, a]
+            copy(error, shift)
+            copy(system.g, work.g)
+            copy(system.b, work.b)
+        sweep.solve(tree, system, work.factors, work.g, work.b, step)
+        for j in range(joints if k < markers else 0):
+            follow(step.twist[j], arm[j], stretch[j], carried[q, j])
         for m in range(markers):
             j = points.joints[m]
             follow(step.twist[j], lever[m], shift[m], at)
@@ -182,7 +182,7 @@ def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carr
 @njit(cache=True, nogil=True)
 def respond_frames(tree, terms, directions, scale2, root, local, cost, trusted, away, moved, carried, first, stop):
     """`respond` on first..stop, each into its own row."""
-    work, none = workspace(local.shape[1], 0, 0), np.zeros((len(root), 0))
+    work, none = workspace(local.shape[1], 0, None), np.zeros((len(root), 0))
     for t in range(first, stop):
         load(root, local, none, t, work.pose)
         cost[t] = respond(tree, terms, t, directions, scale2, work, trusted[t], away[t], moved[t], carried[t])

@@ -34,7 +34,8 @@ class System(NamedTuple):
 
 @njit(cache=True)
 def empty_system(joints, unknowns, rows):
-    """-> room for the model of any frame with so many joints, shared unknowns and rows."""
+    """-> room for the model of any frame with so many joints, shared unknowns and rows (None for none)."""
+    rows = 0 if rows is None else rows
     return System(
         np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((joints, 3)),
         np.zeros((joints, 3, unknowns)), np.empty((joints, 6, unknowns)), np.empty((joints, 3, unknowns)),

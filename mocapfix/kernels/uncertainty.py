@@ -90,9 +90,10 @@ def add_shared(tree, work, spread, turn_variance):
 
 
 @njit(cache=True)
-def take_rows(tree, work, spread, turn_variance):
+def take_rows(tree, work, answers, spread, turn_variance):
     """Take away what the rows tell (Woodbury, as in low_rank): Y (L L')^-1 Y', the columns of Y the answers to the rows."""
-    answers = work.answers
+    if answers is None:
+        return
     low_rank.answer(tree, work.system, work.factors, work.g, answers)
     for m in range(len(answers.twist)):
         twist, turn = answers.twist[m], answers.turn[m]
@@ -138,7 +139,7 @@ def uncertainties(tree, terms, scale2, rows, root, local, shared, marker_sd, joi
         sweep.factor(tree, work.system, HARDLY, work.factors)
         covariance(tree, work.system, work.factors, spread, joint_var[t])
         add_shared(tree, work, spread, joint_var[t])
-        take_rows(tree, work, spread, joint_var[t])
+        take_rows(tree, work, work.answers, spread, joint_var[t])
         root_var[t] = (spread[0, 3, 3] + spread[0, 4, 4] + spread[0, 5, 5]) / 3
         for j in range(joints):
             joint_sd[t, j] = point_sd(spread, j, arm[j, 0], arm[j, 1], arm[j, 2])

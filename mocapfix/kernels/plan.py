@@ -1,0 +1,57 @@
+"""In which order frames are solved, and from which pose each starts."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Plan(NamedTuple):
+    """Chains of frames, each solved one after the other, the chains side by side."""
+
+    order: np.ndarray  # (N,) the frames, chain after chain
+    source: np.ndarray  # (N,) the frame whose pose each starts from; -1 for its own
+    taken: np.ndarray  # (1 or T, J) bool: the joints that it takes from there; with the root its place, too
+    chains: np.ndarray  # (C + 1,) where each chain begins in `order`, and the end
+
+
+def alone(frames: int, joints: int) -> Plan:
+    """-> every frame for itself, from its own pose."""
+    return Plan(np.arange(frames), np.full(frames, -1), np.zeros((1, joints), bool), np.arange(frames + 1))
+
+
+def windows(frames: int, joints: int, length: int) -> Plan:
+    """-> each frame from the one before it, but for the first of each window of `length` frames.
+
+    The windows, not the number of threads, are what is solved side by side, so that this changes nothing.
+    """
+    order = np.arange(frames)
+    source = np.where(order % length == 0, -1, order - 1)
+    return Plan(order, source, np.ones((1, joints), bool), np.r_[np.arange(0, frames, length), frames])
+
+
+def bridges(runs: list[tuple[int, int]], unsure: np.ndarray) -> Plan:
+    """-> the `runs` (first, last) of frames from both ends to the middle, each frame from its neighbour farther out.
+
+    Joints that are `unsure` (T, J) start where the neighbour has them, the others, and the root, where they are: where
+    markers leave two poses open, as a thigh does that lost its knee, the one that goes on smoothly is found. A run at the
+    take's beginning or end has one end only; the take's first frame, in a run of all frames, starts from its own pose.
+    """
+    order, source, chains, end = [], [], [0], len(unsure) - 1
+    for left, right in runs:
+        inside = np.arange(left, right + 1)
+        if left == 0 and right == end:
+            turns = [(int(t), int(t) - 1) for t in inside[1:]]
+        elif left == 0:
+            turns = [(int(t), int(t) + 1) for t in inside[::-1]]
+        elif right == end:
+            turns = [(int(t), int(t) - 1) for t in inside]
+        else:
+            half = (len(inside) + 1) // 2
+            forth, back = [(int(t), int(t) - 1) for t in inside[:half]], [(int(t), int(t) + 1) for t in inside[half:][::-1]]
+            turns = [turn for pair in zip(forth, [*back, None], strict=False) for turn in pair if turn is not None]
+        order += [t for t, _ in turns]
+        source += [s for _, s in turns]
+        chains.append(len(order))
+    taken = unsure.copy()
+    taken[:, 0] = False
+    return Plan(np.array(order, int), np.array(source, int), taken, np.array(chains))
