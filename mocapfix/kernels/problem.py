@@ -91,8 +91,8 @@ class Problem:
         """Solve frames as a plan says. -> status, iterations, 0 where a frame is not in the plan"""
         status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
-            solve_frames, len(order.chains) - 1, self.tree, (self.points, pull, self.prior), order, self.scales2(scales), TAU, most,
-            None, root, local, np.zeros((len(root), 0)), status, iterations,
+            solve_frames, len(order.chains) - 1, self.tree, (self.points, pull, self.prior), order, self.scales2(scales), TAU,
+            most, None, root, local, np.zeros((len(root), 0)), status, iterations,
         )  # fmt: skip
         return status, iterations
 
