@@ -12,7 +12,19 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.system import System
-from mocapfix.kernels.terms import HUBER, Directions, Distances, Latent, Limits, Orientations, Points, Targets, Views, Whole
+from mocapfix.kernels.terms import (
+    HUBER,
+    Courses,
+    Directions,
+    Distances,
+    Latent,
+    Limits,
+    Orientations,
+    Points,
+    Targets,
+    Views,
+    Whole,
+)
 
 
 class Frame(NamedTuple):
@@ -90,9 +102,13 @@ def of_views(term: Views, at: World) -> np.ndarray:
     return flat - term.seen[0]
 
 
+def of_courses(term: Courses, at: World) -> np.ndarray:
+    turned = np.sqrt(term.weight[0])[:, None] * from_middle(term.rotations[0], at)
+    return np.r_[turned, [np.sqrt(term.root_weight[0]) * (at.position[0] - term.root[0])]]
+
+
 def of_targets(term: Targets, at: World) -> np.ndarray:
-    turned = whitened(term.information[0], from_middle(term.rotations[0], at))
-    return np.r_[turned, (np.sqrt(term.root_information[0]) * (at.position[0] - term.root[0]))[None]]
+    return whitened(term.information[0], from_middle(term.rotations[0], at))
 
 
 def of_limits(term: Limits, at: World) -> np.ndarray:
@@ -121,10 +137,11 @@ def of_whole(term: Whole, at: World) -> np.ndarray:
 
 OF = {
     Points: of_points,
+    Courses: of_courses,
+    Targets: of_targets,
     Directions: of_directions,
     Orientations: of_orientations,
     Views: of_views,
-    Targets: of_targets,
     Limits: of_limits,
     Latent: of_latent,
     Distances: of_distances,

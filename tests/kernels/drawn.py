@@ -1,6 +1,7 @@
 """Random bodies, poses and terms, and what says nothing of each kind.
 
-Every test hands the kernels one tuple with all kinds of terms, so that they are compiled once.
+Every test hands the kernels one of two tuples of terms, so that they are compiled no more than twice: the product's own
+where it is enough (and then it is compiled already), or one with all kinds.
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import (
     GEMAN_MCCLURE,
     HUBER,
+    Courses,
     Directions,
     Distances,
     Latent,
@@ -22,7 +24,8 @@ from mocapfix.kernels.terms import (
 )
 from tests.kernels import dense
 
-KINDS = ("points", "directions", "orientations", "views", "targets", "limits", "latent", "distances", "whole")
+FEW = ("points", "courses", "targets")  # the product's own, none of which writes rows
+KINDS = (*FEW, "directions", "orientations", "views", "limits", "latent", "distances", "whole")
 FREE_CAMERA = np.array([0.0, 0.0, 8.0])  # metres: what is within three metres of the origin lies before it
 
 
@@ -56,13 +59,14 @@ def nothing(joints: int, frames: int = 1) -> dict:
     one, eye = np.zeros(0, int), np.tile(np.eye(3), (joints, 1, 1))
     return {
         "points": Points(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
+        "courses": Courses(eye[None].copy(), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1)),
+        "targets": Targets(eye[None].copy(), np.zeros((1, joints, 3, 3))),
         "directions": Directions(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
         "orientations": Orientations(one, np.zeros((frames, 0, 3, 3)), np.zeros((frames, 0))),
         "views": Views(
             one, np.zeros((0, 3)), one, np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros((frames, 0, 2)),
             np.zeros((frames, 0)),
         ),
-        "targets": Targets(eye[None].copy(), np.zeros((1, joints, 3, 3)), np.zeros((1, 3)), np.zeros(1)),
         "limits": Limits(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
         "latent": Latent(
             eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3))
@@ -75,13 +79,13 @@ def nothing(joints: int, frames: int = 1) -> dict:
 
 
 def terms(joints: int, frames: int = 1, **said) -> tuple:
-    """-> the tuple of all kinds, those that are not `said` saying nothing."""
-    return tuple((nothing(joints, frames) | said)[kind] for kind in KINDS)
+    """-> the tuple of a few kinds where those `said` are among them, else of all; the others in it say nothing."""
+    return tuple((nothing(joints, frames) | said)[kind] for kind in (FEW if said.keys() <= set(FEW) else KINDS))
 
 
-def rows(every: tuple) -> int:
-    """-> how many rows the terms write: one a distance, and the whole's."""
-    return len(every[KINDS.index("distances")].joints) + 1
+def rows(every: tuple) -> int | None:
+    """-> how many rows the terms write: one a distance, and the whole's; None for the few kinds."""
+    return None if len(every) == len(FEW) else len(every[KINDS.index("distances")].joints) + 1
 
 
 def points(rng, at: dense.World, count: int, noise: float = 0.02) -> Points:
@@ -118,11 +122,18 @@ def views(rng, at: dense.World, count: int) -> Views:
     )
 
 
+def courses(rng, at: dense.World) -> Courses:
+    weight = rng.uniform(1, 100, (1, len(at.local)))
+    weight[rng.random(weight.shape) < 0.2] = 0.0
+    wanted = rotations(rng, len(at.local), 2.0) @ at.local
+    return Courses(wanted[None], weight, at.position[:1] + rng.normal(0, 0.1, 3), rng.uniform(10, 200, 1))
+
+
 def targets(rng, at: dense.World) -> Targets:
     information = spd(rng, len(at.local), 3, 30.0)
     information[rng.random(len(information)) < 0.2] = 0.0
     wanted = rotations(rng, len(at.local), 2.0) @ at.local
-    return Targets(wanted[None], information[None], at.position[:1] + rng.normal(0, 0.1, 3), rng.uniform(10, 200, 1))
+    return Targets(wanted[None], information[None])
 
 
 def limits(rng, at: dense.World) -> Limits:

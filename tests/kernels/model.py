@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from mocapfix.kernels import plan
 from mocapfix.kernels.levenberg import TAU, Workspace, solve_frames, workspace
-from mocapfix.kernels.pose import forward
+from mocapfix.kernels.pose import Tree, forward
 from mocapfix.kernels.system import System, linearise
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.uncertainty import uncertainties
@@ -28,24 +29,28 @@ def linearised(frame: Frame, scale2: float = np.inf) -> tuple[float, System]:
 def solved(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
     """-> root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
     root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
-    status, iterations = np.full(frames, -1), np.full(frames, -1)
+    ends = followed(plan.alone(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most)
+    return root, local, shared, *ends
+
+
+def followed(order: plan.Plan, tree: Tree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50):
+    """Solve poses in place, as a plan says. -> status (T,), iterations (T,), -1 for frames that are not in the plan"""
+    status, iterations = np.full(len(root), -1), np.full(len(root), -1)
     over_frames(
-        solve_frames, frames, frame.tree, frame.terms, scales2, TAU, most, drawn.rows(frame.terms), root, local, shared, status,
-        iterations,
+        solve_frames, len(order.chains) - 1, tree, terms, order, scales2, TAU, most, drawn.rows(terms), root, local, shared,
+        status, iterations,
     )  # fmt: skip
-    return root, local, shared, status, iterations
+    return status, iterations
 
 
 def foretold(frame: Frame, scale2: float, root=None, local=None, shared=None):
-    """-> standard deviation of markers (T, K), variance of joints' turns (T, J) and of the root's place (T,), at the frame's
-    pose or at others.
+    """-> standard deviation of markers (T, K) and of joints' places (T, J), variance of joints' turns (T, J) and of the root's
+    place (T,), at the frame's pose or at others.
     """
     given = zip(frame[2:], (root, local, shared), strict=True)
     root, local, shared = (one[None] if many is None else many for one, many in given)
     frames, joints = local.shape[:2]
-    marker_sd, joint_var, root_var = np.empty((frames, len(frame.terms[0].joints))), np.empty((frames, joints)), np.empty(frames)
-    over_frames(
-        uncertainties, frames, frame.tree, frame.terms, float(scale2), drawn.rows(frame.terms), root, local, shared, marker_sd,
-        joint_var, root_var,
-    )  # fmt: skip
-    return marker_sd, joint_var, root_var
+    each, markers = (frames, joints), len(frame.terms[0].joints)
+    out = np.empty((frames, markers)), np.empty(each), np.empty(each), np.empty(frames)
+    over_frames(uncertainties, frames, frame.tree, frame.terms, float(scale2), drawn.rows(frame.terms), root, local, shared, *out)
+    return out

@@ -30,7 +30,8 @@ def test_joints_and_markers_lie_where_a_walk_down_the_tree_leads(seed, joints):
     position, rotation = kinematics.world(skeleton_of(tree), motion_of(root, local))
     on, places = rng.integers(joints, size=5), rng.normal(size=(5, 3))
     subject = Subject(skeleton_of(tree), "", tuple("abcde"), on, places, np.ones(5))
-    carried = kinematics.markers(subject, position, rotation)
+    again, carried = kinematics.placed(subject, motion_of(root, local))
+    np.testing.assert_array_equal(again, position)
     for t in range(FRAMES):
         expected = dense.world(tree, root[t], local[t])
         np.testing.assert_allclose(position[t], expected.position, atol=1e-12)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, RAN_OUT, SLIGHT, TAU, UNHELD, solve_frames
-from mocapfix.kernels.terms import GEMAN_MCCLURE, HUBER, Distances, Latent, Limits, Points, Targets
+from mocapfix.kernels.plan import alone
+from mocapfix.kernels.terms import GEMAN_MCCLURE, HUBER, Courses, Distances, Latent, Limits, Points
 from tests.kernels import dense, drawn
 from tests.kernels.model import solved
 
@@ -33,9 +34,9 @@ def chain(joints) -> dense.Tree:
     return drawn.Tree(np.arange(-1, joints - 1), offsets, np.ones(joints, bool))
 
 
-def pull_to(local, information) -> Targets:
+def pull_to(local, weight) -> Courses:
     """-> a pull to a pose, its root at the origin, equally strong on all joints (1/rad^2)"""
-    return Targets(local[None].copy(), np.tile(information * np.eye(3), (1, len(local), 1, 1)), np.zeros((1, 3)), np.ones(1))
+    return Courses(local[None].copy(), np.full((1, len(local)), weight), np.zeros((1, 3)), np.ones(1))
 
 
 @given(seeds, st.integers(1, 12))
@@ -83,7 +84,7 @@ def test_markers_tell_the_code_of_a_pose_that_a_decoder_made(seed):
 
 @given(seeds)
 def test_where_it_ends_another_solve_brings_next_to_nothing(seed):
-    frame = drawn.frame(np.random.default_rng(seed), 6, ["points", "targets", "latent", "distances"], codes=2)
+    frame = drawn.frame(np.random.default_rng(seed), 6, ["points", "courses", "targets", "latent", "distances"], codes=2)
     *first, status, _ = solved(frame, PLAIN, most=300)
     *again, _, _ = solved(frame, PLAIN, most=300, start=tuple(each[0] for each in first))
     costs = [dense.cost(frame._replace(root=r[0], local=q[0], shared=s[0])) for r, q, s in (first, again)]
@@ -130,7 +131,7 @@ def test_every_end_has_its_status():
     assert end(seen, start=far)[0] in (CONVERGED, NOTHING_LEFT)
     assert end(seen)[0] == NOTHING_LEFT
     assert end(frame) == (UNHELD, 0)
-    pulled = frame._replace(terms=drawn.terms(5, targets=pull_to(frame.local, 1.0)))
+    pulled = frame._replace(terms=drawn.terms(5, courses=pull_to(frame.local, 1.0)))
     assert end(pulled)[0] == CONVERGED
 
 
@@ -157,7 +158,7 @@ def test_hands_that_hold_a_stick_keep_its_length():
                       np.ones(5, bool))  # fmt: skip
     local = np.tile(np.eye(3), (5, 1, 1))
     stick = Distances(np.array([[2, 4]]), np.zeros((1, 2, 3)), np.array([[0.8]]), np.array([[1e6]]))
-    terms = drawn.terms(5, targets=pull_to(local, 1.0), distances=stick)
+    terms = drawn.terms(5, courses=pull_to(local, 1.0), distances=stick)
     start = np.zeros(3), drawn.rotations(np.random.default_rng(1), 5, 0.1), np.zeros(0)  # a stretched body cannot tell which way
     root, local, *_ = solved(dense.Frame(tree, terms, *start), PLAIN)
     position = dense.world(tree, root[0], local[0]).position
@@ -171,7 +172,7 @@ def test_a_limit_holds_a_joint_against_a_pull():
     wanted = local.copy()
     wanted[1] = Rotation.from_rotvec([1.0, 0, 0]).as_matrix()
     bounds = np.full((2, 3), 0.4)
-    terms = drawn.terms(2, targets=pull_to(wanted, pull), limits=Limits(local.copy(), -bounds, bounds, wall))
+    terms = drawn.terms(2, courses=pull_to(wanted, pull), limits=Limits(local.copy(), -bounds, bounds, wall))
     _, found, *_ = solved(dense.Frame(chain(2), terms, np.zeros(3), local, np.zeros(0)), PLAIN)
     vector = Rotation.from_matrix(found[0, 1]).as_rotvec()
     np.testing.assert_allclose(vector, [(pull * 1.0 + wall * 0.4) / (pull + wall), 0, 0], atol=1e-3)
@@ -183,12 +184,12 @@ def test_frames_are_solved_alike_whatever_the_blocks():
     exact = all_over(rng, frame, sd=0.01)
     seen = exact.seen + rng.normal(0, 0.05, (frames, *exact.seen.shape[1:]))
     terms = drawn.terms(joints, frames, points=exact._replace(seen=seen, weight=np.full(seen.shape[:2], 1e4)))
-    results = []
+    order, results = alone(frames, joints), []
     for blocks in ([(0, 12)], [(0, 5), (5, 12)], [(t, t + 1) for t in reversed(range(12))]):
         root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
         out = root, local, np.zeros((frames, 0)), np.zeros(frames, int), np.zeros(frames, int)
         for block in blocks:
-            solve_frames(frame.tree, terms, np.array([400.0, 25.0]), TAU, 8, drawn.rows(terms), *out, *block)
+            solve_frames(frame.tree, terms, order, np.array([400.0, 25.0]), TAU, 8, drawn.rows(terms), *out, *block)
         results.append(out)
     for other in results[1:]:
         for found, expected in zip(other, results[0], strict=True):

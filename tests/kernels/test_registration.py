@@ -23,14 +23,13 @@ TRUNK = np.isin(WORN.joints, [0, CHEST])
 seeds = st.integers(0, 2**32 - 1)
 
 
-def standing(root, turn):
+def standing(root, turn, wearer=NOMINAL):
     """-> joints (T, J, 3), rotations (T, J, 3, 3) and markers (T, K, 3) of somebody in the mean pose, moved rigidly"""
     local = np.tile(MEAN.rotations, (len(root), 1, 1, 1))
     local[:, 0] = turn
     zeros = np.zeros(len(root), int)
-    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)))
-    position, rotation = kinematics.world(BODY.skeleton, motion)
-    return position, rotation, kinematics.markers(NOMINAL, position, rotation)
+    motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)), np.zeros((len(root), 0)))
+    return *kinematics.world(BODY.skeleton, motion), kinematics.placed(wearer, motion)[1]
 
 
 def posed(markers):
@@ -69,8 +68,8 @@ def test_a_mirrored_cloud_gets_the_best_rotation_there_is(seed):
 def test_a_coplanar_trunk_is_not_turned_inside_out():
     flat = replace(NOMINAL, places=np.where(TRUNK[:, None], NOMINAL.places * [1, 1, 0], NOMINAL.places))
     turn = drawn.rotations(np.random.default_rng(1), 1)
-    position, rotation, _ = standing(np.ones((1, 3)), turn)
-    found = poses(flat, BODY.free, MEAN, kinematics.markers(flat, position, rotation))
+    position, _, markers = standing(np.ones((1, 3)), turn, flat)
+    found = poses(flat, BODY.free, MEAN, markers)
     np.testing.assert_allclose(np.linalg.det(found.rotations), 1.0)
     np.testing.assert_allclose(kinematics.world(BODY.skeleton, found)[0], position, atol=1e-6)
 
@@ -102,8 +101,8 @@ def test_a_marker_on_a_joint_that_cannot_turn_does_not_stop_the_rest():
     toe = BODY.skeleton.index("LeftToeBase")
     assert not BODY.free[toe]
     shod = replace(NOMINAL, joints=np.r_[NOMINAL.joints, toe], places=np.r_[NOMINAL.places, [[0, 0, 0.05]]])
-    position, rotation, _ = standing(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)))
-    found = poses(shod, BODY.free, MEAN, kinematics.markers(shod, position, rotation))
+    position, _, markers = standing(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), shod)
+    found = poses(shod, BODY.free, MEAN, markers)
     np.testing.assert_allclose(kinematics.world(BODY.skeleton, found)[0], position, atol=1e-6)
 
 

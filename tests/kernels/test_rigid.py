@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.kernels.rigid import centred, fitted, inside
-from tests.kernels import dense
+from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -13,7 +13,7 @@ seeds = st.integers(0, 2**32 - 1)
 @given(seeds)
 def test_a_moved_cloud_gives_its_motion_back(seed):
     rng = np.random.default_rng(seed)
-    places, turn, way = rng.normal(size=(5, 3)), dense.rotations(rng, 4), rng.normal(size=(4, 1, 3))
+    places, turn, way = rng.normal(size=(5, 3)), drawn.rotations(rng, 4), rng.normal(size=(4, 1, 3))
     weight = rng.uniform(0.5, 2, (4, 5))
     cross, here, there = centred(np.einsum("tab,kb->tka", turn, places) + way, places, weight)
     np.testing.assert_allclose(fitted(cross), turn, atol=1e-7)
@@ -39,7 +39,7 @@ def test_nothing_turns_nothing():
 @given(seeds, st.floats(-12, 12))
 def test_the_size_of_the_cloud_does_not_matter(seed, size):
     rng = np.random.default_rng(seed)
-    turn = dense.rotations(rng, 3)
+    turn = drawn.rotations(rng, 3)
     np.testing.assert_allclose(fitted(turn * 10.0**size), turn, atol=1e-9)
 
 
@@ -59,13 +59,13 @@ def test_a_mirrored_cloud_gets_the_best_rotation_there_is(seed):
     model = rng.normal(size=(6, 3))
     cross = (model * [-1, 1, 1]).T @ model
     best = np.trace(fitted(cross[None])[0].T @ cross)
-    assert best >= max(np.trace(each.T @ cross) for each in dense.rotations(rng, 200)) - 1e-9
+    assert best >= max(np.trace(each.T @ cross) for each in drawn.rotations(rng, 200)) - 1e-9
 
 
 @given(seeds)
 def test_what_is_carried_inside_comes_back_out(seed):
     rng = np.random.default_rng(seed)
-    points, centre, turn = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), dense.rotations(rng, 3)
+    points, centre, turn = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), drawn.rotations(rng, 3)
     points[1, 2] = np.nan
     own = inside(points, centre, turn)
     np.testing.assert_allclose(np.einsum("tab,tkb->tka", turn, own) + centre[:, None], points, atol=1e-12)

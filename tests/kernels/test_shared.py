@@ -5,96 +5,138 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.kernels.shared import add_frames
+from mocapfix.kernels.problem import Attached, Problem, no_pull
+from mocapfix.kernels.shared import Directions, reduced, responses
 from tests.kernels import dense, drawn
-from tests.kernels.model import solved
 
 DAMPING = 1e-3  # what the pose's unknowns are given so that none is left loose
-COUNT = 2  # bone groups
+COUNT = 3  # unknowns beside the markers' own places
+SD = 0.02  # metres, one for all markers
+PLAIN = np.inf  # no robust scale
+MARKERS = 9
 
 
-def grouped(seed, joints):
-    """-> a random frame of markers and pulls, and each joint's bone group, -1 for none"""
+def shared(seed, joints, hidden=()):
+    """-> a random frame of markers that weigh alike and two pulls, and directions in which its offsets and places change"""
     rng = np.random.default_rng(seed)
-    return drawn.frame(rng, joints, ["points", "targets"]), rng.integers(-1, COUNT, joints)
+    frame = drawn.frame(rng, joints, drawn.FEW)
+    points, *pulls = frame.terms
+    weight = np.full((1, MARKERS), SD**-2)
+    weight[:, list(hidden)] = 0.0
+    alike = points._replace(weight=weight, loss=drawn.GEMAN_MCCLURE)
+    directions = Directions(rng.normal(0, 0.3, (COUNT, joints, 3)), rng.normal(0, 0.1, (COUNT, MARKERS, 3)))
+    return frame._replace(terms=(alike, *pulls)), directions
 
 
-def reshaped(problem, groups, shape):
-    """-> the problem on a body whose shared unknowns (P,) are moved by `shape`"""
-    points, *others = problem.terms
-    stretch = np.exp(shape[0] + np.where(groups >= 0, shape[1:][groups], 0.0))
-    tree = problem.tree._replace(offsets=problem.tree.offsets * stretch[:, None])
-    places = points.places + shape[1 + COUNT :].reshape(-1, 3)
-    return problem._replace(tree=tree, terms=(points._replace(places=places), *others))
+def changed(frame, directions, unknowns):
+    """-> the frame on a body whose shared unknowns (Q,) are moved"""
+    points, *pulls = frame.terms
+    offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], directions.offsets, 1)
+    places = points.places + np.tensordot(unknowns[:COUNT], directions.places, 1) + unknowns[COUNT:].reshape(-1, 3)
+    return frame._replace(tree=frame.tree._replace(offsets=offsets), terms=(points._replace(places=places), *pulls))
 
 
-def unknowns(problem):
-    return 1 + COUNT + 3 * len(problem.terms[0].joints)
+def problem_of(frame, frames=1):
+    """-> the same as the pose problem of a take that repeats the frame"""
+    points, _, prior = frame.terms
+    markers, listened = np.tile(points.seen, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
+    return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior)
 
 
-def reduced(problem, groups, scale2):
-    """-> cost, curvature (P, P) and gradient (P,) from the kernel"""
-    count = unknowns(problem)
-    curvature, gradient, cost = np.zeros((1, count, count)), np.zeros((1, count)), np.zeros(1)
-    terms = problem.terms[0], problem.terms[drawn.KINDS.index("targets")]
-    add_frames(
-        problem.tree, terms, groups, COUNT, scale2, problem.root[None], problem.local[None], curvature, gradient, cost, 0, 1
-    )
-    return cost[0], curvature[0], gradient[0]
+def respond(frame, directions, scale, frames=1):
+    root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
+    return responses(problem_of(frame, frames), directions, frame.terms[1], scale, root, local)
 
 
-def schur(problem, groups, scale2):
-    """-> the same, from the whole Jacobian by finite differences"""
-    points, *others = problem.terms
-    square = (dense.residual(points, dense.world(*problem[:1], *problem[2:])) ** 2).sum(1)
-    weight = points.weight.copy()
-    weight[weight > 0] *= dense.loss(points.loss, square, scale2)[1]
-    trusted = problem._replace(terms=(points._replace(weight=weight), *others))
-    shared, pose = unknowns(problem), dense.unknowns(problem)
+def trusted(frame, scale):
+    """-> the frame with robust weights instead of a robust cost"""
+    points, *pulls = frame.terms
+    square = points.weight[0] * ((dense.placed(points.joints, points.places, at(frame)) - points.seen[0]) ** 2).sum(1)
+    trust = dense.loss(points.loss, square, (scale / SD) ** 2)[1]
+    return frame._replace(terms=(points._replace(weight=points.weight * trust), *pulls))
+
+
+def at(frame):
+    return dense.world(*frame[:1], *frame[2:])
+
+
+def jacobian(frame, directions):
+    """-> (rows, Q + N) of all residuals, shared unknowns first, then the pose's; and the residuals (rows,)"""
+    unknowns, pose = COUNT + 3 * MARKERS, dense.unknowns(frame)
 
     def residual(x):
-        after = dense.moved(reshaped(trusted, groups, x[:shared]), x[shared:])
-        at = dense.world(*after[:1], *after[2:])
-        return np.concatenate([dense.residual(term, at).ravel() for term in after.terms])
+        after = dense.moved(changed(frame, directions, x[:unknowns]), x[unknowns:])
+        return np.concatenate([dense.residual(term, at(after)).ravel() for term in after.terms])
 
-    slope, at = dense.jacobian(residual, shared + pose), residual(np.zeros(shared + pose))
-    whole, gradient = slope.T @ slope, slope.T @ at
-    through = whole[:shared, shared:] @ np.linalg.inv(whole[shared:, shared:] + DAMPING * np.eye(pose))
-    return whole[:shared, :shared] - through @ whole[shared:, :shared], gradient[:shared] - through @ gradient[shared:]
+    return dense.jacobian(residual, unknowns + pose), residual(np.zeros(unknowns + pose))
+
+
+def loose(slope, unknowns):
+    """-> (N, Q) how the pose gives way to the shared unknowns"""
+    of_pose = slope[:, unknowns:]
+    return -np.linalg.solve(of_pose.T @ of_pose + DAMPING * np.eye(of_pose.shape[1]), of_pose.T @ slope[:, :unknowns])
 
 
 @settings(max_examples=15)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.sampled_from([np.inf, 9.0]))
-def test_poses_are_eliminated_as_a_dense_schur_complement_does(seed, joints, scale2):
-    problem, groups = grouped(seed, joints)
-    problem.terms[0].weight[0, 1] = 0.0
-    _, curvature, gradient = reduced(problem, groups, scale2)
-    expected_curvature, expected_gradient = schur(problem, groups, scale2)
-    np.testing.assert_allclose(curvature, expected_curvature, atol=1e-6 * np.abs(expected_curvature).max())
-    np.testing.assert_allclose(gradient, expected_gradient, atol=1e-6 * np.abs(expected_gradient).max())
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.sampled_from([PLAIN, 3 * SD]))
+def test_poses_are_eliminated_as_a_dense_schur_complement_does(seed, joints, scale):
+    frame, directions = shared(seed, joints, hidden=[1])
+    found = respond(frame, directions, scale)
+    curvature, gradient = reduced(found)
+    slope, residuals = jacobian(trusted(frame, scale), directions)
+    unknowns = len(gradient)
+    through = slope[:, :unknowns] + slope[:, unknowns:] @ loose(slope, unknowns)
+    expected, fall = slope[:, :unknowns].T @ through, through.T @ residuals
+    np.testing.assert_allclose(curvature, expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(gradient, fall, atol=1e-6 * np.abs(fall).max())
+    assert found.cost[0] == pytest.approx(dense.cost(frame, (scale / SD) ** 2))
+
+
+def test_joints_and_markers_go_where_the_pose_that_gives_way_takes_them():
+    frame, directions = shared(3, 5, hidden=[4])
+    found, (slope, _) = respond(frame, directions, PLAIN), jacobian(frame, directions)
+    unknowns = found.carried.shape[1]
+    give = np.r_[np.eye(unknowns), loose(slope, unknowns)]
+
+    def placed(x):
+        after = dense.moved(changed(frame, directions, x[:unknowns]), x[unknowns:])
+        points, there = after.terms[0], at(after)
+        return np.r_[there.position, dense.placed(points.joints, points.places, there)]
+
+    moves = np.moveaxis(dense.jacobian(placed, len(give)) @ give, -1, 0)
+    np.testing.assert_allclose(found.carried[0], moves[:, :5], atol=1e-6)
+    rotation = at(frame).rotation[frame.terms[0].joints]
+    np.testing.assert_allclose(found.moved[0, :-1], np.einsum("kba,qkb->qka", rotation, moves[:, 5:]), atol=1e-6)
 
 
 def test_the_gradient_is_that_of_the_cost_at_the_best_pose():
-    problem, groups = grouped(7, 4)
+    frame, directions = shared(7, 4)
 
-    def best(shape):
-        trial = reshaped(problem, groups, shape)
-        root, local, *_ = solved(trial, np.full(4, np.inf), most=100)
-        return reduced(trial._replace(root=root[0], local=local[0]), groups, np.inf)
+    def solved(unknowns):
+        trial = changed(frame, directions, unknowns)
+        root, local = frame.root[None].copy(), frame.local[None].copy()
+        problem_of(trial).solve(root, local, frame.terms[1], (PLAIN, PLAIN, PLAIN), 100)
+        return respond(trial._replace(root=root[0], local=local[0]), directions, PLAIN)
 
-    slope = dense.jacobian(lambda shape: best(shape)[0], unknowns(problem), step=1e-3)
-    np.testing.assert_allclose(best(np.zeros(unknowns(problem)))[2], slope, rtol=0, atol=0.02 * np.abs(slope).max())
+    unknowns = COUNT + 3 * MARKERS
+    slope = dense.jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
+    gradient = reduced(solved(np.zeros(unknowns)))[1]
+    np.testing.assert_allclose(gradient, slope, rtol=0, atol=0.02 * np.abs(slope).max())
 
 
-def test_frames_add_into_their_own_rows_only():
-    problem, groups = grouped(8, 3)
-    points, count = problem.terms[0], unknowns(problem)
-    both = points._replace(seen=np.tile(points.seen, (3, 1, 1)), weight=np.tile(points.weight, (3, 1)))
-    root, local = np.tile(problem.root, (3, 1)), np.tile(problem.local, (3, 1, 1, 1))
-    curvature, gradient, cost = np.zeros((3, count, count)), np.zeros((3, count)), np.zeros(3)
-    terms = both, problem.terms[drawn.KINDS.index("targets")]
-    add_frames(problem.tree, terms, groups, COUNT, np.inf, root, local, curvature, gradient, cost, 1, 2)
-    assert not curvature[[0, 2]].any()
-    assert not gradient[[0, 2]].any()
-    assert cost[1] == pytest.approx(dense.cost(problem))
-    assert cost[0] == cost[2] == 0
+def test_frames_that_say_the_same_say_it_as_often():
+    frame, directions = shared(8, 3)
+    one, three = respond(frame, directions, PLAIN), respond(frame, directions, PLAIN, frames=3)
+    np.testing.assert_allclose(three.cost, np.full(3, dense.cost(frame)))
+    for once, thrice in zip(reduced(one), reduced(three), strict=True):
+        np.testing.assert_allclose(thrice, 3 * once, rtol=1e-9, atol=1e-9 * np.abs(once).max())
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_a_marker_that_is_not_seen_presses_nothing_and_goes_along(frames):
+    frame, directions = shared(9, 3, hidden=[2])
+    found = respond(frame._replace(terms=(frame.terms[0], no_pull(3), frame.terms[2])), directions, PLAIN, frames)
+    mine = slice(COUNT + 6, COUNT + 9)
+    assert not reduced(found)[0][mine].any()
+    assert not found.carried[:, mine].any()
+    np.testing.assert_allclose(found.moved[:, mine, 2], np.tile(np.eye(3), (frames, 1, 1)), atol=1e-12)

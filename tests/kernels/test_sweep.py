@@ -85,7 +85,7 @@ def test_a_joint_that_nothing_holds_stays_and_does_not_spoil_the_others():
     """Without damping: the joint's own block has no inverse."""
     rng = np.random.default_rng(5)
     tree = drawn.tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
-    work = random_work(rng, tree, 0, 0)
+    work = random_work(rng, tree, 0, None)
     work.system.h[:] = drawn.spd(rng, 3, 6)
     work.system.own[1:] = drawn.spd(rng, 2, 3)
     for loose in (work.system.h, work.system.g, work.system.own, work.system.b):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.levenberg import CONVERGED
-from mocapfix.kernels.terms import Targets
+from mocapfix.kernels.terms import Courses
 from mocapfix.kernels.uncertainty import HARDLY
 from tests.kernels import dense, drawn
 from tests.kernels.model import foretold, solved, worked
@@ -22,10 +22,15 @@ def spread(frame, scale2):
     inverse, (twist, turn, _) = np.linalg.inv(curvature), dense.twists(frame.tree, work.system)
     turn[0], points = twist[0, :3], frame.terms[0]
     at = dense.world(*frame[:1], *frame[2:])
-    arm = dense.placed(points.joints, points.places, at) - at.position[0]
-    shift = np.stack([twist[j, 3:] - dense.cross(x) @ twist[j, :3] for j, x in zip(points.joints, arm, strict=True)])
-    markers, joints, root = (np.einsum("kan,nm,kam->k", each, inverse, each) / 3 for each in (shift, turn, twist[:1, 3:]))
-    return (np.sqrt(markers), joints, root), np.linalg.cond(curvature)
+
+    def shift(bodies, places):
+        arms = dense.placed(bodies, places, at) - at.position[0]
+        return np.stack([twist[j, 3:] - dense.cross(x) @ twist[j, :3] for j, x in zip(bodies, arms, strict=True)])
+
+    every = np.arange(len(frame.local))
+    each = shift(points.joints, points.places), shift(every, np.zeros((len(every), 3))), turn, twist[:1, 3:]
+    markers, joints, turns, root = (np.einsum("kan,nm,kam->k", one, inverse, one) / 3 for one in each)
+    return (np.sqrt(markers), np.sqrt(joints), turns, root), np.linalg.cond(curvature)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.sampled_from([(0, 0), (4, 0), (0, 5)]), st.sampled_from([np.inf, 9.0]))
@@ -60,21 +65,25 @@ def test_errors_are_as_large_as_foretold():
     def carried(root, local):
         return np.stack([dense.placed(on, places, dense.world(body, *pose)) for pose in zip(root, local, strict=True)])
 
+    def joints_of(root, local):
+        return np.stack([dense.world(body, *pose).position for pose in zip(root, local, strict=True)])
+
     truth = carried(root, local)
     weight = np.full(truth.shape[:2], noise**-2)
     weight[:, np.r_[0, 4, 5, np.arange(9, 15)]] = 0.0  # two joints' markers altogether
     seen = drawn.Points(on, places, truth + rng.normal(0, noise, truth.shape), weight)
-    information = np.tile(np.eye(3) / joint_sd**2, (1, joints, 1, 1))
-    prior = Targets(frame.local[None].copy(), information, frame.root[None].copy(), np.array([root_sd**-2]))
-    problem = frame._replace(terms=drawn.terms(joints, frames, points=seen, targets=prior))
+    weight = np.full((1, joints), joint_sd**-2)
+    prior = Courses(frame.local[None].copy(), weight, frame.root[None].copy(), np.array([root_sd**-2]))
+    problem = frame._replace(terms=drawn.terms(joints, frames, points=seen, courses=prior))
     root_found, found, shared, status, _ = solved(problem, PLAIN, frames)
     assert (status == CONVERGED).all()
-    marker_sd, joint_var, root_var = foretold(problem, np.inf, root_found, found, shared)
+    marker_sd, joint_sd, joint_var, root_var = foretold(problem, np.inf, root_found, found, shared)
 
     def agree(errors, sd):
         np.testing.assert_allclose(np.sqrt((errors**2).mean((0, -1))), np.sqrt((sd**2).mean(0)), rtol=0.15)
 
     agree(carried(root_found, found) - truth, marker_sd)
+    agree(joints_of(root_found, found) - joints_of(root, local), joint_sd)
     agree(root_found - root, np.sqrt(root_var))
     relative = (found @ np.swapaxes(local, 2, 3)).reshape(-1, 3, 3)
     agree(Rotation.from_matrix(relative).as_rotvec().reshape(frames, joints, 3)[:, body.free], np.sqrt(joint_var[:, body.free]))

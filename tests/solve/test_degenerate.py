@@ -27,7 +27,7 @@ def finite(motion):
 
 def test_frames_that_say_little_are_told_in_words_and_spoil_no_others():
     truth, strange = synthetic.take(seed=2, seconds=1.0, rate=60), (10, 25, 40)
-    sound = kinematics.markers(truth.subject, *kinematics.world(truth.subject.skeleton, truth.motion))
+    _, sound = kinematics.placed(truth.subject, truth.motion)
     markers = sound.copy()
     markers[10] = np.nan  # none
     markers[25, 1:] = np.nan  # one

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mocapfix import prior, synthetic
-from mocapfix.kernels.levenberg import Attached, Tree
-from mocapfix.kernels.problem import Problem, no_pull, pull_to
+from mocapfix.kernels import kinematics
+from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
 from mocapfix.skeleton import cmu31
 from mocapfix.solve.deviation import LEAST, PLACED, deviations, strayed
 
@@ -73,17 +74,11 @@ def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scen
 
 def test_markers_that_stray_less_make_surer_joints(scene):
     subject, motion, problem = scene
-    markers = problem.markers - 0.5 * np.nan_to_num(problem.markers - place(scene))
+    markers = problem.markers - 0.5 * (problem.markers - kinematics.placed(subject, motion)[1])
     _, near = foretold((subject, motion, replace(problem, markers=markers)))
     _, far = foretold(scene)
     knee = NAMES.index("LeftLeg")
     assert np.median(near[:, knee] / far[:, knee]) == pytest.approx(0.5, abs=0.1)
-
-
-def place(scene):
-    from mocapfix.kernels import kinematics
-
-    return kinematics.markers(scene[0], *kinematics.world(scene[0].skeleton, scene[1]))
 
 
 def test_calibrations_own_error_comes_on_top(scene):

@@ -28,7 +28,8 @@ def adds(kind):
     def register(function):
         @overload(add)
         def choose(term, t, scale2, tree, pose, system):
-            return function if isinstance(term, types.BaseNamedTuple) and term.instance_class is kind else None
+            named = isinstance(term, types.NamedTuple | types.NamedUniTuple)
+            return function if named and term.instance_class is kind else None
 
         return function
 

@@ -1,0 +1,141 @@
+"""The order of frames and where each starts, told by hand; and solved where nothing, or nothing but a pull, moves a pose on."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels import plan
+from mocapfix.kernels.levenberg import CONVERGED, UNHELD
+from mocapfix.take import runs
+from tests.kernels import drawn
+from tests.kernels.model import followed
+
+PLAIN = np.array([np.inf])
+
+
+def told(order):
+    """-> a plan's chains, each a list of (frame, where it starts from)"""
+    turns = list(zip(order.order.tolist(), order.source.tolist(), strict=True))
+    return [turns[a:b] for a, b in zip(order.chains[:-1], order.chains[1:], strict=True)]
+
+
+def unsure(frames, lost):
+    """-> (T, 3) bool: the root and the last joint of three are unsure where `lost` (first, last)"""
+    found = np.zeros((frames, 3), bool)
+    for first, last in lost:
+        found[first : last + 1, [0, 2]] = True
+    return found
+
+
+def test_alone_each_frame_starts_from_its_own_pose():
+    order = plan.alone(3, 4)
+    assert told(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
+    assert not order.taken.any()
+
+
+@pytest.mark.parametrize(
+    ("frames", "chains"),
+    [
+        (6, [[(0, -1), (1, 0), (2, 1)], [(3, -1), (4, 3), (5, 4)]]),
+        (4, [[(0, -1), (1, 0), (2, 1)], [(3, -1)]]),
+        (2, [[(0, -1), (1, 0)]]),
+        (0, []),
+    ],
+)
+def test_every_window_goes_on_from_its_own_first_frame(frames, chains):
+    order = plan.windows(frames, 4, 3)
+    assert told(order) == chains
+    assert order.taken.all()
+
+
+@pytest.mark.parametrize(
+    ("run", "chain"),
+    [
+        ((2, 5), [(2, 1), (5, 6), (3, 2), (4, 5)]),  # from both sides, turn and turn about
+        ((2, 4), [(2, 1), (4, 5), (3, 2)]),
+        ((3, 3), [(3, 2)]),
+        ((0, 2), [(2, 3), (1, 2), (0, 1)]),  # from behind alone
+        ((0, 0), [(0, 1)]),
+        ((5, 7), [(5, 4), (6, 5), (7, 6)]),  # from before alone
+        ((0, 7), [(t, t - 1) for t in range(1, 8)]),  # no frame is sure: on from the first
+    ],
+)
+def test_a_run_is_bridged_from_its_sure_neighbours(run, chain):
+    assert told(plan.bridges([run], unsure(8, [run]))) == [chain]
+
+
+def test_of_a_bridge_only_unsure_joints_are_taken_and_never_the_root():
+    given_ = unsure(8, [(2, 3)])
+    before = given_.copy()
+    np.testing.assert_array_equal(plan.bridges([(2, 3)], given_).taken, before & [False, True, True])
+    np.testing.assert_array_equal(given_, before)
+
+
+def test_without_a_run_there_is_nothing_to_do():
+    order = plan.bridges([], unsure(4, []))
+    assert told(order) == []
+    assert order.order.dtype == order.source.dtype == order.chains.dtype == np.int64
+
+
+@given(st.integers(1, 30).flatmap(lambda n: st.lists(st.booleans(), min_size=n, max_size=n)))
+def test_bridged_frames_start_from_frames_that_are_sure_or_solved_before(lost):
+    """Every unsure frame has its turn once, but for the first of a take that is not sure anywhere."""
+    inside = runs(np.array(lost))
+    chains = told(plan.bridges(inside, unsure(len(lost), inside)))
+    for (first, last), chain in zip(inside, chains, strict=True):
+        solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
+        assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
+        for t, source in chain:
+            assert abs(t - source) == 1
+            assert source in solved
+            solved.add(t)
+
+
+# solved
+
+
+def still(frames, joints):
+    """-> a body, terms that say nothing, and a different pose in every frame: root (T, 3), local (T, J, 3, 3)"""
+    rng = np.random.default_rng(frames)
+    local = np.stack([drawn.rotations(rng, joints) for _ in range(frames)])
+    return drawn.tree(rng, joints), drawn.terms(joints, frames), rng.normal(size=(frames, 3)), local
+
+
+def test_what_a_frame_takes_over_comes_from_its_source_and_the_rest_stays():
+    tree, terms, root, local = still(8, 4)
+    place, start, lost = root.copy(), local.copy(), np.zeros((8, 4), bool)
+    lost[2:6, [0, 2]] = True
+    order = plan.bridges([(2, 5)], lost)
+    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
+    assert status.tolist() == [-1, -1, UNHELD, UNHELD, UNHELD, UNHELD, -1, -1]
+    assert iterations[2:6].tolist() == [0] * 4
+    np.testing.assert_array_equal(local[:, 2], start[[0, 1, 1, 1, 6, 6, 6, 7], 2])
+    np.testing.assert_array_equal(local[:, [0, 1, 3]], start[:, [0, 1, 3]])
+    np.testing.assert_array_equal(root, place)
+
+
+def test_windows_hand_on_whole_poses():
+    tree, terms, root, local = still(7, 4)
+    shared = np.arange(7.0)[:, None]
+    start = root.copy(), local.copy(), shared.copy()
+    status, _ = followed(plan.windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    assert (status == UNHELD).all()
+    for found, given_ in zip((root, local, shared), start, strict=True):
+        np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
+
+
+def test_rotations_stay_rotations_over_thousands_of_steps_down_a_deep_tree():
+    """Each frame starts from the last one's pose; rounding must not gather from joint to joint."""
+    rng, joints, frames = np.random.default_rng(8), 10, 400
+    tree = drawn.Tree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
+    rest = drawn.rotations(rng, joints)
+    wanted = np.stack([drawn.rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
+    pull = drawn.Courses(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
+    root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
+    terms, order = drawn.terms(joints, frames, courses=pull), plan.windows(frames, joints, frames)
+    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
+    assert (status == CONVERGED).all()
+    assert (iterations > 1).all()
+    np.testing.assert_allclose(local, wanted, atol=1e-3)
+    np.testing.assert_allclose(local[-1] @ np.swapaxes(local[-1], 1, 2), np.tile(np.eye(3), (joints, 1, 1)), atol=1e-12)
