@@ -49,7 +49,8 @@ class Fit:
 def problem_of(start: Subject, body: Body, prior: Prior, markers: np.ndarray, offsets, places) -> Problem:
     """-> the pose problem of frames (N, K, 3) on a body with these offsets (J, 3) and marker places (K, 3)."""
     tree, pull = Tree(start.skeleton.parents, offsets, body.free), pull_to(prior.weakened(PRIOR_WEIGHT))
-    return Problem(tree, Attached(start.joints, places), markers, ~np.isnan(markers[..., 0]), MARKER_SD, pull, no_limits(len(offsets)))
+    listened, limits = ~np.isnan(markers[..., 0]), no_limits(len(offsets))
+    return Problem(tree, Attached(start.joints, places), markers, listened, MARKER_SD, pull, limits)
 
 
 def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Motion:
