@@ -15,6 +15,8 @@ from mocapfix.take import Take
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN, NONE = (prior.load(name, BODY.skeleton) for name in ("mean-pose", "none"))
+LIMITS = prior.load_limits(BODY.skeleton)
+FREELY = replace(LIMITS, low=np.full_like(LIMITS.low, -np.inf), high=np.full_like(LIMITS.high, np.inf))
 NAMES = BODY.skeleton.names
 SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
 
@@ -30,10 +32,10 @@ def exact():
     return at
 
 
-def solved(truth, markers, habits=NONE):
+def solved(truth, markers, habits=NONE, limits=FREELY):
     worn = Take(markers, truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, habits)
-    return solve.motion(worn, truth.subject, BODY, habits, start, SolveOptions())
+    return solve.motion(worn, truth.subject, BODY, habits, limits, start, SolveOptions())
 
 
 def off(truth, motion, frames=slice(None)):
@@ -70,7 +72,7 @@ def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
 
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
     truth = exact(120.0)
-    motion = solved(truth, truth.markers, MEAN)
+    motion = solved(truth, truth.markers, MEAN, LIMITS)
     carried = kinematics.placed(truth.subject, motion)[1]
     assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
     told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
@@ -145,6 +147,6 @@ def test_the_solve_writes_into_nothing_that_it_is_given(exact):
     worn = Take(truth.markers.copy(), truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, MEAN)
     was = [field.copy() for field in (worn.markers, *vars(start).values())]
-    solve.motion(worn, truth.subject, BODY, MEAN, start, SolveOptions())
+    solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
