@@ -9,25 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
-
-@njit(cache=True)
-def quaternion(m):
-    """-> x, y, z, w of the rotation matrix `m` (nine numbers, row by row), w not negative, of whatever length.
-
-    The largest component is told from the diagonal, the others from it, so that it holds near half a turn too.
-    """
-    trace = m[0] + m[4] + m[8]
-    if trace > m[0] and trace > m[4] and trace > m[8]:
-        w, x, y, z = 1 + trace, m[7] - m[5], m[2] - m[6], m[3] - m[1]
-    elif m[0] >= m[4] and m[0] >= m[8]:
-        w, x, y, z = m[7] - m[5], 1 + 2 * m[0] - trace, m[1] + m[3], m[2] + m[6]
-    elif m[4] >= m[8]:
-        w, x, y, z = m[2] - m[6], m[1] + m[3], 1 + 2 * m[4] - trace, m[5] + m[7]
-    else:
-        w, x, y, z = m[3] - m[1], m[2] + m[6], m[5] + m[7], 1 + 2 * m[8] - trace
-    if w < 0:
-        w, x, y, z = -w, -x, -y, -z
-    return x, y, z, w
+from mocapfix.kernels.rotation import quaternion
+from mocapfix.kernels.small import matrix
 
 
 @njit(cache=True)
@@ -39,7 +22,7 @@ def of_joint(rotations, joint, known):
     out = np.empty((frames, 4))
     nearest = 0
     for t in range(frames - 1, -1, -1):
-        x, y, z, w = quaternion(rotations[t, joint].ravel())
+        x, y, z, w = quaternion(matrix(rotations[t], joint))
         length = math.sqrt(x * x + y * y + z * z + w * w)
         out[t, 0], out[t, 1], out[t, 2], out[t, 3] = x / length, y / length, z / length, w / length
         if unknown or known[t]:

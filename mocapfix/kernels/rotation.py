@@ -1,4 +1,4 @@
-"""Rotation vectors and matrices inside compiled loops (outside them: scipy.spatial.transform).
+"""Rotation vectors, quaternions and matrices inside compiled loops (outside them: scipy.spatial.transform).
 
 Matrices are tuples of nine numbers, row by row, as in small.py.
 """
@@ -38,11 +38,10 @@ def assembled(x, y, z, s, c):
 
 
 @njit(cache=True)
-def logarithm(m):
-    """-> the rotation vector (radians, length at most pi) of the matrix `m`, and what `left_jacobian_inverse` wants of it.
+def quaternion(m):
+    """-> x, y, z, w of the rotation matrix `m` (nine numbers, row by row), w not negative, of whatever length.
 
-    Through the quaternion with the largest component first, so that it holds near the identity and near half a turn.
-    The fourth number is (1 - a cot a) / (2 a)^2 for half the angle, a.
+    The largest component is told from the diagonal, the others from it, so that it holds near half a turn too.
     """
     trace = m[0] + m[4] + m[8]
     if trace > m[0] and trace > m[4] and trace > m[8]:
@@ -55,6 +54,17 @@ def logarithm(m):
         w, x, y, z = m[3] - m[1], m[2] + m[6], m[5] + m[7], 1 + 2 * m[8] - trace
     if w < 0:
         w, x, y, z = -w, -x, -y, -z
+    return x, y, z, w
+
+
+@njit(cache=True)
+def logarithm(m):
+    """-> the rotation vector (radians, length at most pi) of the matrix `m`, and what `left_jacobian_inverse` wants of it.
+
+    Through the quaternion, so that it holds near the identity and near half a turn. The fourth number is
+    (1 - a cot a) / (2 a)^2 for half the angle, a.
+    """
+    x, y, z, w = quaternion(m)
     length = math.sqrt(x * x + y * y + z * z)
     if length < 1e-3 * w:  # atan t = t - t^3 / 3 + t^5 / 5 - ...
         t2 = (length / w) ** 2
