@@ -1,28 +1,22 @@
-"""The command line: the only place that prints, parses arguments or draws progress."""
+"""The command line. It, its benches (cli_bench.py) and console.py alone print, parse arguments or draw progress."""
 
 import json
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from mocapfix.cli_bench import BENCHES
+from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
 MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
-Flag = tyro.conf.FlagCreatePairsOff[bool]
-DONE, FAILED, USAGE = 0, 1, 2
-
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
 
 
 def demo(
@@ -182,64 +176,6 @@ def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=
     return DONE
 
 
-def bench_solver(
-    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of tables")] = False,
-    quick: Annotated[Flag, tyro.conf.arg(help="time everything a few times only: in seconds, but roughly")] = False,
-) -> int:
-    """Time the solver: beside scipy on a task with known truth, and SCOPE's experiments beside a dense solve."""
-    from mocapfix.bench import solver
-
-    with staged("solver"):
-        said = solver.alone(quick)
-    if as_json:
-        sys.stdout.write(json.dumps(said, indent=1) + "\n")
-        return DONE
-    table = Table("the common task", "clean", "noisy", title=f"600 frames, 53 markers, 31 joints; {said['threads']} threads")
-    for key, what, shown in (
-        ("fps_one_thread", "frames a second, one thread", ",.0f"),
-        ("fps_all_threads", "frames a second, all threads", ",.0f"),
-        ("scipy_fps", f"scipy's, of {said['scipy_frames']} frames", ",.0f"),
-        ("over_scipy", "times scipy's, one thread", ".0f"),
-        ("joint_error_mm", "joint error, mm", ".2f"),
-    ):
-        table.add_row(what, *(format(said[key][name], shown) for name in ("clean", "noisy")))
-    out.print(table)
-    table = Table("experiment", "joints", "numbers measured", "shape parameters", "us", "dense, us", "times as fast")
-    for row in said["experiments"]:
-        table.add_row(
-            *(str(row[key]) for key in ("experiment", "joints", "measured", "shapes")),
-            *(f"{row[key]:.1f}" for key in ("sparse_us", "dense_us", "speedup")),
-        )
-    out.print(table)
-    for joints, us in said["direction_us"].items():
-        out.print(f"One direction at {joints} joints: {us:.1f} us; dense {said['dense_direction_us'][joints]:.0f} us.")
-    out.print(f"51 joints cost {said['k51_over_k23']:.2f} times 23; dense {said['dense_k51_over_k23']:.2f} times.")
-    return DONE
-
-
-def bench_uncertainty(
-    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
-) -> int:
-    """Compare predicted deviations with the truth of composed takes: does it lie within them as often as it should?"""
-    from mocapfix.bench import uncertainty
-
-    with staged("uncertainty"):
-        said = uncertainty.measure()
-    if as_json:
-        sys.stdout.write(json.dumps(said, indent=1) + "\n")
-        return DONE
-    table = Table("per axis", "samples", "error, mm", "predicted, mm", "within it", "within twice")
-    for what, name in (("joints", "joints"), ("filled_markers", "filled markers")):
-        for part, row in ((f"[bold]{name}[/]", said[what]), *said[what]["by"].items()):
-            shown = (f"{row['error_mm']:.1f}", f"{row['deviation_mm']:.1f}")
-            table.add_row(part, str(row["samples"]), *shown, f"{row['within_1_sigma']:.0%}", f"{row['within_2_sigma']:.0%}")
-        table.add_section()
-    out.print(table)
-    out.print("Of a normal distribution, 68 % lie within one standard deviation and 95 % within two.")
-    return DONE
-
-
-BENCHES = {"solver": bench_solver, "uncertainty": bench_uncertainty}
 COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
 
 
@@ -303,14 +239,3 @@ def between(frames: str) -> tuple[int, int] | None:
 def usage(message: str) -> int:
     err.print(escape(message), style="red", soft_wrap=True)
     return USAGE
-
-
-@contextmanager
-def staged(name: str) -> Iterator:
-    """Show on a terminal which stage a take is in; in a pipe, nothing but the one-time compilation."""
-    from mocapfix.kernels.problem import compiled
-
-    if not compiled():
-        err.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")
-    with err.status(escape(name)) as status:
-        yield lambda stage: status.update(f"{escape(name)}: {stage}")

@@ -85,7 +85,7 @@ def posed(worn: Take, worn_set: MarkerSet, subject: Subject | None, name: str, c
     with clock("initialise"):
         start = initialise.motion(worn, subject, body, poses)
     with clock("solve"):
-        motion = solve.motion(worn, subject, body, poses, start, SolveOptions())
+        motion = solve.motion(worn, subject, body, poses, prior.load_limits(body.skeleton), start, SolveOptions())
     return subject, motion
 
 

@@ -37,7 +37,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Limits:
+class JointLimits:
     """How far each joint turns from the mean pose, along the axes of its parent.
 
     rotations    (J, 3, 3) local joint rotations of the mean pose, as in Prior
@@ -80,7 +80,7 @@ def load(name: str, skeleton: Skeleton) -> Prior:
     return Prior(name, rotations, information, held)
 
 
-def load_limits(skeleton: Skeleton) -> Limits:
+def load_limits(skeleton: Skeleton) -> JointLimits:
     """-> the joint limits shipped as priors/joint-limits.yaml.
 
     Raises SceneError naming the file and the joint that does not say what it must.
@@ -95,4 +95,4 @@ def load_limits(skeleton: Skeleton) -> Limits:
             raise SceneError(f"{path}: joints.{joint} must hold low and high (x, y, z).") from error
         if not (bounds[0, j] < bounds[1, j]).all():
             raise SceneError(f"{path}: joints.{joint} has a low that is not below its high.")
-    return Limits(rotations, *bounds)
+    return JointLimits(rotations, *bounds)

@@ -37,7 +37,7 @@ def measured(seeds: tuple[int, ...] = SEEDS, seconds: float = SECONDS) -> list[d
 def errors(truth: Truth, worn: Take, subject: Subject, body: Body, mean_pose: prior.Prior) -> dict[str, float]:
     """-> mean errors of a subject in mm, `joints_mm` of poses solved on it."""
     start = initialise.motion(worn, subject, body, mean_pose)
-    motion = solve.motion(worn, subject, body, mean_pose, start, SolveOptions())
+    motion = solve.motion(worn, subject, body, mean_pose, prior.load_limits(body.skeleton), start, SolveOptions())
     joints, _ = kinematics.world(subject.skeleton, motion)
     return {
         "bones_mm": 1e3 * bone_error(subject.skeleton, truth.subject.skeleton),

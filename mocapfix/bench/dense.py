@@ -9,8 +9,9 @@ from numba import njit
 from scipy.linalg.blas import dgemv, dsyrk  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.linalg.lapack import dposv  # pyright: ignore[reportAttributeAccessIssue]
 
-from mocapfix.bench.scene import ORIENTATION, POINT, PROJECTION, ROWS, Scene, rows, stretched
-from mocapfix.kernels.residuals import joint_target
+from mocapfix.bench.scene import DAMPING, Scene
+from mocapfix.kernels.small import matrix, times
+from mocapfix.kernels.system import empty_system, linearise
 
 
 class Dense:
@@ -20,70 +21,107 @@ class Dense:
     """
 
     def __init__(self, scene: Scene) -> None:
-        measured = (scene.points, scene.projections, scene.orientations)
-        count = sum(each * len(group.joints) for each, group in zip(ROWS, measured, strict=True))
-        self.scene, joints, shapes = scene, len(scene.local), len(scene.growth)
-        self.jacobian, self.residual = np.empty((count, 3 + 3 * joints + shapes)), np.empty(count)
-        self.stretch = np.empty((shapes, joints, 3))
+        joints, shapes = len(scene.tree.parents), len(scene.tree.shape)
+        self.scene, self.pulls = scene, empty_system(joints, shapes, None)
+        self.jacobian, self.residual = np.empty((scene.numbers, 3 + 3 * joints + shapes)), np.empty(scene.numbers)
+        self.stretch = np.zeros((shapes, joints, 3))
 
     def direction(self) -> np.ndarray:
-        """-> x (6 + 3 K + P,), the Gauss-Newton step."""
-        fill(self.scene, self.stretch, self.jacobian, self.residual)
+        """-> x, the Gauss-Newton step."""
+        tree, points, views, directions, pull, pose = self.scene
+        fill(tree, points, views, directions, pose, self.stretch, self.jacobian, self.residual)
         across = self.jacobian.T  # column-major, as Fortran wants it
         curvature, gradient = dsyrk(1.0, across, lower=1), dgemv(1.0, across, self.residual)
-        add_priors(self.scene, curvature, gradient)
+        add_pulls(tree, (pull,), pose, self.pulls, curvature, gradient)
         return -dposv(curvature, gradient, lower=1, overwrite_a=1, overwrite_b=1)[1]
 
 
 @njit(cache=True)
-def fill(scene, stretch, jacobian, residual):
-    """Write the Jacobian (N, 6 + 3 K + P) and the residuals (N,) of all measurements."""
-    jacobian.fill(0)
-    stretched(scene, stretch)
-    row = fill_kind(scene, POINT, scene.points, stretch, jacobian, residual, 0)
-    row = fill_kind(scene, PROJECTION, scene.projections, stretch, jacobian, residual, row)
-    fill_kind(scene, ORIENTATION, scene.orientations, stretch, jacobian, residual, row)
+def stretched(tree, rotation, stretch):
+    """Write how every joint moves in the world (P, J, 3) with each shape parameter."""
+    for p in range(len(stretch)):
+        for j in range(1, len(tree.parents)):
+            up, by = tree.parents[j], tree.shape[p, j]
+            x, y, z = times(matrix(rotation, up), by[0], by[1], by[2])
+            stretch[p, j, 0] = stretch[p, up, 0] + x
+            stretch[p, j, 1] = stretch[p, up, 1] + y
+            stretch[p, j, 2] = stretch[p, up, 2] + z
 
 
 @njit(cache=True)
-def fill_kind(scene, kind, measured, stretch, jacobian, residual, row):
-    """Write the rows of one kind of measurements from `row` on. -> the row after them"""
-    shapes, unknowns = len(stretch), jacobian.shape[1]
-    by_place, by_twist, by_shape, error = np.empty((3, 3)), np.empty((3, 6)), np.empty((3, shapes)), np.empty(3)
-    for n in range(len(measured.joints)):
-        count = rows(scene, kind, measured, n, stretch, by_place, by_twist, by_shape, error)
-        for a in range(count):
-            out, (tx, ty, tz), (sx, sy, sz) = jacobian[row], by_twist[a, :3], by_twist[a, 3:]
-            j = measured.joints[n]
-            while j > 0:  # a joint turns all below it about its own place
-                x = scene.position[j, 0] - scene.position[0, 0]
-                y = scene.position[j, 1] - scene.position[0, 1]
-                z = scene.position[j, 2] - scene.position[0, 2]
-                out[3 + 3 * j] = tx + z * sy - y * sz
-                out[4 + 3 * j] = ty + x * sz - z * sx
-                out[5 + 3 * j] = tz + y * sx - x * sy
-                j = scene.tree.parents[j]
-            out[0], out[1], out[2], out[3], out[4], out[5] = tx, ty, tz, sx, sy, sz
-            for p in range(shapes):
-                out[unknowns - shapes + p] = by_shape[a, p]
-            residual[row] = error[a]
+def write(tree, position, stretch, j, x, y, z, turn, shift, out):
+    """Write one row of the Jacobian: of a number that changes with a body's turn, and with the shift of a point of it.
+
+    The point is (x, y, z) from the origin; `turn` is what a turn of body j about it does, `shift` the point's own shift.
+    """
+    out[:] = 0.0
+    tx, ty, tz = y * shift[2] - z * shift[1], z * shift[0] - x * shift[2], x * shift[1] - y * shift[0]
+    tx, ty, tz = turn[0] + tx, turn[1] + ty, turn[2] + tz
+    unknowns, shapes, end = len(out), len(stretch), j
+    while j > 0:  # a joint turns all below it about its own place
+        dx, dy, dz = position[j, 0] - position[0, 0], position[j, 1] - position[0, 1], position[j, 2] - position[0, 2]
+        out[3 + 3 * j] = tx + dz * shift[1] - dy * shift[2]
+        out[4 + 3 * j] = ty + dx * shift[2] - dz * shift[0]
+        out[5 + 3 * j] = tz + dy * shift[0] - dx * shift[1]
+        j = tree.parents[j]
+    out[0], out[1], out[2], out[3], out[4], out[5] = tx, ty, tz, shift[0], shift[1], shift[2]
+    for p in range(shapes):
+        s = stretch[p, end]
+        out[unknowns - shapes + p] = shift[0] * s[0] + shift[1] * s[1] + shift[2] * s[2]
+
+
+@njit(cache=True)
+def fill(tree, points, views, directions, pose, stretch, jacobian, residual):
+    """Write the Jacobian (N, 6 + 3 K + P) and the residuals (N,) of all measurements, over their standard deviations."""
+    position, rotation, row, still, turn, shift = pose.position, pose.rotation, 0, np.zeros(3), np.zeros(3), np.zeros(3)
+    stretched(tree, rotation, stretch)
+    for n in range(len(points.joints)):
+        j, place, root = points.joints[n], points.places[n], np.sqrt(points.weight[0, n])
+        x, y, z = times(matrix(rotation, j), place[0], place[1], place[2])
+        at = (x + position[j, 0], y + position[j, 1], z + position[j, 2])
+        for a in range(3):
+            shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
+            shift[a] = root
+            residual[row] = root * (at[a] - points.seen[0, n, a])
+            write(tree, position, stretch, j, at[0] - position[0, 0], at[1] - position[0, 1], at[2] - position[0, 2],
+                  still, shift, jacobian[row])  # fmt: skip
             row += 1
-    return row
+    for n in range(len(views.joints)):
+        j, place, root = views.joints[n], views.places[n], np.sqrt(views.weight[0, n])
+        x, y, z = times(matrix(rotation, j), place[0], place[1], place[2])
+        x, y, z = x + position[j, 0], y + position[j, 1], z + position[j, 2]
+        m, origin = views.rotation[views.cameras[n]], views.translation[views.cameras[n]]
+        image = times(matrix(views.rotation, views.cameras[n]), x, y, z)
+        depth = image[2] + origin[2]
+        for a in range(2):
+            seen = (image[a] + origin[a]) / depth
+            for c in range(3):
+                shift[c] = root * (m[a, c] - seen * m[2, c]) / depth
+            residual[row] = root * (seen - views.seen[0, n, a])
+            write(tree, position, stretch, j, x - position[0, 0], y - position[0, 1], z - position[0, 2],
+                  still, shift, jacobian[row])  # fmt: skip
+            row += 1
+    shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
+    for n in range(len(directions.joints)):
+        j, along, root = directions.joints[n], directions.along[n], np.sqrt(directions.weight[0, n])
+        d = times(matrix(rotation, j), along[0], along[1], along[2])
+        for a in range(3):  # a turn w moves the direction by w x d
+            b, c = (a + 1) % 3, (a + 2) % 3
+            turn[a], turn[b], turn[c] = 0.0, root * d[c], -root * d[b]
+            residual[row] = root * (d[a] - directions.seen[0, n, a])
+            write(tree, position, stretch, j, 0.0, 0.0, 0.0, turn, shift, jacobian[row])
+            row += 1
 
 
 @njit(cache=True)
-def add_priors(scene, curvature, gradient):
-    """Add the pull of every joint to its target, and a unit normal on each shape parameter (SCOPE, Eq. 5, terms 5 and 6)."""
-    own, b, unturned = np.empty((3, 3)), np.empty(3), np.eye(3)
-    for j in range(len(scene.local)):
-        own.fill(0)
-        b.fill(0)
-        parent = scene.rotation[scene.tree.parents[j]] if j else unturned
-        joint_target(scene.local[j], scene.pull.rotations[j], scene.pull.information[j], parent, own, b, True)
+def add_pulls(tree, terms, pose, system, curvature, gradient):
+    """Add the pull of every joint to its target, and the damping that the sweep has, too."""
+    linearise(tree, terms, 0, np.inf, pose, system)
+    for j in range(len(tree.parents)):
         at = 3 + 3 * j if j else 0
         for a in range(3):
-            gradient[at + a] += b[a]
-            for c in range(3):
-                curvature[at + a, at + c] += own[a, c]
-    for p in range(len(scene.growth)):
-        curvature[len(curvature) - 1 - p, len(curvature) - 1 - p] += 1.0
+            gradient[at + a] += system.b[j, a] if j else system.g[0, a]
+            for c in range(a + 1):
+                curvature[at + a, at + c] += system.own[j, a, c]
+    for i in range(len(gradient)):
+        curvature[i, i] += DAMPING

@@ -105,7 +105,7 @@ def on_experiments(effort: Effort) -> Iterator[dict]:
 def timed(scene: Scene, effort: Effort) -> dict[str, float]:
     """-> microseconds of one direction of a scene, by the sweep and dense."""
     work, dense = sparse.work(scene), Dense(scene)
-    sparse.direction(scene, work)
+    sparse.seconds(scene, work, 1)
 
     def densely() -> float:
         started = time.thread_time()

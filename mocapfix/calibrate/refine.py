@@ -13,7 +13,7 @@ from mocapfix.calibrate import freedom
 from mocapfix.calibrate.freedom import Freedom
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
+from mocapfix.kernels.problem import Attached, Problem, no_limits, no_pull, pull_to
 from mocapfix.kernels.registration import poses
 from mocapfix.kernels.shared import Responses, reduced, responses
 from mocapfix.motion import Motion
@@ -49,7 +49,8 @@ class Fit:
 def problem_of(start: Subject, body: Body, prior: Prior, markers: np.ndarray, offsets, places) -> Problem:
     """-> the pose problem of frames (N, K, 3) on a body with these offsets (J, 3) and marker places (K, 3)."""
     tree, pull = Tree(start.skeleton.parents, offsets, body.free), pull_to(prior.weakened(PRIOR_WEIGHT))
-    return Problem(tree, Attached(start.joints, places), markers, ~np.isnan(markers[..., 0]), MARKER_SD, pull)
+    listened, limits = ~np.isnan(markers[..., 0]), no_limits(len(offsets))
+    return Problem(tree, Attached(start.joints, places), markers, listened, MARKER_SD, pull, limits)
 
 
 def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Motion:

@@ -16,7 +16,7 @@ from mocapfix.kernels.sweep import Factors, Step, empty_factors, empty_step
 from mocapfix.kernels.system import System, empty_system, linearise
 
 CONVERGED, RAN_OUT, NOTHING_LEFT, UNHELD = 0, 1, 4, 5  # indices into motion.STATUS
-TAU = 1e-3  # initial damping over the largest diagonal entry
+TAU = 1e-5  # initial damping over the largest diagonal entry: starts are near (levmar: 1e-3 where they may be far)
 SLIGHT = 1e-3  # a predicted fall of the cost (half a sum of squares in standard deviations) that no longer matters
 EXACT = 1e-12  # a cost that is nothing but rounding
 

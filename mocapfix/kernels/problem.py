@@ -10,10 +10,10 @@ import numpy as np
 from mocapfix.kernels import plan
 from mocapfix.kernels.levenberg import TAU, solve_frames
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Courses, Points, Targets
+from mocapfix.kernels.terms import Courses, Limits, Points, Targets
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.uncertainty import uncertainties
-from mocapfix.prior import Prior
+from mocapfix.prior import JointLimits, Prior
 from mocapfix.take import runs
 
 COMPILED = "levenberg.solve_frames-*.nbi"  # the index that Numba keeps of the longest compilation
@@ -52,6 +52,16 @@ def pull_to(prior: Prior) -> Targets:
     return Targets(prior.rotations[None], prior.information[None])
 
 
+def within(limits: JointLimits, sd: float) -> Limits:
+    """-> joint limits as soft walls; beyond them lies a standard deviation of `sd` radians."""
+    return Limits(limits.rotations, limits.low, limits.high, sd**-2)
+
+
+def no_limits(joints: int) -> Limits:
+    """-> walls that no joint meets."""
+    return Limits(np.zeros((joints, 3, 3)), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 0.0)
+
+
 @dataclass(frozen=True)
 class Problem:
     """Poses are solved in place: root (T, 3) metres, local rotations (T, J, 3, 3).
@@ -60,6 +70,7 @@ class Problem:
     listened   (T, K) bool: believed samples that the pose listens to
     marker_sd  metres, standard deviation per axis of a marker about its place
     prior      the pull of every frame to the mean pose
+    limits     how far the joints turn
     """
 
     tree: Tree
@@ -68,12 +79,17 @@ class Problem:
     listened: np.ndarray
     marker_sd: float
     prior: Targets
+    limits: Limits
 
     @cached_property
     def points(self) -> Points:
         """The markers as a term."""
         seen = np.where(self.listened[..., None], self.markers, 0.0)
         return Points(self.attached.joints, self.attached.places, seen, self.listened / self.marker_sd**2)
+
+    def terms(self, pull: Courses) -> tuple[Points, Courses, Targets, Limits]:
+        """-> all that holds the poses, with this pull."""
+        return self.points, pull, self.prior, self.limits
 
     def scales2(self, scales: tuple[float, ...]) -> np.ndarray:
         """-> robust scales in metres as the kernels want them: squared, in units of marker_sd."""
@@ -91,8 +107,8 @@ class Problem:
         """Solve frames as a plan says. -> status, iterations, 0 where a frame is not in the plan"""
         status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
-            solve_frames, len(order.chains) - 1, self.tree, (self.points, pull, self.prior), order, self.scales2(scales), TAU,
-            most, None, root, local, np.zeros((len(root), 0)), status, iterations,
+            solve_frames, len(order.chains) - 1, self.tree, self.terms(pull), order, self.scales2(scales), TAU, most,
+            None, root, local, np.zeros((len(root), 0)), status, iterations,
         )  # fmt: skip
         return status, iterations
 
@@ -102,7 +118,7 @@ class Problem:
         each = (frames, joints)
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros(each), np.zeros(each), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, (self.points, pull, self.prior), self.scales2((scale,))[0], None, root, local,
+            uncertainties, frames, self.tree, self.terms(pull), self.scales2((scale,))[0], None, root, local,
             np.zeros((frames, 0)), *left,
         )  # fmt: skip
         return left

@@ -58,7 +58,7 @@ def responses(problem: Problem, directions: Directions, target: Courses, scale: 
         np.empty((frames, unknowns, joints, 3)),
     )
     over_frames(
-        respond_frames, frames, problem.tree, (problem.points, target, problem.prior), directions,
+        respond_frames, frames, problem.tree, problem.terms(target), directions,
         problem.scales2((scale,))[0], root, local, *found,
     )  # fmt: skip
     return found

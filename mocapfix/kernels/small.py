@@ -106,10 +106,9 @@ def cholesky_solve(m, x):
 
 
 @njit(cache=True)
-def cholesky_inverse(m):
-    """Invert the positive definite `m` (N, N) in place, both triangles."""
+def inverse_of_cholesky(m):
+    """Write the inverse, both triangles, of the matrix that `cholesky` left factored in `m` (N, N), in place."""
     n = len(m)
-    cholesky(m)
     for j in range(n):  # the lower triangle's inverse
         m[j, j] = 1.0 / m[j, j]
         for i in range(j + 1, n):

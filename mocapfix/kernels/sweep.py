@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels.pose import copy
-from mocapfix.kernels.small import cholesky, cholesky_inverse, cholesky_solve, inverse_3
+from mocapfix.kernels.small import cholesky, cholesky_solve, inverse_3, inverse_of_cholesky
 
 
 class Step(NamedTuple):
@@ -105,9 +105,10 @@ def factor(tree, system, mu, f):
             gain[i, a, 0], gain[i, a, 1], gain[i, a, 2] = g0 - l10 * g1 - l20 * g2, g1, g2
     for a in range(6):
         h[0, a, a] += mu
-    cholesky_inverse(h[0])
+    cholesky(h[0])
     if unknowns:
         eliminate_root(mu, h[0], f.cross[0], f.root, f.shared)
+    inverse_of_cholesky(h[0])
 
 
 @njit(cache=True)
@@ -148,17 +149,24 @@ def carry_shift(i, shift, h, cross, shared):
 
 
 @njit(cache=True)
-def eliminate_root(mu, inverse, cross, root, shared):
-    """Eliminate the root's twist from the shared unknowns' curvature and factor what is left."""
+def eliminate_root(mu, lower, cross, root, shared):
+    """Eliminate the root's twist, whose curvature is L L', from the shared unknowns' and factor what is left."""
     for c in range(len(shared)):
-        for a in range(6):
-            root[a, c] = 0.0
-            for b in range(6):
-                root[a, c] += inverse[a, b] * cross[b, c]
+        for a in range(6):  # L^-1 cross
+            total = cross[a, c]
+            for b in range(a):
+                total -= lower[a, b] * root[b, c]
+            root[a, c] = total / lower[a, a]
         for d in range(c + 1):
             for a in range(6):
-                shared[c, d] -= cross[a, c] * root[a, d]
+                shared[c, d] -= root[a, c] * root[a, d]
         shared[c, c] += mu
+    for c in range(len(shared)):
+        for a in range(5, -1, -1):  # L^-T of it
+            total = root[a, c]
+            for b in range(a + 1, 6):
+                total -= lower[b, a] * root[b, c]
+            root[a, c] = total / lower[a, a]
     cholesky(shared)
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.problem import Attached, Problem, Uncertainty, no_pull, pull_to
+from mocapfix.kernels.problem import Attached, Problem, Uncertainty, no_pull, pull_to, within
 from mocapfix.motion import Motion
-from mocapfix.prior import Prior
+from mocapfix.prior import JointLimits, Prior
 from mocapfix.skeleton import Body
 from mocapfix.solve import courses, listening, recall
 from mocapfix.solve.deviation import deviations
@@ -23,7 +23,15 @@ POOR = 0.03  # metres: a frame whose markers lie farther from the body on averag
 SUREST = 0.01  # radians: no course is surer
 
 
-def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion, options: SolveOptions) -> Motion:
+def motion(
+    worn: Take,
+    subject: Subject,
+    body: Body,
+    prior: Prior,
+    limits: JointLimits,
+    start: Motion,
+    options: SolveOptions,
+) -> Motion:
     """-> poses, and the standard deviations of every joint and of every marker the body places.
 
     Each frame is solved alone first; the joints' smooth courses through what that says, and how surely, then pull the
@@ -36,7 +44,7 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, start: Motion
     said_once = pull_to(prior.weakened(1 / (options.habit * rate)))
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
     attached = Attached(subject.joints, subject.places)
-    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once)
+    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once, within(limits, options.limit_sd))
     gone = listening.lost(listened, subject, body.free)
     unsure = (listening.missed(listened, subject) | gone) & body.free
 

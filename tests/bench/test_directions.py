@@ -4,48 +4,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import own, scope, sparse
 from mocapfix.bench.common_task import make
 from mocapfix.bench.dense import Dense
-from mocapfix.bench.scene import ROWS, Scene
-from tests.kernels.dense import forward, jacobian, moved
+from mocapfix.bench.scene import Scene
+from tests.kernels.dense import Frame, quadratic
 
 
 def numeric(scene: Scene) -> np.ndarray:
     """-> the Gauss-Newton step x (6 + 3 K + P,) from derivatives by finite differences."""
-    turns, shapes = 3 + 3 * len(scene.local), len(scene.growth)
-
-    def residuals(x: np.ndarray) -> np.ndarray:
-        root, local = moved(scene.tree, scene.position[0], scene.local, x[:turns])
-        beta = x[turns:]
-        body = scene.tree._replace(offsets=scene.tree.offsets + np.einsum("p,pja->ja", beta, scene.growth))
-        position, rotation = forward(body, root, local)
-
-        def away(measured, seen):
-            places = measured.places + np.einsum("p,pna->na", beta, measured.growth)
-            arm = np.einsum("nab,nb->na", rotation[measured.joints], places)
-            found = seen(arm, position[measured.joints] + arm)
-            return ((found - measured.targets) * np.sqrt(measured.weight)[:, None]).ravel()
-
-        turned = Rotation.from_matrix(local @ np.swapaxes(scene.pull.rotations, 1, 2)).as_rotvec() / scope.HABIT
-        return np.concatenate([
-            away(scene.points, lambda arm, place: place),
-            away(scene.projections, lambda arm, place: (place - scene.eye) / (place - scene.eye)[:, 2:]),
-            away(scene.orientations, lambda arm, place: arm / np.linalg.norm(arm, axis=1, keepdims=True)),
-            turned.ravel(),
-            beta,
-        ])  # fmt: skip
-
-    return -np.linalg.lstsq(jacobian(residuals, turns + shapes), residuals(np.zeros(turns + shapes)), rcond=None)[0]
+    pose = scene.pose
+    _, curvature, gradient = quadratic(Frame(scene.tree, scene.terms, pose.root, pose.local, pose.shared))
+    return -np.linalg.solve(curvature, gradient)
 
 
 def swept(scene: Scene) -> np.ndarray:
     """-> the sweep's step, in the dense one's order."""
-    work, shapes = sparse.work(scene), len(scene.growth)
-    sparse.direction(scene, work)
-    return np.concatenate([work.twist[shapes, 0], work.turn[shapes, 1:].ravel(), work.step])
+    return sparse.direction(scene, sparse.work(scene))
 
 
 @pytest.mark.parametrize(("points", "each", "shapes"), [(40, False, 0), (40, False, 3), (0, True, 0), (5, True, 3)])
@@ -75,10 +51,9 @@ def test_the_common_tasks_first_direction_is_the_same_by_both():
 def test_a_second_direction_of_the_same_scene_is_the_first():
     scene = scope.scene(23, 10, True, 2)
     work, dense = sparse.work(scene), Dense(scene)
-    sparse.direction(scene, work)
-    once, twist = dense.direction(), work.twist.copy()
-    sparse.repeat(scene, work, 3)
-    np.testing.assert_array_equal(work.twist, twist)
+    step = sparse.direction(scene, work)
+    once = dense.direction()
+    np.testing.assert_array_equal(sparse.direction(scene, work), step)
     np.testing.assert_array_equal(dense.direction(), once)
 
 
@@ -109,6 +84,5 @@ def test_the_experiments_run_over_what_the_paper_says():
 
 def test_a_row_counts_the_numbers_that_its_scene_measures():
     for row, scene in scope.experiments():
-        groups = (scene.points, scene.projections, scene.orientations)
-        assert row["measured"] == sum(each * len(group.joints) for each, group in zip(ROWS, groups, strict=True))
-        assert (row["joints"], row["shapes"]) == (len(scene.local) - 1, len(scene.growth))
+        assert row["measured"] == scene.numbers == len(Dense(scene).residual)
+        assert (row["joints"], row["shapes"]) == (len(scene.tree.parents) - 1, len(scene.tree.shape))

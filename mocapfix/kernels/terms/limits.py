@@ -26,7 +26,7 @@ def add(term, t, scale2, tree, pose, system):
     """Add the excess to each free joint's own turn. -> cost"""
     parents, own, b, cost = tree.parents, system.own, system.b, 0.0
     for j in range(1, len(parents)):
-        if not tree.free[j]:
+        if not tree.free[j] or term.weight == 0.0:
             continue
         x, y, z, c = logarithm(product(matrix(pose.local, j), transposed(matrix(term.middle, j))))
         ex = max(x - term.high[j, 0], 0.0) + min(x - term.low[j, 0], 0.0)
