@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, UNHELD
-from mocapfix.kernels.problem import Attached, Problem, compiled, no_pull, pull_to
+from mocapfix.kernels.problem import Attached, Problem, compiled, no_limits, no_pull, pull_to
 from mocapfix.prior import Prior
 from tests.kernels import dense, drawn
 
@@ -20,8 +20,8 @@ def problem(seed=0):
     root, local = rng.normal(size=(FRAMES, 3)), np.tile(drawn.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
     joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
     markers = np.stack([dense.placed(joints, places, dense.world(tree, *pose)) for pose in zip(root, local, strict=True)])
-    silent = pull_to(Prior("none", local[0], *np.zeros((2, JOINTS, 3, 3))))
-    return Problem(tree, Attached(joints, places), markers, np.ones(markers.shape[:2], bool), SD, silent), root, local
+    silent, listened = pull_to(Prior("none", local[0], *np.zeros((2, JOINTS, 3, 3)))), np.ones(markers.shape[:2], bool)
+    return Problem(tree, Attached(joints, places), markers, listened, SD, silent, no_limits(JOINTS)), root, local
 
 
 def off(root, local):
