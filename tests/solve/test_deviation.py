@@ -8,7 +8,7 @@ import pytest
 from mocapfix import prior, synthetic
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to
+from mocapfix.kernels.problem import Attached, Problem, no_limits, no_pull, pull_to
 from mocapfix.skeleton import cmu31
 from mocapfix.solve.deviation import LEAST, PLACED, deviations, strayed
 
@@ -46,8 +46,9 @@ def scene():
     noise = np.random.default_rng(1).normal(0, 0.004, truth.markers.shape)
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free)
     problem = Problem(
-        tree, Attached(subject.joints, subject.places), truth.markers + noise, listened, 0.01, pull_to(MEAN.weakened(0.01))
-    )
+        tree, Attached(subject.joints, subject.places), truth.markers + noise, listened, 0.01, pull_to(MEAN.weakened(0.01)),
+        no_limits(31),
+    )  # fmt: skip
     return subject, truth.motion, problem
 
 
