@@ -10,12 +10,13 @@ from mocapfix.take import Take
 
 BODY = cmu31()
 MEAN = prior.load("mean-pose", BODY.skeleton)
+LIMITS = prior.load_limits(BODY.skeleton)
 
 
 def solved(truth, markers):
     worn = Take(markers, truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, MEAN)
-    return solve.motion(worn, truth.subject, BODY, MEAN, start, solve.SolveOptions())
+    return solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, solve.SolveOptions())
 
 
 def finite(motion):

@@ -15,6 +15,7 @@ from mocapfix.take import Take
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 MEAN, NONE = (prior.load(name, BODY.skeleton) for name in ("mean-pose", "none"))
+LIMITS = prior.load_limits(BODY.skeleton)
 NAMES = BODY.skeleton.names
 SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
 
@@ -33,7 +34,7 @@ def exact():
 def solved(truth, markers, habits=NONE):
     worn = Take(markers, truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, habits)
-    return solve.motion(worn, truth.subject, BODY, habits, start, SolveOptions())
+    return solve.motion(worn, truth.subject, BODY, habits, LIMITS, start, SolveOptions())
 
 
 def off(truth, motion, frames=slice(None)):
@@ -145,6 +146,6 @@ def test_the_solve_writes_into_nothing_that_it_is_given(exact):
     worn = Take(truth.markers.copy(), truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, MEAN)
     was = [field.copy() for field in (worn.markers, *vars(start).values())]
-    solve.motion(worn, truth.subject, BODY, MEAN, start, SolveOptions())
+    solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
