@@ -10,12 +10,13 @@ from mocapfix.take import Take
 
 BODY = cmu31()
 MEAN = prior.load("mean-pose", BODY.skeleton)
+LIMITS = prior.load_limits(BODY.skeleton)
 
 
 def solved(truth, markers):
     worn = Take(markers, truth.labels, truth.rate)
     start = initialise.motion(worn, truth.subject, BODY, MEAN)
-    return solve.motion(worn, truth.subject, BODY, MEAN, start, solve.SolveOptions())
+    return solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, solve.SolveOptions())
 
 
 def finite(motion):
@@ -38,7 +39,7 @@ def test_frames_that_say_little_are_told_in_words_and_spoil_no_others():
     assert words == ["guessed", "guessed", "poor", "solved"]
     expected, joints = (kinematics.world(truth.subject.skeleton, motion)[0] for motion in motions)
     away = np.abs(np.subtract.outer(np.arange(60), strange)).min(1) > 1
-    assert np.linalg.norm(joints - expected, axis=-1)[away].max() < 0.02
+    assert np.linalg.norm(joints - expected, axis=-1)[away].max() < 0.03
 
 
 def test_a_take_in_which_nothing_is_seen_is_guessed_throughout():
