@@ -31,7 +31,7 @@ def ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: np.ndarray) -> flo
             if len(distance) < 10:
                 continue
             middle = np.median(distance)
-            if np.median(np.abs(distance - middle)) < STEADY * middle:
+            if np.median(np.abs(distance - middle)) <= STEADY * middle:  # markers all at one point, too
                 ratios.append(middle / expected)
                 weights.append(expected)
     if not ratios:

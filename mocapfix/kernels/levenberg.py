@@ -58,12 +58,22 @@ def dot(a, b):
 
 
 @njit(cache=True)
-def largest(h):
-    """-> the largest diagonal entry of the whole curvature: a shift of the root moves every body."""
-    total = 0.0
-    for j in range(len(h)):
-        total += h[j, 3, 3]
-    return max(total, 1.0)
+def largest(system):
+    """-> the largest diagonal entry of the curvature, or 1: of the root's twist, which moves every body, of what holds joints'
+    own turns, of the shared unknowns. What markers say of a joint's turn they say of the root's, too.
+    """
+    entry = 1.0
+    for a in range(6):
+        total = 0.0
+        for j in range(len(system.h)):
+            total += system.h[j, a, a]
+        entry = max(entry, total)
+    for j in range(len(system.own)):
+        for a in range(3):
+            entry = max(entry, system.own[j, a, a])
+    for p in range(len(system.shared)):
+        entry = max(entry, system.shared[p, p])
+    return entry
 
 
 @njit(cache=True)
@@ -139,7 +149,7 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
             if mu < 0.0:
                 if not held(system):
                     return UNHELD, total
-                mu = tau * largest(system.h)
+                mu = tau * largest(system)
             cost = there
             if cost < EXACT:
                 status = NOTHING_LEFT

@@ -34,7 +34,7 @@ def bridges(runs: list[tuple[int, int]], unsure: np.ndarray) -> Plan:
 
     Joints that are `unsure` (T, J) start where the neighbour has them, the others, and the root, where they are: where
     markers leave two poses open, as a thigh does that lost its knee, the one that goes on smoothly is found. A run at the
-    take's beginning or end has one end only; the take's first frame, in a run of all frames, starts from its own pose.
+    take's beginning or end has one end only; in a run of all frames the take's first is the end, and is not solved anew.
     """
     order, source, chains, end = [], [], [0], len(unsure) - 1
     for left, right in runs:

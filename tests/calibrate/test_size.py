@@ -50,6 +50,7 @@ def test_a_take_that_says_nothing_leaves_the_average_body(motion):
 
 def test_wrong_units_end_at_the_largest_body_there_is(motion):
     assert size.ratio(SKELETON, WORN, seen(motion, 100.0, np.random.default_rng(4))) == 1.6
+    assert size.ratio(SKELETON, WORN, np.ones((20, len(WORN.labels), 3))) == 0.3  # all at one point
 
 
 def test_rest_places_are_the_sums_of_the_offsets():

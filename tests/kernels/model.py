@@ -12,17 +12,17 @@ from tests.kernels import drawn
 from tests.kernels.dense import Frame
 
 
-def worked(frame: Frame, scale2: float = np.inf) -> tuple[float, Workspace]:
+def worked(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, Workspace]:
     """-> cost, and the workspace with the model of the frame's terms at its pose."""
     work = workspace(len(frame.local), len(frame.shared), drawn.rows(frame.terms))
     work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
     forward(frame.tree, work.pose)
-    return linearise(frame.tree, frame.terms, 0, float(scale2), work.pose, work.system), work
+    return linearise(frame.tree, frame.terms, t, float(scale2), work.pose, work.system), work
 
 
-def linearised(frame: Frame, scale2: float = np.inf) -> tuple[float, System]:
+def linearised(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, System]:
     """-> cost, and the model."""
-    cost, work = worked(frame, scale2)
+    cost, work = worked(frame, scale2, t)
     return cost, work.system
 
 

@@ -72,7 +72,7 @@ def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
 
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
     truth = exact(120.0)
-    motion = solved(truth, truth.markers, MEAN)
+    motion = solved(truth, truth.markers, MEAN, LIMITS)
     carried = kinematics.placed(truth.subject, motion)[1]
     assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
     told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]

@@ -13,8 +13,14 @@ expansion about the pose. A term that touches one body adds to that body's h and
 and b, one on several bodies at once a row (`rows`); one on the unknowns that all joints share to `shared` and the crosses.
 """
 
-from numba import types
+from numba import njit, types
 from numba.extending import overload
+
+
+@njit(cache=True)
+def of_frame(array, t):
+    """-> what `array` says of frame t: it has a row for each frame, or one for all."""
+    return array[min(t, len(array) - 1)]
 
 
 def add(term, t, scale2, tree, pose, system):

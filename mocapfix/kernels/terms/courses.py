@@ -6,13 +6,13 @@ import numpy as np
 
 from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
 from mocapfix.kernels.small import matrix, product, times, transposed
-from mocapfix.kernels.terms.contract import adds
+from mocapfix.kernels.terms.contract import adds, of_frame
 
 
 class Courses(NamedTuple):
     """Residual: the rotation vector from the course to each joint, and the root's distance, over their standard deviations.
 
-    One pose for all frames, or one per frame. A joint whose weight is zero is not pulled.
+    One pose for all frames, or one per frame, and likewise how strongly it pulls. A joint of weight zero is not pulled.
     """
 
     rotations: np.ndarray  # (1 or T, J, 3, 3)
@@ -24,8 +24,7 @@ class Courses(NamedTuple):
 @adds(Courses)
 def add(term, t, scale2, tree, pose, system):
     """Add the pull to each free joint's own turn, and to the root's shift. -> cost"""
-    f = min(t, len(term.root) - 1)
-    rotations, weight, rotation, local = term.rotations[f], term.weight[f], pose.rotation, pose.local
+    rotations, weight, rotation, local = of_frame(term.rotations, t), of_frame(term.weight, t), pose.rotation, pose.local
     parents, free, own, b, cost = tree.parents, tree.free, system.own, system.b, 0.0
     for j in range(len(parents)):
         w = weight[j]
@@ -46,9 +45,9 @@ def add(term, t, scale2, tree, pose, system):
             own[j, a, 0] += w * stiff[3 * a]
             own[j, a, 1] += w * stiff[3 * a + 1]
             own[j, a, 2] += w * stiff[3 * a + 2]
-    w = term.root_weight[f]
+    w, root = of_frame(term.root_weight, t), of_frame(term.root, t)
     for a in range(3):
-        e = pose.position[0, a] - term.root[f, a]
+        e = pose.position[0, a] - root[a]
         cost += 0.5 * w * e * e
         system.g[0, 3 + a] += w * e
         system.h[0, 3 + a, 3 + a] += w

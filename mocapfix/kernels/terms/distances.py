@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.small import matrix, times
-from mocapfix.kernels.terms.contract import adds
+from mocapfix.kernels.terms.contract import adds, of_frame
 
 TOUCHING = 1e-9  # metres: nearer points have no direction from one to the other
 
@@ -23,11 +23,11 @@ class Distances(NamedTuple):
 @adds(Distances)
 def add(term, t, scale2, tree, pose, system):
     """Write one row for each distance. -> cost"""
-    f, cost, ends = min(t, len(term.weight) - 1), 0.0, np.empty((2, 3))
+    length, weight, cost, ends = of_frame(term.length, t), of_frame(term.weight, t), 0.0, np.empty((2, 3))
     for k in range(len(term.joints)):
         m = system.written[0]
         system.written[0] += 1
-        if term.weight[f, k] == 0.0:
+        if weight[k] == 0.0:
             continue
         for e in range(2):
             j = term.joints[k, e]
@@ -35,8 +35,8 @@ def add(term, t, scale2, tree, pose, system):
             ends[e] = (x + pose.position[j, 0], y + pose.position[j, 1], z + pose.position[j, 2])
         ux, uy, uz = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1], ends[1, 2] - ends[0, 2]
         distance = math.sqrt(ux * ux + uy * uy + uz * uz)
-        root = math.sqrt(term.weight[f, k])
-        system.away[m] = root * (distance - term.length[f, k])
+        root = math.sqrt(weight[k])
+        system.away[m] = root * (distance - length[k])
         cost += 0.5 * system.away[m] ** 2
         scale = root / max(distance, TOUCHING)
         for e in range(2):

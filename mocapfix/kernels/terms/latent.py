@@ -11,7 +11,7 @@ import numpy as np
 
 from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
 from mocapfix.kernels.small import matrix, product, times, transposed
-from mocapfix.kernels.terms.contract import adds
+from mocapfix.kernels.terms.contract import adds, of_frame
 
 
 class Latent(NamedTuple):
@@ -31,8 +31,8 @@ class Latent(NamedTuple):
 @adds(Latent)
 def add(term, t, scale2, tree, pose, system):
     """Add the pull between each free joint's own turn and the code. -> cost"""
-    f, size = min(t, len(term.at) - 1), term.at.shape[1]
-    cost, slopes = 0.0, term.jacobian[f]
+    decoded, slopes, at = of_frame(term.decoded, t), of_frame(term.jacobian, t), of_frame(term.at, t)
+    cost, size = 0.0, len(at)
     for j in range(len(tree.parents)):
         information = matrix(term.information, j)
         if not tree.free[j] or information[0] + information[4] + information[8] == 0.0:
@@ -41,9 +41,9 @@ def add(term, t, scale2, tree, pose, system):
         through = left_jacobian_inverse(x, y, z, c)
         if j:
             through = product(through, transposed(matrix(pose.rotation, tree.parents[j])))
-        x, y, z = x - term.decoded[f, j, 0], y - term.decoded[f, j, 1], z - term.decoded[f, j, 2]
+        x, y, z = x - decoded[j, 0], y - decoded[j, 1], z - decoded[j, 2]
         for p in range(size):
-            step = pose.shared[p] - term.at[f, p]
+            step = pose.shared[p] - at[p]
             x -= slopes[j, 0, p] * step
             y -= slopes[j, 1, p] * step
             z -= slopes[j, 2, p] * step

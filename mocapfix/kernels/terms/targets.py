@@ -6,13 +6,13 @@ import numpy as np
 
 from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
 from mocapfix.kernels.small import matrix, product, times, transposed
-from mocapfix.kernels.terms.contract import adds
+from mocapfix.kernels.terms.contract import adds, of_frame
 
 
 class Targets(NamedTuple):
     """Residual: the rotation vector from each target to the joint, in the parent's axes.
 
-    One pose for all frames, or one per frame. A joint whose information is zero is not pulled.
+    One pose for all frames, or one per frame, and likewise how strongly it pulls: not at all where the information is zero.
     """
 
     rotations: np.ndarray  # (1 or T, J, 3, 3)
@@ -25,8 +25,8 @@ def add(term, t, scale2, tree, pose, system):
 
     A turn w of the joint in world axes changes its residual r by J(r) parent' w, J the logarithm's derivative.
     """
-    f = min(t, len(term.rotations) - 1)
-    rotations, informations, rotation, local = term.rotations[f], term.information[f], pose.rotation, pose.local
+    rotations, informations = of_frame(term.rotations, t), of_frame(term.information, t)
+    rotation, local = pose.rotation, pose.local
     parents, free, own, b, cost = tree.parents, tree.free, system.own, system.b, 0.0
     for j in range(len(parents)):
         information = matrix(informations, j)

@@ -84,6 +84,17 @@ def test_pixels_become_tangents_and_metres():
     np.testing.assert_allclose(both, [[[0.5, 0.2]]])
 
 
+@pytest.mark.parametrize("kind", ["courses", "targets", "distances", "latent"])
+def test_what_is_the_same_in_all_frames_may_be_said_once(kind):
+    frame, last = drawn.frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent" else 0), 7
+    once = frame.terms[drawn.KINDS.index(kind)]
+    for name, array in once._asdict().items():
+        if len(array) == 1:
+            each = once._replace(**{name: np.repeat(array, last + 1, axis=0)})
+            several = frame._replace(terms=drawn.terms(5, last + 1, **{kind: each}))
+            assert linearised(several, t=last)[0] == linearised(frame)[0]
+
+
 def test_points_that_touch_have_no_direction_but_a_distance():
     body = drawn.tree(np.random.default_rng(3), 1)
     touching = drawn.Distances(np.zeros((1, 2), int), np.zeros((1, 2, 3)), np.array([[0.3]]), np.array([[100.0]]))
