@@ -64,7 +64,9 @@ def changes(markers: np.ndarray) -> np.ndarray:
     for n, i in enumerate(enough[1:], start=1):
         distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, enough[:n]], axis=-1), axis=0)  # NaN comes last
         low, high = (percentile(distance, share) for share in (0.16, 0.84))
-        change[i, enough[:n]] = change[enough[:n], i] = (high - low) / 2  # a normal distribution's standard deviation
+        known = np.isfinite(high)
+        others = enough[:n][known]
+        change[i, others] = change[others, i] = (high[known] - low[known]) / 2  # a normal distribution's standard deviation
     return change
 
 

@@ -42,9 +42,10 @@ def motion(
     rate, narrow = worn.rate, options.robust[-1]
     listened = worn.seen & ~listening.beside_gaps(worn.seen, rate, options.beside)
     said_once = pull_to(prior.weakened(1 / (options.habit * rate)))
+    walls = within(limits, options.limit_sd * np.sqrt(options.habit * rate))
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
     attached = Attached(subject.joints, subject.places)
-    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once, within(limits, options.limit_sd))
+    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once, walls)
     gone = listening.lost(listened, subject, body.free)
     unsure = (listening.missed(listened, subject) | gone) & body.free
 

@@ -14,7 +14,7 @@ class SolveOptions:
     habit: float = 1.0
     """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
     limit_sd: float = 0.1
-    """how far a joint turns beyond people's limits, radians (standard deviation)"""
+    """how far a joint turns beyond people's limits, radians (standard deviation), said as often as the prior is"""
     beside: float = 0.05
     """how long beside a gap a marker is not listened to, seconds; see `listening.beside_gaps`"""
     tremble_turn: float = 0.01

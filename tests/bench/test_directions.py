@@ -15,7 +15,7 @@ from tests.kernels.dense import Frame, quadratic
 def numeric(scene: Scene) -> np.ndarray:
     """-> the Gauss-Newton step x (6 + 3 K + P,) from derivatives by finite differences."""
     pose = scene.pose
-    _, curvature, gradient = quadratic(Frame(scene.tree, scene.terms, pose.root, pose.local, pose.shared))
+    _, gradient, curvature = quadratic(Frame(scene.tree, scene.terms, pose.root, pose.local, pose.shared))
     return -np.linalg.solve(curvature, gradient)
 
 

@@ -237,12 +237,18 @@ def twists(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return twist, turn, np.eye(count)[count - shared :]
 
 
+def across(tree: Tree, system: System) -> np.ndarray:
+    """-> (M, N) the system's rows on x."""
+    twist, turn, _ = twists(tree, system)
+    return np.einsum("mja,jan->mn", system.rows, twist) + np.einsum("mja,jan->mn", system.rows_own, turn)
+
+
 def assembled(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray]:
     """-> gradient (N,) and curvature (N, N) of a system as one whole quadratic in x."""
     twist, turn, shared = twists(tree, system)
     among = np.tril(system.shared) + np.tril(system.shared, -1).T
     crossed = (np.einsum("jan,jap->np", twist, system.cross) + np.einsum("jan,jap->np", turn, system.own_cross)) @ shared
-    rows = np.einsum("mja,jan->mn", system.rows, twist) + np.einsum("mja,jan->mn", system.rows_own, turn)
+    rows = across(tree, system)
     bodies, joints = np.swapaxes(twist, 1, 2) @ system.h @ twist, np.swapaxes(turn, 1, 2) @ system.own @ turn
     curvature = bodies.sum(0) + joints.sum(0) + shared.T @ among @ shared + crossed + crossed.T + rows.T @ rows
     gradient = np.einsum("jan,ja->n", twist, system.g) + np.einsum("jan,ja->n", turn, system.b)

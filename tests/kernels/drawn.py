@@ -24,8 +24,8 @@ from mocapfix.kernels.terms import (
 )
 from tests.kernels import dense
 
-FEW = ("points", "courses", "targets")  # the product's own, none of which writes rows
-KINDS = (*FEW, "directions", "orientations", "views", "limits", "latent", "distances", "whole")
+FEW = ("points", "courses", "targets", "limits")  # the product's own, none of which writes rows
+KINDS = (*FEW, "directions", "orientations", "views", "latent", "distances", "whole")
 FREE_CAMERA = np.array([0.0, 0.0, 8.0])  # metres: what is within three metres of the origin lies before it
 
 

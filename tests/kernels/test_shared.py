@@ -17,7 +17,7 @@ MARKERS = 9
 
 
 def shared(seed, joints, hidden=()):
-    """-> a random frame of markers that weigh alike and two pulls, and directions in which its offsets and places change"""
+    """-> a random frame of markers that weigh alike and pulls, and directions in which its offsets and places change"""
     rng = np.random.default_rng(seed)
     frame = drawn.frame(rng, joints, drawn.FEW)
     points, *pulls = frame.terms
@@ -38,9 +38,13 @@ def changed(frame, directions, unknowns):
 
 def problem_of(frame, frames=1):
     """-> the same as the pose problem of a take that repeats the frame"""
-    points, _, prior = frame.terms
+    points, _, prior, limits = frame.terms
     markers, listened = np.tile(points.seen, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
+<<<<<<< HEAD
+    return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior, limits)
+=======
     return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior, no_limits(len(frame.local)))
+>>>>>>> w/review
 
 
 def respond(frame, directions, scale, frames=1):
@@ -135,7 +139,7 @@ def test_frames_that_say_the_same_say_it_as_often():
 @pytest.mark.parametrize("frames", [1, 4])
 def test_a_marker_that_is_not_seen_presses_nothing_and_goes_along(frames):
     frame, directions = shared(9, 3, hidden=[2])
-    found = respond(frame._replace(terms=(frame.terms[0], no_pull(3), frame.terms[2])), directions, PLAIN, frames)
+    found = respond(frame._replace(terms=(frame.terms[0], no_pull(3), *frame.terms[2:])), directions, PLAIN, frames)
     mine = slice(COUNT + 6, COUNT + 9)
     assert not reduced(found)[0][mine].any()
     assert not found.carried[:, mine].any()

@@ -1,0 +1,78 @@
+"""A take's pose problem: what is bound together once, and what becomes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, UNHELD
+from mocapfix.kernels.problem import Attached, Problem, compiled, no_limits, no_pull, pull_to
+from mocapfix.prior import Prior
+from tests.kernels import dense, drawn
+
+FRAMES, JOINTS, SD = 6, 5, 0.01
+PLAIN = (np.inf,)
+
+
+def problem(seed=0):
+    """-> a problem whose four markers a joint lie exactly where some poses put them, and the poses"""
+    rng = np.random.default_rng(seed)
+    tree = drawn.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
+    root, local = rng.normal(size=(FRAMES, 3)), np.tile(drawn.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
+    joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
+    markers = np.stack([dense.placed(joints, places, dense.world(tree, *pose)) for pose in zip(root, local, strict=True)])
+    silent, listened = pull_to(Prior("none", local[0], *np.zeros((2, JOINTS, 3, 3)))), np.ones(markers.shape[:2], bool)
+    return Problem(tree, Attached(joints, places), markers, listened, SD, silent, no_limits(JOINTS)), root, local
+
+
+def off(root, local):
+    """-> a start 5 cm and up to 0.1 rad a joint off"""
+    return root + 0.05, drawn.rotations(np.random.default_rng(1), JOINTS, 0.1) @ local
+
+
+def test_exact_markers_bring_poses_back_and_what_was_compiled_is_kept():
+    body, root, local = problem()
+    found = off(root, local)
+    status, iterations = body.solve(*found, no_pull(JOINTS), PLAIN, 50)
+    assert np.isin(status, [CONVERGED, NOTHING_LEFT]).all()
+    assert (iterations > 0).all()
+    np.testing.assert_allclose(found[0], root, atol=1e-3 * SD)
+    np.testing.assert_allclose(found[1], local, atol=1e-3)
+    assert compiled()
+
+
+def test_markers_not_listened_to_say_nothing_wherever_they_are():
+    body, root, local = problem()
+    deaf = replace(body, markers=np.full_like(body.markers, np.nan), listened=np.zeros_like(body.listened))
+    start = off(root, local)
+    found = start[0].copy(), start[1].copy()
+    status, _ = deaf.solve(*found, no_pull(JOINTS), PLAIN)
+    assert (status == UNHELD).all()
+    np.testing.assert_array_equal(found[0], start[0])
+    np.testing.assert_array_equal(found[1], start[1])
+
+
+def test_robust_scales_are_metres():
+    np.testing.assert_allclose(problem()[0].scales2((0.02, 0.05)), [4.0, 25.0])
+
+
+def test_tracked_frames_start_their_unsure_joints_from_their_neighbours():
+    body, root, local = problem()
+    found = root.copy(), local.copy()
+    found[1][2:4] = off(root, local)[1][2:4]
+    listened, unsure = body.listened.copy(), np.zeros((FRAMES, JOINTS), bool)
+    unsure[2:4, 3], listened[2:4] = True, False
+    replace(body, listened=listened).track(*found, no_pull(JOINTS), unsure, 0.05)
+    np.testing.assert_array_equal(found[1][2:4, 3], local[[1, 4], 3])
+    np.testing.assert_array_equal(found[1][2:4, :3], off(root, local)[1][2:4, :3])
+    np.testing.assert_array_equal(found[0], root)
+
+
+def test_twice_as_uncertain_markers_leave_twice_as_uncertain_poses():
+    """But for the last digits: what holds an unknown that nothing holds is there, too."""
+    body, root, local = problem()
+    one, two = (replace(body, marker_sd=sd).uncertainty(root, local, no_pull(JOINTS), np.inf) for sd in (SD, 2 * SD))
+    for half, whole, power in zip(one, two, (1, 1, 2, 2), strict=True):
+        np.testing.assert_allclose(whole, 2**power * half, rtol=1e-3)
+    assert one.markers.shape == (FRAMES, 4 * JOINTS)
+    assert one.joints.shape == one.turns.shape == (FRAMES, JOINTS)
+    assert (one.joints < SD).all()
