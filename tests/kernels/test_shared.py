@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.kernels.problem import Attached, Problem, no_limits, no_pull
+from mocapfix.kernels.problem import Attached, Problem, no_pull
 from mocapfix.kernels.shared import Directions, reduced, responses
 from tests.kernels import dense, drawn
 
@@ -40,11 +40,7 @@ def problem_of(frame, frames=1):
     """-> the same as the pose problem of a take that repeats the frame"""
     points, _, prior, limits = frame.terms
     markers, listened = np.tile(points.seen, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
-<<<<<<< HEAD
     return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior, limits)
-=======
-    return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior, no_limits(len(frame.local)))
->>>>>>> w/review
 
 
 def respond(frame, directions, scale, frames=1):

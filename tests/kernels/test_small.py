@@ -33,11 +33,7 @@ def test_inverse_3_inverts_in_place(seed, power):
 
 
 @given(seeds, st.integers(0, 12), st.floats(-3, 6))
-<<<<<<< HEAD
 def test_the_inverse_of_what_cholesky_left_inverts(seed, size, power):
-=======
-def test_the_inverse_of_a_cholesky_factor_in_place(seed, size, power):
->>>>>>> w/review
     matrix = drawn.spd(np.random.default_rng(seed), 1, size, 10.0**power)[0]
     out = matrix.copy()
     small.cholesky(out)

@@ -45,15 +45,10 @@ def scene():
     listened[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False
     noise = np.random.default_rng(1).normal(0, 0.004, truth.markers.shape)
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free)
-<<<<<<< HEAD
     problem = Problem(
         tree, Attached(subject.joints, subject.places), truth.markers + noise, listened, 0.01, pull_to(MEAN.weakened(0.01)),
         no_limits(31),
     )  # fmt: skip
-=======
-    attached, habits = Attached(subject.joints, subject.places), pull_to(MEAN.weakened(0.01))
-    problem = Problem(tree, attached, truth.markers + noise, listened, 0.01, habits, no_limits(31))
->>>>>>> w/review
     return subject, truth.motion, problem
 
 
