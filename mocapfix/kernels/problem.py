@@ -10,7 +10,7 @@ import numpy as np
 from mocapfix.kernels import plan
 from mocapfix.kernels.levenberg import TAU, solve_frames
 from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Courses, Limits, Points, Targets
+from mocapfix.kernels.terms import Courses, Limits, Points, Targets, rows_of
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.uncertainty import uncertainties
 from mocapfix.prior import JointLimits, Prior
@@ -105,20 +105,20 @@ class Problem:
 
     def follow(self, order: plan.Plan, root, local, pull: Courses, scales: tuple[float, ...], most: int):
         """Solve frames as a plan says. -> status, iterations, 0 where a frame is not in the plan"""
-        status, iterations = np.zeros(len(root), int), np.zeros(len(root), int)
+        terms, status, iterations = self.terms(pull), np.zeros(len(root), int), np.zeros(len(root), int)
         over_frames(
-            solve_frames, len(order.chains) - 1, self.tree, self.terms(pull), order, self.scales2(scales), TAU, most,
-            None, root, local, np.zeros((len(root), 0)), status, iterations,
+            solve_frames, len(order.chains) - 1, self.tree, terms, order, self.scales2(scales), TAU, most,
+            rows_of(terms), root, local, np.zeros((len(root), 0)), status, iterations,
         )  # fmt: skip
         return status, iterations
 
     def uncertainty(self, root, local, pull: Courses, scale: float) -> Uncertainty:
         """-> how sure the poses are, given a pull (metres: the robust scale)."""
         frames, joints = local.shape[:2]
-        each = (frames, joints)
+        each, terms = (frames, joints), self.terms(pull)
         left = Uncertainty(np.zeros(self.listened.shape), np.zeros(each), np.zeros(each), np.zeros(frames))
         over_frames(
-            uncertainties, frames, self.tree, self.terms(pull), self.scales2((scale,))[0], None, root, local,
+            uncertainties, frames, self.tree, terms, self.scales2((scale,))[0], rows_of(terms), root, local,
             np.zeros((frames, 0)), *left,
         )  # fmt: skip
         return left

@@ -83,11 +83,6 @@ def terms(joints: int, frames: int = 1, **said) -> tuple:
     return tuple((nothing(joints, frames) | said)[kind] for kind in (FEW if said.keys() <= set(FEW) else KINDS))
 
 
-def rows(every: tuple) -> int | None:
-    """-> how many rows the terms write: one a distance, and the whole's; None for the few kinds."""
-    return None if len(every) == len(FEW) else len(every[KINDS.index("distances")].joints) + 1
-
-
 def points(rng, at: dense.World, count: int, noise: float = 0.02) -> Points:
     """-> markers on random joints, the first of them joints themselves, seen `noise` metres off."""
     joints, places = rng.integers(len(at.local), size=count), rng.normal(0, 0.15, (count, 3))

@@ -6,15 +6,15 @@ from mocapfix.kernels import plan
 from mocapfix.kernels.levenberg import TAU, Workspace, solve_frames, workspace
 from mocapfix.kernels.pose import Tree, forward
 from mocapfix.kernels.system import System, linearise
+from mocapfix.kernels.terms import rows_of
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.uncertainty import uncertainties
-from tests.kernels import drawn
 from tests.kernels.dense import Frame
 
 
 def worked(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, Workspace]:
     """-> cost, and the workspace with the model of the frame's terms at its pose."""
-    work = workspace(len(frame.local), len(frame.shared), drawn.rows(frame.terms))
+    work = workspace(len(frame.local), len(frame.shared), rows_of(frame.terms))
     work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
     forward(frame.tree, work.pose)
     return linearise(frame.tree, frame.terms, t, float(scale2), work.pose, work.system), work
@@ -37,7 +37,7 @@ def followed(order: plan.Plan, tree: Tree, terms: tuple, scales2: np.ndarray, ro
     """Solve poses in place, as a plan says. -> status (T,), iterations (T,), -1 for frames that are not in the plan"""
     status, iterations = np.full(len(root), -1), np.full(len(root), -1)
     over_frames(
-        solve_frames, len(order.chains) - 1, tree, terms, order, scales2, TAU, most, drawn.rows(terms), root, local, shared,
+        solve_frames, len(order.chains) - 1, tree, terms, order, scales2, TAU, most, rows_of(terms), root, local, shared,
         status, iterations,
     )  # fmt: skip
     return status, iterations
@@ -52,5 +52,5 @@ def foretold(frame: Frame, scale2: float, root=None, local=None, shared=None):
     frames, joints = local.shape[:2]
     each, markers = (frames, joints), len(frame.terms[0].joints)
     out = np.empty((frames, markers)), np.empty(each), np.empty(each), np.empty(frames)
-    over_frames(uncertainties, frames, frame.tree, frame.terms, float(scale2), drawn.rows(frame.terms), root, local, shared, *out)
+    over_frames(uncertainties, frames, frame.tree, frame.terms, float(scale2), rows_of(frame.terms), root, local, shared, *out)
     return out

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, RAN_OUT, SLIGHT, TAU, UNHELD, solve_frames
 from mocapfix.kernels.plan import alone
-from mocapfix.kernels.terms import GEMAN_MCCLURE, HUBER, Courses, Distances, Latent, Limits, Points
+from mocapfix.kernels.terms import GEMAN_MCCLURE, HUBER, Courses, Distances, Latent, Limits, Points, rows_of
 from tests.kernels import dense, drawn
 from tests.kernels.model import solved
 
@@ -189,7 +189,7 @@ def test_frames_are_solved_alike_whatever_the_blocks():
         root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
         out = root, local, np.zeros((frames, 0)), np.zeros(frames, int), np.zeros(frames, int)
         for block in blocks:
-            solve_frames(frame.tree, terms, order, np.array([400.0, 25.0]), TAU, 8, drawn.rows(terms), *out, *block)
+            solve_frames(frame.tree, terms, order, np.array([400.0, 25.0]), TAU, 8, rows_of(terms), *out, *block)
         results.append(out)
     for other in results[1:]:
         for found, expected in zip(other, results[0], strict=True):

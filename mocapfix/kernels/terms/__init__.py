@@ -38,4 +38,11 @@ __all__ = [
     "Views",
     "Whole",
     "normalised",
+    "rows_of",
 ]
+
+
+def rows_of(terms: tuple) -> int | None:
+    """-> how many rows these terms write, as `solve_frames` and `uncertainties` must be told; None for none."""
+    writing = [term for term in terms if isinstance(term, Distances | Whole)]
+    return sum(len(term.joints) if isinstance(term, Distances) else 1 for term in writing) if writing else None
