@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from mocapfix.kernels.small import matrix, times
 from mocapfix.kernels.terms.contract import adds, of_frame
@@ -20,20 +21,25 @@ class Distances(NamedTuple):
     weight: np.ndarray  # (1 or T, D) 1 / m^2; 0 for none
 
 
+@njit(cache=True)
+def carried(term, k, e, pose):
+    """-> where end e of distance k lies from the origin, the root's place."""
+    j, place, position = term.joints[k, e], term.places[k, e], pose.position
+    x, y, z = times(matrix(pose.rotation, j), place[0], place[1], place[2])
+    return x + position[j, 0] - position[0, 0], y + position[j, 1] - position[0, 1], z + position[j, 2] - position[0, 2]
+
+
 @adds(Distances)
 def add(term, t, scale2, tree, pose, system):
     """Write one row for each distance. -> cost"""
-    length, weight, cost, ends = of_frame(term.length, t), of_frame(term.weight, t), 0.0, np.empty((2, 3))
+    length, weight, cost = of_frame(term.length, t), of_frame(term.weight, t), 0.0
     for k in range(len(term.joints)):
         m = system.written[0]
         system.written[0] += 1
         if weight[k] == 0.0:
             continue
-        for e in range(2):
-            j = term.joints[k, e]
-            x, y, z = times(matrix(pose.rotation, j), term.places[k, e, 0], term.places[k, e, 1], term.places[k, e, 2])
-            ends[e] = (x + pose.position[j, 0], y + pose.position[j, 1], z + pose.position[j, 2])
-        ux, uy, uz = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1], ends[1, 2] - ends[0, 2]
+        ends = (carried(term, k, 0, pose), carried(term, k, 1, pose))
+        ux, uy, uz = ends[1][0] - ends[0][0], ends[1][1] - ends[0][1], ends[1][2] - ends[0][2]
         distance = math.sqrt(ux * ux + uy * uy + uz * uz)
         root = math.sqrt(weight[k])
         system.away[m] = root * (distance - length[k])
@@ -42,7 +48,7 @@ def add(term, t, scale2, tree, pose, system):
         for e in range(2):
             ux, uy, uz = -ux, -uy, -uz  # the first end pulls back, the second ahead
             row, j = system.rows[m], term.joints[k, e]
-            x, y, z = ends[e, 0] - pose.position[0, 0], ends[e, 1] - pose.position[0, 1], ends[e, 2] - pose.position[0, 2]
+            x, y, z = ends[e]
             row[j, 0] += scale * (y * uz - z * uy)
             row[j, 1] += scale * (z * ux - x * uz)
             row[j, 2] += scale * (x * uy - y * ux)

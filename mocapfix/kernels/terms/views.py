@@ -41,7 +41,7 @@ def normalised(pixels: np.ndarray, scale: float | np.ndarray, centre: np.ndarray
 @adds(Views)
 def add(term, t, scale2, tree, pose, system):
     """Add the views to the curvature and gradient of their bodies' twists. -> cost"""
-    h, g, cost, position, row = system.h, system.g, 0.0, pose.position, np.empty((2, 6))
+    h, g, cost, position = system.h, system.g, 0.0, pose.position
     for k in range(len(term.joints)):
         trust = term.weight[t, k]
         if trust == 0.0:
@@ -66,10 +66,10 @@ def add(term, t, scale2, tree, pose, system):
         cost += part
         w = trust * weight
         x, y, z = x - position[0, 0], y - position[0, 1], z - position[0, 2]
-        row[0] = (y * du[2] - z * du[1], z * du[0] - x * du[2], x * du[1] - y * du[0], du[0], du[1], du[2])
-        row[1] = (y * dv[2] - z * dv[1], z * dv[0] - x * dv[2], x * dv[1] - y * dv[0], dv[0], dv[1], dv[2])
+        across = (y * du[2] - z * du[1], z * du[0] - x * du[2], x * du[1] - y * du[0], du[0], du[1], du[2])
+        down = (y * dv[2] - z * dv[1], z * dv[0] - x * dv[2], x * dv[1] - y * dv[0], dv[0], dv[1], dv[2])
         for a in range(6):
-            g[j, a] += w * (row[0, a] * eu + row[1, a] * ev)
+            g[j, a] += w * (across[a] * eu + down[a] * ev)
             for b in range(a + 1):
-                h[j, a, b] += w * (row[0, a] * row[0, b] + row[1, a] * row[1, b])
+                h[j, a, b] += w * (across[a] * across[b] + down[a] * down[b])
     return cost
