@@ -74,7 +74,7 @@ def calibration(as_json: Json = False) -> int:
     with staged("calibration"):
         rows = measured()
     if as_json:
-        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
+        sys.stdout.write(json.dumps({"people": rows[:-1], "mean": rows[-1]}, indent=1) + "\n")
         return DONE
     table = Table("mean error, mm", "bones", "marker places", "joints", "... of the average body: bones", "places", "joints")
     columns = [f"{body}{what}_mm" for body in ("", "average_") for what in ("bones", "places", "joints")]

@@ -45,9 +45,7 @@ def scene(joints: int, keypoints: int, each: bool, shapes: int, seed: int = 0) -
     offsets, shape = rng.normal(0, 0.15, (len(parent), 3)), rng.normal(0, 0.01, (shapes, len(parent), 3))
     tree = Tree(parent, offsets, np.ones(len(parent), bool), shape)
     pose = placed(tree, np.zeros(3), local)
-    pull = Courses(
-        local[None, rng.permutation(len(parent))], np.full((1, len(parent)), HABIT**-2), np.zeros((1, 3)), np.zeros(1)
-    )
+    pull = Courses(local[None, rng.permutation(len(parent))], np.full((1, len(parent)), HABIT**-2), np.zeros((1, 3)), np.zeros(1))
     points = keypoints_of(rng, pose, np.concatenate([np.arange(keypoints) % len(parent), alone]))
     return Scene(tree, points, images_of(rng, pose, alone), parts_of(rng, pose, alone), pull, pose)
 

@@ -5,8 +5,7 @@ runs on every core is timed by the clock.
 """
 
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import NamedTuple
@@ -54,12 +53,13 @@ def alone(quick: bool) -> dict:
 
 def measure(effort: Effort) -> dict:
     """-> every figure of the benchmark, ready for JSON."""
-    figures, rows = on_common_task(effort), list(on_experiments(effort))
+    rows, scenes = (list(each) for each in zip(*scope.experiments(), strict=True))
+    *times, here = timed([*scenes, own.scene(common_task.make())], effort)
+    rows = [row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(rows, times, strict=True)]
     alike = {(row["joints"], row["shapes"]): row for row in rows if row["experiment"] == 3}
     small, large = (alike[joints, 0] for joints in scope.JOINTS)  # as many measurements a joint in both
-    here = timed(own.scene(common_task.make()), effort)
     columns = {"23": small, "31": here, "51": large}
-    return figures | {
+    return on_common_task(effort) | {
         "direction_us": {joints: row["sparse_us"] for joints, row in columns.items()},
         "dense_direction_us": {joints: row["dense_us"] for joints, row in columns.items()},
         "k51_over_k23": large["sparse_us"] / small["sparse_us"],
@@ -77,8 +77,8 @@ def on_common_task(effort: Effort) -> dict:
     task, one, every, errors, theirs, their_errors = common_task.make(), {}, {}, {}, {}, {}
     for name in TAKES:
         frames, solved = len(task.takes[name]), own.solve(task, name, False)
-        one[name] = frames / least(lambda name=name: own.solve(task, name, False).seconds, effort)
-        every[name] = frames / least(lambda name=name: own.solve(task, name, True).seconds, effort)
+        alone, together = least([lambda n=name, e=each: own.solve(task, n, e).seconds for each in (False, True)], effort)
+        one[name], every[name] = frames / alone, frames / together
         errors[name] = 1e3 * task.error(solved.root, solved.rotations)
         plain = peer.solve(task, name, effort.frames)
         theirs[name] = effort.frames / plain.seconds
@@ -95,31 +95,25 @@ def on_common_task(effort: Effort) -> dict:
     }
 
 
-def on_experiments(effort: Effort) -> Iterator[dict]:
-    """-> row by row SCOPE's experiments with their times."""
-    for row, scene in scope.experiments():
-        times = timed(scene, effort)
-        yield row | times | {"speedup": times["dense_us"] / times["sparse_us"]}
-
-
-def timed(scene: Scene, effort: Effort) -> dict[str, float]:
-    """-> microseconds of one direction of a scene, by the sweep and dense."""
-    work, dense = sparse.work(scene), Dense(scene)
-    sparse.seconds(scene, work, 1)
-
-    def densely() -> float:
-        started = time.thread_time()
+def timed(scenes: list[Scene], effort: Effort) -> list[dict[str, float]]:
+    """-> microseconds of one direction of each scene, by the sweep and dense."""
+    samples = []
+    for scene in scenes:
+        work, dense = sparse.work(scene), Dense(scene)
+        sparse.seconds(scene, work, 1)
         dense.direction()
-        return time.thread_time() - started
-
-    densely()
-    sweeping = least(lambda: sparse.seconds(scene, work, effort.directions), effort)
-    return {"sparse_us": 1e6 * sweeping, "dense_us": 1e6 * least(densely, effort)}
+        samples += [lambda s=scene, w=work: sparse.seconds(s, w, effort.directions), dense.seconds]
+    us = [1e6 * seconds for seconds in least(samples, effort)]
+    return [{"sparse_us": sweeping, "dense_us": densely} for sweeping, densely in zip(us[::2], us[1::2], strict=True)]
 
 
-def least(sample: Callable[[], float], effort: Effort) -> float:
-    """-> seconds: the least of the medians, so that neither a lucky moment nor a busy machine counts."""
-    return float(min(np.median([sample() for _ in range(effort.samples)]) for _ in range(effort.rounds)))
+def least(samples: list[Callable[[], float]], effort: Effort) -> list[float]:
+    """-> seconds of each: the least of the medians, so that neither a lucky moment nor a busy machine counts.
+
+    All of them have their turn in every round, so that a busy while is no one's alone.
+    """
+    rounds = [[np.median([sample() for _ in range(effort.samples)]) for sample in samples] for _ in range(effort.rounds)]
+    return [float(each) for each in np.min(rounds, axis=0)]
 
 
 def speedup(rows: list[dict], experiment: int, joints: int) -> float:

@@ -7,8 +7,8 @@ from numba import njit
 
 from mocapfix.bench.scene import DAMPING, Scene
 from mocapfix.kernels import levenberg
-from mocapfix.kernels.levenberg import Workspace, workspace
 from mocapfix.kernels.system import linearise
+from mocapfix.kernels.workspace import Workspace, workspace
 
 
 def work(scene: Scene) -> Workspace:

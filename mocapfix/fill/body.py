@@ -12,6 +12,7 @@ REACH = 0.3  # seconds on either side of a gap that are listened to
 NOISE = 0.0005  # metres: what cameras add to a sample
 LEAST = 0.002  # metres: least size of a residual's course
 SURE = 0.0005  # metres: no fill is surer than this
+ASTRAY, FARTHER = 0.05, 4.0  # metres, and times the usual residual: a sample so far from the body is no edge to hold on to
 
 
 def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -29,6 +30,9 @@ def markers(worn: np.ndarray, wanted: np.ndarray, subject: Subject, motion: Moti
             continue
         turn, placed = rotation[:, joint], position[:, joint] + rotation[:, joint] @ subject.places[k]
         residual = np.einsum("tba,tb->ta", turn, worn[:, k] - placed)
+        distance = np.linalg.norm(residual, axis=1)
+        if (known := ~np.isnan(distance)).any():
+            residual[distance > max(ASTRAY, FARTHER * float(np.median(distance[known])))] = np.nan
         course, variance, power = across(residual, wanted[:, k], rate, FADE, REACH, NOISE, LEAST)
         where = wanted[:, k]
         out[where, k] = placed[where] + np.einsum("tab,tb->ta", turn[where], course[where])

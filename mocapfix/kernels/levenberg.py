@@ -1,50 +1,23 @@
 """The Levenberg-Marquardt solve of one frame's pose, and of many frames in parallel.
 
-Damping and acceptance follow Lourakis' levmar, as MNN-IK's Algorithm 1 does; each direction comes from the sweep.
+Damping and acceptance follow Lourakis' levmar, as MNN-IK's Algorithm 1 does; each direction comes from the sweep. It ends
+where the cost is nothing but rounding, or where the fall that a step promises no longer matters: gradient and step are then
+small, measured by what they are worth in standard deviations, so that metres and radians compare.
 """
 
 import math
-from typing import NamedTuple
 
-import numpy as np
 from numba import njit
 
 from mocapfix.kernels import low_rank, sweep
-from mocapfix.kernels.low_rank import Answers, empty_answers
-from mocapfix.kernels.pose import Pose, copy, empty_pose, forward, stepped
-from mocapfix.kernels.sweep import Factors, Step, empty_factors, empty_step
-from mocapfix.kernels.system import System, empty_system, linearise
+from mocapfix.kernels.pose import copy, forward, stepped
+from mocapfix.kernels.system import linearise
+from mocapfix.kernels.workspace import load, place, store, workspace
 
 CONVERGED, RAN_OUT, NOTHING_LEFT, UNHELD = 0, 1, 4, 5  # indices into motion.STATUS
 TAU = 1e-5  # initial damping over the largest diagonal entry: starts are near (levmar: 1e-3 where they may be far)
 SLIGHT = 1e-3  # a predicted fall of the cost (half a sum of squares in standard deviations) that no longer matters
 EXACT = 1e-12  # a cost that is nothing but rounding
-
-
-class Workspace(NamedTuple):
-    """All that the solve of a frame writes on the way; made once for many frames."""
-
-    pose: Pose
-    new: Pose
-    system: System
-    factors: Factors
-    step: Step
-    answers: Answers | None  # where there are rows
-    g: np.ndarray  # (J, 6) spare
-    b: np.ndarray  # (J, 3) spare
-
-
-@njit(cache=True)
-def workspace(joints, unknowns, rows):
-    """-> room to solve frames of so many joints, unknowns shared by the joints, and rows (None for none).
-
-    None spares those who have no rows the compilation of what is done with them.
-    """
-    return Workspace(
-        empty_pose(joints, unknowns), empty_pose(joints, unknowns), empty_system(joints, unknowns, rows),
-        empty_factors(joints, unknowns), empty_step(joints, unknowns), empty_answers(joints, unknowns, rows),
-        np.empty((joints, 6)), np.empty((joints, 3)),
-    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -106,16 +79,6 @@ def direction(tree, work, mu):
     return 0.5 * (mu * size + fall)
 
 
-@njit(cache=True)
-def place(source, target):
-    """Copy a pose."""
-    copy(source.root, target.root)
-    copy(source.local, target.local)
-    copy(source.shared, target.shared)
-    copy(source.position, target.position)
-    copy(source.rotation, target.rotation)
-
-
 @njit(inline="always")
 def solve_frame(tree, terms, t, scales2, tau, most, work):
     """Move the work's pose to where frame t's cost is least. -> status, iterations
@@ -157,8 +120,7 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
             iterations += 1
             promised = direction(tree, work, mu)
             if not math.isfinite(promised):
-                status = UNHELD
-                break
+                return UNHELD, total + iterations
             stepped(tree, pose, work.step, new)
             forward(tree, new)
             if promised < SLIGHT:
@@ -169,22 +131,6 @@ def solve_frame(tree, terms, t, scales2, tau, most, work):
             trial = True
         total += iterations
     return status, total
-
-
-@njit(cache=True)
-def load(root, local, shared, t, pose):
-    """Copy frame t of poses root (T, 3), local (T, J, 3, 3), shared (T, P) into `pose`."""
-    copy(root[t], pose.root)
-    copy(local[t], pose.local)
-    copy(shared[t], pose.shared)
-
-
-@njit(cache=True)
-def store(pose, root, local, shared, t):
-    """The reverse of `load`."""
-    copy(pose.root, root[t])
-    copy(pose.local, local[t])
-    copy(pose.shared, shared[t])
 
 
 @njit(cache=True)

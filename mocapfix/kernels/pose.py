@@ -20,7 +20,7 @@ class Tree(NamedTuple):
 
     parents: np.ndarray  # (J,)
     offsets: np.ndarray  # (J, 3) metres
-    free: np.ndarray  # (J,) bool
+    free: np.ndarray  # (J,) bool; the root always is
     shape: np.ndarray = np.zeros((0, 0, 3))  # (Q, J, 3) metres: how the offsets change with each
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.levenberg import load, workspace
 from mocapfix.kernels.pose import copy, forward
 from mocapfix.kernels.problem import Problem
 from mocapfix.kernels.system import linearise
 from mocapfix.kernels.terms import Courses
 from mocapfix.kernels.terms.robust import robust
 from mocapfix.kernels.threads import over_frames
+from mocapfix.kernels.workspace import load, workspace
 
 HELD = 1e-3  # 1/m^2 or 1/rad^2: what keeps a pose that nothing holds where it is
 

@@ -8,7 +8,8 @@ what the P unknowns that all joints share (SCOPE's beta, or a prior's latent cod
 
 and every measurement on body i is a quadratic in twist_i alone. Leaves to root each joint's turn is minimised out of its
 body's quadratic, which leaves a quadratic of 6 + P in its parent's twist and the shared unknowns; root to leaves the turns
-follow. `factor` does the first half once; `solve` uses it for one gradient, `covariance` for the uncertainty of all bodies.
+follow. `factor` does the first half once; `solve` uses it for one gradient, `uncertainty.covariance` for all bodies. (Blocks of
+6 + P take half the time of 6 + P right-hand sides and a Schur complement at P = 10, a third at P = 32.)
 """
 
 from typing import NamedTuple

@@ -7,9 +7,9 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels import low_rank, sweep
-from mocapfix.kernels.levenberg import load, workspace
 from mocapfix.kernels.pose import forward
 from mocapfix.kernels.system import linearise
+from mocapfix.kernels.workspace import load, workspace
 
 HARDLY = 1e-3  # 1/m^2 or 1/rad^2: what holds an unknown that nothing holds, so that its variance is large, not infinite
 

@@ -3,12 +3,13 @@
 import numpy as np
 
 from mocapfix.kernels import plan
-from mocapfix.kernels.levenberg import TAU, Workspace, solve_frames, workspace
+from mocapfix.kernels.levenberg import TAU, solve_frames
 from mocapfix.kernels.pose import Tree, forward
 from mocapfix.kernels.system import System, linearise
 from mocapfix.kernels.terms import rows_of
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.uncertainty import uncertainties
+from mocapfix.kernels.workspace import Workspace, workspace
 from tests.kernels.dense import Frame
 
 

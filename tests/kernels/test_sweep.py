@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.levenberg import direction, workspace
+from mocapfix.kernels.levenberg import direction
+from mocapfix.kernels.workspace import workspace
 from tests.kernels import dense, drawn
 from tests.kernels.model import worked
 
