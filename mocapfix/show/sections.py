@@ -20,6 +20,7 @@ NAMED = 12  # markers named below a picture
 KINDS = (("gap", "gap, filled"), ("spike", "spike, replaced"), ("jitter", "jitter, replaced"), ("gap left", "outlined: left"))
 CURVES = (("middle", "median of the markers"), ("high", "95th percentile"))
 RESIDUALS = (("middle", "mean"), ("high", "95th percentile, mm"))
+DEVIATIONS = (("middle", "predicted error per axis, mean"), ("high", "95th percentile, mm"))
 
 
 def overview(record: dict, take: Take, faults: Faults) -> str:
@@ -81,19 +82,27 @@ def left_empty(record: dict) -> str:
 
 
 def residuals(record: dict) -> str:
-    """How far each marker was seen from the body, and how the solve of each frame ended."""
+    """How far each marker was seen from the body, how surely the joints are known, and how the solve of each frame ended."""
     if (solve := record["solve"]) is None:
         return ""
-    markers = solve["marker_residual_mm"]["by_marker"]
-    known = {label: value for label, value in markers.items() if value["mean"] is not None and np.isfinite(value["mean"])}
-    top = max([value["p95"] for value in known.values()] + [1e-9])
-    rows = []
-    for label, value in sorted(known.items(), key=lambda item: -item[1]["mean"]):
-        mean, high = value["mean"], value["p95"]
-        rows.append((label, (("high", high / top), ("middle", mean / top)), f"{number(mean)} / {number(high)}"))
+    markers, joints = _spreads(solve["marker_residual_mm"]["by_marker"]), _spreads(solve["joint_deviation_mm"])
     status = table(("Frames", "How their solve ended"), [(f"{n:,}", text) for text, n in solve["status"].items() if n])
     iterations = f'<p class="soft">{number(solve["iterations_mean"])} iterations a frame on average.</p>'
-    return f"<h2>Each marker’s distance from the body</h2>{legend(RESIDUALS)}{bars(rows)}<h2>The solve</h2>{status}{iterations}"
+    return (
+        f"<h2>Each marker’s distance from the body</h2>{legend(RESIDUALS)}{markers}"
+        f"<h2>How surely each joint is known</h2>{legend(DEVIATIONS)}{joints}<h2>The solve</h2>{status}{iterations}"
+    )
+
+
+def _spreads(spread: dict[str, dict]) -> str:
+    """Bars of what has a mean and a 95th percentile, the largest first."""
+    known = {name: value for name, value in spread.items() if value["mean"] is not None and np.isfinite(value["mean"])}
+    top = max([value["p95"] for value in known.values()] + [1e-9])
+    rows = []
+    for name, value in sorted(known.items(), key=lambda item: -item[1]["mean"]):
+        mean, high = value["mean"], value["p95"]
+        rows.append((name, (("high", high / top), ("middle", mean / top)), f"{number(mean)} / {number(high)}"))
+    return bars(rows)
 
 
 def subject(record: dict) -> str:

@@ -132,6 +132,7 @@ def test_the_curve_is_broken_where_nothing_is_known(scene, tmp_path):
 def test_residuals_are_listed_from_the_worst_without_the_unknown(scene, tmp_path):
     text = page_of(scene, tmp_path).text
     assert text.index("M28 30.0 / 31.0") < text.index("M01 3.0 / 4.0")
+    assert text.index("LeftHand 12.0 / 21.0") < text.index("LeftFoot 6.0 / 9.0")
     assert "never nan" not in text
     assert "200 solved: well 40 guessed: too few" in text
     assert "LeftLeg 41.8 cm" in text
