@@ -24,7 +24,9 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
     looked = frames.candidates(markers)
     motion = refine.posed(start, body, prior, markers[looked])
     chosen = frames.varied(motion.rotations, np.random.default_rng(0))
-    return refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
+    found = refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
+    check_size(worn, float(np.linalg.norm(found.skeleton.offsets) / np.linalg.norm(body.skeleton.offsets)))
+    return found
 
 
 def average(worn: Take, marker_set: MarkerSet, body: Body) -> Subject:
@@ -32,12 +34,17 @@ def average(worn: Take, marker_set: MarkerSet, body: Body) -> Subject:
     if not ((~np.isnan(worn.markers[..., 0])).sum(1) >= 3).any():
         raise TakeError(f"{worn.name}: no frame shows three markers of the body; there is nothing to calibrate from.")
     ratio = size.ratio(body.skeleton, marker_set, worn.markers)
-    if not size.SMALLEST < ratio < size.LARGEST:
-        apart = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
+    check_size(worn, ratio)
     places = marker_set.places * ratio
     whole = scaled(body.skeleton, ratio)
     return Subject(whole, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
+
+
+def check_size(worn: Take, ratio: float) -> None:
+    """Raise TakeError where nobody is so many times the size of the average body."""
+    if not size.SMALLEST < ratio < size.LARGEST:
+        apart = "near together" if ratio < 1 else "far apart"
+        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
 
 
 def scaled(skeleton: Skeleton, factor: float) -> Skeleton:

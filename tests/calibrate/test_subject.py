@@ -88,3 +88,10 @@ def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
     assert found.frames == frames
     np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
     assert np.isfinite(found.spread).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_a_body_of_no_size_is_no_body(truth, noise):
+    cloud = np.random.default_rng(0).normal(0, 1, truth.markers.shape) * noise + [0, 1, 0]
+    with pytest.raises(TakeError, match="too near together for a person's"):
+        calibrated(cloud)
