@@ -6,7 +6,8 @@ not depend on their number. (Numba's own parallel loops do the same but take sev
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 
 
 def cores() -> int:
@@ -16,8 +17,15 @@ def cores() -> int:
 
 def over_frames(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
     """Call kernel(*arguments, first, stop) on blocks that together make up 0..frames."""
-    size = max(1, -(-frames // (4 * cores())))
-    with ThreadPoolExecutor(cores()) as pool:
-        blocks = [pool.submit(kernel, *arguments, a, min(a + size, frames)) for a in range(0, frames, size)]
-        for block in blocks:
-            block.result()
+    workers = cores()
+    size = max(1, -(-frames // (4 * workers)))
+    blocks = [threads(workers).submit(kernel, *arguments, a, min(a + size, frames)) for a in range(0, frames, size)]
+    wait(blocks)  # all of them, before an error in one is told
+    for block in blocks:
+        block.result()
+
+
+@cache
+def threads(workers: int) -> ThreadPoolExecutor:
+    """-> the threads, kept: to start them takes as long as a window of frames."""
+    return ThreadPoolExecutor(workers)
