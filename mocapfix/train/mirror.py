@@ -20,4 +20,4 @@ def mirrored(vectors: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
 
     A turn about x stays as it is, for x is across the mirror; turns about y and z change their sense.
     """
-    return vectors[:, [names.index(mirrored_name(name)) for name in names]] * [1.0, -1.0, -1.0]
+    return vectors[:, [names.index(mirrored_name(name)) for name in names]] * np.array([1, -1, -1], vectors.dtype)

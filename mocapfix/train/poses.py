@@ -20,7 +20,7 @@ SLIGHT = ("HipJoint", "FingerBase", "HandIndex1", "Thumb", "ToeBase")
 
 @dataclass(frozen=True)
 class Poses:
-    """Rotation vectors from a middle pose, the root's its tilt, in radians.
+    """Rotation vectors from a middle pose, the root's its tilt, in radians, in single precision.
 
     seen, unseen  (N, J, 3) and (M, J, 3) of the subjects to be learned from and of those kept from it; each pose is there
                   twice, the second half being the first mirrored
@@ -54,7 +54,7 @@ def gather(
             continue
         progress(f"reading {recording.name}")
         kept = longest_between(recording.rotations[:, firm], recording.rate)
-        vectors = from_middle(recording.rotations[kept], middle)
+        vectors = from_middle(recording.rotations[kept], middle).astype(np.float32)  # for there may be millions
         found[recording.subject in unseen].append(vectors)
         frames[recording.subject] += len(vectors)
         dropped += len(recording.rotations) - len(vectors)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix import prior
+from mocapfix.errors import WriteError
 from mocapfix.prior import models
 from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import cmu31
@@ -27,6 +28,8 @@ def train(settings: Settings, folder: Path, target: Path, progress: Callable[[st
 
     Raises ReadError where the folder holds no motion of the subjects that are needed, WriteError where nothing can be written.
     """
+    if target.suffix != ".safetensors":
+        raise WriteError(f"{target}: weights are kept in the form safetensors; give a name that ends in .safetensors.")
     skeleton = cmu31().skeleton
     middle = prior.load("mean-pose", skeleton).rotations
     poses = gather(folder, middle, settings.test, settings.unseen, progress)

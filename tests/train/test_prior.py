@@ -5,11 +5,13 @@ import pytest
 import yaml
 
 from mocapfix import cli
+from mocapfix.errors import WriteError
 from mocapfix.prior import models
 from mocapfix.prior.linear import Linear
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
 from mocapfix.train import prior as training
+from mocapfix.train import settings
 from tests.train.people import walked, write_bvh
 
 SKELETON = cmu31().skeleton
@@ -69,6 +71,12 @@ def test_weights_that_are_there_are_not_replaced_unasked(tmp_path, motion, capsy
     assert "is there already" in capsys.readouterr().err
     assert (tmp_path / "mine.safetensors").read_bytes() == before
     assert train("pca", motion, tmp_path, "--overwrite", components=2) == 0
+
+
+def test_weights_of_another_form_are_refused_before_any_work(tmp_path, motion):
+    said = settings.read(folder("priors") / "pca.yaml")
+    with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
+        training.train(said, motion, tmp_path / "mine.pt", lambda what: None)
 
 
 def test_a_networks_codes_of_what_it_learned_are_half_of_normal(tmp_path, motion):
