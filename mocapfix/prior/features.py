@@ -72,7 +72,7 @@ KINDS = {"continuous": Continuous, "euler": Euler}
 
 
 def unit(v: Tensor) -> Tensor:
-    return v / v.norm(dim=-1, keepdim=True)
+    return v / v.norm(dim=-1, keepdim=True).clamp_min(1e-9)
 
 
 def rotation(vectors: Tensor) -> Tensor:

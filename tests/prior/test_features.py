@@ -54,6 +54,10 @@ def test_whatever_a_network_says_is_some_pose(seed):
     torch.testing.assert_close(features.of(features.vectors(features.of(vectors))), features.of(vectors), atol=2e-3, rtol=0)
 
 
+def test_nothing_said_is_still_a_pose():
+    assert KINDS["continuous"](MIDDLE).vectors(torch.zeros(1, 183)).isfinite().all()
+
+
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.1])
 def test_rotations_and_logarithms_are_scipys(angle):
     vectors = np.array([[0.6, 0.0, -0.8], [0, 1, 0]]) * angle
