@@ -1,4 +1,4 @@
-"""The command line. It, its benches (cli_bench.py) and console.py alone print, parse arguments or draw progress."""
+"""The command line. It, cli_bench.py, cli_train.py and console.py alone print, parse arguments or draw progress."""
 
 import json
 import sys
@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli_bench import BENCHES
+from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
 
@@ -181,12 +182,15 @@ COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": c
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and leave with its exit status: 0 done, 1 something could not be, 2 wrong usage."""
-    app, bench = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
+    app, bench, train = (tyro.extras.SubcommandApp() for _ in range(3))
     for name, command in BENCHES.items():
         bench.command(name=name)(command)
+    for name, command in TRAININGS.items():
+        train.command(name=name)(command)
     for name, command in COMMANDS.items():
         app.command(name=name)(command)
     app.command(bench, name="bench", help="Measure mocapfix against what is known to be true.")
+    app.command(train, name="train", help="Fit what mocapfix knows of people to motion.")
     try:
         status = app.cli(
             prog="mocapfix",

@@ -6,7 +6,7 @@ import pytest
 from mocapfix import shape
 from mocapfix.errors import SceneError
 from mocapfix.skeleton import average, cmu31
-from mocapfix.train.mean_pose import mirrored_name
+from mocapfix.train.mirror import mirrored_name
 
 SHAPES, NAMES = cmu31().shapes, average().names
 

@@ -19,12 +19,13 @@ from scipy.spatial.transform import Rotation
 from mocapfix import prior
 from mocapfix.prior import Prior
 from mocapfix.skeleton import cmu31
-from mocapfix.train.mean_pose import FOREARM_TURN, HELD, mirrored_name
+from mocapfix.train.flips import jumps
+from mocapfix.train.mean_pose import FOREARM_TURN, HELD
+from mocapfix.train.mirror import FLIP, mirrored_name
 
 RATE = 30.0  # Hz, of the motion
 OUTERMOST = 0.1  # percent of the frames on either side
 NEWCOMER = 99.0  # percent of the frames of somebody who was not measured that shall lie within
-JUMP = 30.0  # rad/s: no joint of these people turned so fast
 REACH = 3.0  # deviations: so far a joint may turn about an axis that the skeleton holds
 CARD = """\
 # How far people's joints turn: the range of each joint's rotation vector from the mean pose (priors/mean-pose.yaml) along
@@ -44,8 +45,7 @@ def believed(turns: np.ndarray) -> bool:
 
     After a jump CMU's solve may stay flipped to the trial's end, and which side of it is right is not to be seen.
     """
-    steps = Rotation.from_matrix(turns[1:] @ np.swapaxes(turns[:-1], 1, 2)).magnitude() if len(turns) > 1 else np.zeros(1)
-    return bool(steps.max() * RATE < JUMP)
+    return not jumps(turns, RATE).any()
 
 
 def give(mean_pose: Prior, joint: int, forearm: bool) -> np.ndarray:
@@ -71,10 +71,9 @@ def measure(names: list[str], trials: list[np.ndarray], people: list[str], mean_
 
 def strays(turned: list[np.ndarray], people: list[str], joint: int, other: int, mean: np.ndarray) -> dict[str, np.ndarray]:
     """-> person: (N, 3) rotation vectors from the mean (3, 3) to a joint's turns, and to its `other` side's mirrored."""
-    flip = np.diag([-1.0, 1.0, 1.0])  # left becomes right, x changes sign
     found: dict[str, list[np.ndarray]] = {}
     for trial, person in zip(turned, people, strict=True):
-        for course in (trial[:, joint], flip @ trial[:, other] @ flip):
+        for course in (trial[:, joint], FLIP @ trial[:, other] @ FLIP):
             if believed(course):
                 found.setdefault(person, []).append(Rotation.from_matrix(course @ mean.T).as_rotvec())
     return {person: np.concatenate(courses) for person, courses in found.items()}

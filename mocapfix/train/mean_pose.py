@@ -17,6 +17,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from mocapfix.train.mirror import FLIP, mirrored_name
+
 NEVER = 0.02  # radians: an axis that turns less than this in all the data is one that the skeleton holds
 HELD = 0.2  # radians
 FOREARM_TURN = 0.5  # radians
@@ -30,16 +32,6 @@ CARD = """\
 """
 
 
-def mirrored_name(name: str) -> str:
-    """-> the joint on the other side: LeftArm for RightArm, LThumb for RThumb."""
-    for left, right in (("Left", "Right"), ("LHip", "RHip"), ("LThumb", "RThumb")):
-        if name.startswith(left):
-            return right + name[len(left) :]
-        if name.startswith(right):
-            return left + name[len(right) :]
-    return name
-
-
 def mean_rotation(matrices: np.ndarray) -> np.ndarray:
     """-> the rotation (3, 3) nearest, in the chordal sense, to all of `matrices` (N, 3, 3)."""
     u, _, vt = np.linalg.svd(matrices.mean(0))
@@ -48,11 +40,10 @@ def mean_rotation(matrices: np.ndarray) -> np.ndarray:
 
 def fit(names: list[str], euler: np.ndarray) -> dict:
     """-> the prior's mapping, from joint names and Euler angles (N, J, 3) in degrees, ZYX."""
-    flip = np.diag([-1.0, 1.0, 1.0])  # mirroring: left becomes right, x changes sign
     matrices = {n: Rotation.from_euler("ZYX", euler[:, j], degrees=True).as_matrix() for j, n in enumerate(names)}
     joints = {}
     for name in names[1:]:
-        both = np.concatenate([matrices[name], flip @ matrices[mirrored_name(name)] @ flip])
+        both = np.concatenate([matrices[name], FLIP @ matrices[mirrored_name(name)] @ FLIP])
         mean = mean_rotation(both)
         quaternion = Rotation.from_matrix(mean).as_quat(canonical=True)
         c, held = covariance(both @ mean.T, turns_along_x=name.endswith("ForeArm"))

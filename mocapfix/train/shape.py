@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from mocapfix.skeleton import average
-from mocapfix.train.mean_pose import mirrored_name
+from mocapfix.train.mirror import mirrored_name
 
 SUBJECTS = ("01", "03", "07", "11", "127", "14", "17", "29", "35")
 MOST = 10  # components kept

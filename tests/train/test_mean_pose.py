@@ -107,20 +107,6 @@ def test_the_mean_of_a_few_half_turns_is_still_no_reflection():
     assert np.linalg.det(mean_pose.mean_rotation(half)) == pytest.approx(1)
 
 
-@pytest.mark.parametrize(
-    ("name", "other"),
-    [("LeftArm", "RightArm"), ("LHipJoint", "RHipJoint"), ("RThumb", "LThumb"), ("LowerBack", "LowerBack"), ("Head", "Head")],
-)
-def test_mirrored_names(name, other):
-    assert mean_pose.mirrored_name(name) == other
-
-
-def test_mirroring_twice_gives_each_joint_back_and_stays_on_the_body():
-    names = cmu31().skeleton.names
-    assert {mean_pose.mirrored_name(name) for name in names} == set(names)
-    assert all(mean_pose.mirrored_name(mean_pose.mirrored_name(name)) == name for name in names)
-
-
 def test_a_fitted_file_is_a_prior_that_loads(tmp_path, monkeypatch):
     names, count = list(cmu31().skeleton.names), 40
     angles = np.random.default_rng(1).uniform(-20, 20, (count, len(names), 3))

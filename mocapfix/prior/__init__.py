@@ -1,4 +1,4 @@
-"""What people's poses are like, where nothing else tells."""
+"""What people's poses are like, where nothing else tells: the mean pose and the joint limits; trained models in `models`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,8 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-OTHERS = ("joint-limits", "shape")  # on the shelf of priors, but not of this kind
+# on the shelf of priors, but not of this kind: the last four say how a model was trained
+OTHERS = ("joint-limits", "shape", "autoencoder", "gaussian", "mnn-ik", "pca")
 
 
 @dataclass(frozen=True)

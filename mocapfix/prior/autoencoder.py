@@ -1,0 +1,130 @@
+"""An autoencoder of poses (MNN-IK, section 3 and appendix A): a network that squeezes a pose through a few numbers.
+
+The network's own code is of no particular size; here it is measured in the deviations that encoded poses have, so that a code
+costs half its square.
+"""
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.func import jvp, vmap
+
+from mocapfix.prior.contract import PoseModel, checked
+from mocapfix.prior.features import KINDS, Features
+
+ACTIVATIONS = {"silu": nn.SiLU, "relu": nn.ReLU}
+BATCH = 512  # poses at once: memory stays small, and a larger batch is hardly faster
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a network is made of.
+
+    features    how it is told a pose: a key of KINDS
+    hidden      widths of the encoder's layers; the decoder's are the same, in reverse
+    code        P, how many numbers it squeezes a pose through
+    activation  a key of ACTIVATIONS, on the hidden layers
+    """
+
+    features: str
+    hidden: tuple[int, ...]
+    code: int
+    activation: str
+
+
+class Network(nn.Module):
+    """Fully connected layers down to the code and up again; code and output are not bent."""
+
+    def __init__(self, features: int, shape: Shape):
+        super().__init__()
+        sizes = (features, *shape.hidden, shape.code)
+        self.encoder, self.decoder = layers(sizes, shape.activation), layers(sizes[::-1], shape.activation)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return self.decoder(self.encoder(features))
+
+
+def layers(sizes: tuple[int, ...], activation: str) -> nn.Sequential:
+    steps: list[nn.Module] = []
+    for a, b in pairwise(sizes):
+        steps += [nn.Linear(a, b), ACTIVATIONS[activation]()]
+    return nn.Sequential(*steps[:-1])
+
+
+@dataclass(frozen=True)
+class Autoencoder(PoseModel):
+    """A trained network.
+
+    shape   what it is made of: kind of features, hidden layers, code, activation
+    mean    (P,) of the network's own code of people's poses; that is mean + spread code
+    spread  (P, P) lower triangular
+    """
+
+    shape: Shape
+    network: Network
+    mean: np.ndarray
+    spread: np.ndarray
+
+    @cached_property
+    def features(self) -> Features:
+        return KINDS[self.shape.features](torch.as_tensor(self.middle, dtype=torch.float32))
+
+    @property
+    def size(self) -> int:
+        return len(self.mean)
+
+    def encode(self, vectors: np.ndarray) -> np.ndarray:
+        own = batched(lambda v: self.network.encoder(self.features.of(v)), vectors)
+        return np.linalg.solve(self.spread, (own - self.mean).T).T
+
+    def decode(self, codes: np.ndarray) -> np.ndarray:
+        return batched(self._decoded, self.mean + codes @ self.spread.T)
+
+    def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own = self.mean + codes @ self.spread.T
+        slopes = batched(lambda z: derivative(self._decoded, z), own)
+        return batched(self._decoded, own), slopes @ self.spread
+
+    def packed(self) -> tuple[dict, dict[str, np.ndarray]]:
+        """Half precision for the weights: sigma, mean and spread were measured after rounding them."""
+        weights = {f"network.{name}": w.numpy().astype(np.float16) for name, w in self.network.state_dict().items()}
+        tensors = {name: getattr(self, name).astype(np.float32) for name in ("middle", "sigma", "mean", "spread")}
+        return {"shape": asdict(self.shape)}, tensors | weights
+
+    @classmethod
+    def unpacked(cls, joints: tuple[str, ...], said: dict, tensors: dict[str, np.ndarray]) -> "Autoencoder":
+        shape = Shape(**said["shape"] | {"hidden": tuple(said["shape"]["hidden"])})
+        weights = {name: tensors.pop(name) for name in list(tensors) if name.startswith("network.")}
+        count, size = len(joints), shape.code
+        shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (size,), "spread": (size, size)}
+        known = checked(tensors, **shapes)
+        network = Network(KINDS[shape.features](torch.as_tensor(known["middle"])).size, shape)
+        state = {name.removeprefix("network."): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
+        network.load_state_dict(state, strict=True)
+        return cls(joints, known.pop("middle"), known.pop("sigma"), shape, network.eval(), **known)
+
+    def _decoded(self, own: Tensor) -> Tensor:
+        return self.features.vectors(self.network.decoder(own))
+
+
+def derivative(function, rows: Tensor) -> Tensor:
+    """-> (N, ..., P) how what a function says of each row (N, P) changes with it.
+
+    All rows go along one direction after the other: matrix products as large as the batch, where row by row would be slow.
+    """
+
+    def along(direction: Tensor) -> Tensor:
+        return jvp(function, (rows,), (direction.expand_as(rows),))[1]
+
+    return vmap(along, out_dims=-1)(torch.eye(rows.shape[1]))
+
+
+def batched(function, rows: np.ndarray) -> np.ndarray:
+    """-> float64, what a function of torch says of the rows, a batch at a time."""
+    with torch.no_grad():
+        parts = [function(part) for part in torch.as_tensor(np.asarray(rows, np.float32)).split(BATCH)]
+        return torch.cat(parts).numpy().astype(float)

@@ -1,0 +1,56 @@
+"""Trained models as files: NAME.safetensors, whose header says of what kind the model is and for which joints."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from mocapfix.errors import SceneError
+from mocapfix.files import replacing
+from mocapfix.prior.contract import PoseModel
+from mocapfix.scenes import folder
+from mocapfix.skeleton import Skeleton
+
+
+def load(name: str, skeleton: Skeleton) -> PoseModel:
+    """-> the model shipped as priors/NAME.safetensors, or that of the file, where `name` ends so.
+
+    Raises SceneError naming the models there are; or the file, where it holds none or one of another skeleton.
+    """
+    path = Path(name) if name.endswith(".safetensors") else folder("priors") / f"{Path(name).name}.safetensors"
+    if not path.is_file():
+        there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors")))
+        raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
+    try:
+        with safe_open(path, "numpy") as file:
+            said = json.loads((file.metadata() or {})["mocapfix"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (it is no mapping)
+        joints = tuple(said.pop("joints"))
+        if joints == skeleton.names:
+            return kind(said.pop("kind")).unpacked(joints, said, tensors)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise SceneError(f"{path}: is no prior that mocapfix trained ({' '.join(str(error).split())}).") from error
+    raise SceneError(f"{path}: was trained for the joints {', '.join(joints)}, in this order; the skeleton has others.")
+
+
+def save(path: Path, model: PoseModel) -> None:
+    """Put a model into place, whole or not at all. Raises WriteError where the folder cannot be written."""
+    said, tensors = model.packed()
+    header = {"mocapfix": json.dumps({"kind": type(model).__name__.lower(), "joints": model.joints, **said})}
+    with replacing(path) as part:
+        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, part, header)
+
+
+def kind(name: str) -> type[PoseModel]:
+    """-> the class of models; only a network's brings torch with it."""
+    if name == "linear":
+        from mocapfix.prior.linear import Linear
+
+        return Linear
+    if name == "autoencoder":
+        from mocapfix.prior.autoencoder import Autoencoder
+
+        return Autoencoder
+    raise ValueError(f"of a kind {name!r} that is not known")

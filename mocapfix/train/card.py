@@ -1,0 +1,90 @@
+"""A model's card: from what it was trained, how well it does, and whom to thank."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix.files import replacing
+from mocapfix.prior.contract import PoseModel
+from mocapfix.train.poses import Poses
+from mocapfix.train.settings import Settings
+
+CARD = """\
+# {name}
+
+{title}
+
+Trained by `mocapfix train prior` on {count:,} frames at about 30 Hz of {people} subjects, each also mirrored, without place and
+heading; {dropped:,} frames more were left out, which lie beyond a jump of the solve that they come from.
+
+| subjects | with their frames |
+|---|---|
+| learned from | {seen} |
+| kept from it, for sigma and the scores | {unseen} |
+| never read, for the benchmarks | {test} |
+
+## Scores
+
+A pose encoded and decoded again, mean over frames and all joints but the root:
+
+| | degrees |
+|---|---|
+| subjects learned from | {seen_deg:.2f} |
+| subjects it has not seen | {unseen_deg:.2f} |
+
+A code is {size} numbers; those of the unseen subjects deviate by {spread:.2f} (root mean square) of what the model takes for one.
+Sigma, by which a person's pose lies about the decoded one, is {low:.1f} to {high:.1f} degrees per axis, its median {median:.1f}.
+
+A better reconstruction is not a better prior: choose by what it does in the solve.
+
+## Settings
+
+{settings}
+
+## Data
+
+The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
+(That is what CMU asks for. Whoever trains on other motion should name it here.)
+"""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Degrees between poses and what the model makes of them, mean over joints, of seen and of unseen subjects; and the root
+    mean square of the unseen subjects' codes."""
+
+    seen: float
+    unseen: float
+    spread: float
+
+
+def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores) -> None:
+    """Write the card; into place whole or not at all. Raises WriteError."""
+    said = settings.model_dump(exclude={"title", "test", "unseen"})
+    learned = {who: frames for who, frames in poses.frames.items() if who not in settings.unseen}
+    low, median, high = np.degrees(np.percentile(model.sigma[1:], [0, 50, 100]))
+    text = CARD.format(
+        name=path.stem,
+        title=settings.title,
+        count=sum(learned.values()),
+        people=len(learned),
+        dropped=poses.dropped,
+        seen=listed(learned),
+        unseen=listed({who: frames for who, frames in poses.frames.items() if who in settings.unseen}),
+        test=", ".join(sorted(settings.test)),
+        seen_deg=scores.seen,
+        unseen_deg=scores.unseen,
+        size=model.size,
+        spread=scores.spread,
+        low=low,
+        median=median,
+        high=high,
+        settings="\n".join(f"- {key}: {value}" for key, value in said.items()),
+    )
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def listed(frames: dict[str, int]) -> str:
+    return ", ".join(f"{who} ({count:,})" for who, count in sorted(frames.items()))

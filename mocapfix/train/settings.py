@@ -1,0 +1,79 @@
+"""How a prior is to be trained: what priors/NAME.yaml says."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
+
+from mocapfix.errors import SceneError
+from mocapfix.scenes import read_yaml
+
+
+class Stated(BaseModel):
+    """Nothing but what is stated, all of it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LinearSettings(Stated):
+    """Probabilistic principal components.
+
+    title       one line, for the card
+    test        subjects that are never read: they are for the benchmarks
+    unseen      subjects kept from the fit, by whom sigma and the scores are measured
+    components  how many; "all" takes those above the noise floor, which makes it the full Gaussian
+    """
+
+    model: Literal["linear"]
+    title: str
+    test: frozenset[str]
+    unseen: frozenset[str]
+    components: PositiveInt | Literal["all"]
+
+
+class AutoencoderSettings(Stated):
+    """An autoencoder; title, test and unseen as in LinearSettings.
+
+    seed        of weights, order and corruption
+    features, hidden, code, activation   the network, see mocapfix.prior.autoencoder.Shape
+    initial     standard deviation of the weights at the start; null for torch's own
+    epochs      times that every pose is seen
+    batch       poses in a step
+    rate        of learning, at the start
+    falling     "cosine", to zero at the end; or a factor every 2,000 steps
+    decay       AdamW's, of weights
+    norm        times the norm of all weights is added to the loss (MNN-IK, Eq. 3.2)
+    denoising   whether the network is shown corrupted poses, to learn the way back to people's
+    """
+
+    model: Literal["autoencoder"]
+    title: str
+    test: frozenset[str]
+    unseen: frozenset[str]
+    seed: int
+    features: Literal["continuous", "euler"]
+    hidden: tuple[PositiveInt, ...]
+    code: PositiveInt
+    activation: Literal["silu", "relu"]
+    initial: PositiveFloat | None
+    epochs: PositiveInt
+    batch: PositiveInt
+    rate: PositiveFloat
+    falling: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
+    decay: Annotated[float, Field(ge=0)]
+    norm: Annotated[float, Field(ge=0)]
+    denoising: bool
+
+
+Settings = LinearSettings | AutoencoderSettings
+READER = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
+
+
+def read(path: Path) -> Settings:
+    """-> the settings. Raises SceneError naming the file and the key that is not as it must be."""
+    try:
+        return READER.validate_python(read_yaml(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "model"
+        raise SceneError(f"{path}: {key}: {first['msg']}.") from error

@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+import torch
+
+from mocapfix import prior
+from mocapfix.prior.autoencoder import Autoencoder, Network, Shape
+from mocapfix.prior.features import KINDS
+from mocapfix.skeleton import cmu31
+
+SKELETON = cmu31().skeleton
+MIDDLE = prior.load("mean-pose", SKELETON).rotations
+
+
+def drawn(kind, activation, seed=0, code=3):
+    """-> an untrained model whose poses stay near the middle"""
+    torch.manual_seed(seed)
+    shape = Shape(kind, (8,), code, activation)
+    features = KINDS[kind](torch.as_tensor(MIDDLE, dtype=torch.float32))
+    network = Network(features.size, shape)
+    with torch.no_grad():
+        *_, weight, offset = network.decoder.parameters()
+        offset.copy_(features.of(torch.zeros(31, 3)))
+        weight.mul_(0.3)
+    rng = np.random.default_rng(seed)
+    mean, spread = rng.normal(size=code), np.tril(rng.uniform(0.5, 1.5, (code, code)))
+    return Autoencoder(SKELETON.names, MIDDLE, np.full(31, 0.1), shape, network, mean, spread)
+
+
+@pytest.mark.parametrize(("kind", "activation"), [("continuous", "silu"), ("euler", "relu")])
+def test_linearising_says_how_decoding_changes(kind, activation):
+    model, codes = drawn(kind, activation), np.random.default_rng(1).normal(size=(5, 3))
+    decoded, slopes = model.linearise(codes)
+    assert slopes.shape == (5, 31, 3, 3)
+    np.testing.assert_allclose(decoded, model.decode(codes), atol=1e-6)
+    for p, step in enumerate(1e-3 * np.eye(3)):
+        numeric = (model.decode(codes + step) - model.decode(codes - step)) / 2e-3
+        np.testing.assert_allclose(slopes[..., p], numeric, atol=2e-3)
+    assert np.abs(slopes).max() > 0.02
+
+
+def test_the_code_is_the_networks_own_in_units_of_its_spread():
+    model, vectors = drawn("continuous", "silu"), np.random.default_rng(2).normal(0, 0.3, (6, 31, 3))
+    vectors[:, 0, 1] = 0
+    with torch.no_grad():
+        own = model.network.encoder(model.features.of(torch.as_tensor(vectors, dtype=torch.float32))).numpy()
+    np.testing.assert_allclose(model.mean + model.encode(vectors) @ model.spread.T, own, atol=1e-5)
+
+
+def test_many_poses_are_coded_as_each_alone():
+    model, vectors = drawn("continuous", "silu"), np.random.default_rng(3).normal(0, 0.3, (700, 31, 3))
+    np.testing.assert_allclose(model.encode(vectors)[600:601], model.encode(vectors[600:601]), atol=1e-5)
+
+
+def test_the_papers_network_has_four_layers_each_way():
+    network = Network(93, Shape("euler", (1024, 1024, 1024), 35, "relu"))
+    widths = [tuple(w.shape) for name, w in network.named_parameters() if name.endswith("weight")]
+    assert widths == [(1024, 93), (1024, 1024), (1024, 1024), (35, 1024), (1024, 35), (1024, 1024), (1024, 1024), (93, 1024)]
+    assert isinstance(network.encoder[-1], torch.nn.Linear)
+    assert isinstance(network.decoder[-1], torch.nn.Linear)

@@ -1,0 +1,38 @@
+import pytest
+
+from mocapfix.errors import SceneError
+from mocapfix.scenes import folder
+from mocapfix.train import settings
+
+PCA = 'model: linear\ntitle: mine\ntest: ["02"]\nunseen: ["03"]\ncomponents: 3\n'
+
+
+def test_what_ships_can_be_trained():
+    names = [name for name in ("autoencoder", "gaussian", "mnn-ik", "pca") if (folder("priors") / f"{name}.yaml").is_file()]
+    assert len(names) == 4
+    for name in names:
+        said = settings.read(folder("priors") / f"{name}.yaml")
+        assert not said.test & said.unseen
+
+
+def test_the_papers_network_is_as_the_paper_says():
+    said = settings.read(folder("priors") / "mnn-ik.yaml")
+    assert isinstance(said, settings.AutoencoderSettings)
+    assert (said.features, said.hidden, said.code, said.activation) == ("euler", (1024, 1024, 1024), 35, "relu")
+    assert (said.batch, said.rate, said.falling, said.initial, said.denoising) == (10_000, 1e-4, 0.98, 0.1, False)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("components: 3", "components: 0", "components"),
+        ("components: 3", "components: 3\nlayers: 4", "layers"),
+        ('test: ["02"]', "tests: []", "test"),
+        ("model: linear", "model: forest", "model"),
+        ("model: linear", "", "model"),
+    ],
+)
+def test_settings_that_do_not_say_what_they_must_are_told_by_file_and_key(tmp_path, old, new, message):
+    (tmp_path / "mine.yaml").write_text(PCA.replace(old, new))
+    with pytest.raises(SceneError, match=rf"mine\.yaml: .*{message}"):
+        settings.read(tmp_path / "mine.yaml")
