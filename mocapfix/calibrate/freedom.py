@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocapfix.kernels.shared import Directions
+from mocapfix.kernels.shared import Deformations
 from mocapfix.skeleton import Body
 from mocapfix.subject import Subject
 
@@ -15,23 +15,23 @@ PLACE_SD = 0.020  # metres: a person's marker about the average body's place
 
 @dataclass(frozen=True)
 class Freedom:
-    """The shared unknowns (Q,): P of them along directions, then the K markers' shifts (K, 3) in metres; all zero at first.
+    """The shared unknowns (Q,): P of them along deformations, then the K markers' shifts (K, 3) in metres; all zero at first.
 
     offsets, places  (J, 3), (K, 3) metres: the body that is changed
-    directions       what changes with each of the P
+    deformations       what changes with each of the P
     information      (Q,) one over each unknown's variance about zero
     """
 
     offsets: np.ndarray
     places: np.ndarray
-    directions: Directions
+    deformations: Deformations
     information: np.ndarray
 
     def body(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """-> offsets (J, 3) and places (K, 3) in metres."""
-        along, shifts = np.split(unknowns, [len(self.directions.places)])
-        places = self.places + np.tensordot(along, self.directions.places, 1) + shifts.reshape(-1, 3)
-        return self.offsets + np.tensordot(along, self.directions.offsets, 1), places
+        along, shifts = np.split(unknowns, [len(self.deformations.places)])
+        places = self.places + np.tensordot(along, self.deformations.places, 1) + shifts.reshape(-1, 3)
+        return self.offsets + np.tensordot(along, self.deformations.offsets, 1), places
 
 
 def of(start: Subject, body: Body) -> Freedom:
@@ -47,4 +47,4 @@ def of(start: Subject, body: Body) -> Freedom:
     along = np.concatenate([offsets[None], groups, shapes])
     with_size = np.concatenate([places[None], np.zeros((len(along) - 1, *places.shape))])
     deviations = (SIZE_SD, *[GROUP_SD] * len(groups), *[1.0] * len(shapes), *[PLACE_SD] * places.size)
-    return Freedom(offsets, places, Directions(along, with_size), 1 / np.square(deviations))
+    return Freedom(offsets, places, Deformations(along, with_size), 1 / np.square(deviations))

@@ -87,7 +87,7 @@ def fitted(free: Freedom, problem: Problem, unknowns: np.ndarray, root: np.ndarr
     """-> the frames solved anew from the poses given, which are spoilt, and what they and the priors say together."""
     still = no_pull(local.shape[1])
     problem.solve(root, local, still, (ROBUST,), 6)
-    found = responses(problem, free.directions, still, ROBUST, root, local)
+    found = responses(problem, free.deformations, still, ROBUST, root, local)
     curvature, gradient = reduced(found)
     cost = found.cost.sum() + 0.5 * (free.information * unknowns**2).sum()
     return Fit(

@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.rotation import quaternion
-from mocapfix.kernels.small import matrix
+from mocapfix.kernels.rotation import of_quaternion, quaternion
+from mocapfix.kernels.small import matrix, put
 
 
 @njit(cache=True)
@@ -44,11 +44,7 @@ def into_joint(quaternions, joint, rotations):
     """Write quaternions (T, 4) of any length but 0 into rotations[:, joint] (T, J, 3, 3) as matrices."""
     for t in range(len(quaternions)):
         x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
-        s = 2 / (x * x + y * y + z * z + w * w)
-        m = rotations[t, joint]
-        m[0, 0], m[0, 1], m[0, 2] = 1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
-        m[1, 0], m[1, 1], m[1, 2] = s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)
-        m[2, 0], m[2, 1], m[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
+        put(of_quaternion(x, y, z, w), rotations[t], joint)
 
 
 @njit(cache=True)

@@ -5,6 +5,9 @@ import math
 import numpy as np
 from numba import njit
 
+from mocapfix.kernels.rotation import of_quaternion
+from mocapfix.kernels.small import put
+
 SWEEPS = 10  # of Jacobi's method at most: it converges quadratically, in four or five
 NOTHING = 1e-32  # squared share of an off-diagonal entry that is rounding
 
@@ -101,7 +104,8 @@ def nearest_rotation(cross, m, vectors, out):
     for i in range(1, 4):
         if m[i, i] > m[best, best]:
             best = i
-    _matrix(vectors[best], out)
+    q = vectors[best]  # w first
+    put(of_quaternion(q[1], q[2], q[3], q[0]), out.reshape((1, 3, 3)), 0)
 
 
 @njit(cache=True)
@@ -119,16 +123,6 @@ def _annihilate(m, vectors, i, j):
             a, b = (min(i, k), max(i, k)), (min(j, k), max(j, k))
             m[a], m[b] = c * m[a] - s * m[b], s * m[a] + c * m[b]
         vectors[i, k], vectors[j, k] = c * vectors[i, k] - s * vectors[j, k], s * vectors[i, k] + c * vectors[j, k]
-
-
-@njit(cache=True)
-def _matrix(q, out):
-    """Write the rotation matrix of the quaternion `q` (4,), w first, of whatever length but 0."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    s = 2 / (w * w + x * x + y * y + z * z)
-    out[0, 0], out[0, 1], out[0, 2] = 1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)
 
 
 @njit(cache=True)

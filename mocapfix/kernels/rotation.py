@@ -58,6 +58,13 @@ def quaternion(m):
 
 
 @njit(cache=True)
+def of_quaternion(x, y, z, w):
+    """-> the rotation matrix of a quaternion of whatever length but 0."""
+    s = 2 / (x * x + y * y + z * z + w * w)
+    return assembled(x, y, z, s * w, s)
+
+
+@njit(cache=True)
 def logarithm(m):
     """-> the rotation vector (radians, length at most pi) of the matrix `m`, and what `left_jacobian_inverse` wants of it.
 

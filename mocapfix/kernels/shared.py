@@ -1,7 +1,7 @@
 """What many frames say together of the unknowns they share, their poses eliminated (Schur complement by the sweep).
 
 SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K unknowns. The first P change joints' offsets and
-markers' places along given directions, linearly; the rest are the K markers' places themselves, in their joints' axes.
+markers' places along given deformations, linearly; the rest are the K markers' places themselves, in their joints' axes.
 """
 
 from typing import NamedTuple
@@ -18,10 +18,8 @@ from mocapfix.kernels.terms.robust import robust
 from mocapfix.kernels.threads import over_frames
 from mocapfix.kernels.workspace import load, workspace
 
-HELD = 1e-3  # 1/m^2 or 1/rad^2: what keeps a pose that nothing holds where it is
 
-
-class Directions(NamedTuple):
+class Deformations(NamedTuple):
     """What changes with P shared unknowns, in metres per unit."""
 
     offsets: np.ndarray  # (P, J, 3) a joint in its parent's axes
@@ -41,14 +39,14 @@ class Responses(NamedTuple):
     carried: np.ndarray  # (T, Q, J, 3) the joints, in world axes
 
 
-def responses(problem: Problem, directions: Directions, target: Courses, scale: float, root, local) -> Responses:
+def responses(problem: Problem, deformations: Deformations, target: Courses, scale: float, root, local) -> Responses:
     """-> how frames at their best poses, root (T, 3) and local (T, J, 3, 3), respond.
 
     target  the pull of each frame's pose, beside the problem's prior
     scale   metres, the robust scale
     """
     frames, joints = local.shape[:2]
-    dense, markers = directions.places.shape[:2]
+    dense, markers = deformations.places.shape[:2]
     unknowns = dense + 3 * markers
     found = Responses(
         np.empty(frames),
@@ -58,7 +56,7 @@ def responses(problem: Problem, directions: Directions, target: Courses, scale: 
         np.empty((frames, unknowns, joints, 3)),
     )
     over_frames(
-        respond_frames, frames, problem.tree, problem.terms(target), directions,
+        respond_frames, frames, problem.tree, problem.terms(target), deformations,
         problem.scales2((scale,))[0], root, local, *found,
     )  # fmt: skip
     return found
@@ -77,17 +75,17 @@ def reduced(found: Responses) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True)
-def along(directions, p, points, parents, rotation, stretch, shift):
+def along(deformations, p, points, parents, rotation, stretch, shift):
     """Write how joints (J, 3) and markers (K, 3) move, in world axes, with the p-th direction and no joint turning."""
     stretch[0] = 0.0
     for j in range(1, len(stretch)):
         r = rotation[parents[j]]
-        x, y, z = directions.offsets[p, j]
+        x, y, z = deformations.offsets[p, j]
         for a in range(3):
             stretch[j, a] = stretch[parents[j], a] + r[a, 0] * x + r[a, 1] * y + r[a, 2] * z
     for k in range(len(shift)):
         j = points.joints[k]
-        x, y, z = directions.places[p, k]
+        x, y, z = deformations.places[p, k]
         for a in range(3):
             shift[k, a] = stretch[j, a] + rotation[j, a, 0] * x + rotation[j, a, 1] * y + rotation[j, a, 2] * z
 
@@ -141,7 +139,7 @@ def errors(points, t, scale2, arm, pose, lever, error, trusted):
 
 
 @njit(inline="always")
-def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carried):
+def respond(tree, terms, t, deformations, scale2, work, trusted, away, moved, carried):
     """Write one frame's `Responses` at the work's pose, the markers being the first term. -> its cost"""
     points, system, step, rotation, arm = terms[0], work.system, work.step, work.pose.rotation, work.system.arm
     joints, markers, dense = len(arm), len(trusted), len(away)
@@ -150,11 +148,11 @@ def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carr
     forward(tree, work.pose)
     cost = linearise(tree, terms, t, scale2, work.pose, system)
     errors(points, t, scale2, arm, work.pose, lever, error, trusted)
-    sweep.factor(tree, system, HELD, work.factors)
+    sweep.factor(tree, system, sweep.HARDLY, work.factors)
     for q in range(len(moved)):
         k = (q - dense) // 3
         if q < dense:
-            along(directions, q, points, tree.parents, rotation, stretch, shift)
+            along(deformations, q, points, tree.parents, rotation, stretch, shift)
             for m in range(markers):
                 inwards(rotation[points.joints[m]], shift[m], away[q, m])
         else:
@@ -180,9 +178,9 @@ def respond(tree, terms, t, directions, scale2, work, trusted, away, moved, carr
 
 
 @njit(cache=True, nogil=True)
-def respond_frames(tree, terms, directions, scale2, root, local, cost, trusted, away, moved, carried, first, stop):
+def respond_frames(tree, terms, deformations, scale2, root, local, cost, trusted, away, moved, carried, first, stop):
     """`respond` on first..stop, each into its own row."""
     work, none = workspace(local.shape[1], 0, None), np.zeros((len(root), 0))
     for t in range(first, stop):
         load(root, local, none, t, work.pose)
-        cost[t] = respond(tree, terms, t, directions, scale2, work, trusted[t], away[t], moved[t], carried[t])
+        cost[t] = respond(tree, terms, t, deformations, scale2, work, trusted[t], away[t], moved[t], carried[t])

@@ -20,6 +20,8 @@ from numba import njit
 from mocapfix.kernels.pose import copy
 from mocapfix.kernels.small import cholesky, cholesky_solve, inverse_3, inverse_of_cholesky
 
+HARDLY = 1e-3  # 1/m^2 or 1/rad^2: holds an unknown that nothing else does, so that its variance is large, not infinite
+
 
 class Step(NamedTuple):
     """A change of pose."""

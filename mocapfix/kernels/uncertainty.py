@@ -11,8 +11,6 @@ from mocapfix.kernels.pose import forward
 from mocapfix.kernels.system import linearise
 from mocapfix.kernels.workspace import load, workspace
 
-HARDLY = 1e-3  # 1/m^2 or 1/rad^2: what holds an unknown that nothing holds, so that its variance is large, not infinite
-
 
 @njit(cache=True)
 def covariance(tree, system, f, spread, turn_variance):
@@ -54,8 +52,8 @@ def covariance(tree, system, f, spread, turn_variance):
                 if tree.free[i]:
                     for e in range(3):
                         total += s[a, e] * cross[e, c] + s[c, e] * cross[e, a]
-                        for f_ in range(3):
-                            total += s[a, e] * turned[e, f_] * s[c, f_]
+                        for d in range(3):
+                            total += s[a, e] * turned[e, d] * s[c, d]
                 spread[i, a, c] = total
                 spread[i, c, a] = total
 
@@ -136,7 +134,7 @@ def uncertainties(tree, terms, scale2, rows, root, local, shared, marker_sd, joi
         load(root, local, shared, t, work.pose)
         forward(tree, work.pose)
         linearise(tree, terms, t, scale2, work.pose, work.system)
-        sweep.factor(tree, work.system, HARDLY, work.factors)
+        sweep.factor(tree, work.system, sweep.HARDLY, work.factors)
         covariance(tree, work.system, work.factors, spread, joint_var[t])
         add_shared(tree, work, spread, joint_var[t])
         take_rows(tree, work, work.answers, spread, joint_var[t])

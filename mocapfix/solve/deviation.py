@@ -6,7 +6,8 @@ is asked anew, of the same curvature and factorisation, with each term as uncert
 
 - markers, as the distances show that they keep from the solved body: what the poses took up of them is made good for, as
   in the a posteriori variance of least squares;
-- people's poses, in every frame: of one frame's pose they say no less for being said of its neighbours, too;
+- people's poses, in every frame: of one frame's pose they say no less for being said of its neighbours, too (limits
+  stay as the solve has them: between their walls they say nothing);
 - joints that lost a marker, by how far their course can be known that long after a gap's edge;
 - calibration's own error, which no frame tells and the subject carries, beside all that.
 """
@@ -25,7 +26,6 @@ from mocapfix.subject import Subject
 LEAST = 0.001  # metres: no marker keeps its place better
 NORMAL = 2.366  # the median of a chi-squared of three degrees of freedom
 HEARD = 0.9  # a marker whose error the pose takes up almost whole tells nothing of its size
-
 PLACED = 0.75  # of the calibration's own deviation: people's marker places and bones stray less from the average than it allows
 
 

@@ -41,7 +41,7 @@ def strange(rng, tree, markers_each=3):
     return frame, drawn.Points(joints, places, seen, weight)
 
 
-def finite(frame, ends):
+def assert_finite(frame, ends):
     """The ends of all frames are poses with a status."""
     root, local, _, status, _ = ends
     joints, fixed = len(frame.local), ~frame.tree.free
@@ -63,7 +63,7 @@ def test_frames_that_say_little(body, scales2, held):
         said["targets"] = drawn.Targets(eye, eye / 9)
     frame = frame._replace(terms=drawn.terms(joints, FRAMES, **said))
     ends = solved(frame, scales2, FRAMES, most=12)
-    finite(frame, ends)
+    assert_finite(frame, ends)
     root, local, shared, status, _ = ends
     if held:
         assert status[0] in (CONVERGED, NOTHING_LEFT)
@@ -87,7 +87,7 @@ def test_a_body_without_markers(body):
     frame, points = strange(np.random.default_rng(6), body(np.random.default_rng(7)), markers_each=0)
     frame = frame._replace(terms=drawn.terms(len(frame.local), FRAMES, points=points))
     ends = solved(frame, ROBUST, FRAMES)
-    finite(frame, ends)
+    assert_finite(frame, ends)
     assert (ends[3] == UNHELD).all()
     sure = foretold(frame, np.inf, *ends[:3])
     assert sure[0].shape == (FRAMES, 0)
@@ -102,7 +102,7 @@ def test_all_markers_of_a_joint_at_the_joint_itself():
     frame, points = strange(np.random.default_rng(8), usual(np.random.default_rng(9)))
     points.places[:] = 0.0
     frame = frame._replace(terms=drawn.terms(8, FRAMES, points=points))
-    finite(frame, solved(frame, ROBUST, FRAMES))
+    assert_finite(frame, solved(frame, ROBUST, FRAMES))
 
 
 @pytest.mark.parametrize("nowhere", [np.nan, np.inf])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.kernels.problem import Attached, Problem, no_pull
-from mocapfix.kernels.shared import Directions, reduced, responses
+from mocapfix.kernels.shared import Deformations, reduced, responses
 from tests.kernels import dense, drawn
 
 DAMPING = 1e-3  # what the pose's unknowns are given so that none is left loose
@@ -17,22 +17,22 @@ MARKERS = 9
 
 
 def shared(seed, joints, hidden=()):
-    """-> a random frame of markers that weigh alike and pulls, and directions in which its offsets and places change"""
+    """-> a random frame of markers that weigh alike and pulls, and deformations in which its offsets and places change"""
     rng = np.random.default_rng(seed)
     frame = drawn.frame(rng, joints, drawn.FEW)
     points, *pulls = frame.terms
     weight = np.full((1, MARKERS), SD**-2)
     weight[:, list(hidden)] = 0.0
     alike = points._replace(weight=weight, loss=drawn.GEMAN_MCCLURE)
-    directions = Directions(rng.normal(0, 0.3, (COUNT, joints, 3)), rng.normal(0, 0.1, (COUNT, MARKERS, 3)))
-    return frame._replace(terms=(alike, *pulls)), directions
+    deformations = Deformations(rng.normal(0, 0.3, (COUNT, joints, 3)), rng.normal(0, 0.1, (COUNT, MARKERS, 3)))
+    return frame._replace(terms=(alike, *pulls)), deformations
 
 
-def changed(frame, directions, unknowns):
+def changed(frame, deformations, unknowns):
     """-> the frame on a body whose shared unknowns (Q,) are moved"""
     points, *pulls = frame.terms
-    offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], directions.offsets, 1)
-    places = points.places + np.tensordot(unknowns[:COUNT], directions.places, 1) + unknowns[COUNT:].reshape(-1, 3)
+    offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], deformations.offsets, 1)
+    places = points.places + np.tensordot(unknowns[:COUNT], deformations.places, 1) + unknowns[COUNT:].reshape(-1, 3)
     return frame._replace(tree=frame.tree._replace(offsets=offsets), terms=(points._replace(places=places), *pulls))
 
 
@@ -43,9 +43,9 @@ def problem_of(frame, frames=1):
     return Problem(frame.tree, Attached(points.joints, points.places), markers, listened, SD, prior, limits)
 
 
-def respond(frame, directions, scale, frames=1):
+def respond(frame, deformations, scale, frames=1):
     root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
-    return responses(problem_of(frame, frames), directions, frame.terms[1], scale, root, local)
+    return responses(problem_of(frame, frames), deformations, frame.terms[1], scale, root, local)
 
 
 def trusted(frame, scale):
@@ -60,12 +60,12 @@ def at(frame):
     return dense.world(*frame[:1], *frame[2:])
 
 
-def jacobian(frame, directions):
+def jacobian(frame, deformations):
     """-> (rows, Q + N) of all residuals, shared unknowns first, then the pose's; and the residuals (rows,)"""
     unknowns, pose = COUNT + 3 * MARKERS, dense.unknowns(frame)
 
     def residual(x):
-        after = dense.moved(changed(frame, directions, x[:unknowns]), x[unknowns:])
+        after = dense.moved(changed(frame, deformations, x[:unknowns]), x[unknowns:])
         return np.concatenate([dense.residual(term, at(after)).ravel() for term in after.terms])
 
     return dense.jacobian(residual, unknowns + pose), residual(np.zeros(unknowns + pose))
@@ -80,10 +80,10 @@ def loose(slope, unknowns):
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.sampled_from([PLAIN, 3 * SD]))
 def test_poses_are_eliminated_as_a_dense_schur_complement_does(seed, joints, scale):
-    frame, directions = shared(seed, joints, hidden=[1])
-    found = respond(frame, directions, scale)
+    frame, deformations = shared(seed, joints, hidden=[1])
+    found = respond(frame, deformations, scale)
     curvature, gradient = reduced(found)
-    slope, residuals = jacobian(trusted(frame, scale), directions)
+    slope, residuals = jacobian(trusted(frame, scale), deformations)
     unknowns = len(gradient)
     through = slope[:, :unknowns] + slope[:, unknowns:] @ loose(slope, unknowns)
     expected, fall = slope[:, :unknowns].T @ through, through.T @ residuals
@@ -93,13 +93,13 @@ def test_poses_are_eliminated_as_a_dense_schur_complement_does(seed, joints, sca
 
 
 def test_joints_and_markers_go_where_the_pose_that_gives_way_takes_them():
-    frame, directions = shared(3, 5, hidden=[4])
-    found, (slope, _) = respond(frame, directions, PLAIN), jacobian(frame, directions)
+    frame, deformations = shared(3, 5, hidden=[4])
+    found, (slope, _) = respond(frame, deformations, PLAIN), jacobian(frame, deformations)
     unknowns = found.carried.shape[1]
     give = np.r_[np.eye(unknowns), loose(slope, unknowns)]
 
     def placed(x):
-        after = dense.moved(changed(frame, directions, x[:unknowns]), x[unknowns:])
+        after = dense.moved(changed(frame, deformations, x[:unknowns]), x[unknowns:])
         points, there = after.terms[0], at(after)
         return np.r_[there.position, dense.placed(points.joints, points.places, there)]
 
@@ -110,13 +110,13 @@ def test_joints_and_markers_go_where_the_pose_that_gives_way_takes_them():
 
 
 def test_the_gradient_is_that_of_the_cost_at_the_best_pose():
-    frame, directions = shared(7, 4)
+    frame, deformations = shared(7, 4)
 
     def solved(unknowns):
-        trial = changed(frame, directions, unknowns)
+        trial = changed(frame, deformations, unknowns)
         root, local = frame.root[None].copy(), frame.local[None].copy()
         problem_of(trial).solve(root, local, frame.terms[1], (PLAIN, PLAIN, PLAIN), 100)
-        return respond(trial._replace(root=root[0], local=local[0]), directions, PLAIN)
+        return respond(trial._replace(root=root[0], local=local[0]), deformations, PLAIN)
 
     unknowns = COUNT + 3 * MARKERS
     slope = dense.jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
@@ -125,8 +125,8 @@ def test_the_gradient_is_that_of_the_cost_at_the_best_pose():
 
 
 def test_frames_that_say_the_same_say_it_as_often():
-    frame, directions = shared(8, 3)
-    one, three = respond(frame, directions, PLAIN), respond(frame, directions, PLAIN, frames=3)
+    frame, deformations = shared(8, 3)
+    one, three = respond(frame, deformations, PLAIN), respond(frame, deformations, PLAIN, frames=3)
     np.testing.assert_allclose(three.cost, np.full(3, dense.cost(frame)))
     for once, thrice in zip(reduced(one), reduced(three), strict=True):
         np.testing.assert_allclose(thrice, 3 * once, rtol=1e-9, atol=1e-9 * np.abs(once).max())
@@ -134,8 +134,8 @@ def test_frames_that_say_the_same_say_it_as_often():
 
 @pytest.mark.parametrize("frames", [1, 4])
 def test_a_marker_that_is_not_seen_presses_nothing_and_goes_along(frames):
-    frame, directions = shared(9, 3, hidden=[2])
-    found = respond(frame._replace(terms=(frame.terms[0], no_pull(3), *frame.terms[2:])), directions, PLAIN, frames)
+    frame, deformations = shared(9, 3, hidden=[2])
+    found = respond(frame._replace(terms=(frame.terms[0], no_pull(3), *frame.terms[2:])), deformations, PLAIN, frames)
     mine = slice(COUNT + 6, COUNT + 9)
     assert not reduced(found)[0][mine].any()
     assert not found.carried[:, mine].any()
