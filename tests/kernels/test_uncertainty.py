@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.levenberg import CONVERGED
+from mocapfix.kernels.sweep import HARDLY
 from mocapfix.kernels.terms import Courses
-from mocapfix.kernels.uncertainty import HARDLY
 from tests.kernels import dense, drawn
 from tests.kernels.model import foretold, solved, worked
 
