@@ -21,9 +21,9 @@ from mocapfix.kernels.threads import side_by_side
 from mocapfix.prior.contract import PoseModel
 
 FAR, NEAR = 1e-3, 1e-6  # initial damping over the largest curvature: from a start that may be far off; from the last round's end
-EACH = 8  # iterations in a round at each robust scale: more would only go by a linearisation that holds no longer
-HOLD, FIRMER, LOOSER = 0.3, 5.0, 0.3  # how firmly a code is held where the decoder was asked; times these after each round
-ENOUGH = 0.05  # a round's fall of the cost (half a sum of squares in standard deviations) that is not worth another round
+EACH = 6  # iterations in a round at each robust scale: more would only go by a linearisation that holds no longer
+HOLD, FIRMER = 2.0, 3.0  # how firmly a code is held where the decoder was asked; times this after a round that failed
+ENOUGH = 0.2  # a round's fall of the cost (half a sum of squares in standard deviations) that is not worth another round
 PLAIN = np.array([np.inf])  # no robust scale
 BATCH = 128  # frames at once: what a network says of them takes some 25 kB each
 
@@ -39,6 +39,7 @@ class Posed:
     codes       (T, P) of the model, each number in its own standard deviations
     status      (T,) indices into motion.STATUS
     iterations  (T,) of the Levenberg-Marquardt solve, over all rounds
+    cost        (T,) half the sum of squares of all residuals, in standard deviations
     """
 
     root: np.ndarray
@@ -46,6 +47,7 @@ class Posed:
     codes: np.ndarray
     status: np.ndarray
     iterations: np.ndarray
+    cost: np.ndarray
 
 
 def under(
@@ -75,7 +77,17 @@ def under(
             frames = frames[(search.status[frames] == RAN_OUT) & (search.iterations[frames] < most)]
         if watch:
             watch(search.root, search.local, scale * search.shared)
-    return Posed(search.root, search.local, scale * search.shared, search.status, search.iterations)
+    if once:
+        search.cost = search.costs(once, scales2[-1], np.arange(len(root)))
+    return Posed(search.root, search.local, scale * search.shared, search.status, search.iterations, search.cost)
+
+
+def linearised(model: PoseModel, scale: float, shared: np.ndarray, hold: np.ndarray, row: np.ndarray) -> Latent:
+    """-> a model as a term, its deviations times `scale`, linearised at codes of scale times `shared` (D, P)."""
+    told = shared[:1] if (shared == shared[0]).all() else shared  # alike as they are at first, where nobody knows better
+    decoded, slopes = (np.repeat(each, len(shared) // len(told), axis=0) for each in model.linearise(scale * told))
+    middle = np.ascontiguousarray(model.middle)
+    return Latent(middle, decoded, scale * slopes, shared.copy(), model.information / scale**2, hold, row)
 
 
 class Search:
@@ -83,16 +95,13 @@ class Search:
 
     def __init__(self, tree: Tree, others: tuple, model: PoseModel, scale: float, root, local, codes):
         self.tree, self.others, self.model, self.scale = tree, others, model, scale
-        self.middle, self.information = np.ascontiguousarray(model.middle), model.information / scale**2
         self.root, self.local, self.shared = root.copy(), local.copy(), codes / scale
         self.status, self.iterations = np.full(len(root), RAN_OUT), np.zeros(len(root), int)
         self.cost, self.hold, self.row = np.full(len(root), np.inf), np.full(len(root), HOLD), np.zeros(len(root), int)
 
     def asked(self, shared: np.ndarray, hold: np.ndarray) -> Latent:
         """-> the model linearised at unknowns (D, P), which are held there (D,)."""
-        decoded, slopes = self.model.linearise(self.scale * shared)
-        slopes = np.ascontiguousarray(self.scale * slopes)
-        return Latent(self.middle, decoded, slopes, shared.copy(), self.information, hold, self.row)
+        return linearised(self.model, self.scale, shared, hold, self.row)
 
     def solve(self, latent: Latent, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Move a batch of frames to where the cost would be least if the model were as linear as `latent` says."""
@@ -124,5 +133,5 @@ class Search:
         for now, then in zip((self.root, self.local, self.shared), before, strict=True):
             now[batch[worse]] = then[worse]
         self.cost[batch] -= np.where(worse, 0.0, fall)
-        self.hold[batch] *= np.where(worse, FIRMER, LOOSER)
+        self.hold[batch[worse]] *= FIRMER
         self.status[batch[worse | (fall > ENOUGH)]] = RAN_OUT
