@@ -14,9 +14,9 @@ from mocapfix.train.settings import MixtureSettings
 
 EVERY = 5  # poses: the beginnings are compared on every fifth, for frames that follow each other say the same
 TOLD = """\
-Of {} fits to every {}th pose, each from where k-means begins, the likeliest was taken (at rest after {} iterations), and fitted to
-all (at rest after {}): an iteration raised the mean log-likelihood of a pose by less than {:g}. The reduced space has {} axes; a
-pose's mean log-likelihood in it is {:.2f}."""
+Of {} fits to every {}th pose, each from where k-means begins, the likeliest was taken (at rest after {} iterations), and fitted
+to all (at rest after {}): an iteration raised the mean log-likelihood of a pose by less than {:g}. The reduced space has {} axes;
+a pose's mean log-likelihood in it is {:.2f}."""
 
 
 def fit(
