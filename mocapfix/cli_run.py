@@ -13,7 +13,7 @@ from mocapfix.errors import SceneError
 def run(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or a shipped scene's name")],
     folder: Annotated[
-        Path | None, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="where outputs go; SCENE.mocapfix/ by the scene")
+        Path | None, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="where outputs go; by default SCENE.mocapfix/")
     ] = None,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
 ) -> int:

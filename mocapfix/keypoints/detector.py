@@ -57,12 +57,13 @@ def load(name: str, skeleton: Skeleton) -> Detector:
         raise SceneError(f"There is no order of keypoints named {name!r}; choose one of: {', '.join(names())}.")
     try:
         said = _Said.model_validate(load_yaml(f"keypoints/{name}.yaml"))
-        points = said.points.values()
-        joints = np.array([skeleton.index(point.joint) for point in points])
     except ValidationError as error:
         first = error.errors()[0]
         raise SceneError(f"keypoints/{name}.yaml: {'.'.join(map(str, first['loc']))}: {first['msg']}.") from error
-    except ValueError as error:
-        raise SceneError(f"keypoints/{name}.yaml: names a joint that the skeleton has not ({error}).") from error
+    points = said.points.values()
+    for label, point in said.points.items():
+        if point.joint not in skeleton.names:
+            raise SceneError(f"keypoints/{name}.yaml: points.{label}.joint: the skeleton has no {point.joint!r}.")
+    joints = np.array([skeleton.index(point.joint) for point in points])
     places, sd = np.array([point.offset for point in points]), np.array([point.sd for point in points])
     return Detector(said.name, said.key, tuple(said.points), joints, places, sd)

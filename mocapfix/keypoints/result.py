@@ -55,7 +55,8 @@ class Result:
     def report(self) -> dict:
         """-> the record: frames, rate_hz, order, prior, camera, reprojection_px, status (sentence: frames), seconds."""
         distance, known = self.distance, self.keypoints.detector
-        each = [column[np.isfinite(column)] for column in distance.T]
+        found = [column[np.isfinite(column)] for column in distance.T]
+        means = [round(float(column.mean()), 2) if len(column) else None for column in found]
         return {
             "scene": self.name,
             "frames": self.keypoints.frames,
@@ -70,9 +71,7 @@ class Result:
             "reprojection_px": {
                 "mean": round(float(np.nanmean(distance)), 2),
                 "p95": round(float(np.nanpercentile(distance, 95)), 2),
-                "by_keypoint": {
-                    label: round(float(one.mean()), 2) if len(one) else None for label, one in zip(known.labels, each, strict=True)
-                },
+                "by_keypoint": dict(zip(known.labels, means, strict=True)),
             },
             "status": {STATUS[status]: count for status, count in Counter(self.motion.status.tolist()).items()},
             "seconds": self.clock.seconds,
@@ -89,10 +88,8 @@ class Result:
         outputs = {kind: folder / f"{self.name}.{kind}" for kind in KINDS}
         check_not_there(outputs.values(), overwrite)
         make_folder(folder)
-        seen = self.keypoints
-        shown = film.Film(
-            self.title, self.rate, seen.image, seen.pixels, seen.confidence, self.skeleton, self.joints, self.camera.image(self.joints)
-        )
+        seen, images = self.keypoints, self.camera.image(self.joints)
+        shown = film.Film(self.title, self.rate, seen.image, seen.pixels, seen.confidence, self.skeleton, self.joints, images)
         with self.clock("write"):
             write.bvh(outputs["bvh"], self.skeleton, self.motion, self.rate)
             film.recording(outputs["rrd"], shown)

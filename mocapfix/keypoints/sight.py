@@ -45,7 +45,7 @@ class Sight:
         return kinematics.tree_of(self.skeleton)
 
     def solved(self, scale: float, root: np.ndarray, local: np.ndarray, course: Courses | None = None) -> Posed:
-        """-> the poses at `scale` pixels per metre, from root (T, 3) and local (T, J, 3, 3), pulled to a course if there is one."""
+        """-> the poses at `scale` pixels per metre, from root (T, 3) and local (T, J, 3, 3), pulled to a course if given."""
         d, joints = self.detector, len(self.skeleton.names)
         views = Views(
             d.joints, d.places, np.zeros(len(d.joints), int), self.rotation[None], np.zeros((1, 3)), np.zeros(1, bool),

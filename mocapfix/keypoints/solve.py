@@ -43,7 +43,7 @@ def film(
     count = keypoints.frames
     path = guesses.likeliest(cost, guesses.steps(joints.reshape(count, -1, *joints.shape[1:]), rate))
     taken = np.arange(count) * cost.shape[1] + path
-    smooth = course(poses.root[taken], poses.rotations[taken], weight.any(axis=1), rate)
+    smooth = course(poses.root[taken], poses.rotations[taken], (weight > 0).any(axis=1), rate)
     poses = sight.solved(scale, smooth.root, smooth.rotations, smooth)
     return on_the_floor(sight, poses, scale)
 
@@ -107,8 +107,6 @@ def on_the_floor(sight: Sight, poses: Posed, scale: float) -> tuple[Motion, Came
     """-> the motion moved so that the lowest joint is at zero height and the first root over the origin; its camera with it."""
     joints, _ = sight.placed(poses.root, poses.rotations)
     origin = np.array([poses.root[0, 0], joints[..., 1].min(), poses.root[0, 2]])
-    frames, count = len(poses.root), len(sight.skeleton.names)
-    motion = Motion(
-        poses.root - origin, poses.rotations, poses.status, poses.iterations, np.zeros((frames, 0)), np.full((frames, count), np.nan)
-    )
+    none, unknown = np.zeros((len(joints), 0)), np.full(joints.shape[:2], np.nan)
+    motion = Motion(poses.root - origin, poses.rotations, poses.status, poses.iterations, none, unknown)
     return motion, Camera(sight.rotation, scale, scale * sight.flat(origin))

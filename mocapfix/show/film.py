@@ -1,6 +1,6 @@
 """A film of keypoints and the body found in it: a page to look at, and a recording to play.
 
-    image      pixels: the camera's own view
+    image      pixels: the camera's own view, and the image's edge where it is known
       keypoints  as they were detected, the paler the less sure
       skeleton   where the camera sees the body
     world      Y up, metres
@@ -65,6 +65,8 @@ def recording(target: Path, film: Film) -> None:
         try:
             to.save(part, default_blueprint=rrb.Blueprint(views, collapse_panels=True))
             to.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
+            if film.image:
+                to.log("image", rr.Boxes2D(mins=[[0, 0]], sizes=[film.image], colors=BONE), static=True)
             to.log("image/keypoints", rr.Points2D.from_fields(radii=3.0), static=True)
             to.log("image/skeleton", rr.LineStrips2D.from_fields(radii=1.0, colors=BONE), static=True)
             to.log("world/skeleton", rr.LineStrips3D.from_fields(radii=0.007, colors=BONE), static=True)
@@ -107,7 +109,7 @@ def _moment(film: Film, t: int) -> str:
         f'<circle class="doubted" cx="{x:.1f}" cy="{y:.1f}" r="{0.012 * height:.1f}" opacity="{0.25 + 0.75 * sure:.2f}"/>'
         for (x, y), sure in zip(film.pixels[t][found], film.confidence[t][found], strict=True)
     )
-    views = ((film.images[t], seen, "as the camera saw it"), (side, "", "from its left, which no camera saw"))
+    views = ((film.images[t], seen, "as the camera saw it"), (side, "", "from the left of the image, as nobody saw it"))
     return "".join(
         f"<figure>{_svg(points, film.bones, more, height)}<figcaption><b>{t / film.rate:.2f} s</b> {what}</figcaption></figure>"
         for points, more, what in views
