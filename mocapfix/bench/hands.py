@@ -118,7 +118,7 @@ def moment(path: Path, damage: Damage) -> Moment:
 def alone(mended: Result, subject: Subject, motion: Motion, frames: np.ndarray) -> np.ndarray:
     """-> (N, J, 3) metres: the joints as the damaged markers of each frame alone place them, from the mean pose."""
     columns = [mended.before.bare_labels.index(label) for label in subject.labels]
-    seen = np.ascontiguousarray(mended.before.markers[np.ix_(frames, columns)])
+    seen = np.ascontiguousarray(mended.before.markers[frames][:, columns])
     points = Points(subject.joints, subject.places, np.nan_to_num(seen), ~np.isnan(seen[..., 0]) / SD**2)
     start = np.tile(prior.load("mean-pose", subject.skeleton).rotations, (len(frames), 1, 1, 1))
     start[:, 0] = motion.rotations[frames, 0]
