@@ -1,12 +1,13 @@
 """Hands damaged as in MNN-IK's section 5.1: what is damaged, for how long, and a picture of what came of it."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mocapfix import synthetic
+from mocapfix import cli, synthetic
 from mocapfix.bench import hands, pictures
 from mocapfix.errors import TakeError
 from mocapfix.take import Take
@@ -65,3 +66,13 @@ def test_the_picture_is_seen_from_before_the_body(moment):
     left, right = (flat(moment.true[[moment.skeleton.index(name)]])[0] for name in ("LeftArm", "RightArm"))
     assert left[0] > right[0]  # as in a mirror turned round: his left is on our right
     assert left[1] == pytest.approx(moment.true[moment.skeleton.index("LeftArm"), 1])
+
+
+def test_the_command_draws_both_and_says_how_far_off(moment, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(hands, "moment", lambda path, damage: moment)
+    with pytest.raises(SystemExit) as left:
+        cli.main(["bench", "hands", "--one-marker", "a.c3d", "--crossed", "b.c3d", "--out", str(tmp_path), "--json"])
+    assert left.value.code == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["crossed-hands"] == {"alone_mm": moment.alone_mm, "cleaned_mm": moment.cleaned_mm}
+    assert {path.name for path in tmp_path.iterdir()} == {"hand-one-marker.png", "crossed-hands.png"}
