@@ -59,7 +59,7 @@ def under(
     codes    (T, P) likewise; the mean code if None
     scale    times the model's standard deviations: with 2 it is believed half as much
     scales2  squared robust scales of the other terms, wide to narrow
-    most     iterations of a frame; a later round that was begun is ended
+    most     iterations of a frame; a round that was begun is ended
     watch    told root, local and codes of all frames after each round
     """
     codes = np.zeros((len(root), model.size)) if codes is None else codes
@@ -71,7 +71,7 @@ def under(
             side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
             frames = frames[:0]
         else:
-            side_by_side(partial(search.round, scales2, most), batches)
+            side_by_side(partial(search.round, scales2), batches)
             frames = frames[(search.status[frames] == RAN_OUT) & (search.iterations[frames] < most)]
         if watch:
             watch(search.root, search.local, scale * search.shared)
@@ -110,14 +110,14 @@ class Search:
         cost_frames(self.tree, terms, batch, scale2, rows_of(terms), self.root, self.local, self.shared, cost)
         return cost
 
-    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
+    def round(self, scales2: np.ndarray, batch: np.ndarray) -> None:
         """Go a few iterations by one linearisation, and back where that made it worse; the first through all robust scales."""
         self.row[batch] = np.arange(len(batch))
         latent, tau = self.asked(self.shared[batch], self.hold[batch]), NEAR
         if np.isinf(self.cost[batch[0]]):
             self.cost[batch], tau = self.costs(latent, scales2[-1], batch), FAR
         before = self.root[batch], self.local[batch], self.shared[batch]
-        self.solve(latent, tau, scales2 if tau == FAR else scales2[-1:], min(EACH, most), batch)
+        self.solve(latent, tau, scales2 if tau == FAR else scales2[-1:], EACH, batch)
         there = latent._replace(decoded=self.model.decode(self.scale * self.shared[batch]), at=self.shared[batch])
         fall = self.cost[batch] - self.costs(there, scales2[-1], batch)
         worse = ~(fall >= 0)
