@@ -21,9 +21,10 @@ LOOSE = 2.0  # times what is measured: the few unseen subjects stand for everybo
 FLOOR = np.radians(1.0)  # a prior that says it knows a joint better than this is wrong
 
 
-def train(settings: Settings, folder: Path, target: Path, progress: Callable[[str], None]) -> Scores:
+def train(settings: Settings, folder: Path, target: Path, progress: Callable[[str], None], interleaved: bool = False) -> Scores:
     """Train a model and write it to `target`, its card beside it as .md. -> its scores
 
+    interleaved  learn from three frames of every five, of everybody, as MNN-IK did: only to be compared with it
     Training that is interrupted goes on, when it is asked for again, from `target` with .checkpoint in place of its suffix.
 
     Raises ReadError where the folder holds no motion of the subjects that are needed, WriteError where nothing can be written.
@@ -32,11 +33,12 @@ def train(settings: Settings, folder: Path, target: Path, progress: Callable[[st
         raise WriteError(f"{target}: weights are kept in the form safetensors; give a name that ends in .safetensors.")
     skeleton = cmu31().skeleton
     middle = prior.load("mean-pose", skeleton).rotations
-    poses = gather(folder, middle, settings.test, settings.unseen, progress)
+    poses = gather(folder, middle, settings.test, settings.unseen, progress, interleaved)
     checkpoint = target.with_suffix(".checkpoint")
     model, told = fitted(settings, skeleton.names, middle, poses, checkpoint, progress)
     progress("measuring")
-    model = replace(model, sigma=deviations(model, poses.unseen))
+    # by MNN-IK's split nobody is unseen but in the frames that it is tested on: they must not set anything
+    model = replace(model, sigma=deviations(model, poses.seen if interleaved else poses.unseen))
     scores = measured(model, poses)
     models.save(target, model)
     write(target.with_suffix(".md"), settings, model, poses, scores, told)

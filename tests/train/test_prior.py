@@ -70,6 +70,20 @@ def test_a_prior_is_trained_loaded_and_told_of(tmp_path, motion, capsys, name, c
     assert "mine.safetensors: gives poses back to" in capsys.readouterr().out
 
 
+def test_mnn_iks_split_learns_from_everybody_and_the_card_says_so(tmp_path, motion):
+    assert train("pca", motion, tmp_path, "--interleaved", components=4) == 0
+    card = (tmp_path / "mine.md").read_text(encoding="utf-8")
+    assert "| learned from | 01 (28), 02 (14), 03 (14), 14 (14) |" in card
+    assert "70 frames" in card
+    assert "two frames of every five, between those learned from" in card
+    assert "never read" not in card
+    assert "| frames it has not seen |" in card
+    model = models.load(str(tmp_path / "mine.safetensors"), SKELETON)
+    poses = training.gather(motion, model.middle, frozenset(), frozenset(), lambda what: None, interleaved=True)
+    np.testing.assert_allclose(model.sigma, training.deviations(model, poses.seen), rtol=1e-5)
+    assert not np.allclose(model.sigma, training.deviations(model, poses.unseen), rtol=1e-5)
+
+
 def test_weights_that_are_there_are_not_replaced_unasked(tmp_path, motion, capsys):
     assert train("pca", motion, tmp_path, components=4) == 0
     before = (tmp_path / "mine.safetensors").read_bytes()
