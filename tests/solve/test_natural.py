@@ -52,7 +52,7 @@ def test_the_more_it_is_believed_the_more_natural_the_poses_are(model):
 
 def test_where_all_is_seen_it_changes_little(model):
     found = poses.under(TREE, (points(np.arange(31), 4),), model, *START)
-    np.testing.assert_allclose(found.rotations[:, 1:], LOCAL[:, 1:], atol=0.01)
+    np.testing.assert_allclose(found.rotations[:, 1:], LOCAL[:, 1:], atol=0.05)
     assert found.codes.shape == (4, 0)
 
 
