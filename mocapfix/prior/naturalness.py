@@ -6,20 +6,23 @@ Small for people's poses, of which the network has seen many. It stands in the s
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mocapfix.prior.autoencoder import BATCH, Autoencoder
+from mocapfix.prior.autoencoder import BATCH, Autoencoder, one_core
 from mocapfix.prior.features import angles, leaning, rotation
 
 
 @dataclass(frozen=True)
 class Naturalness:
-    """How far from people's a pose is, by an autoencoder on Euler angles."""
+    """How far from people's a pose is, by an autoencoder on Euler angles; in the solve it has no code."""
 
     autoencoder: Autoencoder
+    size: ClassVar[int] = 0
+    linear: ClassVar[bool] = False
 
     def __post_init__(self):
         if self.autoencoder.shape.features != "euler":
@@ -35,7 +38,8 @@ class Naturalness:
 
         The turns are rotation vectors in the parents' axes, the root's in the world's. Its heading makes no difference.
         """
-        parts = [self._at(part) for part in torch.as_tensor(local).split(BATCH)]
+        with one_core():
+            parts = [self._at(part) for part in torch.as_tensor(local).split(BATCH)]
         value, gradient = (torch.cat(part).numpy().astype(float) for part in zip(*parts, strict=True))
         return value, gradient
 
