@@ -40,7 +40,7 @@ A better reconstruction is not a better prior: choose by what it does in the sol
 ## Settings
 
 {settings}
-
+{told}
 ## Data
 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
@@ -58,8 +58,8 @@ class Scores:
     spread: float
 
 
-def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores) -> None:
-    """Write the card; into place whole or not at all. Raises WriteError."""
+def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores, told: str) -> None:
+    """Write the card; into place whole or not at all; `told` is what more there is to say of the fit. Raises WriteError."""
     said = settings.model_dump(exclude={"title", "test", "unseen"})
     learned = {who: frames for who, frames in poses.frames.items() if poses.interleaved or who not in settings.unseen}
     low, median, high = np.degrees(np.percentile(model.sigma[1:], [0, 50, 100]))
@@ -80,6 +80,7 @@ def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores
         median=median,
         high=high,
         settings="\n".join(f"- {key}: {value}" for key, value in said.items()),
+        told=f"\n{told}\n" if told else "",
     )
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")

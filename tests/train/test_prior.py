@@ -49,7 +49,13 @@ def train(name, motion, where, *more, **changes):
 
 @pytest.mark.parametrize(
     ("name", "changes", "size"),
-    [("pca", {"components": 4}, 4), ("gaussian", {}, 11), ("autoencoder", SMALL, 3), ("mnn-ik", SMALL | {"initial": None}, 3)],
+    [
+        ("pca", {"components": 4}, 4),
+        ("gaussian", {}, 11),
+        ("mixture", {"components": 3}, 11),
+        ("autoencoder", SMALL, 3),
+        ("mnn-ik", SMALL | {"initial": None}, 3),
+    ],
 )
 def test_a_prior_is_trained_loaded_and_told_of(tmp_path, motion, capsys, name, changes, size):
     assert train(name, motion, tmp_path, **changes) == 0
