@@ -24,9 +24,12 @@ def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bo
 
     Raises SceneError or ReadError where data or weights are not what they must be.
     """
+    if frames < 1:
+        raise SceneError(f"Of {frames} poses nothing can be measured; ask for one at least.")
     if paper_split and not data:
         raise SceneError("The paper's split is of the motion that was learned from; say with --data where it is.")
     shelf, middle = contenders.shelf(), prior.load("mean-pose", cmu31().skeleton).rotations
+    progress("reading")
     poses = unseen.of_subjects(data, frames) if data else unseen.shipped()
     poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
     default = list(shelf)[-1]
