@@ -1,4 +1,4 @@
-"""The command line. It, cli_bench.py, cli_run.py, cli_train.py and console.py alone print, parse arguments or draw progress."""
+"""The command line. It, its cli_*.py and console.py alone print, parse arguments or draw progress."""
 
 import json
 import sys
