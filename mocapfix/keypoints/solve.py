@@ -5,13 +5,15 @@ is asked. At that scale each frame is solved from several headings, the likelies
 all frames once more, pulled to that course made smooth.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from mocapfix.kernels.problem import Uncertainty
 from mocapfix.keypoints import guesses
 from mocapfix.keypoints.camera import Camera, answering, centred, fitted_scale
 from mocapfix.keypoints.read import Keypoints
-from mocapfix.keypoints.sight import NOT_FOUND, Sight
+from mocapfix.keypoints.sight import NOT_FOUND, WIDE, Sight
 from mocapfix.motion import Motion
 from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Skeleton
@@ -19,7 +21,7 @@ from mocapfix.solve import courses
 from mocapfix.solve.options import SolveOptions
 from mocapfix.solve.poses import Posed
 
-TELLING = 32  # frames at most that tell the scale
+TELLING = 16  # frames at most that tell the scale
 ENOUGH = 4  # keypoints in a frame that does
 STANDING = 0.9  # of a film's frames look smaller than somebody who stands
 STRAYS, SILENT = 0.1, 10.0  # radians, and metres: how far one frame's pose is wrong by itself; one in which nobody was found
@@ -54,6 +56,7 @@ def scale_of(sight: Sight) -> float:
     if not len(shown):
         shown = np.argmax((sight.weight > 0).sum(axis=1), keepdims=True)
     few = sight.at(shown[np.linspace(0, len(shown) - 1, min(TELLING, len(shown))).round().astype(int)])
+    few = replace(few, robust=(WIDE,))  # at a scale that is too small much lies far off, and must say so
 
     local = None
 
