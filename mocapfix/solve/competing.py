@@ -21,6 +21,8 @@ class Competing(Search):
         super().__init__(*begun)
         self.mixture = replace(self.model, spreads=self.scale * self.model.spreads)
         self.chosen = np.full(len(self.root), -1)
+        self.middle = np.ascontiguousarray(self.model.middle)
+        self.information = self.model.information / self.scale**2
 
     def said(self, batch: np.ndarray) -> tuple[Latent]:
         """-> the components that are a batch's own, now; the codes of what changed its component are those of the new one."""
