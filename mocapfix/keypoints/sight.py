@@ -14,7 +14,7 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve.poses import Posed, under
 
 ROOM = 10.0  # metres: how far the root may be from where it starts; an orthographic camera does not tell its distance
-WIDE, NARROW = 10.0, 3.0  # standard deviations: a keypoint farther from its point hardly counts (Geman-McClure)
+WIDE, NARROW = 10.0, 6.0  # standard deviations: a keypoint farther from its point hardly counts (Geman-McClure)
 NOT_FOUND = 0.1  # a confidence below which a keypoint is none
 
 
