@@ -61,8 +61,7 @@ class Sight:
         """-> joints (T, J, 3) and the detector's points (T, V, 3), in metres, in the world."""
         none, nothing = np.zeros(len(root), int), np.zeros((len(root), 0))
         joints, turns = kinematics.world(self.skeleton, Motion(root, local, none, none, nothing, nothing))
-        d = self.detector
-        return joints, joints[:, d.joints] + np.einsum("tvab,vb->tva", turns[:, d.joints], d.places)
+        return joints, self.detector.placed(joints, turns)
 
     def flat(self, places: np.ndarray) -> np.ndarray:
         """-> (..., 2) metres, of places (..., 3), as the camera's axes see them."""
