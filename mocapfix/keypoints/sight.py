@@ -14,7 +14,7 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve.poses import Posed, under
 
 ROOM = 10.0  # metres: how far the root may be from where it starts; an orthographic camera does not tell its distance
-WIDE, NARROW = 10.0, 3.0  # standard deviations: a keypoint farther from its point hardly counts (Geman-McClure)
+WIDE, NARROW = 10.0, 6.0  # standard deviations: a keypoint farther from its point hardly counts (Geman-McClure)
 NOT_FOUND = 0.1  # a confidence below which a keypoint is none
 
 
@@ -61,8 +61,7 @@ class Sight:
         """-> joints (T, J, 3) and the detector's points (T, V, 3), in metres, in the world."""
         none, nothing = np.zeros(len(root), int), np.zeros((len(root), 0))
         joints, turns = kinematics.world(self.skeleton, Motion(root, local, none, none, nothing, nothing))
-        d = self.detector
-        return joints, joints[:, d.joints] + np.einsum("tvab,vb->tva", turns[:, d.joints], d.places)
+        return joints, self.detector.placed(joints, turns)
 
     def flat(self, places: np.ndarray) -> np.ndarray:
         """-> (..., 2) metres, of places (..., 3), as the camera's axes see them."""

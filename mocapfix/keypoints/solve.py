@@ -45,7 +45,7 @@ def film(
     count = keypoints.frames
     path = guesses.likeliest(cost, guesses.steps(joints.reshape(count, -1, *joints.shape[1:]), rate))
     taken = np.arange(count) * cost.shape[1] + path
-    smooth = course(poses.root[taken], poses.rotations[taken], (weight > 0).any(axis=1), rate)
+    smooth = course(poses.root[taken], poses.rotations[taken], np.any(weight > 0, axis=1), rate)
     poses = sight.solved(scale, smooth.root, smooth.rotations, smooth)
     return on_the_floor(sight, poses, scale)
 

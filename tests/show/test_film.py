@@ -1,6 +1,7 @@
 """The page and the recording of a film of keypoints."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,8 +43,8 @@ def test_both_views_of_a_moment_show_the_body_as_high(shown, tmp_path):
 
 
 def test_a_film_of_one_frame_has_a_page(shown, tmp_path):
-    one = film.Film(shown.title, 30.0, None, *(field[:1] for field in (shown.pixels, shown.confidence)), shown.skeleton,
-                    shown.joints[:1], shown.images[:1])  # fmt: skip
+    first = {name: getattr(shown, name)[:1] for name in ("pixels", "confidence", "joints", "images")}
+    one = replace(shown, image=None, **first)
     film.page(tmp_path / "a.html", one, RECORD)
     assert (tmp_path / "a.html").read_text(encoding="utf-8").count("<svg") == 2
 
