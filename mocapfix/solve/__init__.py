@@ -40,7 +40,8 @@ def motion(
     worn  the take's markers in the subject's order, NaN where not seen or not believed
     """
     rate, narrow = worn.rate, options.robust[-1]
-    listened = worn.seen & ~listening.beside_gaps(worn.seen, rate, options.beside)
+    gone = listening.lost(worn.seen, subject, body.free)
+    listened = worn.seen & ~listening.beside_gaps(worn.seen, gone[:, subject.joints], rate, options.beside)
     said_once = pull_to(prior.weakened(1 / (options.habit * rate)))
     walls = within(limits, options.limit_sd * np.sqrt(options.habit * rate))
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
