@@ -7,6 +7,8 @@ import math
 
 from numba import njit
 
+OVERHEAD = 1e-3  # radians: so near to upside down a tilt's axis counts as x, for there is none
+
 
 @njit(cache=True)
 def exponential(x, y, z):
@@ -93,6 +95,29 @@ def left_jacobian_inverse(x, y, z, c):
         c * x * y - 0.5 * z, 1 - c * (x * x + z * z), c * y * z + 0.5 * x,
         c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1 - c * (x * x + y * y),
     )  # fmt: skip
+
+
+@njit(cache=True)
+def tilt(m):
+    """-> x and z of the rotation vector by which `m` tilts, its heading (a turn about y, after the tilt) taken out, and the
+    matrix of its derivative to a turn given in the turned axes, whose row of y is zero: a tilt is about an axis across y.
+
+    The up vector in the turned axes tells it: u = (z sin a, a cos a, -x sin a) / a for the angle a, and a turn k changes that
+    by u x k. Upside down, where any heading will do, the tilt changes infinitely fast with a turn about some axis.
+    """
+    ux, uy, uz = m[3], m[4], m[5]
+    sine = math.hypot(ux, uz)
+    if uy < 0.0 and sine < OVERHEAD:
+        ux, uz, sine = 0.0, -OVERHEAD, OVERHEAD
+    angle = math.atan2(sine, uy)
+    if angle < 1e-3:  # a cot a = 1 - a^2 / 3 - a^4 / 45 - ...
+        factor, along, c = 1 + angle * angle / 6, 1 - angle * angle / 3, 1 / 3 + angle * angle / 45
+    else:
+        factor = angle / sine
+        along = factor * uy
+        c = (1 - along) / (angle * angle)
+    x, z = -factor * uz, factor * ux
+    return x, z, (along + c * x * x, -z, c * x * z, 0.0, 0.0, 0.0, c * x * z, x, along + c * z * z)
 
 
 @njit(cache=True)

@@ -5,9 +5,10 @@ not depend on their number. (Numba's own parallel loops do the same but take sev
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from typing import Any
 
 
 def cores() -> int:
@@ -19,10 +20,15 @@ def over_frames(kernel: Callable[..., None], frames: int, *arguments: object) ->
     """Call kernel(*arguments, first, stop) on blocks that together make up 0..frames."""
     workers = cores()
     size = max(1, -(-frames // (4 * workers)))
-    blocks = [threads(workers).submit(kernel, *arguments, a, min(a + size, frames)) for a in range(0, frames, size)]
-    wait(blocks)  # all of them, before an error in one is told
-    for block in blocks:
-        block.result()
+    side_by_side(lambda a: kernel(*arguments, a, min(a + size, frames)), range(0, frames, size))
+
+
+def side_by_side(function: Callable[[Any], None], parts: Iterable[Any]) -> None:
+    """Call a function that mostly works without the interpreter's lock on each part, as many at once as there are cores."""
+    running = [threads(cores()).submit(function, part) for part in parts]
+    wait(running)  # all of them, before an error in one is told
+    for each in running:
+        each.result()
 
 
 @cache

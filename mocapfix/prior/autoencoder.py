@@ -4,6 +4,8 @@ The network's own code is of no particular size; here it is measured in the devi
 costs half its square.
 """
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -11,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.func import jvp, vmap
 
 from mocapfix.prior.contract import PoseModel, checked
 from mocapfix.prior.features import KINDS, Features
@@ -78,16 +79,16 @@ class Autoencoder(PoseModel):
         return len(self.mean)
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
-        own = batched(lambda v: self.network.encoder(self.features.of(v)), vectors)
+        (own,) = batched(lambda v: (self.network.encoder(self.features.of(v)),), vectors)
         return np.linalg.solve(self.spread, (own - self.mean).T).T
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        return batched(self._decoded, self.mean + codes @ self.spread.T)
+        (decoded,) = batched(self._decoded, self.mean + codes @ self.spread.T)
+        return decoded
 
     def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = self.mean + codes @ self.spread.T
-        slopes = batched(lambda z: derivative(self._decoded, z), own)
-        return batched(self._decoded, own), slopes @ self.spread
+        decoded, slopes = batched(self._linearised, self.mean + codes @ self.spread.T)
+        return decoded, slopes
 
     def packed(self) -> tuple[dict, dict[str, np.ndarray]]:
         """Half precision for the weights: sigma, mean and spread were measured after rounding them."""
@@ -107,24 +108,49 @@ class Autoencoder(PoseModel):
         network.load_state_dict(state, strict=True)
         return cls(joints, known.pop("middle"), known.pop("sigma"), shape, network.eval(), **known)
 
-    def _decoded(self, own: Tensor) -> Tensor:
-        return self.features.vectors(self.network.decoder(own))
+    def _decoded(self, own: Tensor) -> tuple[Tensor]:
+        return (self.features.vectors(self.network.decoder(own)),)
+
+    def _linearised(self, own: Tensor) -> tuple[Tensor, Tensor]:
+        features, slopes = through(self.network.decoder, own, torch.as_tensor(self.spread.T, dtype=torch.float32))
+        return self.features.linearised(features, slopes)
 
 
-def derivative(function, rows: Tensor) -> Tensor:
-    """-> (N, ..., P) how what a function says of each row (N, P) changes with it.
+def through(steps: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """-> what layers make of rows (N, A), and of their slopes (N or 1, P, A) along P directions: (N, B) and (N, P, B).
 
-    All rows go along one direction after the other: matrix products as large as the batch, where row by row would be slow.
+    The chain rule by hand: matrix products as large as the batch, and none for what is the same in all rows.
     """
+    for step in steps:
+        if isinstance(step, nn.Linear):
+            rows, slopes = step(rows), slopes @ step.weight.T
+        else:
+            bend = each_derivative(step, rows)
+            rows, slopes = step(rows), slopes * bend[:, None]
+    return rows, slopes
 
-    def along(direction: Tensor) -> Tensor:
-        return jvp(function, (rows,), (direction.expand_as(rows),))[1]
 
-    return vmap(along, out_dims=-1)(torch.eye(rows.shape[1]))
+def each_derivative(function, values: Tensor) -> Tensor:
+    """-> (...) the derivative of each number that a function makes of one number alone, or of their sum of many such."""
+    with torch.enable_grad():
+        asked = values.detach().requires_grad_()
+        return torch.autograd.grad(function(asked).sum(), asked)[0]
 
 
-def batched(function, rows: np.ndarray) -> np.ndarray:
-    """-> float64, what a function of torch says of the rows, a batch at a time."""
-    with torch.no_grad():
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Let torch use one core for what this thread asks of it."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def batched(function: Callable[[Tensor], tuple[Tensor, ...]], rows: np.ndarray) -> list[np.ndarray]:
+    """-> float64, what a function of torch says of the rows, a batch at a time.
+
+    On one core: those who want more call it from several threads, which then need not wait for each other after every layer.
+    """
+    with torch.no_grad(), one_core():
         parts = [function(part) for part in torch.as_tensor(np.asarray(rows, np.float32)).split(BATCH)]
-        return torch.cat(parts).numpy().astype(float)
+        return [torch.cat(said).double().numpy() for said in zip(*parts, strict=True)]

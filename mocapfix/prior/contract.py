@@ -8,6 +8,7 @@ pose lies about that by `sigma`. This is what kernels.terms.latent takes.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,6 +26,7 @@ class PoseModel(ABC):
     joints: tuple[str, ...]
     middle: np.ndarray
     sigma: np.ndarray
+    linear: ClassVar[bool] = False  # whether decoding is, so that the model is linearised once and for all
 
     @property
     @abstractmethod
@@ -54,9 +56,8 @@ class PoseModel(ABC):
 
     @property
     def information(self) -> np.ndarray:
-        """-> (J, 3, 3) in 1/rad^2, of a pose about the decoded one; zero for the root, whose heading nobody knows."""
-        free = np.arange(len(self.sigma)) > 0
-        return (free / self.sigma**2)[:, None, None] * np.eye(3)
+        """-> (J, 3, 3) in 1/rad^2, of a pose about the decoded one; the root's is that of its tilt."""
+        return self.sigma[:, None, None] ** -2 * np.eye(3)
 
 
 def checked(tensors: dict[str, np.ndarray], **shapes: tuple[int, ...]) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ little changes them a little, which of Euler angles is not true: they wrap, and 
 from abc import ABC, abstractmethod
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.linalg import cross
 
 
@@ -30,11 +30,30 @@ class Features(ABC):
     def vectors(self, features: Tensor) -> Tensor:
         """-> (..., J, 3) radians, of features (..., F) that need not be exactly those of a pose."""
 
+    @property
+    @abstractmethod
+    def owners(self) -> Tensor:
+        """-> (F,) the joint that each feature tells of; a joint's vector depends on its own features alone."""
+
+    def linearised(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+        """-> vectors (N, J, 3) of features (N, F), and their slopes (N, J, 3, P) where those of the features are (N, P, F)."""
+        gather = nn.functional.one_hot(self.owners, len(self.middle)).to(slopes.dtype)
+        with torch.enable_grad():
+            asked = features.detach().requires_grad_()
+            vectors = self.vectors(asked)
+            each = [torch.autograd.grad(vectors[..., a].sum(), asked, retain_graph=True)[0] for a in range(3)]
+        axes = [(slopes * d[:, None]) @ gather for d in each]
+        return vectors.detach(), torch.stack(axes, -1).permute(0, 2, 3, 1).contiguous()
+
 
 class Continuous(Features):
     @property
     def size(self) -> int:
         return 6 * (len(self.middle) - 1) + 3
+
+    @property
+    def owners(self) -> Tensor:
+        return torch.cat([torch.arange(1, len(self.middle)).repeat_interleave(6), torch.zeros(3, dtype=torch.long)])
 
     def of(self, vectors: Tensor) -> Tensor:
         local = rotation(vectors) @ self.middle
@@ -56,6 +75,10 @@ class Euler(Features):
     @property
     def size(self) -> int:
         return 3 * len(self.middle)
+
+    @property
+    def owners(self) -> Tensor:
+        return torch.arange(len(self.middle)).repeat_interleave(3)
 
     def of(self, vectors: Tensor) -> Tensor:
         r = rotation(vectors) @ self.middle

@@ -5,6 +5,7 @@ of the noise the full Gaussian.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Linear(PoseModel):
     mean: np.ndarray
     components: np.ndarray
     noise: float
+    linear: ClassVar[bool] = True
 
     @property
     def size(self) -> int:

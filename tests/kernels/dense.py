@@ -73,6 +73,12 @@ def from_middle(middle: np.ndarray, at: World) -> np.ndarray:
     return rotvec(at.local @ np.swapaxes(middle, 1, 2)) * at.tree.free[:, None]
 
 
+def tilt(at: World) -> np.ndarray:
+    """-> (3,) the rotation vector of the root's turn without its heading, by swing and twist."""
+    _, y, _, w = Rotation.from_matrix(at.local[0]).as_quat()
+    return (Rotation.from_rotvec([0, 2 * np.arctan2(y, w), 0]).inv() * Rotation.from_matrix(at.local[0])).as_rotvec()
+
+
 def whitened(information: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """-> (J, 3) residuals (J, 3) over their standard deviations; information (J, 3, 3) symmetric."""
     values, vectors = np.linalg.eigh(information)
@@ -118,10 +124,11 @@ def of_limits(term: Limits, at: World) -> np.ndarray:
 
 
 def of_latent(term: Latent, at: World) -> np.ndarray:
-    code = at.shared[: term.at.shape[1]]
-    decoded = term.decoded[0] + term.jacobian[0] @ (code - term.at[0])
-    away = (from_middle(term.middle, at) - decoded) * at.tree.free[:, None]
-    return np.r_[whitened(term.information, away).ravel(), code][:, None]
+    code, row = at.shared[: term.at.shape[1]], term.row[0]
+    step = code - term.at[row]
+    decoded = term.decoded[row] + term.jacobian[row] @ step
+    away = (np.r_[tilt(at)[None], from_middle(term.middle, at)[1:]] - decoded) * at.tree.free[:, None]
+    return np.r_[whitened(term.information, away).ravel(), code, np.sqrt(term.hold[row]) * step][:, None]
 
 
 def of_distances(term: Distances, at: World) -> np.ndarray:

@@ -69,7 +69,8 @@ def nothing(joints: int, frames: int = 1) -> dict:
         ),
         "limits": Limits(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
         "latent": Latent(
-            eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3))
+            eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3)),
+            np.zeros(1), np.zeros(1, int),
         ),
         "distances": Distances(np.zeros((0, 2), int), np.zeros((0, 2, 3)), np.zeros((1, 0)), np.zeros((1, 0))),
         "whole": Whole(
@@ -140,12 +141,13 @@ def limits(rng, at: dense.World) -> Limits:
 
 
 def latent(rng, at: dense.World) -> Latent:
-    """-> a decoder of all the shared unknowns; some joints it does not know."""
+    """-> two linearisations of a decoder of all the shared unknowns, the second the frame's; some joints it does not know."""
     joints, size = len(at.local), len(at.shared)
     information = spd(rng, joints, 3, 30.0)
     information[rng.random(joints) < 0.2] = 0.0
-    decoded, slope = rng.normal(0, 0.3, (1, joints, 3)), rng.normal(0, 0.3, (1, joints, 3, size))
-    return Latent(rotations(rng, joints, 2.0) @ at.local, decoded, slope, rng.normal(size=(1, size)), information)
+    decoded, slope = rng.normal(0, 0.3, (2, joints, 3)), rng.normal(0, 0.3, (2, joints, 3, size))
+    middle, hold = rotations(rng, joints, 2.0) @ at.local, rng.uniform(0, 5, 2)
+    return Latent(middle, decoded, slope, rng.normal(size=(2, size)), information, hold, np.ones(1, int))
 
 
 def distances(rng, at: dense.World, count: int) -> Distances:

@@ -66,6 +66,7 @@ def test_markers_tell_the_code_of_a_pose_that_a_decoder_made(seed):
     """Some joints have no markers: the decoder knows them from the others."""
     rng, joints, size = np.random.default_rng(seed), 8, 3
     middle, slope = drawn.rotations(rng, joints), rng.normal(0, 0.2, (joints, 3, size))
+    middle[0], slope[0, 1] = np.eye(3), 0.0  # the root's is a tilt
     code = rng.normal(size=size)
     local = Rotation.from_rotvec(slope @ code).as_matrix() @ middle
     body = drawn.tree(rng, joints)._replace(free=np.ones(joints, bool))
@@ -74,7 +75,8 @@ def test_markers_tell_the_code_of_a_pose_that_a_decoder_made(seed):
     markers.weight[:, np.isin(markers.joints, [3, 6])] = 0.0
     elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
     decoded = (slope @ elsewhere[0])[None]
-    prior = Latent(middle, decoded, slope[None], elsewhere, np.tile(1e8 * np.eye(3), (joints, 1, 1)))
+    sure = np.tile(1e8 * np.eye(3), (joints, 1, 1))
+    prior = Latent(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
     frame = frame._replace(terms=drawn.terms(joints, points=markers, latent=prior))
     start = frame.root + 0.02, drawn.rotations(rng, joints, 0.1) @ local, np.zeros(size)
     _, found, shared, _, _ = solved(frame, PLAIN, start=start)
@@ -107,14 +109,14 @@ def test_a_slight_promise_is_not_believed_where_others_were_broken():
 
     Every step beyond is refused, until the damping is such that next to nothing is promised.
     """
-    wanted, eye = np.array([[[np.pi + 2, 0, 0]]]), np.eye(3)[None]
-    beyond = Latent(eye, wanted, np.zeros((1, 1, 3, 0)), np.zeros((1, 0)), 9 * eye)
-    body = drawn.tree(np.random.default_rng(0), 1)
+    wanted, information = np.array([[[0, 0, 0], [np.pi + 2, 0, 0]]]), np.array([np.zeros((3, 3)), 9 * np.eye(3)])
+    middle, none, row = np.tile(np.eye(3), (2, 1, 1)), np.zeros((1, 0)), np.zeros(1, int)
+    beyond = Latent(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
     for angle in np.arange(2.2, 3.1, 0.02):
-        start = np.zeros(3), Rotation.from_rotvec([[angle, 0, 0]]).as_matrix(), np.zeros(0)
-        _, local, _, status, _ = solved(dense.Frame(body, drawn.terms(1, latent=beyond), *start), PLAIN, most=100)
+        start = np.zeros(3), Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]]).as_matrix(), np.zeros(0)
+        _, local, _, status, _ = solved(dense.Frame(chain(2), drawn.terms(2, latent=beyond), *start), PLAIN, most=100)
         assert status[0] == CONVERGED
-        np.testing.assert_allclose(Rotation.from_matrix(local[0, 0]).as_rotvec(), [np.pi, 0, 0], atol=0.002)
+        np.testing.assert_allclose(Rotation.from_matrix(local[0, 1]).as_rotvec(), [np.pi, 0, 0], atol=0.002)
 
 
 def test_every_end_has_its_status():

@@ -107,3 +107,38 @@ def test_orthonormalised_mends_a_rotation_that_has_drifted():
     np.testing.assert_allclose(mended @ mended.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(mended, drifted, atol=1e-3)
     assert np.linalg.det(mended) == pytest.approx(1)
+
+
+def leant(vector):
+    """-> x, z and the derivative (3, 3) of a tilt"""
+    x, z, slopes = rotation.tilt(numbers(turned(vector)))
+    return np.array([x, 0.0, z]), np.reshape(slopes, (3, 3))
+
+
+@given(st.sampled_from([0.0, 1e-9, 9e-4, 1.1e-3, np.pi - 2e-3]) | st.floats(0, 3.1), st.integers(0, 2**32 - 1), st.floats(-3, 3))
+def test_a_tilt_is_what_is_left_without_the_heading(angle, seed, heading):
+    tilt = of(angle, seed) * [1, 0, 1]
+    whole = turned(np.array([0, heading, 0])) @ turned(tilt)
+    np.testing.assert_allclose(rotation.tilt(numbers(whole))[:2], tilt[[0, 2]], atol=1e-9)
+
+
+@given(st.sampled_from([0.0, 1e-6, 9e-4, 1.1e-3]) | st.floats(0, 3.0), st.integers(0, 2**32 - 1))
+def test_a_tilts_derivative_is_that_to_a_turn_in_the_turned_axes(angle, seed):
+    axis = np.random.default_rng(seed).normal(size=3) * [1, 0, 1]
+    there = turned(np.array([0, 0.4, 0])) @ turned(angle * axis / np.linalg.norm(axis))
+    found = np.reshape(rotation.tilt(numbers(there))[2], (3, 3))
+
+    def after(k):
+        x, z, _ = rotation.tilt(numbers(there @ turned(k)))
+        return np.array([x, 0.0, z])
+
+    expected = dense.jacobian(after, 3)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("angle", [np.pi - 1e-2, np.pi - 1e-5, np.pi])
+def test_upside_down_is_half_a_turn_of_tilt_and_its_derivative_finite(angle):
+    vector, slopes = leant(np.array([0.0, 0.0, angle]))
+    assert np.linalg.norm(vector) == pytest.approx(np.pi, abs=0.011)
+    assert np.isfinite(slopes).all()
+    np.testing.assert_allclose(slopes @ np.array([0.0, 0, 1]) if angle < 3.14 else [0, 0, 1], [0, 0, 1], atol=1e-6)

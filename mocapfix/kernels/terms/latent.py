@@ -8,8 +8,9 @@ Jacobian at a code and asked again between solves; a linear one is probabilistic
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
+from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm, tilt
 from mocapfix.kernels.small import matrix, product, times, transposed
 from mocapfix.kernels.terms.contract import adds, of_frame
 
@@ -18,29 +19,41 @@ class Latent(NamedTuple):
     """Residuals: the rotation vector from the middle to each joint, in its parent's axes, less what the decoder says; and the
     code itself, in its own standard deviations.
 
-    The code is all of the shared unknowns; a tree whose shape is unknown too cannot have one.
+    The root's is its tilt, whatever it is heading for. The code is all of the shared unknowns; a tree whose shape is unknown
+    too cannot have one.
     """
 
-    middle: np.ndarray  # (J, 3, 3) rotations
-    decoded: np.ndarray  # (1 or T, J, 3) radians, at the code `at`
-    jacobian: np.ndarray  # (1 or T, J, 3, P) radians: how that changes with the code
-    at: np.ndarray  # (1 or T, P)
+    middle: np.ndarray  # (J, 3, 3) rotations; the root's counts as the identity
+    decoded: np.ndarray  # (D, J, 3) radians, at the code `at`
+    jacobian: np.ndarray  # (D, J, 3, P) radians: how that changes with the code
+    at: np.ndarray  # (D, P)
     information: np.ndarray  # (J, 3, 3) 1 / rad^2, symmetric; zero for a joint that the decoder does not know
+    hold: np.ndarray  # (D,) how strongly the code is held `at` where the decoder was asked, for only near there it is right
+    row: np.ndarray  # (1 or T,) which of the D linearisations is the frame's
+
+
+@njit(cache=True)
+def away(term, tree, pose, j):
+    """-> joint j's rotation vector from the middle, and the matrix of its derivative to the joint's turn in world axes."""
+    if j == 0:
+        x, z, slopes = tilt(matrix(pose.local, 0))
+        return x, 0.0, z, product(slopes, transposed(matrix(pose.local, 0)))
+    x, y, z, c = logarithm(product(matrix(pose.local, j), transposed(matrix(term.middle, j))))
+    back = transposed(matrix(pose.rotation, tree.parents[j]))
+    return x, y, z, product(left_jacobian_inverse(x, y, z, c), back)
 
 
 @adds(Latent)
 def add(term, t, scale2, tree, pose, system):
     """Add the pull between each free joint's own turn and the code. -> cost"""
-    decoded, slopes, at = of_frame(term.decoded, t), of_frame(term.jacobian, t), of_frame(term.at, t)
+    row = of_frame(term.row, t)
+    decoded, slopes, at = term.decoded[row], term.jacobian[row], term.at[row]
     cost, size = 0.0, len(at)
     for j in range(len(tree.parents)):
         information = matrix(term.information, j)
         if not tree.free[j] or information[0] + information[4] + information[8] == 0.0:
             continue
-        x, y, z, c = logarithm(product(matrix(pose.local, j), transposed(matrix(term.middle, j))))
-        through = left_jacobian_inverse(x, y, z, c)
-        if j:
-            through = product(through, transposed(matrix(pose.rotation, tree.parents[j])))
+        x, y, z, through = away(term, tree, pose, j)
         x, y, z = x - decoded[j, 0], y - decoded[j, 1], z - decoded[j, 2]
         for p in range(size):
             step = pose.shared[p] - at[p]
@@ -66,7 +79,8 @@ def add(term, t, scale2, tree, pose, system):
             for q in range(p + 1):
                 system.shared[p, q] += stiff[0] * slopes[j, 0, q] + stiff[1] * slopes[j, 1, q] + stiff[2] * slopes[j, 2, q]
     for p in range(size):
-        cost += 0.5 * pose.shared[p] ** 2
-        system.shared_g[p] += pose.shared[p]
-        system.shared[p, p] += 1.0
+        code, step, hold = pose.shared[p], pose.shared[p] - at[p], term.hold[row]
+        cost += 0.5 * (code * code + hold * step * step)
+        system.shared_g[p] += code + hold * step
+        system.shared[p, p] += 1.0 + hold
     return cost
