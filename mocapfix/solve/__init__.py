@@ -9,10 +9,12 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.problem import Attached, Problem, Uncertainty, no_pull, pull_to, within
 from mocapfix.motion import Motion
 from mocapfix.prior import JointLimits, Prior
+from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Body
 from mocapfix.solve import courses, listening, recall
 from mocapfix.solve.deviation import deviations
 from mocapfix.solve.options import SolveOptions
+from mocapfix.solve.people import People
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -31,13 +33,16 @@ def motion(
     limits: JointLimits,
     start: Motion,
     options: SolveOptions,
+    model: PoseModel | None = None,
 ) -> Motion:
     """-> poses, and the standard deviations of every joint and of every marker the body places.
 
     Each frame is solved alone first; the joints' smooth courses through what that says, and how surely, then pull the
     frames to each other in a second solve.
 
-    worn  the take's markers in the subject's order, NaN where not seen or not believed
+    worn   the take's markers in the subject's order, NaN where not seen or not believed
+    prior  the independent joints' mean pose, which breaks ties in every frame
+    model  a trained model of poses, for limbs that are lost; None asks the take and time alone
     """
     rate, narrow = worn.rate, options.robust[-1]
     gone = listening.lost(worn.seen, subject, body.free)
@@ -52,7 +57,8 @@ def motion(
 
     root, local = start.root.copy(), start.rotations.copy()
     alone, known, left_open = each_alone(problem, root, local, unsure, gone, rate, options)
-    recall.lost_joints(root, local, known.turns, gone, body.free, rate)
+    people = People(tree, model, options.prior_scale) if model else None
+    recall.lost_joints(root, local, known.turns, gone, body.free, rate, people)
     course = courses.smooth(root, local, known, body.free, rate, options)
     root, local = course.root.copy(), course.rotations.copy()
     status, together = problem.solve(root, local, course, (narrow,))

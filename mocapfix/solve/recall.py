@@ -1,13 +1,17 @@
 """What a take itself says of a limb it lost: how its joints went at moments alike, and at the moments around.
 
-A Gaussian process over the take (see `alike`) is told the joint's rotations where they are known, densely beside the gap and
-sparsely farther off, and asked for those in it. It is as sure as the moments it knows are near or like.
+A Gaussian process over the take (see `alike`) is told the joints' rotations where they are known, densely beside the gap and
+sparsely farther off, and asked for those in it. It is as sure as the moments it knows are near or like. Where that is not very
+sure, it is asked for a model's answers too, as if they were not known in the gap: by how much the model answers otherwise there,
+counts as the take's own expectation is unsure (kriging with an external drift). Asked so, a model gains on gaps of seconds, and
+spoils no other; as one more pull on the poses, it made every gap's error greater.
 """
 
 import numpy as np
 
 from mocapfix.kernels import quaternions
 from mocapfix.solve import alike
+from mocapfix.solve.people import People
 from mocapfix.take import runs
 
 MOST = 0.5  # share of the joints: with more of them lost, there is no body left to recall the rest from
@@ -16,10 +20,18 @@ LEARNT = 240  # frames at most that are learnt from
 FEWEST = 3  # frames, without which there is nothing to go by
 LIVELY, BELIEVED = 0.02, 10  # rad^2: the power of an unknown joint's course, believed as much as so many frames
 DOUBT = 2.0  # by how much what is expected errs more, in rad^2, than the process says of itself
+SURE = 0.1  # radians: what the take knows so well of all that a gap lost, no model knows better
+STRAYS = 0.3  # radians per axis: how far people's limbs are from what is new in a model's answer
 
 
 def lost_joints(
-    root: np.ndarray, local: np.ndarray, variance: np.ndarray, gone: np.ndarray, free: np.ndarray, rate: float
+    root: np.ndarray,
+    local: np.ndarray,
+    variance: np.ndarray,
+    gone: np.ndarray,
+    free: np.ndarray,
+    rate: float,
+    people: People | None = None,
 ) -> None:
     """Write what the take tells of lost joints into `local` (T, J, 3, 3) and `variance` (T, J), rad^2.
 
@@ -36,13 +48,18 @@ def lost_joints(
             continue
         gap = np.arange(first, last + 1)
         known, asked = (alike.circumstances(root, solved, told, frames, rate) for frames in (learn, gap))
-        for j in lost:
-            turns = 2 * quaternions.of_joint(solved, j, ~gone[:, j])  # twice: about the middle, in radians
-            noise = np.maximum(variance[learn, j] - np.median(variance[learn, j]), 0.0)
-            turned, left, power = alike.expected(turns[learn], known, learn / rate, noise, asked, gap / rate)
-            quaternions.into_joint(turned, j, local[first : last + 1])
-            lively = (len(learn) * power.sum() / 3 + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
-            variance[first : last + 1, j] = DOUBT * lively * left
+        turns = np.concatenate([2 * quaternions.of_joint(solved, j, ~gone[:, j])[learn] for j in lost], axis=1)
+        doubt = variance[np.ix_(learn, lost)].max(axis=1)
+        given = known, learn / rate, np.maximum(doubt - np.median(doubt), 0.0), asked, gap / rate
+        expected, left, power = alike.expected(turns, *given)
+        lively = (len(learn) * power.reshape(-1, 4).sum(axis=1) / 3 + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
+        variance[np.ix_(gap, lost)] = open_to = DOUBT * left[:, None] * lively
+        if people and open_to.max() > SURE**2:
+            said = people.turns(root, solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
+            new = said[len(learn) :] - alike.expected(said[: len(learn)], *given)[0]
+            expected += np.repeat(open_to / (open_to + (people.scale * STRAYS) ** 2), 4, axis=1) * new
+        for i, j in enumerate(lost):
+            quaternions.into_joint(np.ascontiguousarray(expected[:, 4 * i : 4 * i + 4]), j, local[first : last + 1])
 
 
 def together(gone: np.ndarray) -> dict[tuple[int, int], list[int]]:
