@@ -1,4 +1,4 @@
-"""The command line. It, cli_bench.py, cli_train.py and console.py alone print, parse arguments or draw progress."""
+"""The command line. It, its cli_*.py and console.py alone print, parse arguments or draw progress."""
 
 import json
 import sys
@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli_bench import BENCHES
+from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
@@ -177,7 +178,7 @@ def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar=
     return DONE
 
 
-COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view}
+COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": clean, "view": view, "run": run}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -7,9 +7,8 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from mocapfix.console import DONE, Flag, out, staged
-
-Json = Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")]
+from mocapfix.cli_bench_prior import PRIOR_BENCHES
+from mocapfix.console import DONE, Flag, Json, out, staged
 
 
 def solver(
@@ -84,4 +83,4 @@ def calibration(as_json: Json = False) -> int:
     return DONE
 
 
-BENCHES = {"solver": solver, "uncertainty": uncertainty, "calibration": calibration}
+BENCHES = {"solver": solver, "uncertainty": uncertainty, "calibration": calibration, **PRIOR_BENCHES}

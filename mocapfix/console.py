@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
 Flag = tyro.conf.FlagCreatePairsOff[bool]
+Json = Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")]
 DONE, FAILED, USAGE = 0, 1, 2  # exit statuses
 
 out = Console(highlight=False)

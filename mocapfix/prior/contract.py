@@ -54,6 +54,10 @@ class PoseModel(ABC):
     def unpacked(cls, joints: tuple[str, ...], said: dict, tensors: dict[str, np.ndarray]) -> "PoseModel":
         """-> the model again. Raises KeyError, TypeError, ValueError or RuntimeError where anything lacks or is too much."""
 
+    def near(self, vectors: np.ndarray) -> "PoseModel":
+        """-> the model to encode and decode these poses (N, J, 3) by: another only where several compete for each of them."""
+        return self
+
     @property
     def information(self) -> np.ndarray:
         """-> (J, 3, 3) in 1/rad^2, of a pose about the decoded one; the root's is that of its tilt."""

@@ -65,8 +65,7 @@ class Continuous(Features):
         x, up = unit(columns[..., 0, :]), unit(features[..., -3:])
         y = unit(columns[..., 1, :] - (columns[..., 1, :] * x).sum(-1, keepdim=True) * x)
         local = torch.stack([x, y, cross(x, y)], -1)
-        root = axis_angle(torch.stack([-up[..., 2], torch.zeros_like(up[..., 0]), up[..., 0]], -1), up[..., 1])
-        return torch.cat([root[..., None, :], logarithm(local @ self.middle[1:].transpose(-1, -2))], -2)
+        return torch.cat([leaning(up)[..., None, :], logarithm(local @ self.middle[1:].transpose(-1, -2))], -2)
 
 
 class Euler(Features):
@@ -81,10 +80,7 @@ class Euler(Features):
         return torch.arange(len(self.middle)).repeat_interleave(3)
 
     def of(self, vectors: Tensor) -> Tensor:
-        r = rotation(vectors) @ self.middle
-        z, x = torch.atan2(r[..., 1, 0], r[..., 0, 0]), torch.atan2(r[..., 2, 1], r[..., 2, 2])
-        y = torch.atan2(-r[..., 2, 0], torch.hypot(r[..., 0, 0], r[..., 1, 0]))
-        return torch.stack([z, y, x], -1).flatten(-2)
+        return angles(rotation(vectors) @ self.middle).flatten(-2)
 
     def vectors(self, features: Tensor) -> Tensor:
         z, y, x = (features.unflatten(-1, (-1, 3))[..., a, None] * axis for a, axis in enumerate(torch.eye(3).flip(0)))
@@ -96,6 +92,18 @@ KINDS = {"continuous": Continuous, "euler": Euler}
 
 def unit(v: Tensor) -> Tensor:
     return v / v.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+
+
+def angles(r: Tensor) -> Tensor:
+    """-> (..., 3) the angles z, y, x of rotations (..., 3, 3), y within a quarter of a turn."""
+    z, x = torch.atan2(r[..., 1, 0], r[..., 0, 0]), torch.atan2(r[..., 2, 1], r[..., 2, 2])
+    y = torch.atan2(-r[..., 2, 0], torch.hypot(r[..., 0, 0], r[..., 1, 0]))
+    return torch.stack([z, y, x], -1)
+
+
+def leaning(up: Tensor) -> Tensor:
+    """-> (..., 3) the rotation vector of the root's tilt, from where up is in the root's axes (..., 3), of unit length."""
+    return axis_angle(torch.stack([-up[..., 2], torch.zeros_like(up[..., 0]), up[..., 0]], -1), up[..., 1])
 
 
 def rotation(vectors: Tensor) -> Tensor:

@@ -49,6 +49,10 @@ def kind(name: str) -> type[PoseModel]:
         from mocapfix.prior.linear import Linear
 
         return Linear
+    if name == "mixture":
+        from mocapfix.prior.mixture import Mixture
+
+        return Mixture
     if name == "autoencoder":
         from mocapfix.prior.autoencoder import Autoencoder
 

@@ -21,8 +21,7 @@ heading; {dropped:,} frames more were left out, which lie beyond a jump of the s
 | subjects | with their frames |
 |---|---|
 | learned from | {seen} |
-| kept from it, for sigma and the scores | {unseen} |
-| never read, for the benchmarks | {test} |
+{kept}
 
 ## Scores
 
@@ -30,10 +29,10 @@ A pose encoded and decoded again, mean over frames and all joints but the root:
 
 | | degrees |
 |---|---|
-| subjects learned from | {seen_deg:.2f} |
-| subjects it has not seen | {unseen_deg:.2f} |
+| {whom} learned from | {seen_deg:.2f} |
+| {whom} it has not seen | {unseen_deg:.2f} |
 
-A code is {size} numbers; those of the unseen subjects deviate by {spread:.2f} (root mean square) of what the model takes for one.
+A code is {size} numbers; those of the unseen {whom} deviate by {spread:.2f} (root mean square) of what the model takes for one.
 Sigma, by which a person's pose lies about the decoded one, is {low:.1f} to {high:.1f} degrees per axis, its median {median:.1f}.
 
 A better reconstruction is not a better prior: choose by what it does in the solve.
@@ -41,7 +40,7 @@ A better reconstruction is not a better prior: choose by what it does in the sol
 ## Settings
 
 {settings}
-
+{told}
 ## Data
 
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
@@ -59,10 +58,10 @@ class Scores:
     spread: float
 
 
-def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores) -> None:
-    """Write the card; into place whole or not at all. Raises WriteError."""
+def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores, told: str) -> None:
+    """Write the card; into place whole or not at all; `told` is what more there is to say of the fit. Raises WriteError."""
     said = settings.model_dump(exclude={"title", "test", "unseen"})
-    learned = {who: frames for who, frames in poses.frames.items() if who not in settings.unseen}
+    learned = {who: frames for who, frames in poses.frames.items() if poses.interleaved or who not in settings.unseen}
     low, median, high = np.degrees(np.percentile(model.sigma[1:], [0, 50, 100]))
     text = CARD.format(
         name=path.stem,
@@ -71,8 +70,8 @@ def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores
         people=len(learned),
         dropped=poses.dropped,
         seen=listed(learned),
-        unseen=listed({who: frames for who, frames in poses.frames.items() if who in settings.unseen}),
-        test=", ".join(sorted(settings.test)),
+        kept=kept(settings, poses),
+        whom="frames" if poses.interleaved else "subjects",
         seen_deg=scores.seen,
         unseen_deg=scores.unseen,
         size=model.size,
@@ -81,9 +80,19 @@ def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores
         median=median,
         high=high,
         settings="\n".join(f"- {key}: {value}" for key, value in said.items()),
+        told=f"\n{told}\n" if told else "",
     )
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def kept(settings: Settings, poses: Poses) -> str:
+    """-> the card's rows on whom the model has not learned from."""
+    if poses.interleaved:
+        return "| kept from it, for the scores and the benchmark | two frames of every five, between those learned from |"
+    unseen = listed({who: frames for who, frames in poses.frames.items() if who in settings.unseen})
+    test = ", ".join(sorted(settings.test))
+    return f"| kept from it, for sigma and the scores | {unseen} |\n| never read, for the benchmarks | {test} |"
 
 
 def listed(frames: dict[str, int]) -> str:

@@ -24,14 +24,16 @@ class Poses:
 
     seen, unseen  (N, J, 3) and (M, J, 3) of the subjects to be learned from and of those kept from it; each pose is there
                   twice, the second half being the first mirrored
-    frames        subject: how many frames were taken of him, before mirroring
+    frames        subject: how many frames were taken of him, before mirroring; of interleaved ones, to be learned from
     dropped       frames beyond a flip, which were not
+    interleaved   whether what is learned from and what is kept are frames of the same takes instead
     """
 
     seen: np.ndarray
     unseen: np.ndarray
     frames: Counter[str]
     dropped: int
+    interleaved: bool = False
 
 
 def slight(names: tuple[str, ...]) -> np.ndarray:
@@ -39,10 +41,20 @@ def slight(names: tuple[str, ...]) -> np.ndarray:
     return np.array([name.endswith(SLIGHT) for name in names])
 
 
+def learned_between(frames: int) -> np.ndarray:
+    """-> (T,) bool: which frames MNN-IK's own split learns from, three of every five; the others are for its tests (4.1)."""
+    return np.arange(frames) % 5 % 2 == 0
+
+
 def gather(
-    folder: Path, middle: np.ndarray, test: frozenset[str], unseen: frozenset[str], progress: Callable[[str], None]
+    folder: Path,
+    middle: np.ndarray,
+    test: frozenset[str],
+    unseen: frozenset[str],
+    progress: Callable[[str], None],
+    interleaved: bool = False,
 ) -> Poses:
-    """-> all poses in a folder, but for the subjects of `test`.
+    """-> all poses in a folder, but for the subjects of `test`; or those of everybody, by MNN-IK's own split.
 
     Raises ReadError where the folder holds no motion of those to be learned from, or none of those who are `unseen`.
     """
@@ -50,17 +62,20 @@ def gather(
     firm, frames, dropped = ~slight(names), Counter[str](), 0
     found: dict[bool, list[np.ndarray]] = {True: [], False: []}
     for recording in recordings.read(folder):
-        if recording.subject in test:
+        if recording.subject in test and not interleaved:
             continue
         progress(f"reading {recording.name}")
         kept = longest_between(recording.rotations[:, firm], recording.rate)
         vectors = from_middle(recording.rotations[kept], middle).astype(np.float32)  # for there may be millions
-        found[recording.subject in unseen].append(vectors)
-        frames[recording.subject] += len(vectors)
+        by_subject = np.full(len(vectors), recording.subject not in unseen)
+        learned = learned_between(len(recording.rotations))[kept] if interleaved else by_subject
+        found[False].append(vectors[learned])
+        found[True].append(vectors[~learned])
+        frames[recording.subject] += int(learned.sum()) if interleaved else len(vectors)
         dropped += len(recording.rotations) - len(vectors)
     for is_unseen, whom in ((False, "subjects to learn from"), (True, f"the unseen subjects {', '.join(sorted(unseen))}")):
-        if not found[is_unseen]:
+        if not any(map(len, found[is_unseen])):
             raise ReadError(f"{folder}: holds no motion of {whom}.")
     both = (np.concatenate(found[is_unseen]) for is_unseen in (False, True))
     seen, kept_back = (np.concatenate([each, mirrored(each, names)]) for each in both)
-    return Poses(seen, kept_back, frames, dropped)
+    return Poses(seen, kept_back, frames, dropped, interleaved)

@@ -21,9 +21,10 @@ LOOSE = 2.0  # times what is measured: the few unseen subjects stand for everybo
 FLOOR = np.radians(1.0)  # a prior that says it knows a joint better than this is wrong
 
 
-def train(settings: Settings, folder: Path, target: Path, progress: Callable[[str], None]) -> Scores:
+def train(settings: Settings, folder: Path, target: Path, progress: Callable[[str], None], interleaved: bool = False) -> Scores:
     """Train a model and write it to `target`, its card beside it as .md. -> its scores
 
+    interleaved  learn from three frames of every five, of everybody, as MNN-IK did: only to be compared with it
     Training that is interrupted goes on, when it is asked for again, from `target` with .checkpoint in place of its suffix.
 
     Raises ReadError where the folder holds no motion of the subjects that are needed, WriteError where nothing can be written.
@@ -32,21 +33,32 @@ def train(settings: Settings, folder: Path, target: Path, progress: Callable[[st
         raise WriteError(f"{target}: weights are kept in the form safetensors; give a name that ends in .safetensors.")
     skeleton = cmu31().skeleton
     middle = prior.load("mean-pose", skeleton).rotations
-    poses = gather(folder, middle, settings.test, settings.unseen, progress)
+    poses = gather(folder, middle, settings.test, settings.unseen, progress, interleaved)
     checkpoint = target.with_suffix(".checkpoint")
-    if isinstance(settings, LinearSettings):
-        progress("fitting")
-        components = settings.components if isinstance(settings.components, int) else None
-        model: PoseModel = linear.fit(skeleton.names, middle, poses.seen, components)
-    else:
-        model = autoencoder(settings, skeleton.names, middle, poses, checkpoint, progress)
+    model, told = fitted(settings, skeleton.names, middle, poses, checkpoint, progress)
     progress("measuring")
-    model = replace(model, sigma=deviations(model, poses.unseen))
+    # by MNN-IK's split nobody is unseen but in the frames that it is tested on: they must not set anything
+    model = replace(model, sigma=deviations(model, poses.seen if interleaved else poses.unseen))
     scores = measured(model, poses)
     models.save(target, model)
-    write(target.with_suffix(".md"), settings, model, poses, scores)
+    write(target.with_suffix(".md"), settings, model, poses, scores, told)
     checkpoint.unlink(missing_ok=True)
     return scores
+
+
+def fitted(
+    settings: Settings, joints: tuple[str, ...], middle: np.ndarray, poses: Poses, checkpoint: Path, progress
+) -> tuple[PoseModel, str]:
+    """-> a model whose sigma is still to be measured, and what its card must tell of the fit beside the settings."""
+    if isinstance(settings, AutoencoderSettings):
+        return autoencoder(settings, joints, middle, poses, checkpoint, progress), ""
+    progress("fitting")
+    if isinstance(settings, LinearSettings):
+        components = settings.components if isinstance(settings.components, int) else None
+        return linear.fit(joints, middle, poses.seen, components), ""
+    from mocapfix.train import mixture
+
+    return mixture.fit(joints, middle, poses.seen, settings, progress)
 
 
 def autoencoder(
@@ -67,6 +79,7 @@ def autoencoder(
 
 def strays(model: PoseModel, vectors: np.ndarray) -> np.ndarray:
     """-> (N, J) radians between poses (N, J, 3) and what the model makes of them."""
+    model = model.near(vectors)
     decoded = model.decode(model.encode(vectors))
     turns = Rotation.from_rotvec(vectors.reshape(-1, 3)) * Rotation.from_rotvec(decoded.reshape(-1, 3)).inv()
     return turns.magnitude().reshape(vectors.shape[:2])
@@ -80,5 +93,5 @@ def deviations(model: PoseModel, unseen: np.ndarray) -> np.ndarray:
 def measured(model: PoseModel, poses: Poses) -> Scores:
     """-> how near the model comes to poses, by themselves and decoded."""
     seen, unseen = (np.degrees(strays(model, each)) for each in (poses.seen[::10], poses.unseen))
-    spread = np.sqrt((model.encode(poses.unseen) ** 2).mean())
+    spread = np.sqrt((model.near(poses.unseen).encode(poses.unseen) ** 2).mean())
     return Scores(float(seen[:, 1:].mean()), float(unseen[:, 1:].mean()), float(spread))

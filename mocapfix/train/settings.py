@@ -65,7 +65,30 @@ class AutoencoderSettings(Stated):
     denoising: bool
 
 
-Settings = LinearSettings | AutoencoderSettings
+class MixtureSettings(Stated):
+    """A mixture of Gaussians; title, test and unseen as in LinearSettings.
+
+    seed        of where the fits begin
+    variance    part of the poses' variance that the reduced space keeps
+    components  how many Gaussians
+    fits        from so many beginnings; the likeliest is taken
+    tolerance   expectation maximisation ends where an iteration raises the mean log-likelihood of a pose by less
+    most        iterations, in which it must have ended
+    """
+
+    model: Literal["mixture"]
+    title: str
+    test: frozenset[str]
+    unseen: frozenset[str]
+    seed: int
+    variance: Annotated[float, Field(gt=0, lt=1)]
+    components: PositiveInt
+    fits: PositiveInt
+    tolerance: PositiveFloat
+    most: PositiveInt
+
+
+Settings = LinearSettings | AutoencoderSettings | MixtureSettings
 READER = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
 
 

@@ -50,3 +50,15 @@ def test_a_folder_without_those_who_are_needed_is_named(folder):
         (folder / f"{name}_01.bvh").unlink()
     with pytest.raises(ReadError, match="subjects to learn from"):
         gathered(folder)
+
+
+def test_in_mnn_iks_split_three_frames_of_every_five_are_learned_from_and_the_others_kept_of_everybody(folder):
+    poses = gather(folder, MIDDLE, frozenset(["02"]), frozenset(["03"]), lambda what: None, interleaved=True)
+    learned = np.isin(np.arange(24) % 5, (0, 2, 4))
+    people = [from_middle(walked(who), MIDDLE) for who in (1, 2, 3)]
+    half = len(poses.seen) // 2
+    np.testing.assert_allclose(poses.seen[:half], np.concatenate([each[learned] for each in people]), atol=1e-5)
+    np.testing.assert_allclose(poses.unseen[: len(poses.unseen) // 2], np.concatenate([p[~learned] for p in people]), atol=1e-5)
+    assert poses.frames == {"01": 14, "02": 14, "03": 14}
+    assert poses.interleaved
+    assert not gathered(folder).interleaved

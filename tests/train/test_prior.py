@@ -49,7 +49,13 @@ def train(name, motion, where, *more, **changes):
 
 @pytest.mark.parametrize(
     ("name", "changes", "size"),
-    [("pca", {"components": 4}, 4), ("gaussian", {}, 11), ("autoencoder", SMALL, 3), ("mnn-ik", SMALL | {"initial": None}, 3)],
+    [
+        ("pca", {"components": 4}, 4),
+        ("gaussian", {}, 11),
+        ("mixture", {"components": 3}, 11),
+        ("autoencoder", SMALL, 3),
+        ("mnn-ik", SMALL | {"initial": None}, 3),
+    ],
 )
 def test_a_prior_is_trained_loaded_and_told_of(tmp_path, motion, capsys, name, changes, size):
     assert train(name, motion, tmp_path, **changes) == 0
@@ -62,6 +68,20 @@ def test_a_prior_is_trained_loaded_and_told_of(tmp_path, motion, capsys, name, c
     assert "72 frames" in card
     assert not list(tmp_path.glob("*.checkpoint"))
     assert "mine.safetensors: gives poses back to" in capsys.readouterr().out
+
+
+def test_mnn_iks_split_learns_from_everybody_and_the_card_says_so(tmp_path, motion):
+    assert train("pca", motion, tmp_path, "--interleaved", components=4) == 0
+    card = (tmp_path / "mine.md").read_text(encoding="utf-8")
+    assert "| learned from | 01 (28), 02 (14), 03 (14), 14 (14) |" in card
+    assert "70 frames" in card
+    assert "two frames of every five, between those learned from" in card
+    assert "never read" not in card
+    assert "| frames it has not seen |" in card
+    model = models.load(str(tmp_path / "mine.safetensors"), SKELETON)
+    poses = training.gather(motion, model.middle, frozenset(), frozenset(), lambda what: None, interleaved=True)
+    np.testing.assert_allclose(model.sigma, training.deviations(model, poses.seen), rtol=1e-5)
+    assert not np.allclose(model.sigma, training.deviations(model, poses.unseen), rtol=1e-5)
 
 
 def test_weights_that_are_there_are_not_replaced_unasked(tmp_path, motion, capsys):

@@ -1,0 +1,82 @@
+"""The benchmarks' pictures, as PNG: errors over iterations, and hands before and after."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mocapfix.bench.hands import Moment
+from mocapfix.files import replacing
+
+TURN = np.radians(20)  # from straight ahead, towards the body's left
+MARGIN = 0.15  # metres around the joints that are measured
+INK, PAPER, BONE, TRUE = "#38414c", "#f6f7f9", "#8fb3dc", "#1b2a3a"
+COSTS = {"total": "total", "given": "given joints", "prior": "prior"}
+PRIORS = {"none": "#8a94a0", "pca": "#e08a00", "gaussian": "#1f9d57", "mixture": "#7a5bd0", "mnn-ik": "#d93a3a",
+          "autoencoder": "#2b6cb0"}  # fmt: skip
+MARKER, BAD, MENDED = "#5a6470", "#d93a3a", "#1f9d57"
+
+
+def hands(target: Path, moment: Moment) -> None:
+    """Draw a moment: by its damaged markers alone, as it was cleaned, and as it was captured. Raises WriteError."""
+    flat = projection(moment)
+    shown = flat(moment.true[[*moment.measured, *moment.skeleton.parents[moment.measured]]])
+    (left, low), (right, high) = shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN
+    figure = Figure(figsize=(12, 0.5 + 4 * (high - low) / (right - left)), layout="constrained")
+    panels = (
+        (f"Before: by these markers alone {moment.alone_mm:.0f} mm off", moment.alone, moment.before, moment.sound, BAD),
+        (f"After: {moment.cleaned_mm:.0f} mm off", moment.cleaned, moment.after, moment.before, MENDED),
+        ("As captured (in the others dashed and hollow)", moment.true, moment.sound, moment.sound, MARKER),
+    )
+    for on, (title, joints, markers, unlike, colour) in zip(figure.subplots(1, 3), panels, strict=True):
+        bones(on, moment, flat(joints), BONE, 12)
+        if joints is not moment.true:
+            bones(on, moment, flat(moment.true), TRUE, 1.5, linestyle=(0, (3, 2)))
+            on.scatter(*flat(moment.sound)[moment.damaged].T, s=130, facecolors="none", edgecolors=TRUE, zorder=4)
+        changed = moment.damaged & (markers != unlike).any(axis=1)
+        on.scatter(*flat(markers).T, s=90, c=np.where(changed, colour, MARKER), edgecolors="white", zorder=3)
+        on.set_title(title, fontsize=11, color=INK, loc="left")
+        on.set(aspect="equal", facecolor=PAPER, xticks=[], yticks=[], xlim=(left, right), ylim=(low, high))
+        on.spines[:].set_visible(False)
+    save(target, figure)
+
+
+def projection(moment: Moment):
+    """-> a function from places (N, 3) to the picture (N, 2), metres: seen from before the body, a little from its left."""
+    left = moment.true[moment.skeleton.index("LeftArm")] - moment.true[moment.skeleton.index("RightArm")]
+    left = left * [1, 0, 1] / np.linalg.norm(left * [1, 0, 1])
+    front = np.cross(left, [0.0, 1.0, 0.0])
+    across = left * np.cos(TURN) - front * np.sin(TURN)
+    return lambda places: np.stack([places @ across, places[..., 1]], axis=-1)
+
+
+def bones(on: Axes, moment: Moment, joints: np.ndarray, colour: str, width: float, **style) -> None:
+    """Draw a line from each joint (J, 2) to its parent."""
+    child = np.flatnonzero(moment.skeleton.parents >= 0)
+    ends = np.stack([joints[moment.skeleton.parents[child]], joints[child]])
+    on.plot(ends[..., 0], ends[..., 1], color=colour, linewidth=width, solid_capstyle="round", **style)
+
+
+def iterations(target: Path, said: dict) -> None:
+    """Draw what `bench.iterations` measured: the default's costs, and every prior's errors. Raises WriteError."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    spent, default = said["iterations"], list(said["iterations"])[-1]
+    for (name, curve), colour in zip(said["cost"].items(), (INK, BAD, MENDED), strict=True):
+        left.semilogy(spent[default], curve, color=colour, label=COSTS[name])
+    left.set(title=f"What is minimised: {default}", ylabel="half the sum of squares, in standard deviations")
+    for name, curve in said["position_mm"].items():
+        right.plot(spent[name], curve, color=PRIORS[name], label=name, linewidth=2.5 if name == default else 1.5)
+    right.set(title="Error of all joints", ylabel="mm", ylim=(0, None))
+    for on in (left, right):
+        on.set(xlabel="iterations", facecolor=PAPER, xlim=(0, None))
+        on.grid(color="white", linewidth=1.2)
+        on.spines[:].set_visible(False)
+        on.legend(frameon=False)
+    save(target, figure)
+
+
+def save(target: Path, figure: Figure) -> None:
+    with replacing(target) as part:
+        figure.savefig(part, format="png", dpi=110)

@@ -1,0 +1,50 @@
+"""What the priors are worth: the benchmark of MNN-IK, and of what a prior must not do."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix import prior
+from mocapfix.bench import all_joints, contenders, given_joints, iterations, speed, unseen
+from mocapfix.clock import Progress
+from mocapfix.errors import SceneError
+from mocapfix.skeleton import cmu31
+
+SETS = 3  # of joints for each pose
+FEW = 200  # poses are enough for curves
+
+
+def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bool, progress: Progress) -> dict:
+    """-> every figure of the benchmark, ready for JSON.
+
+    data         a folder of motion whose `test` subjects are the poses; None for the poses that ship
+    frames       how many poses, at most
+    paper_split  a folder of weights trained on MNN-IK's own split, whose test is then done, too; needs `data`
+    curves       whether to follow the errors over the iterations
+
+    Raises SceneError or ReadError where data or weights are not what they must be.
+    """
+    if paper_split and not data:
+        raise SceneError("The paper's split is of the motion that was learned from; say with --data where it is.")
+    shelf, middle = contenders.shelf(), prior.load("mean-pose", cmu31().skeleton).rotations
+    poses = unseen.of_subjects(data, frames) if data else unseen.shipped()
+    poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
+    default = list(shelf)[-1]
+    said = {"poses": len(poses), "sets": SETS, "default": default}
+    said |= compared(poses, shelf, middle, progress)
+    said["all_joints"] = all_joints.measure(poses, shelf, middle, progress)
+    said["bias_mm"] = said["all_joints"][default]["bias_mm"]
+    rates = speed.measure(poses, shelf[default], middle, progress)
+    said |= {"fps": rates["course"], "fps_from_mean_pose": rates["mean_pose"]}
+    if paper_split and data:
+        split = contenders.shelf(paper_split)
+        said["paper_split"] = compared(unseen.between(data, frames), split, middle, progress)
+    if curves:
+        said["iterations"] = iterations.measure(poses[:: -(-len(poses) // FEW)], shelf, middle, progress)
+    return said
+
+
+def compared(poses: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+    """-> `given_joints`, and by how much the default is `better` than the others."""
+    said = given_joints.measure(poses, shelf, middle, SETS, progress)
+    return {"given_joints": said, "better": given_joints.better(said, list(shelf)[-1])}

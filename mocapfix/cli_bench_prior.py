@@ -1,0 +1,97 @@
+"""The commands that measure pose priors: mocapfix bench prior, mocapfix bench hands."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.markup import escape
+from rich.table import Table
+
+from mocapfix.console import DONE, Json, out, staged
+
+
+def prior(
+    data: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help="motion, of which the subjects of the benchmark are taken; "
+                                   "by default 1,000 poses of theirs that ship")
+    ] = None,
+    frames: Annotated[int, tyro.conf.arg(metavar="N", help="how many poses")] = 1000,
+    paper_split: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help="weights trained with --interleaved: do MNN-IK's test on its own "
+                                   "split, too; needs --data")
+    ] = None,
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png", help="draw the errors over the iterations")] = None,
+    as_json: Json = False,
+) -> int:  # fmt: skip
+    """Compare the pose priors: from a few joints as MNN-IK does, from all of them, on lost limbs, and in frames a second."""
+    from mocapfix.bench.prior import measure
+
+    with staged("prior") as progress:
+        said = measure(data, frames, paper_split, figure is not None, progress)
+    if figure:
+        from mocapfix.bench import pictures
+
+        pictures.iterations(figure, said["iterations"])
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        return DONE
+    out.print(from_few(f"{said['poses']} poses of people that no prior has seen", said))
+    if "paper_split" in said:
+        out.print(from_few("the paper's own split: frames between those that were learned from", said["paper_split"]))
+    table = Table("all joints given", "places moved, mm", "error amid noise of 3 mm, mm", "twist, degrees")
+    for name, row in said["all_joints"].items():
+        table.add_row(name, f"{row['bias_mm']:.2f}", f"{row['noisy_mm']:.2f}", f"{row['twist_deg']:.1f}")
+    out.print(table)
+    out.print(
+        f"{said['default']}: {said['fps']:,.0f} frames a second of which 10 joints are given, from a course through time; "
+        f"{said['fps_from_mean_pose']:,.0f} from the mean pose."
+    )
+    return DONE
+
+
+def from_few(title: str, said: dict) -> Table:
+    """-> MNN-IK's table: every prior's errors by how many joints are given."""
+    table = Table("mm / degrees", *(f"{count} joints" for count in said["given_joints"]), title=title, title_justify="left")
+    for name in next(iter(said["given_joints"].values())):
+        rows = [by_name[name] for by_name in said["given_joints"].values()]
+        table.add_row(
+            name,
+            *(
+                f"{row['position_mm']:.1f} ± {row['position_sd']:.0f} / {row['rotation_deg']:.1f} ± {row['rotation_sd']:.0f}"
+                for row in rows
+            ),
+        )
+    better = (
+        f"{row['position_percent']:.0f} and {row['rotation_percent']:.0f} % better than {name}"
+        for name, row in said["better"].items()
+    )
+    table.caption = f"{list(said['given_joints']['6'])[-1]} is {', '.join(better)} (mean of the columns)"
+    return table
+
+
+def hands(
+    one_marker: Annotated[Path, tyro.conf.arg(metavar="TAKE", help="a C3D in CMU's 41 markers; one stays on the right hand")],
+    crossed: Annotated[Path, tyro.conf.arg(metavar="TAKE", help="one in which the hands come together, to be shaken")],
+    folder: Annotated[Path, tyro.conf.arg(name="out", metavar="DIR", help="where the two pictures go")] = Path(),
+    as_json: Json = False,
+) -> int:
+    """Damage the hands of two sound captures as MNN-IK's section 5.1 does, clean them, and draw before and after."""
+    from mocapfix.bench import hands, pictures
+
+    said = {}
+    for name, path, damage in (("hand-one-marker", one_marker, hands.ONE_MARKER), ("crossed-hands", crossed, hands.CROSSED)):
+        with staged(path.name):
+            moment = hands.moment(path, damage)
+        pictures.hands(folder / f"{name}.png", moment)
+        said[name] = {"alone_mm": moment.alone_mm, "cleaned_mm": moment.cleaned_mm}
+        if not as_json:
+            errors = f"{moment.alone_mm:.0f} mm off by the markers alone, {moment.cleaned_mm:.0f} mm cleaned"
+            out.print(f"{escape(str(folder / name))}.png: {errors}.", soft_wrap=True)
+    if as_json:
+        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+    return DONE
+
+
+PRIOR_BENCHES = {"prior": prior, "hands": hands}

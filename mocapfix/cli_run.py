@@ -1,0 +1,49 @@
+"""The command that runs a scene: mocapfix run SCENE."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.markup import escape
+
+from mocapfix.console import DONE, Flag, out, staged
+from mocapfix.errors import SceneError
+
+
+def run(
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or a shipped scene's name")],
+    folder: Annotated[
+        Path | None, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="where outputs go; by default SCENE.mocapfix/")
+    ] = None,
+    overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
+) -> int:
+    """Do what a scene says. keypoints-2d: the motion and the camera of a film, from 2-D keypoints alone."""
+    from mocapfix.scenes import folder as shipped
+    from mocapfix.scenes import read_yaml
+
+    path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped("scenes") / f"{Path(scene).name}.yaml"
+    kind = read_yaml(path).get("kind")
+    if kind not in SCENES:
+        raise SceneError(f"{path}: kind: must be one of {', '.join(SCENES)}, not {kind!r}.")
+    return SCENES[kind](path, folder or Path(f"{path.stem}.mocapfix"), overwrite)
+
+
+def keypoints_2d(path: Path, folder: Path, overwrite: bool) -> int:
+    """Poses and camera from keypoints."""
+    from mocapfix.keypoints import scene
+
+    with staged(path.name) as progress:
+        result = scene.run(path, progress)
+        outputs = result.write(folder, overwrite)
+    record = result.report
+    where, camera = record["reprojection_px"], record["camera"]
+    out.print(
+        f"[bold]{escape(result.title)}[/]: {record['frames']} frames, keypoints {where['mean']:.1f} px from the body on average; "
+        f"the camera sees {camera['pixels_per_metre']:.1f} pixels per metre. {record['seconds']['total']:.1f} s.",
+        soft_wrap=True,
+    )
+    out.print(f"  {escape(str(folder))}/: {', '.join(escape(file.name) for file in outputs.values())}", soft_wrap=True)
+    return DONE
+
+
+SCENES = {"keypoints-2d": keypoints_2d}

@@ -1,0 +1,69 @@
+"""Which points a detector finds in an image, in its order, and where they lie on the body: scenes/keypoints/NAME.yaml."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
+
+from mocapfix.errors import SceneError
+from mocapfix.scenes import folder, load_yaml
+from mocapfix.skeleton import Skeleton
+
+
+@dataclass(frozen=True)
+class Detector:
+    """The V points that a detector finds.
+
+    key     the name under which its JSON holds a person's points
+    labels  V names
+    joints  (V,) the joint that carries each
+    places  (V, 3) metres, in the joint's axes
+    sd      (V,) metres: standard deviation per axis of a point that was surely detected, as far from here as people differ
+    """
+
+    name: str
+    key: str
+    labels: tuple[str, ...]
+    joints: np.ndarray
+    places: np.ndarray
+    sd: np.ndarray
+
+
+class _Point(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    joint: str
+    offset: tuple[float, float, float]
+    sd: PositiveFloat
+
+
+class _Said(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    key: str
+    points: dict[str, _Point]
+
+
+def names() -> list[str]:
+    """-> the detectors there are."""
+    return sorted(path.stem for path in (folder("scenes") / "keypoints").glob("*.yaml"))
+
+
+def load(name: str, skeleton: Skeleton) -> Detector:
+    """-> the detector shipped as scenes/keypoints/NAME.yaml.
+
+    Raises SceneError naming those there are, or the key of the file that is not as it must be.
+    """
+    if name not in names():
+        raise SceneError(f"There is no order of keypoints named {name!r}; choose one of: {', '.join(names())}.")
+    try:
+        said = _Said.model_validate(load_yaml(f"keypoints/{name}.yaml"))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise SceneError(f"keypoints/{name}.yaml: {'.'.join(map(str, first['loc']))}: {first['msg']}.") from error
+    points = said.points.values()
+    for label, point in said.points.items():
+        if point.joint not in skeleton.names:
+            raise SceneError(f"keypoints/{name}.yaml: points.{label}.joint: the skeleton has no {point.joint!r}.")
+    joints = np.array([skeleton.index(point.joint) for point in points])
+    places, sd = np.array([point.offset for point in points]), np.array([point.sd for point in points])
+    return Detector(said.name, said.key, tuple(said.points), joints, places, sd)

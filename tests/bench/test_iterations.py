@@ -1,0 +1,58 @@
+"""Errors over the iterations: where the curves begin and end, and that the costs are those that the solve minimises."""
+
+import numpy as np
+import pytest
+
+from mocapfix import prior
+from mocapfix.bench import contenders, iterations, pictures, unseen
+from mocapfix.bench.contenders import given
+from mocapfix.bench.given_joints import SD, drawn, errors
+from mocapfix.prior.contract import from_middle
+from mocapfix.skeleton import cmu31
+
+MIDDLE = prior.load("mean-pose", cmu31().skeleton).rotations
+SHELF = {"none": None, "gaussian": contenders.shelf()["gaussian"]}
+
+
+@pytest.fixture(scope="module")
+def poses():
+    return unseen.shipped()[::200]
+
+
+@pytest.fixture(scope="module")
+def said(poses):
+    return iterations.measure(poses, SHELF, MIDDLE, lambda what: None)
+
+
+def test_curves_begin_at_the_start_and_end_where_the_whole_solve_does(poses, said):
+    task = given(poses, drawn(len(poses), poses.shape[1], iterations.GIVEN), SD)
+    start = contenders.placed(task.skeleton, *task.upright(MIDDLE))
+    for name, model in SHELF.items():
+        assert len(said["position_mm"][name]) == len(said["iterations"][name]) == iterations.MOST + 1
+        assert said["iterations"][name][:2] == [0, 1]
+        assert said["position_mm"][name][0] == pytest.approx(1e3 * errors(task, start)[0].mean())
+        whole = contenders.solve(task, model, task.upright(MIDDLE))
+        assert said["position_mm"][name][-1] == pytest.approx(1e3 * errors(task, whole)[0].mean(), rel=0.05)
+
+
+def test_the_total_falls_and_is_the_sum_of_its_parts(said):
+    cost = {name: np.array(curve) for name, curve in said["cost"].items()}
+    np.testing.assert_allclose(cost["total"], cost["given"] + cost["prior"])
+    assert (np.diff(cost["total"]) < 1e-6).all()
+    assert cost["given"][-1] < 1e-3 * cost["given"][0]
+
+
+def test_a_pose_costs_what_it_is_off_its_code_and_its_code_off_the_mean(poses):
+    model = SHELF["gaussian"]
+    codes = np.random.default_rng(0).normal(size=(len(poses), model.size))
+    found = contenders.placed(cmu31().skeleton, np.zeros((len(poses), 3)), poses)
+    found = contenders.Found(**vars(found) | {"codes": codes})
+    away = from_middle(poses, model.middle) - model.decode(codes)
+    expected = [0.5 * (np.sum((each / model.sigma[:, None]) ** 2) + code @ code) for each, code in zip(away, codes, strict=True)]
+    np.testing.assert_allclose(iterations.strangeness(model, found), expected)
+
+
+def test_the_curves_are_drawn(said, tmp_path):
+    pictures.iterations(tmp_path / "curves.png", said)
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG\r\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"curves.png"}

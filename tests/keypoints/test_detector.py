@@ -1,0 +1,81 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mocapfix.errors import SceneError
+from mocapfix.keypoints import detector
+from mocapfix.skeleton import cmu31
+
+BODY_25 = (
+    "Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "MidHip", "RHip", "RKnee", "RAnkle",
+    "LHip", "LKnee", "LAnkle", "REye", "LEye", "REar", "LEar", "LBigToe", "LSmallToe", "LHeel", "RBigToe", "RSmallToe", "RHeel",
+)  # fmt: skip
+PAIRS = ("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+
+
+def rest(name: str) -> tuple[detector.Detector, np.ndarray]:
+    """-> a detector and its points (V, 3) on the average body in its T-pose"""
+    skeleton = cmu31().skeleton
+    joints = np.zeros((31, 3))
+    for j in range(1, 31):
+        joints[j] = joints[skeleton.parents[j]] + skeleton.offsets[j]
+    known = detector.load(name, skeleton)
+    return known, joints[known.joints] + known.places
+
+
+def test_points_are_in_the_detectors_own_order():
+    skeleton = cmu31().skeleton
+    assert detector.load("openpose", skeleton).labels == BODY_25
+    sided = [f"{side}_{name}" for name in PAIRS for side in ("left", "right")]
+    assert detector.load("coco", skeleton).labels == ("nose", *sided)
+
+
+@pytest.mark.parametrize("name", ["openpose", "coco"])
+def test_left_mirrors_right(name):
+    known, points = rest(name)
+    other = {"L": "R", "l": "r"}
+    for label, point in zip(known.labels, points, strict=True):
+        twin = label.replace("left", "right") if name == "coco" else other.get(label[0], label[0]) + label[1:]
+        if twin in known.labels and twin != label:
+            np.testing.assert_allclose(points[known.labels.index(twin)], point * [-1, 1, 1], atol=1e-12)
+
+
+def test_the_t_pose_has_its_points_where_a_person_has_them():
+    known, points = rest("openpose")
+    at = dict(zip(known.labels, points, strict=True))
+    for above, below in pairwise(("LEye", "Nose", "Neck", "LShoulder", "LHip", "LKnee", "LAnkle", "LHeel")):
+        assert at[above][1] > at[below][1]
+    assert at["Nose"][2] > at["LEye"][2] > at["LEar"][2]  # it faces +Z
+    assert at["LBigToe"][2] > at["LSmallToe"][2] > at["LHeel"][2]
+    assert at["LWrist"][0] > at["LElbow"][0] > at["LShoulder"][0] > 0
+    assert 0.24 < np.linalg.norm(at["LWrist"] - at["LElbow"]) < 0.29  # 0.146 of the stature (Winter)
+
+
+def test_both_detectors_mean_the_same_places():
+    (coco, points), (openpose, others) = rest("coco"), rest("openpose")
+    for label, twin in (("nose", "Nose"), ("left_wrist", "LWrist"), ("right_hip", "RHip"), ("right_ankle", "RAnkle")):
+        np.testing.assert_array_equal(points[coco.labels.index(label)], others[openpose.labels.index(twin)])
+
+
+def test_an_order_that_is_not_known_is_told_with_those_there_are():
+    with pytest.raises(SceneError, match=r"no order of keypoints named 'mpii'; choose one of: coco, openpose"):
+        detector.load("mpii", cmu31().skeleton)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sd: 0.02}", "sd: -1}", "points.Nose.sd"),
+        ("joint: Head", "joint: Snout", "points.Nose.joint: .*Snout"),
+        ("key:", "keys:", "key"),
+    ],
+)
+def test_a_map_that_does_not_say_what_it_must_is_told_by_its_key(tmp_path, monkeypatch, old, new, message):
+    text = (detector.folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
+    (tmp_path / "keypoints").mkdir()
+    (tmp_path / "keypoints" / "mine.yaml").write_text(text.replace(old, new), encoding="utf-8")
+    monkeypatch.setattr("mocapfix.scenes.folder", lambda _: tmp_path)
+    monkeypatch.setattr(detector, "folder", lambda _: tmp_path)
+    with pytest.raises(SceneError, match=message):
+        detector.load("mine", cmu31().skeleton)

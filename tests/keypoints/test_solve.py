@@ -1,0 +1,105 @@
+"""Motion and camera of a composed film; every solve is of one kind, so that it compiles once."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix.keypoints import example, read, solve
+from mocapfix.keypoints.camera import looking
+from mocapfix.keypoints.sight import Sight
+from mocapfix.prior import models
+from mocapfix.skeleton import cmu31
+
+RATE = 10.0
+SKELETON = cmu31().skeleton
+MODEL = models.load("pca", SKELETON)
+
+
+def error(found, truth):
+    """-> (T,) metres: mean distance of joints (T, J, 3) seen from the root"""
+    return np.linalg.norm((found - found[:, :1]) - (truth - truth[:, :1]), axis=-1).mean(axis=1)
+
+
+@pytest.fixture(scope="module")
+def composed(tmp_path_factory):
+    """-> keypoints, true joints, true camera"""
+    said, joints, camera = example.film("openpose", 2.0, RATE)
+    path = tmp_path_factory.mktemp("film") / "film.json"
+    path.write_text(json.dumps(said), encoding="utf-8")
+    return read.keypoints(path, SKELETON), joints, camera
+
+
+def sight_of(keypoints):
+    weight = np.where(keypoints.confidence > 0, keypoints.confidence / keypoints.detector.sd, 0.0) ** 2
+    return Sight(SKELETON, keypoints.detector, MODEL, 1.0, looking(0.0), keypoints.pixels, weight)
+
+
+@pytest.fixture(scope="module")
+def solved(composed):
+    return solve.film(composed[0], RATE, SKELETON, MODEL, looking(0.0))
+
+
+def placed(keypoints, motion):
+    return sight_of(keypoints).placed(motion.root, motion.rotations)
+
+
+def test_motion_and_camera_are_found_together(composed, solved):
+    keypoints, joints, camera = composed
+    motion, found = solved
+    at, points = placed(keypoints, motion)
+    assert found.scale == pytest.approx(camera.scale, rel=0.03)
+    assert error(at, joints).mean() < 0.08
+    distance = np.linalg.norm(found.image(points) - keypoints.pixels, axis=-1)[keypoints.confidence > 0]
+    assert distance.mean() < 5.0
+
+
+def test_the_body_stands_on_the_floor_over_the_origin(composed, solved):
+    at, _ = placed(composed[0], solved[0])
+    assert at[..., 1].min() == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(solved[0].root[0, [0, 2]], 0, atol=1e-9)
+
+
+def test_images_of_another_size_give_the_same_motion(composed, solved):
+    keypoints = replace(composed[0], pixels=3 * composed[0].pixels + [50.0, -20.0])
+    motion, camera = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
+    assert camera.scale == pytest.approx(3 * solved[1].scale, rel=0.01)
+    np.testing.assert_allclose(placed(keypoints, motion)[0], placed(keypoints, solved[0])[0], atol=0.02)
+
+
+def test_a_frame_in_which_nobody_was_found_lies_between_its_neighbours(composed, solved):
+    confidence = composed[0].confidence.copy()
+    confidence[9:11] = 0.0
+    keypoints = replace(composed[0], confidence=confidence)
+    motion, _ = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
+    at, was = placed(keypoints, motion)[0], placed(keypoints, solved[0])[0]
+    assert error(at, was)[9:11].max() < 0.12
+    assert np.abs(motion.root - solved[0].root)[9:11].max() < 0.05
+
+
+def test_one_image_alone_is_solved(composed):
+    one = replace(composed[0], pixels=composed[0].pixels[:1], confidence=composed[0].confidence[:1])
+    motion, camera = solve.film(one, RATE, SKELETON, MODEL, looking(0.0))
+    assert motion.frames == 1
+    assert camera.scale == pytest.approx(composed[2].scale, rel=0.15)
+    assert error(placed(one, motion)[0], composed[1][:1])[0] < 0.15
+
+
+def test_keypoints_far_off_hardly_count(composed, solved):
+    pixels = composed[0].pixels.copy()
+    pixels[::4, 4] += [150.0, 60.0]  # right wrists
+    keypoints = replace(composed[0], pixels=pixels)
+    motion, camera = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
+    assert camera.scale == pytest.approx(solved[1].scale, rel=0.03)
+    assert error(placed(keypoints, motion)[0], composed[1]).mean() < 0.09
+
+
+def test_what_a_keypoint_counts_is_how_its_cost_grows(composed):
+    sight = sight_of(composed[0])
+    scale, by = 180.0, 1e-6
+    points = np.zeros((*sight.weight.shape, 3))
+    points[..., :2] = (sight.pixels / scale - [0.04, 0.01]) * [1, -1]  # y is down in the image
+    (before, counts), (after, _) = (sight.trust(scale, points + [shift, 0.0, 0.0]) for shift in (0.0, by))
+    np.testing.assert_allclose((after - before) / by, -0.04 * counts, rtol=1e-3)
+    assert (counts < sight.weight)[sight.weight > 0].all()
