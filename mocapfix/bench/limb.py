@@ -6,7 +6,7 @@ other is. Beside that stands what each way of filling the gap is worth on its ow
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from mocapfix import initialise, marker_set, prior, solve
 from mocapfix.bench import limb_ways
+from mocapfix.clock import Progress
 from mocapfix.errors import ReadError
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
@@ -33,7 +34,7 @@ LIMBS = {  # the joints whose rotations are lost; and those whose places are, wh
     "arm": (("Arm", "ForeArm", "Hand"), ("ForeArm", "Hand", "FingerBase")),
     "leg": (("UpLeg", "Leg", "Foot"), ("Leg", "Foot", "ToeBase")),
 }
-MOST_OTHERS = ("HandIndex1", "Thumb", "FingerBase", "ToeBase")  # joints farther out, which go with their limb
+FARTHER = ("HandIndex1", "Thumb", "FingerBase", "ToeBase")  # joints farther out, which go with their limb
 
 
 class Performance(NamedTuple):
@@ -53,7 +54,7 @@ class Gap(NamedTuple):
 
 
 def run(
-    data: Path, model: PoseModel | None, count: int = 40, seed: int = 0, progress: Callable[[str], None] = lambda _: None
+    data: Path, model: PoseModel | None, count: int = 20, seed: int = 0, progress: Progress = lambda _: None
 ) -> dict[str, dict]:
     """-> limb -> seconds ("0.5", "1", "2") -> mean error in mm over the lost joints and the gap's frames, and under `ways` the
     same of each way of filling it alone: way -> limb -> seconds.
@@ -120,10 +121,10 @@ def solved(gap: Gap, limb: str, model: PoseModel | None) -> Iterator[tuple[str, 
     habits, limits = prior.load("mean-pose", body.skeleton), prior.load_limits(body.skeleton)
     worn = struck(gap, limb, subject)
     start = initialise.motion(worn, subject, body, habits)
-    found = solve.motion(worn, subject, body, habits, limits, start, SolveOptions(), model)
+    found = solve.motion(worn, subject, body, habits, limits, start, SolveOptions(), (lambda: model) if model else None)
     yield "mocapfix", found
-    turned = [body.skeleton.index(gap.side + name) for name in LIMBS[limb][0]]
-    yield from limb_ways.alone(found, turned, gap.first, gap.last, gap.performance.rate, subject, model)
+    turned = np.array([body.skeleton.index(gap.side + name) for name in LIMBS[limb][0]])
+    yield from limb_ways.alone(found, turned, gap.first, gap.last, gap.performance.rate, model)
     if model is not None:
         yield "the take and time", solve.motion(worn, subject, body, habits, limits, start, SolveOptions())
 
@@ -140,7 +141,7 @@ def wearing_all() -> Subject:
 def struck(gap: Gap, limb: str, subject: Subject) -> Take:
     """-> the performance's markers, those that the limb carries missing in the gap."""
     names = subject.skeleton.names
-    carriers = {gap.side + name for name in (*LIMBS[limb][0], *MOST_OTHERS)} | {f"{gap.side[0]}Thumb"}
+    carriers = {gap.side + name for name in (*LIMBS[limb][0], *FARTHER)} | {f"{gap.side[0]}Thumb"}
     lost = np.array([names[j] in carriers for j in subject.joints])
     markers = kinematics.placed(subject, gap.performance.motion)[1]
     markers[gap.first : gap.last + 1, lost] = np.nan

@@ -1,5 +1,6 @@
 """The solve: the pose of every frame that agrees best with markers, prior and time."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +34,7 @@ def motion(
     limits: JointLimits,
     start: Motion,
     options: SolveOptions,
-    model: PoseModel | None = None,
+    model: Callable[[], PoseModel] | None = None,
 ) -> Motion:
     """-> poses, and the standard deviations of every joint and of every marker the body places.
 
@@ -42,7 +43,8 @@ def motion(
 
     worn   the take's markers in the subject's order, NaN where not seen or not believed
     prior  the independent joints' mean pose, which breaks ties in every frame
-    model  a trained model of poses, for limbs that are lost; None asks the take and time alone
+    model  gives a trained model of poses, and is called where a limb is lost for so long that the take and time cannot tell;
+           None asks them alone
     """
     rate, narrow = worn.rate, options.robust[-1]
     gone = listening.lost(worn.seen, subject, body.free)

@@ -5,6 +5,7 @@ the gap, and at the moments that the gap is learnt from, as though the limb were
 miss in the gap. Only what is new in the gap, which the take could not have foretold of the model's own answers, tells of it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,15 +24,16 @@ ROOT = 0.01  # metres
 class People:
     """A trained model of poses, as a solve asks it.
 
+    model  gives the model; called only where there is something to ask, for a network brings torch with it
     scale  times the model's standard deviations: with 2 it is believed half as much
     """
 
     tree: Tree
-    model: PoseModel
+    model: Callable[[], PoseModel]
     scale: float
 
     def turns(
-        self, root: np.ndarray, local: np.ndarray, told: np.ndarray, lost: list[int], frames: np.ndarray, near: np.ndarray
+        self, root: np.ndarray, local: np.ndarray, told: np.ndarray, lost: np.ndarray, frames: np.ndarray, near: np.ndarray
     ) -> np.ndarray:
         """-> (N, 4 L) the quaternions, each times two, that L `lost` joints should have in N `frames`, given those `told`.
 
@@ -42,7 +44,7 @@ class People:
         weight = np.zeros(there.shape[:2])
         weight[:, [0, *told]] = SEEN**-2
         known = Courses(there, weight, at, np.full(len(frames), ROOT**-2))
-        posed = poses.under(self.tree, (known,), self.model, at, there, scale=self.scale).rotations
+        posed = poses.under(self.tree, (known,), self.model(), at, there, scale=self.scale).rotations
         every = np.ones(len(frames), bool)
         found = np.stack([2 * quaternions.of_joint(posed, j, every) for j in lost], axis=1)
         other = (found * near.reshape(found.shape)).sum(axis=2) < 0

@@ -41,34 +41,33 @@ def lost_joints(
     body = gone[:, joints].mean(axis=1) <= MOST
     solved = local.copy() if gone.any() else local
     for (first, last), lost in together(gone & body[:, None]).items():
-        hidden = gone[first : last + 1].any(axis=0)
-        told = joints[~hidden[joints]]
-        learn = chosen(body & ~gone[:, told].any(axis=1) & ~gone[:, lost].any(axis=1), first, last, rate)
+        told = joints[~gone[first : last + 1, joints].any(axis=0)]
+        learn = chosen(body & ~gone[:, np.r_[told, lost]].any(axis=1), first, last, rate)
         if len(learn) < FEWEST:
             continue
-        gap = np.arange(first, last + 1)
+        gap, doubt = np.arange(first, last + 1), variance[learn][:, lost].max(axis=1)
         known, asked = (alike.circumstances(root, solved, told, frames, rate) for frames in (learn, gap))
-        turns = np.concatenate([2 * quaternions.of_joint(solved, j, ~gone[:, j])[learn] for j in lost], axis=1)
-        doubt = variance[np.ix_(learn, lost)].max(axis=1)
         given = known, learn / rate, np.maximum(doubt - np.median(doubt), 0.0), asked, gap / rate
+        turns = np.concatenate([2 * quaternions.of_joint(solved, j, ~gone[:, j])[learn] for j in lost], axis=1)
         expected, left, power = alike.expected(turns, *given)
         lively = (len(learn) * power.reshape(-1, 4).sum(axis=1) / 3 + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
-        variance[np.ix_(gap, lost)] = open_to = DOUBT * left[:, None] * lively
-        if people and open_to.max() > SURE**2:
+        leaves_open = DOUBT * left[:, None] * lively
+        if people and leaves_open.max() > SURE**2:
             said = people.turns(root, solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
             new = said[len(learn) :] - alike.expected(said[: len(learn)], *given)[0]
-            expected += np.repeat(open_to / (open_to + (people.scale * STRAYS) ** 2), 4, axis=1) * new
+            expected += np.repeat(leaves_open / (leaves_open + (people.scale * STRAYS) ** 2), 4, axis=1) * new
         for i, j in enumerate(lost):
             quaternions.into_joint(np.ascontiguousarray(expected[:, 4 * i : 4 * i + 4]), j, local[first : last + 1])
+            variance[gap, j] = leaves_open[:, i]
 
 
-def together(gone: np.ndarray) -> dict[tuple[int, int], list[int]]:
+def together(gone: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
     """-> (first, last): the joints that are gone (T, J) from then till then, neither longer nor shorter."""
     found: dict[tuple[int, int], list[int]] = {}
     for j in np.flatnonzero(gone.any(axis=0)):
         for gap in runs(gone[:, j]):
             found.setdefault(gap, []).append(int(j))
-    return found
+    return {gap: np.array(lost) for gap, lost in found.items()}
 
 
 def chosen(known: np.ndarray, first: int, last: int, rate: float) -> np.ndarray:
