@@ -34,7 +34,6 @@ LIMBS = {  # the joints whose rotations are lost; and those whose places are, wh
     "arm": (("Arm", "ForeArm", "Hand"), ("ForeArm", "Hand", "FingerBase")),
     "leg": (("UpLeg", "Leg", "Foot"), ("Leg", "Foot", "ToeBase")),
 }
-FARTHER = ("HandIndex1", "Thumb", "FingerBase", "ToeBase")  # joints farther out, which go with their limb
 
 
 class Performance(NamedTuple):
@@ -140,11 +139,12 @@ def wearing_all() -> Subject:
 
 def struck(gap: Gap, limb: str, subject: Subject) -> Take:
     """-> the performance's markers, those that the limb carries missing in the gap."""
-    names = subject.skeleton.names
-    carriers = {gap.side + name for name in (*LIMBS[limb][0], *FARTHER)} | {f"{gap.side[0]}Thumb"}
-    lost = np.array([names[j] in carriers for j in subject.joints])
+    parents, names = subject.skeleton.parents, subject.skeleton.names
+    lost = np.isin(names, [gap.side + name for name in LIMBS[limb][0]])
+    for j in range(1, len(names)):
+        lost[j] |= lost[parents[j]]
     markers = kinematics.placed(subject, gap.performance.motion)[1]
-    markers[gap.first : gap.last + 1, lost] = np.nan
+    markers[gap.first : gap.last + 1, lost[subject.joints]] = np.nan
     return Take(markers, subject.labels, gap.performance.rate)
 
 

@@ -20,16 +20,18 @@ def alone(
     found: Motion, lost: np.ndarray, first: int, last: int, rate: float, model: PoseModel | None
 ) -> Iterator[tuple[str, Motion]]:
     """Yield ways and the motion each makes of a solved one, in which the joints `lost` lack in the frames first to last."""
-    gap = np.arange(first, last + 1)
-    ends = np.array([first - 1, last + 1])
-    known = {j: Rotation.from_matrix(found.rotations[:, j]) for j in lost}
-    yield "slerp", put(found, gap, {j: Slerp(ends, turns[ends])(gap) for j, turns in known.items()})
-    yield "cubic", put(found, gap, {j: cubic(turns, ends, gap, rate) for j, turns in known.items()})
+    gap, ends = np.arange(first, last + 1), np.array([first - 1, last + 1])
+    turns = {j: found.rotations[:, j] for j in lost}
+    yield "slerp", put(found, gap, {j: Slerp(ends, of(turns[j][ends]))(gap) for j in lost})
+    yield "cubic", put(found, gap, {j: cubic(turns[j], ends, gap, rate) for j in lost})
     if model is not None:
-        asked = np.r_[ends[0], gap, ends[1]]
-        said = answers(found, lost, asked, model)
-        yield "model, each frame alone", put(found, gap, {j: turns[1:-1] for j, turns in said.items()})
-        yield "model, corrected at both edges", put(found, gap, {j: corrected(said[j], known[j][ends]) for j in lost})
+        said = answers(found, lost, np.arange(first - 1, last + 2), model)
+        yield "model, each frame alone", put(found, gap, {j: of(said[j][1:-1]) for j in lost})
+        yield "model, corrected at both edges", put(found, gap, {j: corrected(said[j], turns[j][ends]) for j in lost})
+
+
+def of(matrices: np.ndarray) -> Rotation:
+    return Rotation.from_matrix(matrices)
 
 
 def put(found: Motion, gap: np.ndarray, turns: dict[int, Rotation]) -> Motion:
@@ -40,28 +42,28 @@ def put(found: Motion, gap: np.ndarray, turns: dict[int, Rotation]) -> Motion:
     return replace(found, rotations=rotations)
 
 
-def cubic(turns: Rotation, ends: np.ndarray, gap: np.ndarray, rate: float) -> Rotation:
-    """-> the cubic Hermite curve of rotation vectors from the one end, with the speed that the joint has at either."""
-    span, latest = max(1, round(MOMENT * rate)), len(turns) - 1
-    away = np.stack([np.zeros(3), (turns[ends[1]] * turns[ends[0]].inv()).as_rotvec()])
-    before, after = max(ends[0] - span, 0), min(ends[1] + span, latest)
-    leaving = (turns[ends[0]] * turns[before].inv()).as_rotvec() / max(ends[0] - before, 1)
-    coming = (turns[after] * turns[ends[1]].inv()).as_rotvec() / max(after - ends[1], 1)
-    return Rotation.from_rotvec(CubicHermiteSpline(ends, away, [leaving, coming])(gap)) * turns[ends[0]]
+def cubic(turns: np.ndarray, ends: np.ndarray, gap: np.ndarray, rate: float) -> Rotation:
+    """-> the cubic Hermite curve of a joint's (T, 3, 3) rotation vectors from the one end, with the speed it has at either."""
+    span, (a, b) = max(1, round(MOMENT * rate)), ends
+    before, after = max(a - span, 0), min(b + span, len(turns) - 1)
+    from_end = of(turns[[before, a, b, after]]) * of(turns[a]).inv()
+    away = from_end.as_rotvec()
+    leaving, coming = -away[0] / max(a - before, 1), (away[3] - away[2]) / max(after - b, 1)
+    return Rotation.from_rotvec(CubicHermiteSpline(ends, away[1:3], [leaving, coming])(gap)) * of(turns[a])
 
 
-def answers(found: Motion, lost: np.ndarray, frames: np.ndarray, model: PoseModel) -> dict[int, Rotation]:
-    """-> joint: what the model makes of it in each of the frames, given the joints that are not lost."""
+def answers(found: Motion, lost: np.ndarray, frames: np.ndarray, model: PoseModel) -> dict[int, np.ndarray]:
+    """-> joint: (N, 3, 3) what the model makes of it in each of the frames, given the joints that are not lost."""
     body = cmu31()
     told = np.array([j for j in np.flatnonzero(body.free)[1:] if j not in lost])
     tree = Tree(body.skeleton.parents, body.skeleton.offsets, body.free)
     either = np.ones((len(frames), 4 * len(lost)))
     turns = People(tree, lambda: model, 1.0).turns(found.root, found.rotations, told, lost, frames, either)
-    return {j: Rotation.from_quat(turns[:, 4 * i : 4 * i + 4]) for i, j in enumerate(lost)}
+    return {j: Rotation.from_quat(turns[:, 4 * i : 4 * i + 4]).as_matrix() for i, j in enumerate(lost)}
 
 
-def corrected(said: Rotation, edges: Rotation) -> Rotation:
-    """-> what was said of a gap between its two edges, first and last of `said`, with the error there blended across."""
+def corrected(said: np.ndarray, edges: np.ndarray) -> Rotation:
+    """-> what was said (N, 3, 3) of a gap between its edges, its first and last, with the error there blended across."""
     share = np.linspace(0, 1, len(said))[1:-1, None]
-    missed = edges * said[[0, -1]].inv()
-    return Rotation.from_rotvec((1 - share) * missed[0].as_rotvec() + share * missed[1].as_rotvec()) * said[1:-1]
+    missed = (of(edges) * of(said[[0, -1]]).inv()).as_rotvec()
+    return Rotation.from_rotvec((1 - share) * missed[0] + share * missed[1]) * of(said[1:-1])
