@@ -22,10 +22,11 @@ from mocapfix.solve import poses
 from mocapfix.solve.poses import Posed
 
 NONE, PAPERS = "none", "mnn-ik"
-NAMES = (NONE, "pca", "gaussian", "mixture", PAPERS, "autoencoder")  # the last that is there is the default
+NAMES = (NONE, "pca", "gaussian", "mixture", PAPERS, "autoencoder")
 MOST = 50  # iterations of a pose
 
-Shelf = dict[str, PoseModel | Naturalness | None]
+Contender = PoseModel | Naturalness | None
+Shelf = dict[str, Contender]
 
 
 @dataclass(frozen=True)
@@ -94,9 +95,11 @@ def given(rotations: np.ndarray, joints: np.ndarray, sd: float, noise: np.ndarra
 
 
 def shelf(where: Path | None = None) -> Shelf:
-    """-> the priors of NAMES whose weights are there: in a folder, or among those that ship; and none at all.
+    """-> none at all, and the priors of NAMES whose weights are there: in a folder, or among those that ship.
 
     MNN-IK's network stands in the solve as the paper has it, as one number.
+
+    Raises SceneError where the default's are not, with which the others are compared.
     """
     found: Shelf = {NONE: None}
     for name in NAMES[1:]:
@@ -104,12 +107,12 @@ def shelf(where: Path | None = None) -> Shelf:
         if path.is_file():
             model = models.load(str(path), cmu31().skeleton)
             found[name] = Naturalness(model) if name == PAPERS and isinstance(model, Autoencoder) else model
-    if where and len(found) == 1:
-        raise SceneError(f"{where}: holds no trained prior ({', '.join(NAMES[1:])}, each with .safetensors).")
+    if models.DEFAULT not in found:
+        raise SceneError(f"{where}: holds no {models.DEFAULT}.safetensors, with which the other priors are compared.")
     return found
 
 
-def solve(given: Given, model: PoseModel | Naturalness | None, start: tuple[np.ndarray, np.ndarray], most: int = MOST) -> Found:
+def solve(given: Given, model: Contender, start: tuple[np.ndarray, np.ndarray], most: int = MOST) -> Found:
     """-> the poses that a prior finds from a start, root (N, 3) and rotations (N, J, 3, 3), which stays as it is."""
     tree = kinematics.tree_of(given.skeleton)
     if model is None:
