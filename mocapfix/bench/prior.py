@@ -6,6 +6,7 @@ import numpy as np
 
 from mocapfix import prior
 from mocapfix.bench import all_joints, contenders, given_joints, iterations, speed, unseen
+from mocapfix.bench.contenders import Shelf
 from mocapfix.clock import Progress
 from mocapfix.errors import SceneError
 from mocapfix.skeleton import cmu31
@@ -47,7 +48,7 @@ def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bo
     return said
 
 
-def compared(poses: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+def compared(poses: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict:
     """-> `given_joints`, and by how much the default is `better` than the others."""
     said = given_joints.measure(poses, shelf, middle, SETS, progress)
     return {"given_joints": said, "better": given_joints.better(said, list(shelf)[-1])}

@@ -68,7 +68,7 @@ def under(
     codes    (T, P) likewise; the mean code if None
     scale    times the model's standard deviations: with 2 it is believed half as much
     scales2  squared robust scales of the other terms, wide to narrow
-    most     iterations of a frame; a round that was begun is ended
+    most     iterations of a frame; a later round that was begun is ended
     watch    told root, local and codes of all frames after each round
     """
     codes = np.zeros((len(root), model.size)) if codes is None else codes
@@ -80,7 +80,7 @@ def under(
             side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
             frames = frames[:0]
         else:
-            side_by_side(partial(search.round, scales2), batches)
+            side_by_side(partial(search.round, scales2, most), batches)
             frames = frames[(search.status[frames] == RAN_OUT) & (search.iterations[frames] < most)]
         if watch:
             watch(search.root, search.local, scale * search.shared)
@@ -144,13 +144,13 @@ class Search:
         cost_frames(self.tree, terms, batch, scale2, rows_of(terms), self.root, self.local, self.shared, cost)
         return cost
 
-    def round(self, scales2: np.ndarray, batch: np.ndarray) -> None:
+    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Go a few iterations by one linearisation, and back where that made it worse; the first through all robust scales."""
         said, tau = self.said(batch), NEAR
         if np.isinf(self.cost[batch[0]]):
             self.cost[batch], tau = self.costs(said, scales2[-1], batch), FAR
         before = self.root[batch], self.local[batch], self.shared[batch]
-        self.solve(said, tau, scales2 if tau == FAR else scales2[-1:], EACH, batch)
+        self.solve(said, tau, scales2 if tau == FAR else scales2[-1:], min(EACH, most), batch)
         fall = self.cost[batch] - self.costs(self.said_now(said, batch), scales2[-1], batch)
         worse = ~(fall >= 0)
         for now, then in zip((self.root, self.local, self.shared), before, strict=True):
