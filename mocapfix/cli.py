@@ -14,6 +14,7 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
+from mocapfix.prior.models import DEFAULT
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -120,7 +121,10 @@ def clean(
     subject: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")
     ] = None,
-    prior: PriorName = "mean-pose",
+    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = DEFAULT,
+    prior_scale: Annotated[
+        float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
+    ] = 1.0,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
     as_json: Annotated[
         Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
@@ -140,6 +144,8 @@ def clean(
         raise SystemExit(usage("clean: name at least one take (a C3D file)."))
     if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
+    if not 0 < prior_scale < float("inf"):
+        raise SystemExit(usage(f"--prior-scale must be more than 0, not {prior_scale:g}."))
     labels = tuple(label.strip() for label in keep.split(",") if label.strip())
     options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
     reports, written = [], set()
@@ -150,8 +156,8 @@ def clean(
                 raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
             check_free(where, take.stem, overwrite, take)
             with staged(take.name) as progress:
-                given = {"marker_set": marker_set, "subject": subject, "prior": prior, "options": options}
-                result = pipeline.clean(take, **given, progress=progress)
+                given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
+                result = pipeline.clean(take, **given, options=options, progress=progress)
                 outputs = result.write(where, overwrite, progress)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)

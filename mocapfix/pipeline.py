@@ -1,6 +1,7 @@
 """The stages in order: the map of the whole program."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from mocapfix.fill import FillOptions
 from mocapfix.kernels import kinematics
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
+from mocapfix.prior import models
+from mocapfix.prior.contract import PoseModel
 from mocapfix.result import Result
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
@@ -29,7 +32,8 @@ def clean(
     *,
     marker_set: str | Path | None = None,
     subject: str | Path | Subject | None = None,
-    prior: str = "mean-pose",
+    prior: str = models.DEFAULT,
+    prior_scale: float = 1.0,
     options: FillOptions = ANYTHING,
     progress: Progress | None = None,
 ) -> Result:
@@ -37,13 +41,15 @@ def clean(
 
     marker_set  a shipped set's name or a YAML file; None chooses by the take's labels
     subject     a subject file (or a Subject) from an earlier calibration; None calibrates from this take
-    prior       a shipped pose prior's name, or "none"
+    prior       what people's poses are like, where a limb is lost: a trained prior's name, its .safetensors file, or "none"
+    prior_scale  times the prior's standard deviations: with 2 it is believed half as much
     options     what may be touched and how sure a fill must be
     progress    told each stage's name as it begins
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
     """
-    clock = Clock(progress=progress)
+    clock, model = Clock(progress=progress), trained(prior)
+    weighed = SolveOptions(prior_scale=prior_scale)
     with clock("read"):
         take = read.take(path)
     check_options(take, options)
@@ -57,17 +63,18 @@ def clean(
     if set_of_take is not None:
         columns = set_of_take.columns(take.labels)
         worn = take.worn(columns, believed)
-        known, motion = posed(worn, set_of_take, known, prior, clock)
+        known, motion = posed(worn, set_of_take, known, model, weighed, clock)
         joints, error, more = held_against(take, worn, columns, known, motion)
         notes += more
     with clock("fill"):
         after, left = fill.take(take, believed, columns, known, motion, options)
     notes += guesses(after)
+    solved = record.of_solve(take, known, motion, error, prior, prior_scale) if known and motion and error is not None else None
     report = {
         "take": record.of_take(take, set_of_take.name if set_of_take else None),
         "faults": record.of_faults(take, faults),
         "subject": record.of_subject(known) if known else None,
-        "solve": record.of_solve(take, known, motion, error) if known and motion and error is not None else None,
+        "solve": solved,
         "fill": record.of_fill(take, after, left),
         "seconds": clock.seconds,
         "notes": notes,
@@ -75,17 +82,35 @@ def clean(
     return Result(take, after, faults, left, known, motion, joints, error, report)
 
 
-def posed(worn: Take, worn_set: MarkerSet, subject: Subject | None, name: str, clock: Clock) -> tuple[Subject, Motion]:
+def trained(name: str) -> Callable[[], PoseModel] | None:
+    """-> what loads a trained prior when it is first asked for, for not every take needs one; None for "none".
+
+    Raises SceneError where there is no such prior.
+    """
+    if name == "none":
+        return None
+    models.find(name)
+    return cache(lambda: models.load(name, cmu31().skeleton))
+
+
+def posed(
+    worn: Take,
+    worn_set: MarkerSet,
+    subject: Subject | None,
+    model: Callable[[], PoseModel] | None,
+    options: SolveOptions,
+    clock: Clock,
+) -> tuple[Subject, Motion]:
     """-> the subject, calibrated where it is not known yet, and its motion."""
     body = cmu31()
-    poses = prior.load(name, body.skeleton)
+    poses = prior.load("mean-pose", body.skeleton)
     if subject is None:
         with clock("calibrate"):
             subject = calibrate.subject(worn, worn_set, body, poses)
     with clock("initialise"):
         start = initialise.motion(worn, subject, body, poses)
     with clock("solve"):
-        motion = solve.motion(worn, subject, body, poses, prior.load_limits(body.skeleton), start, SolveOptions())
+        motion = solve.motion(worn, subject, body, poses, prior.load_limits(body.skeleton), start, options, model)
     return subject, motion
 
 

@@ -5,7 +5,8 @@ faults   a list: kind, marker, first, last (the file's own frame numbers, inclus
          no second edge), reason
 subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
 solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
-         deviation per axis), iterations_mean, status (sentence: frames)
+         deviation per axis), prior (null, or name, scale: what could be asked of lost limbs), iterations_mean, status
+         (sentence: frames)
 fill     missing_before, filled, mended (doubted samples replaced), left_empty, left (a list: marker, first, last, reason)
 seconds  per stage, and total
 notes    sentences on anything else a technician should know
@@ -61,8 +62,11 @@ def of_subject(subject: Subject) -> dict:
     }
 
 
-def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray) -> dict:
-    """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere."""
+def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray, prior: str, scale: float) -> dict:
+    """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere.
+
+    prior  the trained prior that could be asked, "none" for none; scale, times its standard deviations
+    """
     there = np.flatnonzero(~np.isnan(error).all(0))
     twice = {label for label, count in Counter(take.labels).items() if count > 1}
     names = [f"{label} #{m + 1}" if label in twice else label for m, label in enumerate(take.labels)]
@@ -74,6 +78,7 @@ def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray) ->
         "joint_deviation_mm": {
             name: _spread(deviation) for name, deviation in zip(subject.skeleton.names, motion.joint_deviation.T, strict=True)
         },
+        "prior": None if prior == "none" else {"name": prior, "scale": scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
         "status": {STATUS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},
     }

@@ -40,7 +40,7 @@ def test_help_shows_the_commands_in_the_order_of_the_work():
     command = [sys.executable, "-m", "mocapfix", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    commands = ("demo", "inspect", "calibrate", "clean", "view")
+    commands = ("demo", "inspect", "calibrate", "clean", "view", "run")
     places = [re.search(rf"^\W*{each}\s+\S", done.stdout, re.M) for each in commands]
     assert None not in places
     starts = [place.start() for place in places if place]
@@ -52,11 +52,11 @@ def test_every_option_of_clean_is_told_with_its_unit_and_default(mocapfix):
     status, out, _ = mocapfix("clean", "--help")
     told = flat(out.replace("│", " "))
     assert status == 0
-    for option in ("--out DIR", "--marker-set NAME|FILE", "--subject FILE", "--prior NAME|none", "--overwrite", "--json",
-                   "--max-gap SECONDS", "--keep MARKER,...", "--frames FIRST:LAST"):  # fmt: skip
+    for option in ("--out DIR", "--marker-set NAME|FILE", "--subject FILE", "--prior NAME|none", "--prior-scale X",
+                   "--overwrite", "--json", "--max-gap SECONDS", "--keep MARKER,...", "--frames FIRST:LAST"):  # fmt: skip
         assert option in told
     assert "(default: 600.0)" in told
-    assert "(default: mean-pose)" in told
+    assert "(default: gaussian)" in told
 
 
 def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):
@@ -198,6 +198,7 @@ def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocap
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
         (["clean", "a.c3d", "--max-gap", "long"], "--max-gap"),
+        (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be more than 0, not 0."),
         (["clean", "a.c3d", "--maxgap", "1"], "--maxgap"),
         (["mend", "a.c3d"], "mend"),
         (["calibrate", "a.c3d"], "--output"),
@@ -263,7 +264,8 @@ def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
     [
         (["--marker-set", "helen-hayes"], "helen-hayes: no such marker set; name one of cmu41, plug-in-gait39, or give"),
         (["--marker-set", "plug-in-gait39"], "brief.c3d: plug-in-gait39 does not fit: "),
-        (["--prior", "dancing"], "There is no prior named 'dancing'; choose one of: mean-pose, none"),
+        (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
+        (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),
         (["--frames", "1:20"], "brief.c3d: frames 1 to 20 are not in the take, which has 301 to 420"),
         (["--keep", "NOSE"], "brief.c3d: has no marker NOSE to keep; its markers are "),
         (["--subject", "gone.yaml"], "gone.yaml"),

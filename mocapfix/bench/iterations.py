@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocapfix.bench import contenders
-from mocapfix.bench.contenders import Found, Given, given
+from mocapfix.bench.contenders import Found, Given, Shelf, given
 from mocapfix.bench.given_joints import SD, drawn, errors
 from mocapfix.clock import Progress
 from mocapfix.prior.contract import PoseModel, from_middle
@@ -12,7 +12,7 @@ GIVEN = 10  # joints
 MOST = 25  # iterations shown
 
 
-def measure(rotations: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+def measure(rotations: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict:
     """-> the means over poses (N, J, 3, 3) as the solve goes on: it is stopped after 0, 1, ... iterations.
 
     A network is asked between rounds of several, and a later round is not stopped; hence `iterations`.

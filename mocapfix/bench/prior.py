@@ -6,6 +6,7 @@ import numpy as np
 
 from mocapfix import prior
 from mocapfix.bench import all_joints, contenders, given_joints, iterations, speed, unseen
+from mocapfix.bench.contenders import Shelf
 from mocapfix.clock import Progress
 from mocapfix.errors import SceneError
 from mocapfix.skeleton import cmu31
@@ -24,9 +25,12 @@ def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bo
 
     Raises SceneError or ReadError where data or weights are not what they must be.
     """
+    if frames < 1:
+        raise SceneError(f"Of {frames} poses nothing can be measured; ask for one at least.")
     if paper_split and not data:
         raise SceneError("The paper's split is of the motion that was learned from; say with --data where it is.")
     shelf, middle = contenders.shelf(), prior.load("mean-pose", cmu31().skeleton).rotations
+    progress("reading")
     poses = unseen.of_subjects(data, frames) if data else unseen.shipped()
     poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
     default = list(shelf)[-1]
@@ -44,7 +48,7 @@ def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bo
     return said
 
 
-def compared(poses: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+def compared(poses: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict:
     """-> `given_joints`, and by how much the default is `better` than the others."""
     said = given_joints.measure(poses, shelf, middle, SETS, progress)
     return {"given_joints": said, "better": given_joints.better(said, list(shelf)[-1])}

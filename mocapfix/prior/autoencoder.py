@@ -26,27 +26,50 @@ class Shape:
     """What a network is made of.
 
     features    how it is told a pose: a key of KINDS
+    gives       how it tells one, likewise
     hidden      widths of the encoder's layers; the decoder's are the same, in reverse
     code        P, how many numbers it squeezes a pose through
     activation  a key of ACTIVATIONS, on the hidden layers
+    straight    whether the code goes to the decoder's end past all layers too: what is linear need not be learned by bending
     """
 
     features: str
+    gives: str
     hidden: tuple[int, ...]
     code: int
     activation: str
+    straight: bool
+
+
+class Beside(nn.Module):
+    """The sum of what layers and one linear map say."""
+
+    def __init__(self, bent: nn.Sequential, straight: nn.Linear):
+        super().__init__()
+        self.bent, self.straight = bent, straight
+
+    def forward(self, rows: Tensor) -> Tensor:
+        return self.bent(rows) + self.straight(rows)
 
 
 class Network(nn.Module):
     """Fully connected layers down to the code and up again; code and output are not bent."""
 
-    def __init__(self, features: int, shape: Shape):
+    def __init__(self, told: int, given: int, shape: Shape):
         super().__init__()
-        sizes = (features, *shape.hidden, shape.code)
-        self.encoder, self.decoder = layers(sizes, shape.activation), layers(sizes[::-1], shape.activation)
+        self.encoder = layers((told, *shape.hidden, shape.code), shape.activation)
+        self.decoder = layers((shape.code, *shape.hidden[::-1], given), shape.activation)
+        if shape.straight:
+            self.decoder = nn.Sequential(Beside(self.decoder, nn.Linear(shape.code, given, bias=False)))
 
     def forward(self, features: Tensor) -> Tensor:
         return self.decoder(self.encoder(features))
+
+
+def built(shape: Shape, middle: np.ndarray) -> Network:
+    """-> an untrained network for poses about a middle pose (J, 3, 3)."""
+    told, given = (KINDS[kind](torch.as_tensor(middle, dtype=torch.float32)).size for kind in (shape.features, shape.gives))
+    return Network(told, given, shape)
 
 
 def layers(sizes: tuple[int, ...], activation: str) -> nn.Sequential:
@@ -73,6 +96,10 @@ class Autoencoder(PoseModel):
     @cached_property
     def features(self) -> Features:
         return KINDS[self.shape.features](torch.as_tensor(self.middle, dtype=torch.float32))
+
+    @cached_property
+    def given(self) -> Features:
+        return KINDS[self.shape.gives](torch.as_tensor(self.middle, dtype=torch.float32))
 
     @property
     def size(self) -> int:
@@ -103,17 +130,17 @@ class Autoencoder(PoseModel):
         count, size = len(joints), shape.code
         shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (size,), "spread": (size, size)}
         known = checked(tensors, **shapes)
-        network = Network(KINDS[shape.features](torch.as_tensor(known["middle"])).size, shape)
+        network = built(shape, known["middle"])
         state = {name.removeprefix("network."): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
         network.load_state_dict(state, strict=True)
         return cls(joints, known.pop("middle"), known.pop("sigma"), shape, network.eval(), **known)
 
     def _decoded(self, own: Tensor) -> tuple[Tensor]:
-        return (self.features.vectors(self.network.decoder(own)),)
+        return (self.given.vectors(self.network.decoder(own)),)
 
     def _linearised(self, own: Tensor) -> tuple[Tensor, Tensor]:
         features, slopes = through(self.network.decoder, own, torch.as_tensor(self.spread.T, dtype=torch.float32))
-        return self.features.linearised(features, slopes)
+        return self.given.linearised(features, slopes)
 
 
 def through(steps: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -124,6 +151,9 @@ def through(steps: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor,
     for step in steps:
         if isinstance(step, nn.Linear):
             rows, slopes = step(rows), slopes @ step.weight.T
+        elif isinstance(step, Beside):
+            (a, b), (c, d) = through(step.bent, rows, slopes), through(nn.Sequential(step.straight), rows, slopes)
+            rows, slopes = a + c, b + d
         else:
             bend = each_derivative(step, rows)
             rows, slopes = step(rows), slopes * bend[:, None]

@@ -13,16 +13,27 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
 
+DEFAULT = "gaussian"  # the model that is asked where nobody names one
 
-def load(name: str, skeleton: Skeleton) -> PoseModel:
-    """-> the model shipped as priors/NAME.safetensors, or that of the file, where `name` ends so.
 
-    Raises SceneError naming the models there are; or the file, where it holds none or one of another skeleton.
+def find(name: str) -> Path:
+    """-> where the model is that is shipped as priors/NAME.safetensors, or the file, where `name` ends so.
+
+    Raises SceneError naming the models there are.
     """
     path = Path(name) if name.endswith(".safetensors") else folder("priors") / f"{Path(name).name}.safetensors"
     if not path.is_file():
         there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors")))
         raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
+    return path
+
+
+def load(name: str, skeleton: Skeleton) -> PoseModel:
+    """-> the model that `find` finds.
+
+    Raises SceneError naming the models there are; or the file, where it holds none or one of another skeleton.
+    """
+    path = find(name)
     try:
         with safe_open(path, "numpy") as file:
             said = json.loads((file.metadata() or {})["mocapfix"])

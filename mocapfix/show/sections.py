@@ -87,11 +87,19 @@ def residuals(record: dict) -> str:
         return ""
     markers, joints = _spreads(solve["marker_residual_mm"]["by_marker"]), _spreads(solve["joint_deviation_mm"])
     status = table(("Frames", "How their solve ended"), [(f"{n:,}", text) for text, n in solve["status"].items() if n])
-    iterations = f'<p class="soft">{number(solve["iterations_mean"])} iterations a frame on average.</p>'
+    iterations = f'<p class="soft">{number(solve["iterations_mean"])} iterations a frame on average. {_prior(solve)}</p>'
     return (
         f"<h2>Each marker’s distance from the body</h2>{legend(RESIDUALS)}{markers}"
         f"<h2>How surely each joint is known</h2>{legend(DEVIATIONS)}{joints}<h2>The solve</h2>{status}{iterations}"
     )
+
+
+def _prior(solve: dict) -> str:
+    """What limbs that were lost were put back from."""
+    if (prior := solve["prior"]) is None:
+        return "Lost limbs come from the take’s own motion."
+    less = "" if prior["scale"] == 1 else f", its standard deviations times {prior['scale']:g}"
+    return f"Lost limbs come from the take’s own motion and from people’s poses (the prior {escape(prior['name'])}{less})."
 
 
 def _spreads(spread: dict[str, dict]) -> str:

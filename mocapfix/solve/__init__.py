@@ -1,5 +1,6 @@
-"""The solve: the pose of every frame that agrees best with markers, prior and time."""
+"""The solve: the pose of every frame that agrees best with markers, prior and time; and single poses, of whatever is known."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +10,20 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.problem import Attached, Problem, Uncertainty, no_pull, pull_to, within
 from mocapfix.motion import Motion
 from mocapfix.prior import JointLimits, Prior
+from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Body
 from mocapfix.solve import courses, listening, recall
+from mocapfix.solve.constraints import Camera, Constraint, Direction, Distance, Orientation, Position, Seen
 from mocapfix.solve.deviation import deviations
 from mocapfix.solve.options import SolveOptions
+from mocapfix.solve.people import People
+from mocapfix.solve.single import Pose, pose
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-__all__ = ["SolveOptions", "motion"]
+__all__ = [
+    "Camera", "Constraint", "Direction", "Distance", "Orientation", "Pose", "Position", "Seen", "SolveOptions", "motion", "pose",
+]  # fmt: skip
 
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
@@ -31,16 +38,21 @@ def motion(
     limits: JointLimits,
     start: Motion,
     options: SolveOptions,
+    model: Callable[[], PoseModel] | None = None,
 ) -> Motion:
     """-> poses, and the standard deviations of every joint and of every marker the body places.
 
     Each frame is solved alone first; the joints' smooth courses through what that says, and how surely, then pull the
     frames to each other in a second solve.
 
-    worn  the take's markers in the subject's order, NaN where not seen or not believed
+    worn   the take's markers in the subject's order, NaN where not seen or not believed
+    prior  the independent joints' mean pose, which breaks ties in every frame
+    model  gives a trained model of poses, and is called where a limb is lost for so long that the take and time cannot tell;
+           None asks them alone
     """
     rate, narrow = worn.rate, options.robust[-1]
-    listened = worn.seen & ~listening.beside_gaps(worn.seen, rate, options.beside)
+    gone = listening.lost(worn.seen, subject, body.free)
+    listened = worn.seen & ~listening.beside_gaps(worn.seen, gone[:, subject.joints], rate, options.beside)
     said_once = pull_to(prior.weakened(1 / (options.habit * rate)))
     walls = within(limits, options.limit_sd * np.sqrt(options.habit * rate))
     tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
@@ -51,7 +63,8 @@ def motion(
 
     root, local = start.root.copy(), start.rotations.copy()
     alone, known, left_open = each_alone(problem, root, local, unsure, gone, rate, options)
-    recall.lost_joints(root, local, known.turns, gone, body.free, rate)
+    people = People(tree, model, options.prior_scale) if model else None
+    recall.lost_joints(root, local, known.turns, gone, body.free, rate, people)
     course = courses.smooth(root, local, known, body.free, rate, options)
     root, local = course.root.copy(), course.rotations.copy()
     status, together = problem.solve(root, local, course, (narrow,))

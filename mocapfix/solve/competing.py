@@ -21,6 +21,8 @@ class Competing(Search):
         super().__init__(*begun)
         self.mixture = replace(self.model, spreads=self.scale * self.model.spreads)
         self.chosen = np.full(len(self.root), -1)
+        self.middle = np.ascontiguousarray(self.model.middle)
+        self.information = self.model.information / self.scale**2
 
     def said(self, batch: np.ndarray) -> tuple[Latent]:
         """-> the components that are a batch's own, now; the codes of what changed its component are those of the new one."""
@@ -33,9 +35,9 @@ class Competing(Search):
         decoded, slopes = near.linearise(at)
         return (Latent(self.middle, decoded, np.ascontiguousarray(slopes), at, self.information, np.zeros(len(at)), self.row),)
 
-    def round(self, scales2: np.ndarray, batch: np.ndarray) -> None:
+    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Go to where the component has it; the first round through all robust scales."""
         first = self.chosen[batch[0]] < 0
-        self.solve(self.said(batch), FAR if first else NEAR, scales2 if first else scales2[-1:], EACH, batch)
+        self.solve(self.said(batch), FAR if first else NEAR, scales2 if first else scales2[-1:], min(EACH, most), batch)
         now = self.mixture.near(from_middle(self.local[batch], self.middle)).chosen
         self.status[batch[now != self.chosen[batch]]] = RAN_OUT

@@ -8,18 +8,19 @@ from mocapfix.take import runs
 FLICKER = 0.025  # seconds
 
 
-def beside_gaps(believed: np.ndarray, rate: float, longest: float) -> np.ndarray:
+def beside_gaps(believed: np.ndarray, gone: np.ndarray, rate: float, longest: float) -> np.ndarray:
     """-> (T, K) bool: the samples on either side of a marker's gaps, for up to `longest` seconds.
 
     The pose shall not listen to them: a marker pulls the body to itself, so a body that lets go of it where its gap
     begins would jump, and the residual carried across the gap would be the residual of another pose. The last samples
-    before a marker is lost are its worst, too. Flicker loses none.
+    before a marker is lost are its worst, too. Flicker loses none, and neither does a gap in which the marker's joint is
+    `gone` (T, K) from end to end: there is no other pose then, for the course of a lost joint leads on from its last one.
     """
     mask = np.zeros_like(believed)
     for k in range(believed.shape[1]):
         for first, last in runs(~believed[:, k]):
             span = round(rate * min(longest, (last - first + 1) / rate - FLICKER))
-            if span > 0:
+            if span > 0 and not gone[first : last + 1, k].all():
                 mask[max(0, first - span) : last + 1 + span, k] = True
     return mask
 

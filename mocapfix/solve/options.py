@@ -25,3 +25,5 @@ class SolveOptions:
     """how far a joint strays from its smooth course, radians"""
     shift_sd: float = 0.03
     """how far the root strays from its smooth course, metres"""
+    prior_scale: float = 1.0
+    """times a trained model's standard deviations: with 2 it is believed half as much"""

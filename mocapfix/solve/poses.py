@@ -27,9 +27,9 @@ if TYPE_CHECKING:  # for it brings torch with it
     from mocapfix.prior.naturalness import Naturalness
 
 FAR, NEAR = 1e-3, 1e-6  # initial damping over the largest curvature: from a start that may be far off; from the last round's end
-EACH = 8  # iterations in a round at each robust scale: more would only go by a linearisation that holds no longer
-HOLD, FIRMER, LOOSER = 0.3, 5.0, 0.3  # how firmly a code is held where the decoder was asked; times these after each round
-ENOUGH = 0.05  # a round's fall of the cost (half a sum of squares in standard deviations) that is not worth another round
+EACH = 6  # iterations in a round at each robust scale: more would only go by a linearisation that holds no longer
+HOLD, FIRMER = 2.0, 3.0  # how firmly a code is held where the decoder was asked; times this after a round that failed
+ENOUGH = 0.2  # a round's fall of the cost (half a sum of squares in standard deviations) that is not worth another round
 PLAIN = np.array([np.inf])  # no robust scale
 BATCH = 128  # frames at once: what a network says of them takes some 25 kB each
 
@@ -45,6 +45,7 @@ class Posed:
     codes       (T, P) of the model, each number in its own standard deviations
     status      (T,) indices into motion.STATUS
     iterations  (T,) of the Levenberg-Marquardt solve, over all rounds
+    cost        (T,) half the sum of squares of all residuals, in standard deviations
     """
 
     root: np.ndarray
@@ -52,6 +53,7 @@ class Posed:
     codes: np.ndarray
     status: np.ndarray
     iterations: np.ndarray
+    cost: np.ndarray
 
 
 def under(
@@ -66,7 +68,7 @@ def under(
     codes    (T, P) likewise; the mean code if None
     scale    times the model's standard deviations: with 2 it is believed half as much
     scales2  squared robust scales of the other terms, wide to narrow
-    most     iterations of a frame; a round that was begun is ended
+    most     iterations of a frame; a later round that was begun is ended
     watch    told root, local and codes of all frames after each round
     """
     codes = np.zeros((len(root), model.size)) if codes is None else codes
@@ -78,11 +80,21 @@ def under(
             side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
             frames = frames[:0]
         else:
-            side_by_side(partial(search.round, scales2), batches)
+            side_by_side(partial(search.round, scales2, most), batches)
             frames = frames[(search.status[frames] == RAN_OUT) & (search.iterations[frames] < most)]
         if watch:
             watch(search.root, search.local, scale * search.shared)
-    return Posed(search.root, search.local, scale * search.shared, search.status, search.iterations)
+    if once:
+        search.cost = search.costs(once, scales2[-1], np.arange(len(root)))
+    return Posed(search.root, search.local, scale * search.shared, search.status, search.iterations, search.cost)
+
+
+def linearised(model: PoseModel, scale: float, shared: np.ndarray, hold: np.ndarray, row: np.ndarray) -> Latent:
+    """-> a model as a term, its deviations times `scale`, linearised at codes of scale times `shared` (D, P)."""
+    told = shared[:1] if (shared == shared[0]).all() else shared  # alike as they are at first, where nobody knows better
+    decoded, slopes = (np.repeat(each, len(shared) // len(told), axis=0) for each in model.linearise(scale * told))
+    middle = np.ascontiguousarray(model.middle)
+    return Latent(middle, decoded, scale * slopes, shared.copy(), model.information / scale**2, hold, row)
 
 
 def searching(model: "PoseModel | Naturalness") -> type["Search"]:
@@ -98,16 +110,13 @@ class Search:
 
     def __init__(self, tree: Tree, others: tuple, model, scale: float, root, local, codes):
         self.tree, self.others, self.model, self.scale = tree, others, model, scale
-        self.middle, self.information = np.ascontiguousarray(model.middle), model.information / scale**2
         self.root, self.local, self.shared = root.copy(), local.copy(), codes / scale
         self.status, self.iterations = np.full(len(root), RAN_OUT), np.zeros(len(root), int)
         self.cost, self.hold, self.row = np.full(len(root), np.inf), np.full(len(root), HOLD), np.zeros(len(root), int)
 
     def asked(self, shared: np.ndarray, hold: np.ndarray) -> Latent:
         """-> the model linearised at unknowns (D, P), which are held there (D,)."""
-        decoded, slopes = self.model.linearise(self.scale * shared)
-        slopes = np.ascontiguousarray(self.scale * slopes)
-        return Latent(self.middle, decoded, slopes, shared.copy(), self.information, hold, self.row)
+        return linearised(self.model, self.scale, shared, hold, self.row)
 
     def said(self, batch: np.ndarray) -> tuple:
         """-> the model's terms, linearised where a batch of frames is."""
@@ -135,17 +144,17 @@ class Search:
         cost_frames(self.tree, terms, batch, scale2, rows_of(terms), self.root, self.local, self.shared, cost)
         return cost
 
-    def round(self, scales2: np.ndarray, batch: np.ndarray) -> None:
+    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Go a few iterations by one linearisation, and back where that made it worse; the first through all robust scales."""
         said, tau = self.said(batch), NEAR
         if np.isinf(self.cost[batch[0]]):
             self.cost[batch], tau = self.costs(said, scales2[-1], batch), FAR
         before = self.root[batch], self.local[batch], self.shared[batch]
-        self.solve(said, tau, scales2 if tau == FAR else scales2[-1:], EACH, batch)
+        self.solve(said, tau, scales2 if tau == FAR else scales2[-1:], min(EACH, most), batch)
         fall = self.cost[batch] - self.costs(self.said_now(said, batch), scales2[-1], batch)
         worse = ~(fall >= 0)
         for now, then in zip((self.root, self.local, self.shared), before, strict=True):
             now[batch[worse]] = then[worse]
         self.cost[batch] -= np.where(worse, 0.0, fall)
-        self.hold[batch] *= np.where(worse, FIRMER, LOOSER)
+        self.hold[batch[worse]] *= FIRMER
         self.status[batch[worse | (fall > ENOUGH)]] = RAN_OUT

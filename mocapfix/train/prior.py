@@ -68,7 +68,7 @@ def autoencoder(
     from mocapfix.prior.autoencoder import Autoencoder
     from mocapfix.train.autoencoder import train as trained
 
-    shape, network = trained(joints, middle, poses.seen, settings, checkpoint, progress)
+    shape, network = trained(joints, middle, poses.seen, poses.whose, settings, checkpoint, progress)
     raw = Autoencoder(joints, middle, np.full(len(joints), FLOOR), shape, network, np.zeros(shape.code), np.eye(shape.code))
     codes = raw.encode(poses.seen)
     covariance = np.cov(codes.T).reshape(shape.code, shape.code)

@@ -57,7 +57,7 @@ def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_t
     weights = tmp_path / "weights"
     weights.mkdir()
     shutil.copy(folder("priors") / "pca.safetensors", weights)
-    figure = tmp_path / "curves.png"
+    figure = tmp_path / "pictures" / "curves.png"
     assert bench("--frames", 3, "--data", motion, "--paper-split", weights, "--figure", figure) == 0
     told = capsys.readouterr().out
     for part in ("3 poses of people that no prior has seen", "the paper's own split", "all joints given", "frames a second"):
@@ -66,6 +66,8 @@ def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_t
 
 
 def test_what_cannot_be_is_told(motion, tmp_path):
+    with pytest.raises(SceneError, match="ask for one at least"):
+        prior.measure(None, 0, None, False, lambda what: None)
     with pytest.raises(SceneError, match="say with --data where it is"):
         prior.measure(None, 3, tmp_path, False, lambda what: None)
     with pytest.raises(SceneError, match=r"holds no trained prior \(pca, gaussian, .*autoencoder"):

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from mocapfix import prior
-from mocapfix.prior.autoencoder import Autoencoder, Network, Shape
+from mocapfix.prior.autoencoder import Autoencoder, Shape, built
 from mocapfix.prior.features import KINDS
 from mocapfix.skeleton import cmu31
 
@@ -11,24 +11,31 @@ SKELETON = cmu31().skeleton
 MIDDLE = prior.load("mean-pose", SKELETON).rotations
 
 
-def drawn(kind, activation, seed=0, code=3):
+def drawn(kind, activation, gives=None, straight=False, seed=0, code=3):
     """-> an untrained model whose poses stay near the middle"""
     torch.manual_seed(seed)
-    shape = Shape(kind, (8,), code, activation)
-    features = KINDS[kind](torch.as_tensor(MIDDLE, dtype=torch.float32))
-    network = Network(features.size, shape)
+    shape = Shape(kind, gives or kind, (8,), code, activation, straight)
+    given = KINDS[shape.gives](torch.as_tensor(MIDDLE, dtype=torch.float32))
+    network = built(shape, MIDDLE)
     with torch.no_grad():
-        *_, weight, offset = network.decoder.parameters()
-        offset.copy_(features.of(torch.zeros(31, 3)))
+        weight, offset = [*(network.decoder[0].bent if straight else network.decoder).parameters()][-2:]
+        offset.copy_(given.of(torch.zeros(31, 3)))
         weight.mul_(0.3)
     rng = np.random.default_rng(seed)
     mean, spread = rng.normal(size=code), np.tril(rng.uniform(0.5, 1.5, (code, code)))
     return Autoencoder(SKELETON.names, MIDDLE, np.full(31, 0.1), shape, network, mean, spread)
 
 
-@pytest.mark.parametrize(("kind", "activation"), [("continuous", "silu"), ("euler", "relu")])
-def test_linearising_says_how_decoding_changes(kind, activation):
-    model, codes = drawn(kind, activation), np.random.default_rng(1).normal(size=(5, 3))
+@pytest.mark.parametrize(
+    ("kind", "activation", "gives", "straight"),
+    [
+        ("continuous", "silu", "continuous", False),
+        ("euler", "relu", "euler", False),
+        ("continuous", "silu", "vectors", True),
+    ],
+)
+def test_linearising_says_how_decoding_changes(kind, activation, gives, straight):
+    model, codes = drawn(kind, activation, gives, straight), np.random.default_rng(1).normal(size=(5, 3))
     decoded, slopes = model.linearise(codes)
     assert slopes.shape == (5, 31, 3, 3)
     np.testing.assert_allclose(decoded, model.decode(codes), atol=1e-6)
@@ -52,7 +59,7 @@ def test_many_poses_are_coded_as_each_alone():
 
 
 def test_the_papers_network_has_four_layers_each_way():
-    network = Network(93, Shape("euler", (1024, 1024, 1024), 35, "relu"))
+    network = built(Shape("euler", "euler", (1024, 1024, 1024), 35, "relu", straight=False), MIDDLE)
     widths = [tuple(w.shape) for name, w in network.named_parameters() if name.endswith("weight")]
     assert widths == [(1024, 93), (1024, 1024), (1024, 1024), (35, 1024), (1024, 35), (1024, 1024), (1024, 1024), (93, 1024)]
     assert isinstance(network.encoder[-1], torch.nn.Linear)

@@ -77,6 +77,7 @@ def record(before: Take, after: Take, items: tuple[Fault, ...]) -> dict:
         "faults": [{"kind": item.kind, "marker": LABELS[item.marker]} for item in items],
         "subject": {"marker_set": "cmu41", "frames": 120, "bones_m": {"LeftLeg": 0.418, "LHipJoint": 0.0}, "spread_m": {}},
         "solve": {
+            "prior": {"name": "gaussian", "scale": 1.0},
             "marker_residual_mm": {"mean": 3.2, "p95": 7.4, "by_marker": by_marker},
             "joint_deviation_mm": {"LeftFoot": {"mean": 6.0, "p95": 9.0}, "LeftHand": {"mean": 12.0, "p95": 21.0}},
             "iterations_mean": 4.25,

@@ -31,9 +31,18 @@ LEFT = [BODY.skeleton.index(name) for name in ARM]
 def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
     believed = np.ones((100, 2), bool)
     believed[gap[0] : gap[1] + 1, 0] = False
-    mask = listening.beside_gaps(believed, rate, 0.05)
+    mask = listening.beside_gaps(believed, np.zeros((100, 2), bool), rate, 0.05)
     assert runs(mask[:, 0]) == ([] if silent is None else [silent])
     assert not mask[:, 1].any()
+
+
+def test_beside_a_gap_that_loses_the_joint_from_end_to_end_a_marker_is_listened_to():
+    believed, gone = np.ones((100, 2), bool), np.zeros((100, 2), bool)
+    believed[40:60] = False
+    gone[40:60, 0], gone[45:60, 1] = True, True
+    mask = listening.beside_gaps(believed, gone, 100.0, 0.05)
+    assert not mask[:, 0].any()
+    assert runs(mask[:, 1]) == [(35, 64)]
 
 
 def test_a_joint_misses_its_own_markers_and_its_childrens():

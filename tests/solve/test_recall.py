@@ -53,7 +53,18 @@ def test_a_lost_arm_that_mirrors_the_other_is_found(seed):
         off, guessed = away(found[LOST, j], truth[LOST, j]), away(solved[LOST, j], truth[LOST, j])
         assert off.mean() < 0.25 * guessed.mean()
         assert off.max() < 0.3
-    np.testing.assert_allclose(variance[gone], recall.UNSURE**2)
+        assert ((variance[LOST, j] > 0) & (variance[LOST, j] < 0.3)).all()
+        assert variance[LOST.start, j] < 0.2 * variance[(LOST.start + LOST.stop) // 2, j]  # surest at its edges
+
+
+def test_a_lost_arm_goes_on_from_its_edges_without_a_jump():
+    root, truth = mirroring(np.random.default_rng(2))
+    gone = np.zeros(truth.shape[:2], bool)
+    gone[LOST, LEFT] = True
+    found = recalled(root, truth, gone)[0]
+    for j in LEFT:
+        step = away(found[LOST.start - 2 : LOST.stop + 1, j], found[LOST.start - 1 : LOST.stop + 2, j])
+        assert step.max() < 1.5 * away(truth[:-1, j], truth[1:, j]).max()
 
 
 def test_what_was_not_lost_stays_bit_for_bit():
@@ -66,23 +77,39 @@ def test_what_was_not_lost_stays_bit_for_bit():
     np.testing.assert_allclose(np.linalg.det(found), 1.0)
 
 
-def test_what_it_misses_at_the_edges_is_carried_in():
-    rng = np.random.default_rng(1)
-    root, truth = mirroring(rng)
+def test_where_the_arm_stopped_mirroring_what_is_nearer_in_time_counts_for_more():
+    root, truth = mirroring(np.random.default_rng(1))
     bent = Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
     truth[250:450, LEFT[1]] = truth[250:450, LEFT[1]] @ bent  # it stops mirroring a while before it is lost
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, LEFT] = True
     off = away(recalled(root, truth, gone)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
     assert off[[0, -1]].max() < 0.08
-    assert off[50] > 0.15  # in the middle, what happened at the edges is forgotten
 
 
-def test_a_take_that_has_seen_too_little_is_not_asked():
+def test_an_arm_that_is_lost_while_a_leg_is_learns_from_the_frames_that_lost_the_leg_alone():
+    root, truth = mirroring(np.random.default_rng(3))
+    leg = [BODY.skeleton.index(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
+    gone = np.zeros(truth.shape[:2], bool)
+    gone[LOST, LEFT] = True
+    gone[250:500][:, leg] = True
+    off = away(recalled(root, truth, gone)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
+    assert off[[0, -1]].max() < 0.03
+
+
+def test_with_most_of_the_body_lost_nothing_is_recalled():
+    root, truth = mirroring(np.random.default_rng(0))
+    gone = np.zeros(truth.shape[:2], bool)
+    gone[LOST, 1:] = BODY.free[1:]
+    found, variance, solved, was = recalled(root, truth, gone)
+    np.testing.assert_array_equal(found, solved)
+    np.testing.assert_array_equal(variance, was)
+
+
+def test_a_take_that_shows_the_arm_too_little_is_not_asked():
     root, truth = mirroring(np.random.default_rng(0), frames=200)
     gone = np.zeros(truth.shape[:2], bool)
-    gone[:, LEFT] = True
-    gone[: round(recall.ENOUGH * RATE) - 1, LEFT] = False
+    gone[recall.FEWEST - 1 :, LEFT] = True
     found, variance, solved, was = recalled(root, truth, gone)
     np.testing.assert_array_equal(found, solved)
     np.testing.assert_array_equal(variance, was)
@@ -95,44 +122,23 @@ def test_nothing_lost_is_nothing_changed():
     np.testing.assert_array_equal(variance, was)
 
 
-def test_circumstances_are_those_of_the_moving_root():
-    t = np.arange(120) / RATE
-    turn = Rotation.from_euler("y", 0.5 * t[:, None]).as_matrix()
-    root = np.stack([0 * t, 0.9 + 0.1 * t, 0 * t], 1) + 0.7 * np.stack([np.cos(0.5 * t), 0 * t, -np.sin(0.5 * t)], 1)
-    said = recall.circumstances(root, turn, RATE)
-    np.testing.assert_allclose(said[:, :3], np.tile([0, 1, 0], (120, 1)), atol=1e-12)  # upright
-    np.testing.assert_allclose(said[:, 3], root[:, 1])
-    np.testing.assert_allclose(said[5:-5, 4:7], np.tile([0, 0.1, -0.35], (110, 1)), atol=1e-4)  # 0.7 m about, at 0.5 rad/s
-    np.testing.assert_allclose(said[:, 7:], np.tile([0, 0.5, 0], (120, 1)), atol=1e-9)
+def test_joints_lost_from_then_till_then_are_recalled_together():
+    gone = np.zeros((20, 5), bool)
+    gone[3:7, [1, 2]] = gone[4:7, 3] = gone[15:, 2] = True
+    assert {gap: list(lost) for gap, lost in recall.together(gone).items()} == {(3, 6): [1, 2], (4, 6): [3], (15, 19): [2]}
 
 
-def test_the_expectation_is_the_gaussians_conditional_mean():
-    rng = np.random.default_rng(5)
-    mixing = rng.normal(size=(5, 5))
-    features = rng.normal(size=(4000, 5)) @ mixing.T + rng.normal(size=5)
-    gone, whole = np.zeros((4000, 3), bool), np.ones(4000, bool)
-    gone[10, 1], whole[10] = True, False
-    expected = recall.conditional(features, gone, whole, np.arange(5, 30), np.full(5, 1e-6))
-    others = [0, 2, 3, 4]
-    design = np.c_[features[whole][:, others], np.ones(whole.sum())]
-    plane = np.linalg.lstsq(design, features[whole, 1], rcond=None)[0]
-    np.testing.assert_allclose(expected[5:30, 1], features[5:30][:, others] @ plane[:4] + plane[4], atol=1e-6)
-    assert not expected[:, [0, 2]].any()  # never lost
-    assert not expected[:5].any()  # not asked
-    assert not expected[30:].any()
-
-
-def test_each_frame_is_asked_as_though_it_had_lost_what_the_nearest_loss_has():
-    features = np.random.default_rng(6).normal(size=(200, 4)) + 5
-    gone, whole = np.zeros((200, 2), bool), np.ones(200, bool)
-    gone[50, 0], gone[60, 1], whole[[50, 60]] = True, True, False
-    expected = recall.conditional(features, gone, whole, np.arange(40, 70), np.full(4, 1e-3))
-    np.testing.assert_array_equal(expected[40:70] != 0, np.arange(40, 70)[:, None] // 55 == [0, 1])
-
-
-@given(st.sets(st.integers(0, 50), min_size=1), st.sets(st.integers(0, 50), min_size=1))
-def test_the_nearest_is_no_farther_than_any_other(among, frames):
-    among, frames = np.array(sorted(among)), np.array(sorted(frames))
-    found = recall.nearest(among, frames)
-    assert np.isin(found, among).all()
-    np.testing.assert_array_equal(np.abs(found - frames), np.abs(among[None] - frames[:, None]).min(1))
+@given(st.integers(0, 3000), st.integers(1, 400), st.sampled_from([30.0, 120.0]))
+def test_a_gap_is_learnt_from_both_edges_and_from_all_the_take(first, length, rate):
+    known = np.ones(3000, bool)
+    known[first : first + length] = False
+    chosen = recall.chosen(known, first, first + length - 1, rate)
+    assert len(chosen) <= recall.LEARNT
+    assert (np.diff(chosen) > 0).all()
+    assert known[chosen].all()
+    for edge in (first - 1, first + length):
+        assert not 0 <= edge < 3000 or edge in chosen
+    if first > 500:
+        assert chosen[0] == 0
+    if first + length < 2500:
+        assert chosen[-1] == 2999
