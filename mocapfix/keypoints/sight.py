@@ -9,7 +9,7 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Courses, Views
 from mocapfix.keypoints.detector import Detector
 from mocapfix.motion import Motion
-from mocapfix.prior.contract import PoseModel, from_middle
+from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.poses import Posed, under
 
@@ -67,14 +67,7 @@ class Sight:
         """-> (..., 2) metres, of places (..., 3), as the camera's axes see them."""
         return places @ self.rotation[:2].T
 
-    def trust(self, scale: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """-> (T, V) what each keypoint costs beside points (T, V, 3), and how much it counts, 1/m^2."""
+    def trust(self, scale: float, places: np.ndarray) -> np.ndarray:
+        """-> (T, V) in 1/m^2, how much each keypoint counts beside points (T, V, 3), as the solve counts it in the end."""
         square = self.weight * ((self.pixels / scale - self.flat(places)) ** 2).sum(axis=-1)
-        part = 1 / (1 + square / self.robust[-1] ** 2)
-        return 0.5 * square * part, self.weight * part**2
-
-    def cost(self, scale: float, poses: Posed, places: np.ndarray) -> np.ndarray:
-        """-> (T,) what poses and their points (T, V, 3) cost, as the solve counts it: half squares in standard deviations."""
-        away = from_middle(poses.rotations, self.model.middle) - self.model.decode(poses.codes)
-        habit = np.einsum("tja,jab,tjb->t", away, self.model.information, away) + (poses.codes**2).sum(axis=1)
-        return self.trust(scale, places)[0].sum(axis=1) + 0.5 * habit / self.strength**2
+        return self.weight / (1 + square / self.robust[-1] ** 2) ** 2

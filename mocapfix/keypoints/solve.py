@@ -65,7 +65,7 @@ def scale_of(sight: Sight) -> float:
         poses, places, cost = guessed(few, scale, local)
         local = poses.rotations
         best = places.reshape(*cost.shape, *places.shape[1:])[np.arange(len(cost)), cost.argmin(axis=1)]
-        return fitted_scale(few.flat(best), few.pixels, few.trust(scale, best)[1])
+        return fitted_scale(few.flat(best), few.pixels, few.trust(scale, best))
 
     return answering(answer, first_scale(few))
 
@@ -95,7 +95,7 @@ def guessed(sight: Sight, scale: float, local: np.ndarray | None = None) -> tupl
     root = shift @ many.rotation[:2]
     poses = many.solved(scale, root, local)
     _, places = many.placed(poses.root, poses.rotations)
-    return poses, places, many.cost(scale, poses, places).reshape(count, -1)
+    return poses, places, poses.cost.reshape(count, -1)
 
 
 def course(root: np.ndarray, local: np.ndarray, seen: np.ndarray, rate: float):

@@ -15,6 +15,8 @@ from torch import Tensor
 from mocapfix.prior.autoencoder import BATCH, Autoencoder, one_core
 from mocapfix.prior.features import angles, leaning, rotation
 
+MARGIN = 2.0  # of sigma, over what unseen people stray: to the fourth power it would leave g without a say
+
 
 @dataclass(frozen=True)
 class Naturalness:
@@ -30,8 +32,8 @@ class Naturalness:
 
     @property
     def deviation(self) -> float:
-        """-> rad^2, what g is for people whom the network has not seen, with the same margin as sigma."""
-        return float(3 * (self.autoencoder.sigma**2).sum())
+        """-> rad^2, by how much g differs among people whom the network has not seen: a sum of squares of normal angles."""
+        return float(np.sqrt(6 * ((self.autoencoder.sigma / MARGIN) ** 4).sum()))
 
     def at(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """-> (N,) rad^2, g of poses, local rotations (N, J, 3, 3), and how it changes as each joint turns, (N, J, 3) rad.

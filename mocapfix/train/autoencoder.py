@@ -6,6 +6,7 @@ of its last epoch to the same weights.
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from pickle import UnpicklingError
 
@@ -34,15 +35,15 @@ def train(
     settings: AutoencoderSettings,
     checkpoint: Path,
     progress: Callable[[str], None],
-) -> tuple[Shape, Network]:
-    """-> a network trained on poses (N, J, 3), its weights rounded to half precision.
+) -> tuple[Shape, Network, Doubt]:
+    """-> a network trained on poses (N, J, 3), its weights rounded to half precision, and how poses stray from it.
 
     whose       (N,) the number of the subject of each pose
     checkpoint  a file that is written after each epoch; training goes on from it where it is of these settings and poses
     """
-    shape = Shape(settings.features, settings.gives, settings.hidden, settings.code, settings.activation, settings.straight)
+    shape = Shape(**{field.name: getattr(settings, field.name) for field in fields(Shape)})
     features, given = (KINDS[kind](torch.as_tensor(middle, dtype=torch.float32)) for kind in (shape.features, shape.gives))
-    network, doubt = initial(middle, shape, settings), Doubt(given.size, shape.code)
+    network, doubt = initial(given.size, middle, shape, settings)
     poses, weights = torch.as_tensor(vectors, dtype=torch.float32), torch.as_tensor(shares(whose, settings.balance))
     steps = -(-len(poses) // settings.batch)
     learned = [*network.parameters(), *doubt.parameters()]
@@ -67,7 +68,7 @@ def train(
         progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total / steps:.4f}")
         with replacing(checkpoint) as part:
             torch.save({"mark": mark, "epoch": epoch + 1} | {name: each.state_dict() for name, each in parts.items()}, part)
-    return shape, network.half().float().eval()
+    return shape, network.half().float().eval(), doubt
 
 
 def shares(whose: np.ndarray, balance: float) -> np.ndarray:
@@ -91,15 +92,15 @@ def partly_spoiled(vectors: Tensor, part: float, of_limbs: Tensor, generator: Ge
     return torch.where(which, spoiled(vectors, of_limbs, generator), vectors)
 
 
-def initial(middle: np.ndarray, shape: Shape, settings: AutoencoderSettings) -> Network:
-    """-> the network before training, drawn by the seed."""
+def initial(given: int, middle: np.ndarray, shape: Shape, settings: AutoencoderSettings) -> tuple[Network, Doubt]:
+    """-> the network before training and what is learned with it, drawn by the seed; given: features of a decoded pose."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = built(shape, middle)
+        network, doubt = built(shape, middle), Doubt(given, shape.astray, shape.code)
         if settings.initial is not None:
             for weight in network.parameters():
                 nn.init.normal_(weight, 0.0, settings.initial)
-    return network
+    return network, doubt
 
 
 def falling(settings: AutoencoderSettings, steps: int) -> Callable[[int], float]:

@@ -2,9 +2,9 @@
 2014, Eq. 10).
 
 The code of a pose is not one point but known only so far, and drawn about the encoder's: so neighbouring codes must mean
-neighbouring poses, and all codes together are normal, which is what the solve takes them for. How far, and how far each
-axis of each joint strays from what its code means, is learned with the network; joints that nobody can tell weigh little
-by themselves.
+neighbouring poses, and all codes together are normal, which is what the solve takes them for. How far, and how poses stray
+from what their codes mean, each axis by itself and many together, is learned with the network; joints that nobody can
+tell weigh little by themselves.
 """
 
 import math
@@ -20,12 +20,30 @@ BEGIN = 0.1, 0.3  # radians of the pose, deviations of the code: how far they ar
 
 
 class Doubt(nn.Module):
-    """Logarithms of deviations: of the axes of poses about what their codes mean, and of codes about the encoder's."""
+    """How poses stray from what their codes mean, and codes from the encoder's.
 
-    def __init__(self, given: int, code: int):
+    pose    (F,) logarithms of each feature's deviation by itself
+    astray  (R, F) directions in which they stray together, each as long as its deviation
+    code    (P,) logarithms of the code's deviations
+    """
+
+    def __init__(self, given: int, astray: int, code: int):
         super().__init__()
         self.pose = nn.Parameter(torch.full((given,), math.log(BEGIN[0])))
+        self.astray = nn.Parameter(BEGIN[0] * torch.randn(astray, given) / math.sqrt(given))
         self.code = nn.Parameter(torch.full((code,), math.log(BEGIN[1])))
+
+    @property
+    def noise(self) -> Tensor:
+        """-> (F,) each feature's deviation by itself."""
+        return self.pose.clamp_min(math.log(LEAST)).exp()
+
+    def cost(self, away: Tensor) -> Tensor:
+        """-> (N,) minus the logarithm of how likely poses stray so (N, F), but for a constant."""
+        covariance = torch.diag(self.noise**2) + self.astray.T @ self.astray
+        root = torch.linalg.cholesky(covariance)
+        alike = torch.linalg.solve_triangular(root, away.T, upper=False)
+        return 0.5 * (alike**2).sum(0) + root.diagonal().log().sum()
 
 
 def loss(network: Network, doubt: Doubt, shown: Tensor, poses: Tensor, given: Features, generator: Generator) -> Tensor:
@@ -35,7 +53,5 @@ def loss(network: Network, doubt: Doubt, shown: Tensor, poses: Tensor, given: Fe
     """
     code = network.encoder(shown)
     drawn = code + doubt.code.exp() * torch.randn(code.shape, generator=generator)
-    noise = doubt.pose.clamp_min(math.log(LEAST))
-    away = (network.decoder(drawn) - given.of(poses)) * torch.exp(-noise)
     spent = 0.5 * (code**2 + (2 * doubt.code).exp()) - doubt.code
-    return (0.5 * away**2 + noise).sum(1).mean() + spent.sum(1).mean()
+    return doubt.cost(network.decoder(drawn) - given.of(poses)).mean() + spent.sum(1).mean()

@@ -35,7 +35,7 @@ class AutoencoderSettings(Stated):
     """An autoencoder; title, test and unseen as in LinearSettings.
 
     seed        of weights, order and corruption
-    features, gives, hidden, code, activation, straight   the network, see mocapfix.prior.autoencoder.Shape
+    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.prior.autoencoder.Shape
     initial     standard deviation of the weights at the start; null for torch's own
     epochs      times that every pose is seen
     batch       poses in a step
@@ -54,9 +54,10 @@ class AutoencoderSettings(Stated):
     unseen: frozenset[str]
     seed: int
     features: Literal["continuous", "euler", "vectors"]
-    gives: Literal["continuous", "euler", "vectors"]
+    gives: Literal["euler", "vectors"]
     hidden: tuple[PositiveInt, ...]
     code: PositiveInt
+    astray: Annotated[int, Field(ge=0)]
     activation: Literal["silu", "relu"]
     straight: bool
     initial: PositiveFloat | None

@@ -36,7 +36,7 @@ def poses():
 
 def run(poses, checkpoint, said, progress=lambda what: None):
     whose = np.arange(len(poses)) // 80
-    _, network = trained(NAMES, MIDDLE, poses.reshape(-1, 31, 3), whose, said, checkpoint, progress)
+    _, network, _ = trained(NAMES, MIDDLE, poses.reshape(-1, 31, 3), whose, said, checkpoint, progress)
     return torch.cat([w.flatten() for w in network.state_dict().values()])
 
 
@@ -82,7 +82,7 @@ def test_weights_are_such_as_half_precision_holds(poses, tmp_path):
 
 
 def test_the_papers_norm_is_of_weights_without_offsets():
-    network = Network(2, 2, Shape("euler", "euler", (3,), 1, "relu", straight=False))
+    network = Network(2, 2, Shape("euler", "euler", (3,), 1, 0, "relu", straight=False))
     with torch.no_grad():
         for w in network.parameters():
             w.fill_(2.0)
@@ -91,7 +91,7 @@ def test_the_papers_norm_is_of_weights_without_offsets():
 
 def test_the_papers_weights_start_as_small_as_the_settings_say():
     said = small("mnn-ik", hidden=(200,))
-    network = autoencoder.initial(MIDDLE, Shape("euler", "euler", (200,), 4, "relu", straight=False), said)
+    network, _ = autoencoder.initial(93, MIDDLE, Shape("euler", "euler", (200,), 4, 0, "relu", straight=False), said)
     first = next(network.encoder.parameters())
     assert float(first.detach().std()) == pytest.approx(0.01, rel=0.02)
 
