@@ -48,5 +48,6 @@ def fits(task: Given, found: Found) -> np.ndarray:
 
 def strangeness(model: PoseModel, found: Found) -> np.ndarray:
     """-> (N,) how strange the prior finds a pose: how far it is from what its code means, and the code from people's."""
-    away = (from_middle(found.rotations, model.middle) - model.decode(found.codes)) / model.sigma[:, None]
+    vectors = from_middle(found.rotations, model.middle)
+    away = (vectors - model.near(vectors).decode(found.codes)) / model.sigma[:, None]
     return 0.5 * ((away**2).sum(axis=(1, 2)) + (found.codes**2).sum(axis=1))

@@ -1,7 +1,7 @@
 """Poses under a mixture: the component in which a pose costs least stands for the whole mixture, until another is cheaper.
 
 Within a component all is linear, so that no round makes anything worse; a frame is done when it has converged in the component
-that is its own there.
+that is its own there. What it costs to be in a component, the wider and the rarer the more, counts.
 """
 
 from dataclasses import replace
@@ -19,25 +19,25 @@ class Competing(Search):
 
     def __init__(self, *begun):
         super().__init__(*begun)
-        self.mixture = replace(self.model, spreads=self.scale * self.model.spreads)
+        self.mixture = replace(self.model, spreads=self.scale * self.model.spreads, sigma=self.scale * self.model.sigma)
         self.chosen = np.full(len(self.root), -1)
-        self.middle = np.ascontiguousarray(self.model.middle)
-        self.information = self.model.information / self.scale**2
 
     def said(self, batch: np.ndarray) -> tuple[Latent]:
         """-> the components that are a batch's own, now; the codes of what changed its component are those of the new one."""
-        vectors = from_middle(self.local[batch], self.middle)
+        vectors = from_middle(self.local[batch], self.mixture.middle)
         near = self.mixture.near(vectors)
         changed = near.chosen != self.chosen[batch]
         self.shared[batch[changed]] = near.encode(vectors)[changed]
         self.chosen[batch], self.row[batch] = near.chosen, np.arange(len(batch))
         at = self.shared[batch]
         decoded, slopes = near.linearise(at)
-        return (Latent(self.middle, decoded, np.ascontiguousarray(slopes), at, self.information, np.zeros(len(at)), self.row),)
+        middle, hold = np.ascontiguousarray(near.middle), np.zeros(len(at))
+        return (Latent(middle, decoded, np.ascontiguousarray(slopes), at, near.information, hold, self.row),)
 
     def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Go to where the component has it; the first round through all robust scales."""
-        first = self.chosen[batch[0]] < 0
-        self.solve(self.said(batch), FAR if first else NEAR, scales2 if first else scales2[-1:], min(EACH, most), batch)
-        now = self.mixture.near(from_middle(self.local[batch], self.middle)).chosen
+        first, said = self.chosen[batch[0]] < 0, self.said(batch)
+        self.solve(said, FAR if first else NEAR, scales2 if first else scales2[-1:], min(EACH, most), batch)
+        self.cost[batch] = self.costs(said, scales2[-1], batch) + self.mixture.offsets[self.chosen[batch]]
+        now = self.mixture.near(from_middle(self.local[batch], self.mixture.middle)).chosen
         self.status[batch[now != self.chosen[batch]]] = RAN_OUT
