@@ -72,7 +72,7 @@ class Found:
 def placed(skeleton: Skeleton, root: np.ndarray, rotations: np.ndarray) -> Found:
     """-> poses that nobody had to look for, with where they put the joints."""
     nothing = np.zeros(len(root), int)
-    return put(skeleton, Posed(root, rotations, np.zeros((len(root), 0)), nothing, nothing))
+    return put(skeleton, Posed(root, rotations, np.zeros((len(root), 0)), nothing, nothing, np.zeros(len(root))))
 
 
 def put(skeleton: Skeleton, solved: Posed) -> Found:
@@ -115,7 +115,7 @@ def unaided(tree: Tree, points: Points, root: np.ndarray, local: np.ndarray, mos
     """
     frames, joints = local.shape[:2]
     status, iterations = np.zeros((2, frames), int)
-    found = Posed(root.copy(), local.copy(), np.zeros((frames, 0)), status, iterations)
+    found = Posed(root.copy(), local.copy(), np.zeros((frames, 0)), status, iterations, np.zeros(frames))
     over_frames(
         solve_frames, frames, tree, (points,), plan.alone(frames, joints), np.array([np.inf]), poses.FAR, most, None,
         found.root, found.rotations, found.codes, status, iterations,
