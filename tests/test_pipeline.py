@@ -252,6 +252,19 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, k
     assert result.report["take"]["marker_set"] == "cmu41"
 
 
+def test_an_arm_whose_markers_all_tremble_is_not_lost(brief, cleaned, tmp_path):
+    markers, arm = brief.markers.copy(), [brief.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")]
+    markers[40:100, arm] += np.random.default_rng(0).normal(0, 0.02, (60, 4, 3))
+    path = tmp_path / "trembling.c3d"
+    path.write_bytes(as_c3d(markers, brief.labels))
+    result = pipeline.clean(path, subject=brief.subject)
+    assert result.faults.counts()["jitter"] >= 4
+    hand = result.subject.skeleton.index("LeftHand")
+    off = np.linalg.norm(result.joints[40:100, hand] - cleaned.result.joints[40:100, hand], axis=1)
+    assert off.mean() < 0.015  # a hand lost for so long would be farther off
+    assert (result.take.markers[45:95, arm] != result.before.markers[45:95, arm]).any(-1).mean() > 0.9  # and they are mended
+
+
 def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):
     subject = pipeline.calibrated([brief.path, cleaned.path])
     assert subject.labels == pipeline.marker_set.load("cmu41").labels
