@@ -1,10 +1,11 @@
 """Poses under a learned model: the model's code is an unknown of the solve, its decoder linear near where it was asked.
 
-A linear model is asked once. A network is asked anew between rounds of a few iterations, for many frames at once, and only for
-those that have not converged. Its linearisation is good near the code where it was asked and no farther: the code is held
-there, the more firmly the oftener a round ended at a higher cost than it began with; such a round is taken back. (Levenberg
-and Marquardt once more, for what the sweep takes as linear.) Mixtures and the paper's number go otherwise: see `competing` and
-`natural`.
+A linear model is asked once. A network is asked between rounds of a few iterations, for many frames at once, and only for those
+that have not converged: each time what it says, which costs next to nothing, but how that changes with the code only in the
+first two rounds and after one that failed. Between these the derivative is mended by what each step found (Broyden 1965).
+Such a model is good near the code where it was asked and no farther: the code is held there, and where a round ends at a higher
+true cost than it began with, it is taken back and the code held more firmly. (Levenberg and Marquardt once more, for what the
+sweep takes as linear.) Mixtures and the paper's number go otherwise: see `competing` and `natural`.
 """
 
 from collections.abc import Callable
@@ -15,13 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mocapfix.kernels.cost import cost_frames
-from mocapfix.kernels.levenberg import RAN_OUT, solve_frames
+from mocapfix.kernels.levenberg import RAN_OUT, SLIGHT, solve_frames
 from mocapfix.kernels.plan import alone
 from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Latent, rows_of
 from mocapfix.kernels.threads import side_by_side
 from mocapfix.prior.contract import PoseModel
 from mocapfix.prior.mixture import Mixture
+from mocapfix.solve.linearised import linearised, mend
 
 if TYPE_CHECKING:  # for it brings torch with it
     from mocapfix.prior.naturalness import Naturalness
@@ -68,33 +70,22 @@ def under(
     codes    (T, P) likewise; the mean code if None
     scale    times the model's standard deviations: with 2 it is believed half as much
     scales2  squared robust scales of the other terms, wide to narrow
-    most     iterations of a frame; a later round that was begun is ended
+    most     iterations of a frame; a round that was begun is ended
     watch    told root, local and codes of all frames after each round
     """
     codes = np.zeros((len(root), model.size)) if codes is None else codes
     search, frames = searching(model)(tree, others, model, scale, root, local, codes), np.arange(len(root))
-    once = (search.asked(codes[:1], np.zeros(1)),) if model.linear else None
-    while len(frames):
-        batches = np.array_split(frames, -(-len(frames) // BATCH))
-        if once:
-            side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
-            frames = frames[:0]
-        else:
-            side_by_side(partial(search.round, scales2, most), batches)
-            frames = frames[(search.status[frames] == RAN_OUT) & (search.iterations[frames] < most)]
+    batches = [frames] if watch else np.array_split(frames, -(-len(frames) // BATCH) or 1)
+    once = search.asked(codes[:1]) if model.linear else None
+    if once:
+        side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
         if watch:
             watch(search.root, search.local, scale * search.shared)
+    else:
+        side_by_side(partial(search.rounds, scales2, most, watch), batches)
     if once:
         search.cost = search.costs(once, scales2[-1], np.arange(len(root)))
     return Posed(search.root, search.local, scale * search.shared, search.status, search.iterations, search.cost)
-
-
-def linearised(model: PoseModel, scale: float, shared: np.ndarray, hold: np.ndarray, row: np.ndarray) -> Latent:
-    """-> a model as a term, its deviations times `scale`, linearised at codes of scale times `shared` (D, P)."""
-    told = shared[:1] if (shared == shared[0]).all() else shared  # alike as they are at first, where nobody knows better
-    decoded, slopes = (np.repeat(each, len(shared) // len(told), axis=0) for each in model.linearise(scale * told))
-    middle = np.ascontiguousarray(model.middle)
-    return Latent(middle, decoded, scale * slopes, shared.copy(), model.information / scale**2, hold, row)
 
 
 def searching(model: "PoseModel | Naturalness") -> type["Search"]:
@@ -110,27 +101,17 @@ class Search:
 
     def __init__(self, tree: Tree, others: tuple, model, scale: float, root, local, codes):
         self.tree, self.others, self.model, self.scale = tree, others, model, scale
-        self.root, self.local, self.shared = root.copy(), local.copy(), codes / scale
+        self.root, self.local, self.shared = (np.array(each, float, order="C") for each in (root, local, codes / scale))
         self.status, self.iterations = np.full(len(root), RAN_OUT), np.zeros(len(root), int)
-        self.cost, self.hold, self.row = np.full(len(root), np.inf), np.full(len(root), HOLD), np.zeros(len(root), int)
+        self.cost, self.row = np.zeros(len(root)), np.zeros(len(root), int)
 
-    def asked(self, shared: np.ndarray, hold: np.ndarray) -> Latent:
-        """-> the model linearised at unknowns (D, P), which are held there (D,)."""
-        return linearised(self.model, self.scale, shared, hold, self.row)
+    def asked(self, codes: np.ndarray, hold: float = 0.0) -> Latent:
+        """-> the model linearised at codes (D, P), which are held there."""
+        return linearised(self.model, self.scale, codes / self.scale, hold, self.row)
 
-    def said(self, batch: np.ndarray) -> tuple:
-        """-> the model's terms, linearised where a batch of frames is."""
-        self.row[batch] = np.arange(len(batch))
-        return (self.asked(self.shared[batch], self.hold[batch]),)
-
-    def said_now(self, terms: tuple, batch: np.ndarray) -> tuple:
-        """-> the same for where the batch has come to, but that the slopes may be those of before."""
-        latent, at = terms[0], self.shared[batch]
-        return (latent._replace(decoded=self.model.decode(self.scale * at), at=at),)
-
-    def solve(self, said: tuple, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
-        """Move a batch of frames to where the cost would be least if the model were as linear as what it `said`."""
-        terms, iterations = (*self.others, *said), np.zeros_like(self.iterations)
+    def solve(self, latent: Latent, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
+        """Move a batch of frames to where the cost would be least if the model were as linear as `latent` says."""
+        terms, iterations = (*self.others, latent), np.zeros_like(self.iterations)
         plan = alone(len(batch), self.local.shape[1])._replace(order=batch)
         solve_frames(
             self.tree, terms, plan, scales2, tau, most, rows_of(terms), self.root, self.local, self.shared, self.status,
@@ -138,23 +119,54 @@ class Search:
         )  # fmt: skip
         self.iterations[batch] += iterations[batch]
 
-    def costs(self, said: tuple, scale2: float, batch: np.ndarray) -> np.ndarray:
-        """-> (B,) what a batch of frames costs, the model's terms linearised where they are."""
-        terms, cost = (*self.others, *said), np.empty(len(batch))
+    def costs(self, latent: Latent, scale2: float, batch: np.ndarray) -> np.ndarray:
+        """-> (B,) what a batch of frames costs, `latent` linearised at their codes."""
+        terms, cost = (*self.others, latent), np.empty(len(batch))
         cost_frames(self.tree, terms, batch, scale2, rows_of(terms), self.root, self.local, self.shared, cost)
         return cost
 
-    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
-        """Go a few iterations by one linearisation, and back where that made it worse; the first through all robust scales."""
-        said, tau = self.said(batch), NEAR
-        if np.isinf(self.cost[batch[0]]):
-            self.cost[batch], tau = self.costs(said, scales2[-1], batch), FAR
+    def rounds(self, scales2: np.ndarray, most: int, watch: Watch | None, batch: np.ndarray) -> None:
+        """Solve a batch of frames, asking the model again between rounds; the first goes through all robust scales."""
+        self.row[batch] = np.arange(len(batch))
+        latent, tau, begun = self.asked(self.scale * self.shared[batch], HOLD), FAR, 0
+        self.cost[batch] = self.costs(latent, scales2[-1], batch)
+        while len(batch):
+            stale = self.round(latent, tau, scales2, min(EACH, most), batch)
+            batch, stale = (part[self.unfinished(part, most)] for part in (batch, stale))
+            if len(batch):
+                self.ask_again(latent, stale if begun else batch)
+            tau, scales2, begun = NEAR, scales2[-1:], begun + 1
+            if watch:
+                watch(self.root, self.local, self.scale * self.shared)
+
+    def unfinished(self, frames: np.ndarray, most: int) -> np.ndarray:
+        return (self.status[frames] == RAN_OUT) & (self.iterations[frames] < most)
+
+    def ask_again(self, latent: Latent, frames: np.ndarray) -> None:
+        """Write into `latent` how what the model says of some frames changes with their codes."""
+        rows = self.row[frames]
+        if len(rows):
+            _, slopes = self.model.linearise(self.scale * latent.at[rows])
+            latent.jacobian[rows] = self.scale * slopes
+
+    def round(self, latent: Latent, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> np.ndarray:
+        """Go a few iterations by one linearisation, and back where that made it worse. -> the frames where it did
+
+        latent  in: linearised at the frames' codes; out: likewise, its derivative mended by what the step found
+        """
+        rows = self.row[batch]
         before = self.root[batch], self.local[batch], self.shared[batch]
-        self.solve(said, tau, scales2 if tau == FAR else scales2[-1:], min(EACH, most), batch)
-        fall = self.cost[batch] - self.costs(self.said_now(said, batch), scales2[-1], batch)
-        worse = ~(fall >= 0)
+        said = latent.decoded[rows]
+        self.solve(latent, tau, scales2, most, batch)
+        step, latent.at[rows] = self.shared[batch] - before[2], self.shared[batch]
+        latent.decoded[rows] = self.model.decode(self.scale * self.shared[batch])
+        mend(latent, rows, said, step)
+        fall = self.cost[batch] - self.costs(latent, scales2[-1], batch)
+        worse, failed = ~(fall >= 0), ~(fall > -SLIGHT)
         for now, then in zip((self.root, self.local, self.shared), before, strict=True):
             now[batch[worse]] = then[worse]
+        latent.at[rows[worse]], latent.decoded[rows[worse]] = before[2][worse], said[worse]
+        latent.hold[rows[failed]] *= FIRMER
         self.cost[batch] -= np.where(worse, 0.0, fall)
-        self.hold[batch[worse]] *= FIRMER
-        self.status[batch[worse | (fall > ENOUGH)]] = RAN_OUT
+        self.status[batch[failed | (fall > ENOUGH)]] = RAN_OUT
+        return batch[failed]

@@ -89,8 +89,10 @@ def strays(model: PoseModel, vectors: np.ndarray) -> np.ndarray:
 
 
 def deviations(model: PoseModel, unseen: np.ndarray) -> np.ndarray:
-    """-> (J,) radians per axis: sigma, from poses of people the model has not seen."""
-    return np.maximum(LOOSE * np.sqrt((strays(model, unseen) ** 2).mean(0) / 3), FLOOR)
+    """-> (J,) radians per axis: sigma, from poses of people the model has not seen; of the root's tilt as measured, not LOOSE,
+    for in the solve that places people best whom the model has not seen."""
+    loose = np.where(np.arange(len(model.joints)) == 0, 1.0, LOOSE)
+    return np.maximum(loose * np.sqrt((strays(model, unseen) ** 2).mean(0) / 3), FLOOR)
 
 
 def measured(model: PoseModel, poses: Poses) -> Scores:
