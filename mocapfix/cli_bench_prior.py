@@ -27,23 +27,29 @@ def prior(
 ) -> int:  # fmt: skip
     """Compare the pose priors: from a few joints as MNN-IK does, from all of them, on lost limbs, and in frames a second."""
     from mocapfix.bench.prior import measure
+    from mocapfix.result import make_folder
 
+    if figure:
+        make_folder(figure.parent)
     with staged("prior") as progress:
         said = measure(data, frames, paper_split, figure is not None, progress)
     if figure:
         from mocapfix.bench import pictures
 
-        pictures.iterations(figure, said["iterations"])
+        pictures.iterations(figure, said["iterations"], said["default"])
     if as_json:
         sys.stdout.write(json.dumps(said, indent=1) + "\n")
         return DONE
-    out.print(from_few(f"{said['poses']} poses of people that no prior has seen", said))
+    out.print(from_few(f"{said['poses']} poses of people that no prior has seen", said, said["default"]))
     if "paper_split" in said:
-        out.print(from_few("the paper's own split: frames between those that were learned from", said["paper_split"]))
+        split = "the paper's own split: frames between those that were learned from"
+        out.print(from_few(split, said["paper_split"], said["default"]))
     table = Table("all joints given", "places moved, mm", "error amid noise of 3 mm, mm", "twist, degrees")
     for name, row in said["all_joints"].items():
         table.add_row(name, f"{row['bias_mm']:.2f}", f"{row['noisy_mm']:.2f}", f"{row['twist_deg']:.1f}")
     out.print(table)
+    if said["limb"]:
+        out.print(of_limbs(said["limb"]))
     out.print(
         f"{said['default']}: {said['fps']:,.0f} frames a second of which 10 joints are given, from a course through time; "
         f"{said['fps_from_mean_pose']:,.0f} from the mean pose."
@@ -51,7 +57,16 @@ def prior(
     return DONE
 
 
-def from_few(title: str, said: dict) -> Table:
+def of_limbs(said: dict) -> Table:
+    """-> how far a lost limb is off, by the whole solve and by each way alone."""
+    lost = [(limb, seconds) for limb in ("arm", "leg") for seconds in said[limb]]
+    table = Table("a lost limb's joints, mm off", *(f"{limb}, {seconds} s" for limb, seconds in lost))
+    for way, row in (("[bold]mocapfix[/]", said), *said["ways"].items()):
+        table.add_row(way, *(f"{row[limb][seconds]:.0f}" for limb, seconds in lost))
+    return table
+
+
+def from_few(title: str, said: dict, default: str) -> Table:
     """-> MNN-IK's table: every prior's errors by how many joints are given."""
     table = Table("mm / degrees", *(f"{count} joints" for count in said["given_joints"]), title=title, title_justify="left")
     for name in next(iter(said["given_joints"].values())):
@@ -67,7 +82,7 @@ def from_few(title: str, said: dict) -> Table:
         f"{row['position_percent']:.0f} and {row['rotation_percent']:.0f} % better than {name}"
         for name, row in said["better"].items()
     )
-    table.caption = f"{list(said['given_joints']['6'])[-1]} is {', '.join(better)} (mean of the columns)"
+    table.caption = f"{default} is {', '.join(better)} (mean of the columns)"
     return table
 
 
@@ -79,7 +94,9 @@ def hands(
 ) -> int:
     """Damage the hands of two sound captures as MNN-IK's section 5.1 does, clean them, and draw before and after."""
     from mocapfix.bench import hands, pictures
+    from mocapfix.result import make_folder
 
+    make_folder(folder)
     said = {}
     for name, path, damage in (("hand-one-marker", one_marker, hands.ONE_MARKER), ("crossed-hands", crossed, hands.CROSSED)):
         with staged(path.name):

@@ -22,3 +22,7 @@ class TakeError(MocapfixError):
 
 class SceneError(MocapfixError):
     """A marker set, subject or prior file that does not say what it must; the message names the key."""
+
+
+class ConstraintError(MocapfixError):
+    """A constraint on a pose that does not say what it must; the message names it."""

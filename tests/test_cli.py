@@ -40,7 +40,7 @@ def test_help_shows_the_commands_in_the_order_of_the_work():
     command = [sys.executable, "-m", "mocapfix", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    commands = ("demo", "inspect", "calibrate", "clean", "view")
+    commands = ("demo", "inspect", "calibrate", "clean", "view", "run")
     places = [re.search(rf"^\W*{each}\s+\S", done.stdout, re.M) for each in commands]
     assert None not in places
     starts = [place.start() for place in places if place]

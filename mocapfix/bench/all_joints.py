@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import contenders
-from mocapfix.bench.contenders import Found, given
+from mocapfix.bench.contenders import Found, Shelf, given
 from mocapfix.clock import Progress
 from mocapfix.skeleton import Skeleton
 
@@ -16,7 +16,7 @@ SD = 0.003  # metres per axis: the noise, and how sure a place is said to be
 BONE = 0.01  # metres: two joints nearer to one another have no bone between them
 
 
-def measure(rotations: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict[str, dict[str, float]]:
+def measure(rotations: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict[str, dict[str, float]]:
     """-> prior: what it changes, of poses (N, J, 3, 3).
 
     bias_mm    how far it moves joints whose places are given exactly, from where they are without it

@@ -13,14 +13,20 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Points
 from mocapfix.kernels.threads import over_frames
 from mocapfix.prior import models
+from mocapfix.prior.autoencoder import Autoencoder
+from mocapfix.prior.contract import PoseModel
+from mocapfix.prior.naturalness import Naturalness
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve import poses
 from mocapfix.solve.poses import Posed
 
-NONE = "none"
-NAMES = (NONE, "pca", "gaussian", "mixture", "mnn-ik", "autoencoder")
+NONE, PAPERS = "none", "mnn-ik"
+NAMES = (NONE, "pca", "gaussian", "mixture", PAPERS, "autoencoder")
 MOST = 50  # iterations of a pose
+
+Contender = PoseModel | Naturalness | None
+Shelf = dict[str, Contender]
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,7 @@ class Found:
 def placed(skeleton: Skeleton, root: np.ndarray, rotations: np.ndarray) -> Found:
     """-> poses that nobody had to look for, with where they put the joints."""
     nothing = np.zeros(len(root), int)
-    return put(skeleton, Posed(root, rotations, np.zeros((len(root), 0)), nothing, nothing))
+    return put(skeleton, Posed(root, rotations, np.zeros((len(root), 0)), nothing, nothing, np.zeros(len(root))))
 
 
 def put(skeleton: Skeleton, solved: Posed) -> Found:
@@ -88,19 +94,25 @@ def given(rotations: np.ndarray, joints: np.ndarray, sd: float, noise: np.ndarra
     return Given(skeleton, rotations, joints, places, sd)
 
 
-def shelf(where: Path | None = None) -> dict[str, object]:
-    """-> the priors of NAMES whose weights are there: in a folder, or among those that ship; and none at all."""
-    found: dict[str, object] = {NONE: None}
+def shelf(where: Path | None = None) -> Shelf:
+    """-> none at all, and the priors of NAMES whose weights are there: in a folder, or among those that ship.
+
+    MNN-IK's network stands in the solve as the paper has it, as one number.
+
+    Raises SceneError where the default's are not, with which the others are compared.
+    """
+    found: Shelf = {NONE: None}
     for name in NAMES[1:]:
         path = (where or folder("priors")) / f"{name}.safetensors"
         if path.is_file():
-            found[name] = models.load(str(path), cmu31().skeleton)
-    if where and len(found) == 1:
-        raise SceneError(f"{where}: holds no trained prior ({', '.join(NAMES[1:])}, each with .safetensors).")
+            model = models.load(str(path), cmu31().skeleton)
+            found[name] = Naturalness(model) if name == PAPERS and isinstance(model, Autoencoder) else model
+    if models.DEFAULT not in found:
+        raise SceneError(f"{where}: holds no {models.DEFAULT}.safetensors, with which the other priors are compared.")
     return found
 
 
-def solve(given: Given, model, start: tuple[np.ndarray, np.ndarray], most: int = MOST) -> Found:
+def solve(given: Given, model: Contender, start: tuple[np.ndarray, np.ndarray], most: int = MOST) -> Found:
     """-> the poses that a prior finds from a start, root (N, 3) and rotations (N, J, 3, 3), which stays as it is."""
     tree = kinematics.tree_of(given.skeleton)
     if model is None:
@@ -115,7 +127,7 @@ def unaided(tree: Tree, points: Points, root: np.ndarray, local: np.ndarray, mos
     """
     frames, joints = local.shape[:2]
     status, iterations = np.zeros((2, frames), int)
-    found = Posed(root.copy(), local.copy(), np.zeros((frames, 0)), status, iterations)
+    found = Posed(root.copy(), local.copy(), np.zeros((frames, 0)), status, iterations, np.zeros(frames))
     over_frames(
         solve_frames, frames, tree, (points,), plan.alone(frames, joints), np.array([np.inf]), poses.FAR, most, None,
         found.root, found.rotations, found.codes, status, iterations,

@@ -9,14 +9,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import contenders
-from mocapfix.bench.contenders import Given, given
+from mocapfix.bench.contenders import Given, Shelf, given
 from mocapfix.clock import Progress
 
 GIVEN = (6, 8, 10, 15)
 SD = 0.005  # metres: how sure a given place is said to be
 
 
-def measure(rotations: np.ndarray, shelf: dict, middle: np.ndarray, sets: int, progress: Progress) -> dict:
+def measure(rotations: np.ndarray, shelf: Shelf, middle: np.ndarray, sets: int, progress: Progress) -> dict:
     """-> number of joints given: prior: `row`, of poses (N, J, 3, 3), each solved `sets` times, from other joints each time."""
     said = {}
     for count in GIVEN:

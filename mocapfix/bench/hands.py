@@ -117,8 +117,9 @@ def moment(path: Path, damage: Damage) -> Moment:
 
 def alone(mended: Result, subject: Subject, motion: Motion, frames: np.ndarray) -> np.ndarray:
     """-> (N, J, 3) metres: the joints as the damaged markers of each frame alone place them, from the mean pose."""
-    columns = [mended.before.bare_labels.index(label) for label in subject.labels]
-    seen = np.ascontiguousarray(mended.before.markers[frames][:, columns])
+    take = mended.before
+    columns = np.array([take.bare_labels.index(label) if label in take.bare_labels else -1 for label in subject.labels])
+    seen = np.ascontiguousarray(take.worn(columns, take.seen).markers[frames])
     points = Points(subject.joints, subject.places, np.nan_to_num(seen), ~np.isnan(seen[..., 0]) / SD**2)
     start = np.tile(prior.load("mean-pose", subject.skeleton).rotations, (len(frames), 1, 1, 1))
     start[:, 0] = motion.rotations[frames, 0]

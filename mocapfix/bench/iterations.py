@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocapfix.bench import contenders
-from mocapfix.bench.contenders import Found, Given, given
+from mocapfix.bench.contenders import Found, Given, Shelf, given
 from mocapfix.bench.given_joints import SD, drawn, errors
 from mocapfix.clock import Progress
 from mocapfix.prior.contract import PoseModel, from_middle
@@ -12,23 +12,24 @@ GIVEN = 10  # joints
 MOST = 25  # iterations shown
 
 
-def measure(rotations: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+def measure(rotations: np.ndarray, shelf: Shelf, middle: np.ndarray, name: str, progress: Progress) -> dict:
     """-> the means over poses (N, J, 3, 3) as the solve goes on: it is stopped after 0, 1, ... iterations.
 
     A network is asked between rounds of several, and a later round is not stopped; hence `iterations`.
 
     iterations   prior: how many had been spent
     position_mm  prior: error of the joints
-    cost         of the solve under the last prior: the `total`, and what of it the `given` joints and the `prior` have
+    cost         of the solve under the prior `name`: the `total`, and what of it the `given` joints and the `prior` have
     """
     task = given(rotations, drawn(len(rotations), rotations.shape[1], GIVEN), SD)
     said = {"iterations": {}, "position_mm": {}}
-    for name, model in shelf.items():
-        progress(f"iterations, {name}")
+    for each, model in shelf.items():
+        progress(f"iterations, {each}")
         way = [contenders.solve(task, model, task.upright(middle), most) for most in range(MOST + 1)]
-        said["iterations"][name] = [float(found.iterations.mean()) for found in way]
-        said["position_mm"][name] = [1e3 * float(errors(task, found)[0].mean()) for found in way]
-        said["cost"] = costs(task, model, way) if isinstance(model, PoseModel) else {}
+        said["iterations"][each] = [float(found.iterations.mean()) for found in way]
+        said["position_mm"][each] = [1e3 * float(errors(task, found)[0].mean()) for found in way]
+        if each == name and isinstance(model, PoseModel):
+            said["cost"] = costs(task, model, way)
     return said
 
 

@@ -58,11 +58,11 @@ def bones(on: Axes, moment: Moment, joints: np.ndarray, colour: str, width: floa
     on.plot(ends[..., 0], ends[..., 1], color=colour, linewidth=width, solid_capstyle="round", **style)
 
 
-def iterations(target: Path, said: dict) -> None:
+def iterations(target: Path, said: dict, default: str) -> None:
     """Draw what `bench.iterations` measured: the default's costs, and every prior's errors. Raises WriteError."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    spent, default = said["iterations"], list(said["iterations"])[-1]
+    spent = said["iterations"]
     for (name, curve), colour in zip(said["cost"].items(), (INK, BAD, MENDED), strict=True):
         left.semilogy(spent[default], curve, color=colour, label=COSTS[name])
     left.set(title=f"What is minimised: {default}", ylabel="half the sum of squares, in standard deviations")

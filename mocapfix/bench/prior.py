@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix import prior
-from mocapfix.bench import all_joints, contenders, given_joints, iterations, speed, unseen
+from mocapfix.bench import all_joints, contenders, given_joints, iterations, limb, speed, unseen
+from mocapfix.bench.contenders import Contender, Shelf
 from mocapfix.clock import Progress
 from mocapfix.errors import SceneError
+from mocapfix.prior.contract import PoseModel
+from mocapfix.prior.models import DEFAULT
 from mocapfix.skeleton import cmu31
 
 SETS = 3  # of joints for each pose
@@ -17,34 +20,42 @@ FEW = 200  # poses are enough for curves
 def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bool, progress: Progress) -> dict:
     """-> every figure of the benchmark, ready for JSON.
 
-    data         a folder of motion whose `test` subjects are the poses; None for the poses that ship
+    data         a folder of motion whose `test` subjects are the poses; None for the poses that ship. Limbs are lost in motion
+                 alone, in that of its test.npz
     frames       how many poses, at most
     paper_split  a folder of weights trained on MNN-IK's own split, whose test is then done, too; needs `data`
     curves       whether to follow the errors over the iterations
 
     Raises SceneError or ReadError where data or weights are not what they must be.
     """
+    if frames < 1:
+        raise SceneError(f"Of {frames} poses nothing can be measured; ask for one at least.")
     if paper_split and not data:
         raise SceneError("The paper's split is of the motion that was learned from; say with --data where it is.")
     shelf, middle = contenders.shelf(), prior.load("mean-pose", cmu31().skeleton).rotations
+    progress("reading")
     poses = unseen.of_subjects(data, frames) if data else unseen.shipped()
     poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
-    default = list(shelf)[-1]
-    said = {"poses": len(poses), "sets": SETS, "default": default}
-    said |= compared(poses, shelf, middle, progress)
+    said = {"poses": len(poses), "sets": SETS, "default": DEFAULT} | compared(poses, shelf, middle, progress)
     said["all_joints"] = all_joints.measure(poses, shelf, middle, progress)
-    said["bias_mm"] = said["all_joints"][default]["bias_mm"]
-    rates = speed.measure(poses, shelf[default], middle, progress)
-    said |= {"fps": rates["course"], "fps_from_mean_pose": rates["mean_pose"]}
+    said["bias_mm"] = said["all_joints"][DEFAULT]["bias_mm"]
+    said |= speed.measure(poses, shelf[DEFAULT], middle, progress)
+    said["limb"] = limbs(data, shelf[DEFAULT], progress)
     if paper_split and data:
-        split = contenders.shelf(paper_split)
-        said["paper_split"] = compared(unseen.between(data, frames), split, middle, progress)
+        said["paper_split"] = compared(unseen.between(data, frames), contenders.shelf(paper_split), middle, progress)
     if curves:
-        said["iterations"] = iterations.measure(poses[:: -(-len(poses) // FEW)], shelf, middle, progress)
+        said["iterations"] = iterations.measure(poses[:: -(-len(poses) // FEW)], shelf, middle, DEFAULT, progress)
     return said
 
 
-def compared(poses: np.ndarray, shelf: dict, middle: np.ndarray, progress: Progress) -> dict:
+def compared(poses: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict:
     """-> `given_joints`, and by how much the default is `better` than the others."""
     said = given_joints.measure(poses, shelf, middle, SETS, progress)
-    return {"given_joints": said, "better": given_joints.better(said, list(shelf)[-1])}
+    return {"given_joints": said, "better": given_joints.better(said, DEFAULT)}
+
+
+def limbs(data: Path | None, model: Contender, progress: Progress) -> dict | None:
+    """-> how far lost limbs are off, see `limb.run`; None where there is no motion to lose them in."""
+    if data is None or not (data / "test.npz").is_file() or not isinstance(model, PoseModel):
+        return None
+    return limb.run(data, model, progress=progress)

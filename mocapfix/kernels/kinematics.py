@@ -40,8 +40,13 @@ def tree_of(skeleton: Skeleton) -> Tree:
 
 def world(skeleton: Skeleton, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     """-> joint positions (T, J, 3) in metres and rotations (T, J, 3, 3), in the world."""
-    position, rotation = np.empty(motion.rotations.shape[:2] + (3,)), np.empty(motion.rotations.shape)
-    over_frames(_world_frames, motion.frames, tree_of(skeleton), motion.root, motion.rotations, position, rotation)
+    return carried(tree_of(skeleton), motion.root, motion.rotations)
+
+
+def carried(tree: Tree, root: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """-> likewise where poses, root (T, 3) and local rotations (T, J, 3, 3), carry a tree's joints."""
+    position, rotation = np.empty(local.shape[:2] + (3,)), np.empty(local.shape)
+    over_frames(_world_frames, len(root), tree, root, local, position, rotation)
     return position, rotation
 
 

@@ -72,7 +72,7 @@ def factor(tree, system, mu, f):
         copy(system.shared, f.shared)
     for i in range(len(parents) - 1, 0, -1):
         p = parents[i]
-        if unknowns:
+        if len(tree.shape):
             carry_shift(i, system.shift, h, f.cross, f.shared)
         if not free[i]:
             for a in range(6):
@@ -119,17 +119,21 @@ def yield_to(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
     """Eliminate joint i's turn from what its body shares with the P unknowns; u (J, 6, 3) holds H S L^-T."""
     x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
     l10, l20, l21, d0, d1, d2 = ldl
-    for c in range(len(shared)):
+    unknowns = len(shared)
+    for c in range(unknowns):
         w0 = cross[i, 0, c] + z * cross[i, 4, c] - y * cross[i, 5, c] + own_cross[i, 0, c]
         w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c] - l10 * w0
         w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c] - l20 * w0 - l21 * w1
         yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = w0, w1, w2
-        w0, w1, w2 = d0 * w0, d1 * w1, d2 * w2
+    for c in range(unknowns):
+        w0, w1, w2 = d0 * yielding[i, 0, c], d1 * yielding[i, 1, c], d2 * yielding[i, 2, c]
         for d in range(c + 1):
             shared[c, d] -= w0 * yielding[i, 0, d] + w1 * yielding[i, 1, d] + w2 * yielding[i, 2, d]
-        for a in range(6):
-            cross[p, a, c] += cross[i, a, c] - u[i, a, 0] * w0 - u[i, a, 1] * w1 - u[i, a, 2] * w2
-    for c in range(len(shared)):
+    for a in range(6):
+        u0, u1, u2 = d0 * u[i, a, 0], d1 * u[i, a, 1], d2 * u[i, a, 2]
+        for c in range(unknowns):
+            cross[p, a, c] += cross[i, a, c] - u0 * yielding[i, 0, c] - u1 * yielding[i, 1, c] - u2 * yielding[i, 2, c]
+    for c in range(unknowns):
         y2 = d2 * yielding[i, 2, c]
         y1 = d1 * yielding[i, 1, c] - l21 * y2
         yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = d0 * yielding[i, 0, c] - l10 * y1 - l20 * y2, y1, y2
@@ -182,10 +186,10 @@ def solve(tree, system, f, g, b, step):
     step.shared  (P,) in: gradient on the shared unknowns
     """
     arm, gain, inverse, shift = system.arm, f.gain, f.inverse, system.shift
-    twist, turn, shared = step.twist, step.turn, step.shared
+    twist, turn, shared, shapes = step.twist, step.turn, step.shared, len(tree.shape)
     for i in range(len(tree.parents) - 1, 0, -1):
         p = tree.parents[i]
-        for c in range(len(shared)):
+        for c in range(shapes):
             shared[c] += shift[i, 0, c] * g[i, 3] + shift[i, 1, c] * g[i, 4] + shift[i, 2, c] * g[i, 5]
         if not tree.free[i]:
             for a in range(6):
@@ -223,7 +227,7 @@ def solve(tree, system, f, g, b, step):
         twist[i, 3] = twist[p, 3] + y * w2 - z * w1
         twist[i, 4] = twist[p, 4] + z * w0 - x * w2
         twist[i, 5] = twist[p, 5] + x * w1 - y * w0
-        for c in range(len(shared)):
+        for c in range(shapes):
             for a in range(3):
                 twist[i, 3 + a] += shift[i, a, c] * shared[c]
 

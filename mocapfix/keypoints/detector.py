@@ -28,6 +28,10 @@ class Detector:
     places: np.ndarray
     sd: np.ndarray
 
+    def placed(self, joints: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """-> (T, V, 3) metres: the points in the world, of its joints (T, J, 3) and their rotations (T, J, 3, 3)."""
+        return joints[:, self.joints] + np.einsum("tvab,vb->tva", turns[:, self.joints], self.places)
+
 
 class _Point(BaseModel):
     model_config = ConfigDict(extra="forbid")

@@ -21,7 +21,7 @@ def film(order: str, seconds: float, rate: float, seed: int = 0) -> tuple[dict, 
     rng, truth = np.random.default_rng(seed), synthetic.take(seed=seed, seconds=seconds, rate=rate)
     skeleton, known = truth.subject.skeleton, detector.load(order, truth.subject.skeleton)
     joints, turns = kinematics.world(skeleton, _turned(truth.motion))
-    places = joints[:, known.joints] + np.einsum("tvab,vb->tva", turns[:, known.joints], known.places)
+    places = known.placed(joints, turns)
     middle = SCALE * (joints[:, 0, 0].min() + joints[:, 0, 0].max()) / 2
     camera = Camera(looking(0.0), SCALE, np.array([WIDTH / 2 - middle, FLOOR]))
     sure = rng.uniform(0.5, 1.0, places.shape[:2])

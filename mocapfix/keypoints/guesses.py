@@ -8,7 +8,7 @@ the poses and of the way from each to the next is least (Viterbi, 1967).
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-HEADINGS = 8
+HEADINGS = 6
 SPEED = 1.0  # metres a second: how fast a joint goes, seen from the root (standard deviation per axis)
 FREEDOM = 12  # of how many independent numbers a step between poses is: the joints do not move one by one
 

@@ -37,8 +37,7 @@ class Result:
     @cached_property
     def _placed(self) -> tuple[np.ndarray, np.ndarray]:
         joints, turns = kinematics.world(self.skeleton, self.motion)
-        known = self.keypoints.detector
-        return joints, joints[:, known.joints] + np.einsum("tvab,vb->tva", turns[:, known.joints], known.places)
+        return joints, self.keypoints.detector.placed(joints, turns)
 
     @property
     def joints(self) -> np.ndarray:

@@ -11,9 +11,9 @@ from mocapfix.clock import Clock, Progress
 from mocapfix.errors import SceneError
 from mocapfix.keypoints import camera, read, solve
 from mocapfix.keypoints.result import Result
-from mocapfix.prior import models
 from mocapfix.scenes import read_yaml
 from mocapfix.skeleton import Skeleton, cmu31
+from mocapfix.solve.single import named
 
 STILL = 30.0  # Hz: of one image alone, for its BVH
 
@@ -26,7 +26,7 @@ class Settings(BaseModel):
     rate         Hz, where the file does not say it
     looks_down   degrees that the camera looks down; what the prior knows of standing upright needs it
     subject      a subject file, for this person's bones; null for the average body, which the scale is then for
-    prior        a trained model of poses
+    prior        a trained model of poses, or "none"
     prior_scale  times its standard deviations: with 2 it is believed half as much
     """
 
@@ -59,7 +59,7 @@ def run(path: Path, progress: Progress | None = None) -> Result:
     with clock("read"):
         skeleton = bones(path, said)
         seen = read.keypoints(path.parent / said.keypoints, skeleton)
-        model = models.load(said.prior, skeleton)
+        model = named(said.prior, skeleton)
     rate = seen.rate or said.rate or (STILL if seen.frames == 1 else None)
     if rate is None:
         raise SceneError(f"{path}: rate: must say how many frames a second {said.keypoints} has, which does not say it itself.")

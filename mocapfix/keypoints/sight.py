@@ -9,12 +9,12 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Courses, Views
 from mocapfix.keypoints.detector import Detector
 from mocapfix.motion import Motion
-from mocapfix.prior.contract import PoseModel, from_middle
+from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.poses import Posed, under
 
 ROOM = 10.0  # metres: how far the root may be from where it starts; an orthographic camera does not tell its distance
-FAR_OFF = 3.0  # standard deviations: a keypoint farther from its point on the body hardly counts (Geman-McClure)
+WIDE, NARROW = 10.0, 6.0  # standard deviations: a keypoint farther from its point hardly counts (Geman-McClure)
 NOT_FOUND = 0.1  # a confidence below which a keypoint is none
 
 
@@ -26,6 +26,7 @@ class Sight:
     strength  times the model's standard deviations
     pixels    (T, V, 2)
     weight    (T, V) 1/m^2; 0 where not seen
+    robust    standard deviations beyond which a keypoint hardly counts, wide to narrow: one scale after the other
     """
 
     skeleton: Skeleton
@@ -35,6 +36,7 @@ class Sight:
     rotation: np.ndarray
     pixels: np.ndarray
     weight: np.ndarray
+    robust: tuple[float, ...] = (WIDE, NARROW)
 
     def at(self, frames: np.ndarray) -> "Sight":
         """-> some of the frames alone, by index, also more than once."""
@@ -52,28 +54,20 @@ class Sight:
             np.ascontiguousarray(self.pixels / scale), self.weight,
         )  # fmt: skip
         near = Courses(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), root, np.full(1, ROOM**-2))
-        scales2 = np.array([np.inf, FAR_OFF**2])
+        scales2 = np.array(self.robust) ** 2
         return under(self.tree, (views, course or near), self.model, root, local, scale=self.strength, scales2=scales2)
 
     def placed(self, root: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """-> joints (T, J, 3) and the detector's points (T, V, 3), in metres, in the world."""
         none, nothing = np.zeros(len(root), int), np.zeros((len(root), 0))
         joints, turns = kinematics.world(self.skeleton, Motion(root, local, none, none, nothing, nothing))
-        d = self.detector
-        return joints, joints[:, d.joints] + np.einsum("tvab,vb->tva", turns[:, d.joints], d.places)
+        return joints, self.detector.placed(joints, turns)
 
     def flat(self, places: np.ndarray) -> np.ndarray:
         """-> (..., 2) metres, of places (..., 3), as the camera's axes see them."""
         return places @ self.rotation[:2].T
 
-    def trust(self, scale: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """-> (T, V) what each keypoint costs beside points (T, V, 3), and how much it counts, 1/m^2."""
+    def trust(self, scale: float, places: np.ndarray) -> np.ndarray:
+        """-> (T, V) in 1/m^2, how much each keypoint counts beside points (T, V, 3), as the solve counts it in the end."""
         square = self.weight * ((self.pixels / scale - self.flat(places)) ** 2).sum(axis=-1)
-        part = 1 / (1 + square / FAR_OFF**2)
-        return 0.5 * square * part, self.weight * part**2
-
-    def cost(self, scale: float, poses: Posed, places: np.ndarray) -> np.ndarray:
-        """-> (T,) what poses and their points (T, V, 3) cost, as the solve counts it: half squares in standard deviations."""
-        away = from_middle(poses.rotations, self.model.middle) - self.model.decode(poses.codes)
-        habit = np.einsum("tja,jab,tjb->t", away, self.model.information, away) + (poses.codes**2).sum(axis=1)
-        return self.trust(scale, places)[0].sum(axis=1) + 0.5 * habit / self.strength**2
+        return self.weight / (1 + square / self.robust[-1] ** 2) ** 2

@@ -5,13 +5,15 @@ is asked. At that scale each frame is solved from several headings, the likelies
 all frames once more, pulled to that course made smooth.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from mocapfix.kernels.problem import Uncertainty
 from mocapfix.keypoints import guesses
 from mocapfix.keypoints.camera import Camera, answering, centred, fitted_scale
 from mocapfix.keypoints.read import Keypoints
-from mocapfix.keypoints.sight import NOT_FOUND, Sight
+from mocapfix.keypoints.sight import NOT_FOUND, WIDE, Sight
 from mocapfix.motion import Motion
 from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Skeleton
@@ -19,7 +21,7 @@ from mocapfix.solve import courses
 from mocapfix.solve.options import SolveOptions
 from mocapfix.solve.poses import Posed
 
-TELLING = 32  # frames at most that tell the scale
+TELLING = 16  # frames at most that tell the scale
 ENOUGH = 4  # keypoints in a frame that does
 STANDING = 0.9  # of a film's frames look smaller than somebody who stands
 STRAYS, SILENT = 0.1, 10.0  # radians, and metres: how far one frame's pose is wrong by itself; one in which nobody was found
@@ -43,7 +45,7 @@ def film(
     count = keypoints.frames
     path = guesses.likeliest(cost, guesses.steps(joints.reshape(count, -1, *joints.shape[1:]), rate))
     taken = np.arange(count) * cost.shape[1] + path
-    smooth = course(poses.root[taken], poses.rotations[taken], (weight > 0).any(axis=1), rate)
+    smooth = course(poses.root[taken], poses.rotations[taken], np.any(weight > 0, axis=1), rate)
     poses = sight.solved(scale, smooth.root, smooth.rotations, smooth)
     return on_the_floor(sight, poses, scale)
 
@@ -54,6 +56,7 @@ def scale_of(sight: Sight) -> float:
     if not len(shown):
         shown = np.argmax((sight.weight > 0).sum(axis=1), keepdims=True)
     few = sight.at(shown[np.linspace(0, len(shown) - 1, min(TELLING, len(shown))).round().astype(int)])
+    few = replace(few, robust=(WIDE,))  # at a scale that is too small much lies far off, and must say so
 
     local = None
 
@@ -62,7 +65,7 @@ def scale_of(sight: Sight) -> float:
         poses, places, cost = guessed(few, scale, local)
         local = poses.rotations
         best = places.reshape(*cost.shape, *places.shape[1:])[np.arange(len(cost)), cost.argmin(axis=1)]
-        return fitted_scale(few.flat(best), few.pixels, few.trust(scale, best)[1])
+        return fitted_scale(few.flat(best), few.pixels, few.trust(scale, best))
 
     return answering(answer, first_scale(few))
 
@@ -92,7 +95,7 @@ def guessed(sight: Sight, scale: float, local: np.ndarray | None = None) -> tupl
     root = shift @ many.rotation[:2]
     poses = many.solved(scale, root, local)
     _, places = many.placed(poses.root, poses.rotations)
-    return poses, places, many.cost(scale, poses, places).reshape(count, -1)
+    return poses, places, poses.cost.reshape(count, -1)
 
 
 def course(root: np.ndarray, local: np.ndarray, seen: np.ndarray, rate: float):

@@ -1,7 +1,8 @@
 """An autoencoder of poses (MNN-IK, section 3 and appendix A): a network that squeezes a pose through a few numbers.
 
 The network's own code is of no particular size; here it is measured in the deviations that encoded poses have, so that a code
-costs half its square.
+costs half its square. What a network misses it misses in many joints at once, most of all of people it has not seen; so further
+numbers of the code are deviations along the directions in which poses stray from the network's.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,27 +27,52 @@ class Shape:
     """What a network is made of.
 
     features    how it is told a pose: a key of KINDS
+    gives       how it tells one, likewise
     hidden      widths of the encoder's layers; the decoder's are the same, in reverse
-    code        P, how many numbers it squeezes a pose through
+    code        how many numbers it squeezes a pose through
+    astray      how many directions poses may stray from it
     activation  a key of ACTIVATIONS, on the hidden layers
+    straight    whether the code goes to the decoder's end past all layers too: what is linear need not be learned by bending
     """
 
     features: str
+    gives: str
     hidden: tuple[int, ...]
     code: int
+    astray: int
     activation: str
+    straight: bool
+
+
+class Beside(nn.Module):
+    """The sum of what layers and one linear map say."""
+
+    def __init__(self, bent: nn.Sequential, straight: nn.Linear):
+        super().__init__()
+        self.bent, self.straight = bent, straight
+
+    def forward(self, rows: Tensor) -> Tensor:
+        return self.bent(rows) + self.straight(rows)
 
 
 class Network(nn.Module):
     """Fully connected layers down to the code and up again; code and output are not bent."""
 
-    def __init__(self, features: int, shape: Shape):
+    def __init__(self, told: int, given: int, shape: Shape):
         super().__init__()
-        sizes = (features, *shape.hidden, shape.code)
-        self.encoder, self.decoder = layers(sizes, shape.activation), layers(sizes[::-1], shape.activation)
+        self.encoder = layers((told, *shape.hidden, shape.code), shape.activation)
+        self.decoder = layers((shape.code, *shape.hidden[::-1], given), shape.activation)
+        if shape.straight:
+            self.decoder = nn.Sequential(Beside(self.decoder, nn.Linear(shape.code, given, bias=False)))
 
     def forward(self, features: Tensor) -> Tensor:
         return self.decoder(self.encoder(features))
+
+
+def built(shape: Shape, middle: np.ndarray) -> Network:
+    """-> an untrained network for poses about a middle pose (J, 3, 3)."""
+    told, given = (KINDS[kind](torch.as_tensor(middle, dtype=torch.float32)).size for kind in (shape.features, shape.gives))
+    return Network(told, given, shape)
 
 
 def layers(sizes: tuple[int, ...], activation: str) -> nn.Sequential:
@@ -61,39 +87,51 @@ class Autoencoder(PoseModel):
     """A trained network.
 
     shape   what it is made of: kind of features, hidden layers, code, activation
-    mean    (P,) of the network's own code of people's poses; that is mean + spread code
-    spread  (P, P) lower triangular
+    mean    (N,) of the network's own code of people's poses; that is mean + spread code, of the code's first N numbers
+    spread  (N, N) lower triangular
+    astray  (P - N, J, 3) radians: how poses stray from the network's, each row for one deviation of another number of the code
     """
 
     shape: Shape
     network: Network
     mean: np.ndarray
     spread: np.ndarray
+    astray: np.ndarray
 
     @cached_property
     def features(self) -> Features:
         return KINDS[self.shape.features](torch.as_tensor(self.middle, dtype=torch.float32))
 
+    @cached_property
+    def given(self) -> Features:
+        return KINDS[self.shape.gives](torch.as_tensor(self.middle, dtype=torch.float32))
+
     @property
     def size(self) -> int:
-        return len(self.mean)
+        return len(self.mean) + len(self.astray)
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
-        (own,) = batched(lambda v: (self.network.encoder(self.features.of(v)),), vectors)
-        return np.linalg.solve(self.spread, (own - self.mean).T).T
+        """-> (N, P): the network's numbers, and the likeliest of the others beside these."""
+        own, decoded = batched(self._encoded, vectors)
+        axes = 3 * len(self.joints)
+        weights = (self.astray / self.sigma[:, None]).reshape(len(self.astray), axes)
+        away = ((vectors - decoded) / self.sigma[:, None]).reshape(len(vectors), axes)
+        others = np.linalg.solve(weights @ weights.T + np.eye(len(weights)), weights @ away.T).T
+        return np.concatenate([np.linalg.solve(self.spread, (own - self.mean).T).T, others], axis=1)
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        (decoded,) = batched(self._decoded, self.mean + codes @ self.spread.T)
-        return decoded
+        (decoded,) = batched(self._decoded, self._own(codes))
+        return decoded + self._strayed(codes)
 
     def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        decoded, slopes = batched(self._linearised, self.mean + codes @ self.spread.T)
-        return decoded, slopes
+        decoded, slopes = batched(self._linearised, self._own(codes))
+        others = np.broadcast_to(np.moveaxis(self.astray, 0, -1), (*decoded.shape, len(self.astray)))
+        return decoded + self._strayed(codes), np.concatenate([slopes, others], axis=-1)
 
     def packed(self) -> tuple[dict, dict[str, np.ndarray]]:
         """Half precision for the weights: sigma, mean and spread were measured after rounding them."""
         weights = {f"network.{name}": w.numpy().astype(np.float16) for name, w in self.network.state_dict().items()}
-        tensors = {name: getattr(self, name).astype(np.float32) for name in ("middle", "sigma", "mean", "spread")}
+        tensors = {name: getattr(self, name).astype(np.float32) for name in ("middle", "sigma", "mean", "spread", "astray")}
         return {"shape": asdict(self.shape)}, tensors | weights
 
     @classmethod
@@ -102,18 +140,28 @@ class Autoencoder(PoseModel):
         weights = {name: tensors.pop(name) for name in list(tensors) if name.startswith("network.")}
         count, size = len(joints), shape.code
         shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (size,), "spread": (size, size)}
-        known = checked(tensors, **shapes)
-        network = Network(KINDS[shape.features](torch.as_tensor(known["middle"])).size, shape)
+        known = checked(tensors, **shapes, astray=(shape.astray, count, 3))
+        network = built(shape, known["middle"])
         state = {name.removeprefix("network."): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
         network.load_state_dict(state, strict=True)
         return cls(joints, known.pop("middle"), known.pop("sigma"), shape, network.eval(), **known)
 
+    def _own(self, codes: np.ndarray) -> np.ndarray:
+        return self.mean + codes[:, : len(self.mean)] @ self.spread.T
+
+    def _strayed(self, codes: np.ndarray) -> np.ndarray:
+        return np.tensordot(codes[:, len(self.mean) :], self.astray, 1)
+
+    def _encoded(self, vectors: Tensor) -> tuple[Tensor, Tensor]:
+        own = self.network.encoder(self.features.of(vectors))
+        return own, *self._decoded(own)
+
     def _decoded(self, own: Tensor) -> tuple[Tensor]:
-        return (self.features.vectors(self.network.decoder(own)),)
+        return (self.given.vectors(self.network.decoder(own)),)
 
     def _linearised(self, own: Tensor) -> tuple[Tensor, Tensor]:
         features, slopes = through(self.network.decoder, own, torch.as_tensor(self.spread.T, dtype=torch.float32))
-        return self.features.linearised(features, slopes)
+        return self.given.linearised(features, slopes)
 
 
 def through(steps: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -124,6 +172,9 @@ def through(steps: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor,
     for step in steps:
         if isinstance(step, nn.Linear):
             rows, slopes = step(rows), slopes @ step.weight.T
+        elif isinstance(step, Beside):
+            (a, b), (c, d) = through(step.bent, rows, slopes), through(nn.Sequential(step.straight), rows, slopes)
+            rows, slopes = a + c, b + d
         else:
             bend = each_derivative(step, rows)
             rows, slopes = step(rows), slopes * bend[:, None]

@@ -87,7 +87,28 @@ class Euler(Features):
         return logarithm(rotation(z) @ rotation(y) @ rotation(x) @ self.middle.transpose(-1, -2))
 
 
-KINDS = {"continuous": Continuous, "euler": Euler}
+class Vectors(Features):
+    """The rotation vectors themselves: as continuous as the rest as long as no joint turns by half a turn from the middle."""
+
+    @property
+    def size(self) -> int:
+        return 3 * len(self.middle)
+
+    @property
+    def owners(self) -> Tensor:
+        return torch.arange(len(self.middle)).repeat_interleave(3)
+
+    def of(self, vectors: Tensor) -> Tensor:
+        return vectors.flatten(-2)
+
+    def vectors(self, features: Tensor) -> Tensor:
+        return features.unflatten(-1, (-1, 3))
+
+    def linearised(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+        return self.vectors(features), slopes.transpose(1, 2).unflatten(1, (-1, 3)).contiguous()
+
+
+KINDS = {"continuous": Continuous, "euler": Euler, "vectors": Vectors}
 
 
 def unit(v: Tensor) -> Tensor:

@@ -7,7 +7,6 @@ as soon as that is cheaper. `near` says to which.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from mocapfix.prior.contract import PoseModel, checked
 
@@ -46,10 +45,6 @@ class Mixture(PoseModel):
             away = np.linalg.solve(spread, (rows - centre).T)
             part[:] = np.log(weight) - np.log(np.diag(spread)).sum() - 0.5 * (away**2).sum(0)
         return parts.T - 0.5 * self.size * np.log(2 * np.pi)
-
-    def log_density(self, vectors: np.ndarray) -> np.ndarray:
-        """-> (N,) logarithms of the density at poses in the reduced space."""
-        return logsumexp(self.log_densities(vectors), axis=1)
 
     def near(self, vectors: np.ndarray) -> "Mixture":
         """-> the same mixture, the codes of which are each of the component in which that pose costs least."""

@@ -6,20 +6,25 @@ Small for people's poses, of which the network has seen many. It stands in the s
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mocapfix.prior.autoencoder import BATCH, Autoencoder
+from mocapfix.prior.autoencoder import BATCH, Autoencoder, one_core
 from mocapfix.prior.features import angles, leaning, rotation
+
+MARGIN = 2.0  # of sigma, over what unseen people stray: to the fourth power it would leave g without a say
 
 
 @dataclass(frozen=True)
 class Naturalness:
-    """How far from people's a pose is, by an autoencoder on Euler angles."""
+    """How far from people's a pose is, by an autoencoder on Euler angles; in the solve it has no code."""
 
     autoencoder: Autoencoder
+    size: ClassVar[int] = 0
+    linear: ClassVar[bool] = False
 
     def __post_init__(self):
         if self.autoencoder.shape.features != "euler":
@@ -27,15 +32,16 @@ class Naturalness:
 
     @property
     def deviation(self) -> float:
-        """-> rad^2, what g is for people whom the network has not seen, with the same margin as sigma."""
-        return float(3 * (self.autoencoder.sigma**2).sum())
+        """-> rad^2, by how much g differs among people whom the network has not seen: a sum of squares of normal angles."""
+        return float(np.sqrt(6 * ((self.autoencoder.sigma / MARGIN) ** 4).sum()))
 
     def at(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """-> (N,) rad^2, g of poses, local rotations (N, J, 3, 3), and how it changes as each joint turns, (N, J, 3) rad.
 
         The turns are rotation vectors in the parents' axes, the root's in the world's. Its heading makes no difference.
         """
-        parts = [self._at(part) for part in torch.as_tensor(local).split(BATCH)]
+        with one_core():
+            parts = [self._at(part) for part in torch.as_tensor(local).split(BATCH)]
         value, gradient = (torch.cat(part).numpy().astype(float) for part in zip(*parts, strict=True))
         return value, gradient
 

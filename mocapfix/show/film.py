@@ -1,10 +1,10 @@
 """A film of keypoints and the body found in it: a page to look at, and a recording to play.
 
-    image      pixels: the camera's own view, and the image's edge where it is known
-      keypoints  as they were detected, the paler the less sure
-      skeleton   where the camera sees the body
-    world      Y up, metres
-      skeleton   one line from each joint to its parent
+image      pixels: the camera's own view, and the image's edge where it is known
+  keypoints  as they were detected, the paler the less sure
+  skeleton   where the camera sees the body
+world      Y up, metres
+  skeleton   one line from each joint to its parent
 """
 
 from dataclasses import dataclass

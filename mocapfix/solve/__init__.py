@@ -1,4 +1,4 @@
-"""The solve: the pose of every frame that agrees best with markers, prior and time."""
+"""The solve: the pose of every frame that agrees best with markers, prior and time; and single poses, of whatever is known."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,13 +13,17 @@ from mocapfix.prior import JointLimits, Prior
 from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import Body
 from mocapfix.solve import courses, listening, recall
+from mocapfix.solve.constraints import Camera, Constraint, Direction, Distance, Orientation, Position, Seen
 from mocapfix.solve.deviation import deviations
 from mocapfix.solve.options import SolveOptions
 from mocapfix.solve.people import People
+from mocapfix.solve.single import Pose, pose
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-__all__ = ["SolveOptions", "motion"]
+__all__ = [
+    "Camera", "Constraint", "Direction", "Distance", "Orientation", "Pose", "Position", "Seen", "SolveOptions", "motion", "pose",
+]  # fmt: skip
 
 FAR_OFF, GUESSED = 2, 3  # indices into motion.STATUS
 POOR = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one

@@ -6,6 +6,7 @@ of its last epoch to the same weights.
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from pickle import UnpicklingError
 
@@ -16,13 +17,13 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from mocapfix.errors import ReadError
 from mocapfix.files import replacing
-from mocapfix.prior.autoencoder import Network, Shape
-from mocapfix.prior.features import KINDS, Features
+from mocapfix.prior.autoencoder import Network, Shape, built
+from mocapfix.prior.features import KINDS
+from mocapfix.train import evidence
 from mocapfix.train.corruption import limbs, spoiled
-from mocapfix.train.poses import slight
+from mocapfix.train.evidence import Doubt
 from mocapfix.train.settings import AutoencoderSettings
 
-SLIGHT = 0.1  # weight of a slight joint's loss
 EVERY = 2000  # steps, after which a falling factor is applied (MNN-IK, appendix A)
 
 
@@ -30,29 +31,35 @@ def train(
     joints: tuple[str, ...],
     middle: np.ndarray,
     vectors: np.ndarray,
+    whose: np.ndarray,
     settings: AutoencoderSettings,
     checkpoint: Path,
     progress: Callable[[str], None],
-) -> tuple[Shape, Network]:
-    """-> a network trained on poses (N, J, 3), its weights rounded to half precision.
+) -> tuple[Shape, Network, Doubt]:
+    """-> a network trained on poses (N, J, 3), its weights rounded to half precision, and how poses stray from it.
 
+    whose       (N,) the number of the subject of each pose
     checkpoint  a file that is written after each epoch; training goes on from it where it is of these settings and poses
     """
-    shape = Shape(settings.features, settings.hidden, settings.code, settings.activation)
-    features = KINDS[shape.features](torch.as_tensor(middle, dtype=torch.float32))
-    network = initial(features, shape, settings)
-    poses = torch.as_tensor(vectors, dtype=torch.float32)
+    shape = Shape(**{field.name: getattr(settings, field.name) for field in fields(Shape)})
+    features, given = (KINDS[kind](torch.as_tensor(middle, dtype=torch.float32)) for kind in (shape.features, shape.gives))
+    network, doubt = initial(given.size, middle, shape, settings)
+    poses, weights = torch.as_tensor(vectors, dtype=torch.float32), torch.as_tensor(shares(whose, settings.balance))
     steps = -(-len(poses) // settings.batch)
-    optimizer = torch.optim.AdamW(network.parameters(), settings.rate, weight_decay=settings.decay)
+    learned = [*network.parameters(), *doubt.parameters()]
+    optimizer = torch.optim.AdamW(learned, settings.rate, weight_decay=settings.decay)
     schedule = LambdaLR(optimizer, falling(settings, steps * settings.epochs))
-    parts, mark = {"network": network, "optimizer": optimizer, "schedule": schedule}, fingerprint(settings, poses)
-    weights, of_limbs = loss_weights(joints, features, settings), limbs()
+    parts = {"network": network, "doubt": doubt, "optimizer": optimizer, "schedule": schedule}
+    mark, of_limbs = fingerprint(settings, poses), limbs()
     for epoch in range(resumed(checkpoint, mark, parts), settings.epochs):
         generator, total = Generator().manual_seed(settings.seed * 1_000_003 + epoch), 0.0
-        for batch in torch.randperm(len(poses), generator=generator).split(settings.batch):
-            shown = spoiled(poses[batch], of_limbs, generator) if settings.denoising else poses[batch]
-            away = network(features.of(shown)) - features.of(poses[batch])
-            loss = (weights * away**2).sum(1).mean() + settings.norm * norm(network)
+        for batch in drawn(weights, generator).split(settings.batch):
+            shown = features.of(partly_spoiled(poses[batch], settings.denoising, of_limbs, generator))
+            if settings.loss == "evidence":
+                loss = evidence.loss(network, doubt, shown, poses[batch], given, generator)
+            else:
+                away = network(shown) - given.of(poses[batch])
+                loss = (away**2).sum(1).mean() + settings.norm * norm(network)
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -61,18 +68,39 @@ def train(
         progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total / steps:.4f}")
         with replacing(checkpoint) as part:
             torch.save({"mark": mark, "epoch": epoch + 1} | {name: each.state_dict() for name, each in parts.items()}, part)
-    return shape, network.half().float().eval()
+    return shape, network.half().float().eval(), doubt
 
 
-def initial(features: Features, shape: Shape, settings: AutoencoderSettings) -> Network:
-    """-> the network before training, drawn by the seed."""
+def shares(whose: np.ndarray, balance: float) -> np.ndarray:
+    """-> (N,) how often each pose is to be shown: subjects with few poses the oftener, as `balance` says."""
+    return np.bincount(whose)[whose] ** -float(balance)
+
+
+def drawn(weights: Tensor, generator: Generator) -> Tensor:
+    """-> (N,) an epoch's poses: all, in random order, where they weigh alike; else as many, drawn by their weights (N,)."""
+    if weights.min() == weights.max():
+        return torch.randperm(len(weights), generator=generator)
+    reach = weights.cumsum(0)
+    return torch.searchsorted(reach, reach[-1] * torch.rand(len(weights), generator=generator, dtype=reach.dtype))
+
+
+def partly_spoiled(vectors: Tensor, part: float, of_limbs: Tensor, generator: Generator) -> Tensor:
+    """-> the poses (N, J, 3), that part of them corrupted."""
+    if part == 0:
+        return vectors
+    which = torch.rand((len(vectors), 1, 1), generator=generator) < part
+    return torch.where(which, spoiled(vectors, of_limbs, generator), vectors)
+
+
+def initial(given: int, middle: np.ndarray, shape: Shape, settings: AutoencoderSettings) -> tuple[Network, Doubt]:
+    """-> the network before training and what is learned with it, drawn by the seed; given: features of a decoded pose."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = Network(features.size, shape)
+        network, doubt = built(shape, middle), Doubt(given, shape.astray, shape.code)
         if settings.initial is not None:
             for weight in network.parameters():
                 nn.init.normal_(weight, 0.0, settings.initial)
-    return network
+    return network, doubt
 
 
 def falling(settings: AutoencoderSettings, steps: int) -> Callable[[int], float]:
@@ -81,14 +109,6 @@ def falling(settings: AutoencoderSettings, steps: int) -> Callable[[int], float]
         return lambda step: 0.5 * (1 + math.cos(math.pi * min(step / steps, 1.0)))
     factor = float(settings.falling)
     return lambda step: factor ** (step // EVERY)
-
-
-def loss_weights(joints: tuple[str, ...], features: Features, settings: AutoencoderSettings) -> Tensor:
-    """-> (F,) of each feature: less for slight joints where the features are continuous; the paper's loss weighs all alike."""
-    if settings.features == "euler":
-        return torch.ones(features.size)
-    weights = torch.where(torch.as_tensor(slight(joints)), SLIGHT, 1.0)
-    return torch.cat([weights[1:].repeat_interleave(6), torch.ones(3)])
 
 
 def norm(network: Network) -> Tensor:

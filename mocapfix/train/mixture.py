@@ -41,9 +41,10 @@ def fit(
     begun = {"weights_init": best.weights_, "means_init": best.means_, "precisions_init": best.precisions_}
     found, shape = rested(mixture(settings, **begun), reduced, settings), (len(joints), 3)
     told = TOLD.format(settings.fits, EVERY, best.n_iter_, found.n_iter_, settings.tolerance, len(axes), found.score(reduced))
+    weights, centres, covariances = (np.asarray(each, float) for each in (found.weights_, found.means_, found.covariances_))
     return Mixture(
-        joints, middle, np.full(len(joints), FLOOR), mean.reshape(shape), axes.reshape(-1, *shape), found.weights_.astype(float),
-        found.means_.astype(float), np.linalg.cholesky(found.covariances_.astype(float)), np.zeros(1, int),
+        joints, middle, np.full(len(joints), FLOOR), mean.reshape(shape), axes.reshape(-1, *shape), weights, centres,
+        np.linalg.cholesky(covariances), np.zeros(1, int),
     ), told  # fmt: skip
 
 

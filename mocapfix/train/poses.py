@@ -24,6 +24,7 @@ class Poses:
 
     seen, unseen  (N, J, 3) and (M, J, 3) of the subjects to be learned from and of those kept from it; each pose is there
                   twice, the second half being the first mirrored
+    whose         (N,) whose pose each of those seen is: a number for each subject
     frames        subject: how many frames were taken of him, before mirroring; of interleaved ones, to be learned from
     dropped       frames beyond a flip, which were not
     interleaved   whether what is learned from and what is kept are frames of the same takes instead
@@ -31,6 +32,7 @@ class Poses:
 
     seen: np.ndarray
     unseen: np.ndarray
+    whose: np.ndarray
     frames: Counter[str]
     dropped: int
     interleaved: bool = False
@@ -61,6 +63,7 @@ def gather(
     names = cmu31().skeleton.names
     firm, frames, dropped = ~slight(names), Counter[str](), 0
     found: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    whose: list[str] = []
     for recording in recordings.read(folder):
         if recording.subject in test and not interleaved:
             continue
@@ -71,6 +74,7 @@ def gather(
         learned = learned_between(len(recording.rotations))[kept] if interleaved else by_subject
         found[False].append(vectors[learned])
         found[True].append(vectors[~learned])
+        whose += [recording.subject] * int(learned.sum())
         frames[recording.subject] += int(learned.sum()) if interleaved else len(vectors)
         dropped += len(recording.rotations) - len(vectors)
     for is_unseen, whom in ((False, "subjects to learn from"), (True, f"the unseen subjects {', '.join(sorted(unseen))}")):
@@ -78,4 +82,4 @@ def gather(
             raise ReadError(f"{folder}: holds no motion of {whom}.")
     both = (np.concatenate(found[is_unseen]) for is_unseen in (False, True))
     seen, kept_back = (np.concatenate([each, mirrored(each, names)]) for each in both)
-    return Poses(seen, kept_back, frames, dropped, interleaved)
+    return Poses(seen, kept_back, np.tile(np.unique(whose, return_inverse=True)[1], 2), frames, dropped, interleaved)

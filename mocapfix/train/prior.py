@@ -68,9 +68,12 @@ def autoencoder(
     from mocapfix.prior.autoencoder import Autoencoder
     from mocapfix.train.autoencoder import train as trained
 
-    shape, network = trained(joints, middle, poses.seen, settings, checkpoint, progress)
-    raw = Autoencoder(joints, middle, np.full(len(joints), FLOOR), shape, network, np.zeros(shape.code), np.eye(shape.code))
-    codes = raw.encode(poses.seen)
+    shape, network, doubt = trained(joints, middle, poses.seen, poses.whose, settings, checkpoint, progress)
+    noise, astray = (LOOSE * each.detach().numpy().astype(float) for each in (doubt.noise, doubt.astray))
+    sigma = np.maximum(np.sqrt((noise.reshape(len(joints), 3) ** 2).mean(1)), FLOOR)
+    astray = astray.reshape(shape.astray, len(joints), 3)
+    raw = Autoencoder(joints, middle, sigma, shape, network, np.zeros(shape.code), np.eye(shape.code), astray)
+    codes = raw.encode(poses.seen)[:, : shape.code]
     covariance = np.cov(codes.T).reshape(shape.code, shape.code)
     least = 1e-6 * np.trace(covariance) / shape.code  # so that a number that the network never uses does no harm
     spread = LOOSE * np.linalg.cholesky(covariance + least * np.eye(shape.code))

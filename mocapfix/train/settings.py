@@ -35,7 +35,7 @@ class AutoencoderSettings(Stated):
     """An autoencoder; title, test and unseen as in LinearSettings.
 
     seed        of weights, order and corruption
-    features, hidden, code, activation   the network, see mocapfix.prior.autoencoder.Shape
+    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.prior.autoencoder.Shape
     initial     standard deviation of the weights at the start; null for torch's own
     epochs      times that every pose is seen
     batch       poses in a step
@@ -43,7 +43,9 @@ class AutoencoderSettings(Stated):
     falling     "cosine", to zero at the end; or a factor every 2,000 steps
     decay       AdamW's, of weights
     norm        times the norm of all weights is added to the loss (MNN-IK, Eq. 3.2)
-    denoising   whether the network is shown corrupted poses, to learn the way back to people's
+    loss        "paper", squares and the norm (MNN-IK, Eq. 3.2); or "evidence", see mocapfix.train.evidence
+    balance     0: poses are shown as they come; 1: those of every subject as often; between, between
+    denoising   part of the poses that the network is shown corrupted, to learn the way back to people's
     """
 
     model: Literal["autoencoder"]
@@ -51,10 +53,13 @@ class AutoencoderSettings(Stated):
     test: frozenset[str]
     unseen: frozenset[str]
     seed: int
-    features: Literal["continuous", "euler"]
+    features: Literal["continuous", "euler", "vectors"]
+    gives: Literal["euler", "vectors"]
     hidden: tuple[PositiveInt, ...]
     code: PositiveInt
+    astray: Annotated[int, Field(ge=0)]
     activation: Literal["silu", "relu"]
+    straight: bool
     initial: PositiveFloat | None
     epochs: PositiveInt
     batch: PositiveInt
@@ -62,7 +67,9 @@ class AutoencoderSettings(Stated):
     falling: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
     decay: Annotated[float, Field(ge=0)]
     norm: Annotated[float, Field(ge=0)]
-    denoising: bool
+    loss: Literal["paper", "evidence"]
+    balance: Annotated[float, Field(ge=0, le=1)]
+    denoising: Annotated[float, Field(ge=0, le=1)]
 
 
 class MixtureSettings(Stated):

@@ -1,5 +1,7 @@
 """All joints given: what a prior may not change, and twists of known size."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -56,7 +58,8 @@ def test_bias_is_against_the_solve_without_a_prior_and_the_noise_is_the_same_for
         return placed(SKELETON, NONE + [off[model], 0, 0], poses)
 
     monkeypatch.setattr(contenders, "solve", solve)
-    said = all_joints.measure(poses, {"none": None, "biased": "biased"}, MIDDLE, lambda what: None)
+    shelf: dict[str, Any] = {"none": None, "biased": "biased"}
+    said = all_joints.measure(poses, shelf, MIDDLE, lambda what: None)
     assert said["none"] == pytest.approx({"bias_mm": 0, "noisy_mm": 0, "twist_deg": 0}, abs=1e-4)
     assert said["biased"] == pytest.approx({"bias_mm": 2, "noisy_mm": 2, "twist_deg": 0}, abs=1e-4)
     exact, noisy, again, noisy_again = tasks

@@ -1,5 +1,7 @@
 """MNN-IK's test: the same joints of the same poses for every prior, and errors that are known."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -44,8 +46,9 @@ def test_all_priors_are_given_the_same_joints_of_the_same_poses_and_none_sees_th
         return placed(SKELETON, *start)
 
     monkeypatch.setattr(contenders, "solve", solve)
-    said = []
-    given_joints.measure(poses, {"one": 1, "other": 2}, MIDDLE, 2, telling(said))
+    said: list[str] = []
+    shelf: dict[str, Any] = {"one": 1, "other": 2}
+    given_joints.measure(poses, shelf, MIDDLE, 2, telling(said))
     for one, other in zip(tasks[1], tasks[2], strict=True):
         np.testing.assert_array_equal(one.joints, other.joints)
         np.testing.assert_array_equal(one.places, other.places)

@@ -21,7 +21,7 @@ def poses():
 
 @pytest.fixture(scope="module")
 def said(poses):
-    return iterations.measure(poses, SHELF, MIDDLE, lambda what: None)
+    return iterations.measure(poses, SHELF, MIDDLE, "gaussian", lambda what: None)
 
 
 def test_curves_begin_at_the_start_and_end_where_the_whole_solve_does(poses, said):
@@ -53,6 +53,6 @@ def test_a_pose_costs_what_it_is_off_its_code_and_its_code_off_the_mean(poses):
 
 
 def test_the_curves_are_drawn(said, tmp_path):
-    pictures.iterations(tmp_path / "curves.png", said)
+    pictures.iterations(tmp_path / "curves.png", said, "gaussian")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG\r\n")
     assert {path.name for path in tmp_path.iterdir()} == {"curves.png"}

@@ -8,6 +8,7 @@ import pytest
 from mocapfix import cli
 from mocapfix.bench import contenders, prior
 from mocapfix.errors import SceneError
+from mocapfix.prior import models
 from mocapfix.scenes import folder
 from tests.train.people import walked, write_bvh
 
@@ -31,6 +32,8 @@ def linear_only(monkeypatch):
         return {name: model for name, model in whole(where).items() if name in ("none", "pca", "gaussian")}
 
     monkeypatch.setattr(contenders, "shelf", shelf)
+    for module in (prior, models):
+        monkeypatch.setattr(module, "DEFAULT", "gaussian")
 
 
 def bench(*arguments):
@@ -49,6 +52,7 @@ def test_the_json_has_the_keys_that_others_read(linear_only, capsys):
         assert all(set(row) == ROW for row in rows.values())
     assert set(said["better"]) == {"none", "pca"}
     assert said["bias_mm"] == said["all_joints"]["gaussian"]["bias_mm"]
+    assert said["limb"] is None
     assert said["fps"] > 0
     assert said["fps_from_mean_pose"] > 0
 
@@ -56,8 +60,9 @@ def test_the_json_has_the_keys_that_others_read(linear_only, capsys):
 def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_told(linear_only, motion, tmp_path, capsys):
     weights = tmp_path / "weights"
     weights.mkdir()
-    shutil.copy(folder("priors") / "pca.safetensors", weights)
-    figure = tmp_path / "curves.png"
+    for name in ("pca", "gaussian"):
+        shutil.copy(folder("priors") / f"{name}.safetensors", weights)
+    figure = tmp_path / "pictures" / "curves.png"
     assert bench("--frames", 3, "--data", motion, "--paper-split", weights, "--figure", figure) == 0
     told = capsys.readouterr().out
     for part in ("3 poses of people that no prior has seen", "the paper's own split", "all joints given", "frames a second"):
@@ -66,7 +71,9 @@ def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_t
 
 
 def test_what_cannot_be_is_told(motion, tmp_path):
+    with pytest.raises(SceneError, match="ask for one at least"):
+        prior.measure(None, 0, None, False, lambda what: None)
     with pytest.raises(SceneError, match="say with --data where it is"):
         prior.measure(None, 3, tmp_path, False, lambda what: None)
-    with pytest.raises(SceneError, match=r"holds no trained prior \(pca, gaussian, .*autoencoder"):
+    with pytest.raises(SceneError, match=f"holds no {models.DEFAULT}"):
         prior.measure(motion, 3, tmp_path, False, lambda what: None)

@@ -53,7 +53,7 @@ def check(tree, work, damping):
 @given(seeds, sizes, st.integers(0, 10), st.none() | st.integers(0, 4), dampings)
 def test_of_any_quadratic(seed, joints, unknowns, rows, damping):
     rng = np.random.default_rng(seed)
-    tree = drawn.tree(rng, joints)
+    tree = drawn.tree(rng, joints, unknowns)
     check(tree, random_work(rng, tree, unknowns, rows), damping)
 
 

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mocapfix import prior
-from mocapfix.prior.autoencoder import Autoencoder, Network, Shape
+from mocapfix.prior.autoencoder import Autoencoder, Shape, built
 from mocapfix.prior.features import KINDS
 from mocapfix.skeleton import cmu31
 
@@ -11,28 +13,37 @@ SKELETON = cmu31().skeleton
 MIDDLE = prior.load("mean-pose", SKELETON).rotations
 
 
-def drawn(kind, activation, seed=0, code=3):
+def drawn(kind, activation, gives=None, straight=False, seed=0, code=3, astray=0):
     """-> an untrained model whose poses stay near the middle"""
     torch.manual_seed(seed)
-    shape = Shape(kind, (8,), code, activation)
-    features = KINDS[kind](torch.as_tensor(MIDDLE, dtype=torch.float32))
-    network = Network(features.size, shape)
+    shape = Shape(kind, gives or kind, (8,), code, astray, activation, straight)
+    given = KINDS[shape.gives](torch.as_tensor(MIDDLE, dtype=torch.float32))
+    network = built(shape, MIDDLE)
     with torch.no_grad():
-        *_, weight, offset = network.decoder.parameters()
-        offset.copy_(features.of(torch.zeros(31, 3)))
+        weight, offset = [*(network.decoder[0].bent if straight else network.decoder).parameters()][-2:]
+        offset.copy_(given.of(torch.zeros(31, 3)))
         weight.mul_(0.3)
     rng = np.random.default_rng(seed)
     mean, spread = rng.normal(size=code), np.tril(rng.uniform(0.5, 1.5, (code, code)))
-    return Autoencoder(SKELETON.names, MIDDLE, np.full(31, 0.1), shape, network, mean, spread)
+    return Autoencoder(
+        SKELETON.names, MIDDLE, np.full(31, 0.1), shape, network, mean, spread, rng.normal(0, 0.2, (astray, 31, 3))
+    )
 
 
-@pytest.mark.parametrize(("kind", "activation"), [("continuous", "silu"), ("euler", "relu")])
-def test_linearising_says_how_decoding_changes(kind, activation):
-    model, codes = drawn(kind, activation), np.random.default_rng(1).normal(size=(5, 3))
+@pytest.mark.parametrize(
+    ("kind", "activation", "gives", "straight", "astray"),
+    [
+        ("continuous", "silu", "continuous", False, 0),
+        ("euler", "relu", "euler", False, 0),
+        ("continuous", "silu", "vectors", True, 2),
+    ],
+)
+def test_linearising_says_how_decoding_changes(kind, activation, gives, straight, astray):
+    model, codes = drawn(kind, activation, gives, straight, astray=astray), np.random.default_rng(1).normal(size=(5, 3 + astray))
     decoded, slopes = model.linearise(codes)
-    assert slopes.shape == (5, 31, 3, 3)
+    assert slopes.shape == (5, 31, 3, 3 + astray)
     np.testing.assert_allclose(decoded, model.decode(codes), atol=1e-6)
-    for p, step in enumerate(1e-3 * np.eye(3)):
+    for p, step in enumerate(1e-3 * np.eye(3 + astray)):
         numeric = (model.decode(codes + step) - model.decode(codes - step)) / 2e-3
         np.testing.assert_allclose(slopes[..., p], numeric, atol=2e-3)
     assert np.abs(slopes).max() > 0.02
@@ -46,13 +57,29 @@ def test_the_code_is_the_networks_own_in_units_of_its_spread():
     np.testing.assert_allclose(model.mean + model.encode(vectors) @ model.spread.T, own, atol=1e-5)
 
 
+def test_what_a_network_misses_is_coded_by_the_directions_in_which_poses_stray():
+    model, rng = drawn("continuous", "silu", "vectors", astray=2), np.random.default_rng(4)
+    model = replace(model, sigma=np.full(31, 1e-4))
+    vectors = rng.normal(0, 0.3, (6, 31, 3))
+    others = rng.normal(size=(6, 2))
+    own = model.encode(vectors)[:, :3]
+    decoded = model.decode(np.c_[own, others])
+    again = model.encode(decoded)
+    exact = np.linalg.lstsq(
+        model.astray.reshape(2, -1).T,
+        (decoded - model.decode(np.c_[again[:, :3], np.zeros((6, 2))])).reshape(6, -1).T,
+        rcond=None,
+    )[0].T
+    np.testing.assert_allclose(again[:, 3:], exact, atol=1e-5)
+
+
 def test_many_poses_are_coded_as_each_alone():
     model, vectors = drawn("continuous", "silu"), np.random.default_rng(3).normal(0, 0.3, (700, 31, 3))
     np.testing.assert_allclose(model.encode(vectors)[600:601], model.encode(vectors[600:601]), atol=1e-5)
 
 
 def test_the_papers_network_has_four_layers_each_way():
-    network = Network(93, Shape("euler", (1024, 1024, 1024), 35, "relu"))
+    network = built(Shape("euler", "euler", (1024, 1024, 1024), 35, 0, "relu", straight=False), MIDDLE)
     widths = [tuple(w.shape) for name, w in network.named_parameters() if name.endswith("weight")]
     assert widths == [(1024, 93), (1024, 1024), (1024, 1024), (35, 1024), (1024, 35), (1024, 1024), (1024, 1024), (93, 1024)]
     assert isinstance(network.encoder[-1], torch.nn.Linear)

@@ -65,8 +65,9 @@ def test_many_poses_are_judged_as_each_alone(exact):
         np.testing.assert_allclose(many[550:551], alone, rtol=1e-9)
 
 
-def test_its_deviation_is_what_sigma_lets_people_stray(exact):
-    assert exact.deviation == pytest.approx(31 * 3 * 0.1**2)
+def test_its_deviation_is_that_of_the_sum_of_squares_of_what_people_stray(exact):
+    strays = RNG.normal(0, 0.1 / 2, (20_000, 93))  # sigma is 0.1, with a margin of two
+    assert exact.deviation == pytest.approx((strays**2).sum(1).std(), rel=0.02)
 
 
 def test_other_features_are_refused():

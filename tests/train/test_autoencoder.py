@@ -35,7 +35,8 @@ def poses():
 
 
 def run(poses, checkpoint, said, progress=lambda what: None):
-    _, network = trained(NAMES, MIDDLE, poses.reshape(-1, 31, 3), said, checkpoint, progress)
+    whose = np.arange(len(poses)) // 80
+    _, network, _ = trained(NAMES, MIDDLE, poses.reshape(-1, 31, 3), whose, said, checkpoint, progress)
     return torch.cat([w.flatten() for w in network.state_dict().values()])
 
 
@@ -81,19 +82,18 @@ def test_weights_are_such_as_half_precision_holds(poses, tmp_path):
 
 
 def test_the_papers_norm_is_of_weights_without_offsets():
-    network = Network(2, Shape("euler", (3,), 1, "relu"))
+    network = Network(2, 2, Shape("euler", "euler", (3,), 1, 0, "relu", straight=False))
     with torch.no_grad():
         for w in network.parameters():
             w.fill_(2.0)
     assert float(norm(network).detach()) == pytest.approx(2 * np.sqrt(2 * (2 * 3 + 3 * 1)))
 
 
-def test_the_papers_weights_start_with_its_variance():
+def test_the_papers_weights_start_as_small_as_the_settings_say():
     said = small("mnn-ik", hidden=(200,))
-    features = autoencoder.KINDS["euler"](torch.as_tensor(MIDDLE, dtype=torch.float32))
-    network = autoencoder.initial(features, Shape("euler", (200,), 4, "relu"), said)
+    network, _ = autoencoder.initial(93, MIDDLE, Shape("euler", "euler", (200,), 4, 0, "relu", straight=False), said)
     first = next(network.encoder.parameters())
-    assert float(first.detach().std()) == pytest.approx(0.1, rel=0.02)
+    assert float(first.detach().std()) == pytest.approx(0.01, rel=0.02)
 
 
 def test_the_learning_rate_falls_as_the_settings_say():
@@ -102,13 +102,22 @@ def test_the_learning_rate_falls_as_the_settings_say():
     assert [cosine(step) for step in (0, 50, 100)] == pytest.approx([1, 0.5, 0])
 
 
-def test_slight_joints_weigh_less_and_in_the_papers_loss_all_alike():
-    for name, thumb in (("autoencoder", autoencoder.SLIGHT), ("mnn-ik", 1.0)):
-        said = small(name)
-        features = autoencoder.KINDS[said.features](torch.as_tensor(MIDDLE, dtype=torch.float32))
-        weights = autoencoder.loss_weights(NAMES, features, said)
-        assert len(weights) == features.size
-        per = features.size // 31 if name == "mnn-ik" else 6
-        assert float(weights[(NAMES.index("LThumb") - (name != "mnn-ik")) * per]) == pytest.approx(thumb)
-        assert float(weights[(NAMES.index("LeftArm") - (name != "mnn-ik")) * per]) == 1.0
-        assert float(weights[-1]) == 1.0
+def test_balance_shows_everybody_alike():
+    whose = np.repeat([0, 1], [900, 100])
+    for balance, expected in ((0.0, 0.1), (0.5, 0.25), (1.0, 0.5)):
+        weights = torch.as_tensor(autoencoder.shares(whose, balance))
+        assert float(weights[900:].sum() / weights.sum()) == pytest.approx(expected)
+        counts = np.zeros(1000)
+        for seed in range(20):
+            shown = autoencoder.drawn(weights, torch.Generator().manual_seed(seed)).numpy()
+            assert len(shown) == 1000
+            np.add.at(counts, shown, 1)
+        assert counts[900:].sum() / counts.sum() == pytest.approx(expected, abs=0.02)
+        assert (counts[:900] == 20).all() == (balance == 0)
+
+
+def test_the_part_of_poses_that_is_corrupted_is_the_one_asked_for(poses):
+    vectors = torch.as_tensor(poses.reshape(-1, 31, 3), dtype=torch.float32).repeat(20, 1, 1)
+    for part in (0.0, 0.3, 1.0):
+        shown = autoencoder.partly_spoiled(vectors, part, autoencoder.limbs(), torch.Generator().manual_seed(0))
+        assert float((shown != vectors).flatten(1).any(1).float().mean()) == pytest.approx(part, abs=0.04)

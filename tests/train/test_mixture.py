@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from sklearn.mixture import GaussianMixture
 
 from mocapfix.errors import SceneError
@@ -22,6 +23,10 @@ def drawn(count=3000):
     return (rows @ axes + 0.001 * rng.normal(size=(count, 9))).reshape(-1, 3, 3), kind
 
 
+def log_density(model, poses):
+    return np.asarray(logsumexp(model.log_densities(poses), axis=1))
+
+
 def fit(poses, **changes):
     return mixture.fit(NAMES, STILL, poses, SETTINGS.model_copy(update=changes), lambda what: None)
 
@@ -41,14 +46,14 @@ def test_the_density_is_scikit_learns():
     theirs = GaussianMixture(2, weights_init=model.weights, means_init=model.centres)
     theirs.weights_, theirs.means_ = model.weights, model.centres
     theirs.precisions_cholesky_ = np.swapaxes(np.linalg.inv(model.spreads), 1, 2)
-    np.testing.assert_allclose(model.log_density(poses), theirs.score_samples(model.reduced(poses)), rtol=1e-9)
+    np.testing.assert_allclose(log_density(model, poses), theirs.score_samples(model.reduced(poses)), rtol=1e-9)
 
 
 def test_expectation_maximisation_has_come_to_rest():
     poses, _ = drawn()
     model, _ = fit(poses, components=4)
     rows = model.reduced(poses)
-    shares = np.exp(model.log_densities(poses) - model.log_density(poses)[:, None])
+    shares = np.exp(model.log_densities(poses) - log_density(model, poses)[:, None])
     np.testing.assert_allclose(shares.mean(0), model.weights, atol=5e-3)
     np.testing.assert_allclose(shares.T @ rows / shares.sum(0)[:, None], model.centres, atol=1e-2)
 
@@ -80,9 +85,9 @@ def test_the_same_seed_makes_the_same_weights_and_more_fits_none_less_likely():
     (first, told), (again, _) = fit(poses, components=6, fits=3), fit(poses, components=6, fits=3)
     for name in ("weights", "centres", "spreads"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
-    each = [fit(poses, components=6, fits=1, seed=seed)[0].log_density(poses).mean() for seed in range(3)]
+    each = [log_density(fit(poses, components=6, fits=1, seed=seed)[0], poses).mean() for seed in range(3)]
     assert len(set(np.round(each, 4))) > 1
-    assert first.log_density(poses).mean() in each
+    assert log_density(first, poses).mean() in each
     assert "has 3 axes" in told
 
 

@@ -70,14 +70,16 @@ def add(term, t, scale2, tree, pose, system):
         for a in range(3):
             for d in range(3):
                 system.own[j, a, d] += curvature[3 * a + d]
+        for a in range(3):
+            h0, h1, h2 = held[3 * a], held[3 * a + 1], held[3 * a + 2]
+            for p in range(size):
+                system.own_cross[j, a, p] -= h0 * slopes[j, 0, p] + h1 * slopes[j, 1, p] + h2 * slopes[j, 2, p]
         for p in range(size):
             ux, uy, uz = slopes[j, 0, p], slopes[j, 1, p], slopes[j, 2, p]
-            crossed, stiff = times(held, ux, uy, uz), times(information, ux, uy, uz)
-            for a in range(3):
-                system.own_cross[j, a, p] -= crossed[a]
             system.shared_g[p] -= ux * px + uy * py + uz * pz
+            ux, uy, uz = times(information, ux, uy, uz)
             for q in range(p + 1):
-                system.shared[p, q] += stiff[0] * slopes[j, 0, q] + stiff[1] * slopes[j, 1, q] + stiff[2] * slopes[j, 2, q]
+                system.shared[p, q] += ux * slopes[j, 0, q] + uy * slopes[j, 1, q] + uz * slopes[j, 2, q]
     for p in range(size):
         code, step, hold = pose.shared[p], pose.shared[p] - at[p], term.hold[row]
         cost += 0.5 * (code * code + hold * step * step)

@@ -1,0 +1,99 @@
+"""What a scene says, and what running it writes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mocapfix.errors import ReadError, SceneError, WriteError
+from mocapfix.keypoints import example, read, scene
+from mocapfix.scenes import folder
+from mocapfix.skeleton import cmu31
+
+TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """-> a folder with a scene of half a second"""
+    place = tmp_path_factory.mktemp("scene")
+    said, _, _ = example.film("coco", 0.5, 10.0)
+    (place / "film.json").write_text(json.dumps(said), encoding="utf-8")
+    (place / "mine.yaml").write_text(TEXT, encoding="utf-8")
+    return place
+
+
+@pytest.fixture(scope="module")
+def result(place):
+    return scene.run(place / "mine.yaml")
+
+
+def test_the_shipped_scene_says_what_it_must_and_shows_a_known_motion():
+    path = folder("scenes") / "keypoints-2d.yaml"
+    said = scene.settings(path)
+    found = read.keypoints(path.parent / said.keypoints, cmu31().skeleton)
+    composed, _, _ = example.film("openpose", 6.0, 30.0)
+    people = [frame["people"][0]["pose_keypoints_2d"] for frame in composed["frames"]]
+    points = np.array(people).reshape(180, 25, 3)
+    np.testing.assert_allclose(found.pixels, points[..., :2], atol=0.11)  # other processors round otherwise
+    assert (found.rate, found.image) == (30.0, (example.WIDTH, example.HEIGHT))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("title: <Mine>\n", "", r"mine\.yaml: title: Field required"),
+        ("prior: pca", "prior: pca\nprior_scale: 0", r"mine\.yaml: prior_scale: .*greater than 0"),
+        ("prior: pca", "prior: pca\nlooks_down: 95", r"mine\.yaml: looks_down: .*less than 90"),
+        ("prior: pca", "prior: pca\ncamera: 3", r"mine\.yaml: camera: Extra inputs"),
+        ("kind: keypoints-2d", "kind: keypoints-3d", r"mine\.yaml: kind: "),
+        ("prior: pca", "prior: oracle", r"no trained prior 'oracle'"),
+    ],
+)
+def test_a_scene_that_does_not_say_what_it_must_is_told_by_file_and_key(place, tmp_path, old, new, message):
+    (tmp_path / "film.json").write_bytes((place / "film.json").read_bytes())
+    (tmp_path / "mine.yaml").write_text(TEXT.replace(old, new), encoding="utf-8")
+    with pytest.raises(SceneError, match=message):
+        scene.run(tmp_path / "mine.yaml")
+
+
+def test_a_film_that_does_not_say_its_rate_needs_the_scenes(place, tmp_path):
+    said = json.loads((place / "film.json").read_text(encoding="utf-8"))
+    del said["rate"]
+    (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
+    with pytest.raises(SceneError, match=r"mine\.yaml: rate: must say how many frames a second film\.json has"):
+        scene.run(tmp_path / "mine.yaml")
+
+
+def test_keypoints_that_are_not_there_are_told(tmp_path):
+    (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
+    with pytest.raises(ReadError, match=r"film\.json: cannot be read"):
+        scene.run(tmp_path / "mine.yaml")
+
+
+def test_a_result_is_a_motion_a_page_a_record_and_a_recording(result, tmp_path):
+    outputs = result.write(tmp_path / "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(f"mine.{kind}" for kind in outputs)
+    assert "Frames: 5" in outputs["bvh"].read_text(encoding="ascii")
+    page = outputs["report.html"].read_text(encoding="utf-8")
+    assert "&lt;Mine&gt;" in page
+    assert "<Mine>" not in page
+    report = json.loads(outputs["report.json"].read_text(encoding="utf-8"))
+    assert report["camera"]["pixels_per_metre"] == round(result.camera.scale, 3)
+    assert sum(report["status"].values()) == report["frames"] == 5
+    assert outputs["rrd"].stat().st_size > 1000
+    with pytest.raises(WriteError, match=r"mine\.bvh: is there already"):
+        result.write(tmp_path / "out")
+    result.write(tmp_path / "out", overwrite=True)
+
+
+def test_the_record_tells_how_far_the_keypoints_lie_from_the_body(result):
+    pixels, sure = result.keypoints.pixels, result.keypoints.confidence > 0
+    assert np.isnan(result.distance[~sure]).all()
+    images = result.camera.image(result.joints)
+    wrist, elbow = (result.keypoints.detector.labels.index(f"left_{name}") for name in ("wrist", "elbow"))
+    joint = result.skeleton.index("LeftForeArm")
+    apart = np.linalg.norm(images[:, joint] - pixels[:, elbow], axis=-1)  # whose place is the joint itself
+    np.testing.assert_allclose(result.distance[sure[:, elbow], elbow], apart[sure[:, elbow]])
+    assert result.report["reprojection_px"]["by_keypoint"]["left_wrist"] == round(float(np.nanmean(result.distance[:, wrist])), 2)

@@ -1,0 +1,158 @@
+"""Single poses from joints, bones, distances and cameras: what is said is so, and what is not said says itself in words."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix import solve
+from mocapfix.errors import ConstraintError, SceneError
+from mocapfix.kernels import kinematics
+from mocapfix.prior import models
+from mocapfix.skeleton import cmu31
+from mocapfix.solve import Camera, Direction, Distance, Orientation, Position, Seen
+
+SKELETON = cmu31().skeleton
+GAUSSIAN = models.load("gaussian", SKELETON)
+INDEX = SKELETON.index
+
+
+def somebody(seed=0, heading=0.0):
+    """-> joints (31, 3) and world rotations (31, 3, 3) of a pose that the Gaussian knows, facing anywhere"""
+    code = np.random.default_rng(seed).normal(0, 0.7, (1, GAUSSIAN.size))
+    local = Rotation.from_rotvec(GAUSSIAN.decode(code)[0]).as_matrix() @ GAUSSIAN.middle
+    local[0] = Rotation.from_euler("y", heading).as_matrix() @ local[0]
+    position, rotation = kinematics.carried(kinematics.tree_of(SKELETON), np.array([[1.0, 0.9, -2.0]]), local[None])
+    return position[0], rotation[0]
+
+
+def at(found, joint):
+    return found.joints[INDEX(joint)]
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
+def test_all_joints_tell_the_pose_whichever_way_it_faces(heading):
+    joints, _ = somebody(1, heading)
+    found = solve.pose([Position(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian")
+    np.testing.assert_allclose(found.joints, joints, atol=0.01)
+    assert found.status.startswith("solved")
+    assert found.iterations > 0
+    assert found.deviation.max() < 0.005
+
+
+def test_a_prior_tells_what_is_not_given_better_than_none():
+    joints, _ = somebody(2)
+    given = [Position(name, joints[INDEX(name)]) for name in ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot", "Hips")]
+    off = [np.linalg.norm(solve.pose(given, prior).joints - joints, axis=1).mean() for prior in ("gaussian", "none")]
+    assert off[0] < 0.6 * off[1]
+
+
+def test_the_deviation_is_small_where_something_is_said():
+    joints, _ = somebody(3)
+    names = ("Head", "LeftHand", "LeftFoot", "RightFoot", "Hips")
+    found = solve.pose([Position(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
+    assert all(found.deviation[INDEX(name)] < 0.0045 for name in names)
+    assert found.deviation[INDEX("RightHand")] > 0.05
+
+
+def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded():
+    joints, rotation = somebody(4)
+    thumb = np.array([0.02, -0.05, 0.01])
+    tip, bone = (
+        joints[INDEX("LeftHand")] + rotation[INDEX("LeftHand")] @ thumb,
+        joints[INDEX("RightLeg")] - joints[INDEX("RightUpLeg")],
+    )
+    found = solve.pose(
+        [
+            Position("Hips", joints[0], 0.001), Position("LeftHand", tip, 0.001, thumb),
+            Direction("RightUpLeg", "RightLeg", 3 * bone, 0.002), Orientation("Head", rotation[INDEX("Head")], 0.002),
+        ], GAUSSIAN,
+    )  # fmt: skip
+    _, turned = kinematics.carried(kinematics.tree_of(SKELETON), found.root[None], found.rotations[None])
+    np.testing.assert_allclose(at(found, "LeftHand") + turned[0, INDEX("LeftHand")] @ thumb, tip, atol=0.003)
+    away = at(found, "RightLeg") - at(found, "RightUpLeg")
+    assert np.dot(away, bone) / np.linalg.norm(away) / np.linalg.norm(bone) > np.cos(0.01)
+    turn = Rotation.from_matrix(turned[0, INDEX("Head")] @ rotation[INDEX("Head")].T)
+    assert turn.magnitude() < 0.01
+
+
+def test_hands_are_as_far_apart_as_said():
+    found = solve.pose([Position("Hips", (0, 1, 0)), Distance(("LeftHand", "RightHand"), 0.1, 0.001)], GAUSSIAN)
+    assert np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")) == pytest.approx(0.1, abs=0.005)
+
+
+@pytest.mark.parametrize("perspective", [True, False])
+def test_two_cameras_see_the_pose_where_it_is(perspective):
+    joints, _ = somebody(5)
+    said, views = [], []
+    for turn in (0.3, 1.7):
+        rotation = Rotation.from_euler("xy", [np.pi, turn]).as_matrix()
+        camera = Camera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
+        before = joints @ rotation.T + camera.translation
+        pixels = 800.0 * before[:, :2] / (before[:, 2:] if perspective else 1.0) + [640.0, 360.0]
+        views.append(pixels)
+        said += [Seen(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
+    found = solve.pose(said, GAUSSIAN)
+    np.testing.assert_allclose(found.joints, joints, atol=0.03)
+
+
+def test_a_start_is_where_it_begins():
+    joints, _ = somebody(6)
+    given = [Position(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
+    first = solve.pose(given, GAUSSIAN)
+    again = solve.pose(given, GAUSSIAN, start=(first.root, first.rotations))
+    assert again.iterations <= first.iterations
+    np.testing.assert_allclose(again.joints, first.joints, atol=1e-3)
+
+
+def test_a_scale_lets_the_given_win():
+    given, span = [Position("LeftHand", (3.0, 1.0, 0.0), 1.0), Position("RightHand", (-3.0, 1.0, 0.0), 1.0)], []
+    for scale in (0.2, 5.0):
+        found = solve.pose(given, GAUSSIAN, scale=scale)
+        span.append(np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")))
+    assert span[1] > 1.5 * span[0]
+
+
+HAND = Position("LeftHand", (0.5, 1.4, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ([], "There is no constraint"),
+        ([HAND, "head"], "'head' is no constraint; choose of: Position, Direction, Orientation, Distance, Seen."),
+        ([Position("LeftHnd", (0, 0, 0))], "Position of LeftHnd: there is no joint 'LeftHnd'; the skeleton has: Hips, LHipJoint"),
+        ([Position("Head", (0, np.nan, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, nan, 0\)."),
+        ([Position("Head", (0, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, 0\)."),
+        ([Position("Head", (0, 0, 0), 0.0)], "Position of Head: sd must be more than 0, and is 0.0."),
+        ([Position("Head", (0, 0, 0), "x")], "Position of Head: sd must be one finite number, and is 'x'."),
+        ([Direction("LeftArm", "Head", (0, 1, 0))], "Direction of LeftArm: Head is no child of LeftArm; its parent is Neck1."),
+        ([Direction("Hips", "Hips", (0, 1, 0))], "its parent is none."),
+        ([Direction("LeftArm", "LeftForeArm", (0, 0, 0))], "Direction of LeftArm: seen has no length, and so no direction."),
+        ([Orientation("Head", -np.eye(3))], "Orientation of Head: rotation must have rows of length one"),
+        ([Distance(("Head", "Foot"), 1.0)], "Distance of Head and Foot: there is no joint 'Foot'"),
+        ([Distance(("Head", "Neck"), np.inf)], "length must be one finite number, and is inf."),
+        ([Seen("Head", Camera(np.eye(3), (0, 0, 4), 0.0), (1, 2))], "Seen of Head: camera.scale must be more than 0"),
+    ],
+)
+def test_what_cannot_be_meant_is_said(wrong, why):
+    with pytest.raises(ConstraintError, match=why):
+        solve.pose(wrong, GAUSSIAN)
+
+
+def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
+    with pytest.raises(SceneError, match="There is no trained prior 'gauss'"):
+        solve.pose([HAND], "gauss")
+    with pytest.raises(ConstraintError, match=re.escape("A start is a root (3,) and rotations (31, 3, 3)")):
+        solve.pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
+
+
+def test_the_readmes_example_runs():
+    text = (Path(__file__).parents[2] / "README.md").read_text()
+    example = text.split("### Single poses")[1].split("###")[0]
+    code = "\n".join(line[4:] for line in example.splitlines() if line.startswith("    "))
+    said: dict = {}
+    exec(code, said)
+    assert np.linalg.norm(said["found"].joints[said["found"].skeleton.index("Head")] - (0.0, 1.6, 0.0)) < 0.02
