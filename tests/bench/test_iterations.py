@@ -7,11 +7,12 @@ from mocapfix import prior
 from mocapfix.bench import contenders, iterations, pictures, unseen
 from mocapfix.bench.contenders import given
 from mocapfix.bench.given_joints import SD, drawn, errors
+from mocapfix.prior import models
 from mocapfix.prior.contract import from_middle
 from mocapfix.skeleton import cmu31
 
 MIDDLE = prior.load("mean-pose", cmu31().skeleton).rotations
-SHELF = {"none": None, "gaussian": contenders.shelf()["gaussian"]}
+SHELF = {"none": None, "gaussian": models.load("gaussian", cmu31().skeleton)}
 
 
 @pytest.fixture(scope="module")
