@@ -11,7 +11,7 @@ import numpy as np
 from mocapfix.kernels.levenberg import RAN_OUT
 from mocapfix.kernels.terms import Latent
 from mocapfix.prior.contract import from_middle
-from mocapfix.solve.poses import EACH, FAR, NEAR, Search
+from mocapfix.solve.search import Search
 
 
 class Competing(Search):
@@ -35,9 +35,12 @@ class Competing(Search):
         decoded, slopes = near.linearise(at)
         return (Latent(self.middle, decoded, np.ascontiguousarray(slopes), at, self.information, np.zeros(len(at)), self.row),)
 
-    def round(self, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
-        """Go to where the component has it; the first round through all robust scales."""
-        first = self.chosen[batch[0]] < 0
-        self.solve(self.said(batch), FAR if first else NEAR, scales2 if first else scales2[-1:], min(EACH, most), batch)
+    def said_again(self, said: tuple, batch: np.ndarray) -> tuple[Latent]:
+        return self.said(batch)
+
+    def round(self, said: tuple, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
+        """Go to where the component has it."""
+        self.solve(said, tau, scales2, most, batch)
+        self.cost[batch] = self.costs(said, scales2[-1], batch)
         now = self.mixture.near(from_middle(self.local[batch], self.middle)).chosen
         self.status[batch[now != self.chosen[batch]]] = RAN_OUT

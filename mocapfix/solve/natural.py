@@ -6,7 +6,7 @@ Its value and its gradient are asked for between rounds; within one the joints a
 import numpy as np
 
 from mocapfix.kernels.terms import Courses, Whole
-from mocapfix.solve.poses import Search
+from mocapfix.solve.search import Search
 
 
 class Natural(Search):
@@ -25,5 +25,8 @@ class Natural(Search):
         self.number.value[batch], self.number.gradient[batch] = self.naturalness.at(self.local[batch])
         return self.number, self.held
 
-    def said_now(self, terms: tuple, batch: np.ndarray) -> tuple[Whole, Courses]:
+    def said_again(self, said: tuple, batch: np.ndarray) -> tuple[Whole, Courses]:
+        return self.said(batch)
+
+    def said_now(self, said: tuple, batch: np.ndarray) -> tuple[Whole, Courses]:
         return self.said(batch)

@@ -18,7 +18,8 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.prior.linear import Linear
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve.constraints import Constraint
-from mocapfix.solve.poses import Posed, linearised, under
+from mocapfix.solve.linearised import linearised
+from mocapfix.solve.poses import Posed, under
 from mocapfix.solve.said import terms_of
 
 MOST = 100  # iterations: a single pose has time
@@ -120,7 +121,7 @@ def foretold(tree: Tree, terms: tuple, model: PoseModel, scale: float, posed: Po
     """-> the joints' places (J, 3), metres, and their standard deviations (J,) per axis, from the curvature of the cost."""
     joints, markers = len(tree.parents), len(terms[0].joints)
     shared, zero = posed.codes / scale, np.zeros(1)
-    latent = linearised(model, scale, shared, zero, np.zeros(1, int))
+    latent = linearised(model, scale, shared, 0.0, np.zeros(1, int))
     deviation, turns = np.empty((1, joints)), np.empty((1, joints))
     uncertainties(
         tree, (*terms, latent), np.inf, rows_of(terms), posed.root, posed.rotations, shared, np.empty((1, markers)), deviation,

@@ -12,7 +12,7 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Latent, Points
 from mocapfix.prior.contract import PoseModel, from_middle
 from mocapfix.prior.linear import Linear
-from mocapfix.solve import poses
+from mocapfix.solve import poses, search
 from tests.kernels import dense, drawn
 
 JOINTS, CODE = 6, 3
@@ -174,11 +174,13 @@ def test_a_scale_widens_all_of_the_models_deviations():
     np.testing.assert_allclose(found.codes, 2 * expected.codes, atol=1e-9)
 
 
-def test_a_frame_that_has_converged_is_not_asked_of_again():
+def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
     rng = np.random.default_rng(6)
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
-    first = poses.under(tree, (points,), model, *start, most=200)
+    with monkeypatch.context() as finer:
+        finer.setattr(search, "ENOUGH", 1e-4)
+        first = poses.under(tree, (points,), model, *start, most=200)
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end
         root[t], local[t], codes[t] = first.root[t], first.rotations[t], first.codes[t]
@@ -186,7 +188,6 @@ def test_a_frame_that_has_converged_is_not_asked_of_again():
     again = poses.under(tree, (points,), model, root, local, codes, most=200)
     assert (again.status == CONVERGED).all()
     assert model.asked[:2] == [5, 2]  # codes of the first round differ, else one would be asked for all
-    assert len(model.asked) > 2
 
 
 def test_a_linear_model_is_asked_once_and_rounds_are_told():
