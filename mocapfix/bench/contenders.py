@@ -18,7 +18,7 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.prior.naturalness import Naturalness
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton, cmu31
-from mocapfix.solve import poses
+from mocapfix.solve import poses, search
 from mocapfix.solve.poses import Posed
 
 NONE, PAPERS = "none", "mnn-ik"
@@ -131,7 +131,7 @@ def unaided(tree: Tree, points: Points, root: np.ndarray, local: np.ndarray, mos
     status, iterations = np.zeros((2, frames), int)
     found = Posed(root.copy(), local.copy(), np.zeros((frames, 0)), status, iterations, np.zeros(frames))
     over_frames(
-        solve_frames, frames, tree, (points,), plan.alone(frames, joints), np.array([np.inf]), poses.FAR, most, None,
+        solve_frames, frames, tree, (points,), plan.alone(frames, joints), np.array([np.inf]), search.FAR, most, None,
         found.root, found.rotations, found.codes, status, iterations,
     )  # fmt: skip
     return found

@@ -14,13 +14,13 @@ def linearised(model: PoseModel, scale: float, shared: np.ndarray, hold: float, 
     return Latent(middle, decoded, scale * slopes, shared.copy(), information, np.full(len(shared), hold), row)
 
 
-def mend(latent: Latent, rows: np.ndarray, said: np.ndarray, step: np.ndarray) -> None:
-    """Make the derivative agree with what the model says after a step (B, P) from where it `said` (B, J, 3).
+def mend(latent: Latent, rows: np.ndarray, at: np.ndarray, decoded: np.ndarray) -> None:
+    """Move some rows' linearisation to codes `at` (B, P) that are known to mean `decoded` (B, J, 3).
 
-    The least change that does so, Broyden's (1965).
+    The derivative changes by the least that makes it agree with the step there, as Broyden's (1965).
     """
-    count, size = step.shape
-    slopes = latent.jacobian[rows].reshape(count, -1, size)
-    missed = (latent.decoded[rows] - said).reshape(count, -1, 1) - slopes @ step[..., None]
+    count, size = at.shape
+    step, slopes = at - latent.at[rows], latent.jacobian[rows].reshape(count, -1, size)
+    missed = (decoded - latent.decoded[rows]).reshape(count, -1, 1) - slopes @ step[..., None]
     slopes += missed * (step / np.maximum((step**2).sum(1, keepdims=True), 1e-12))[:, None]
-    latent.jacobian[rows] = slopes.reshape(count, -1, 3, size)
+    latent.at[rows], latent.decoded[rows], latent.jacobian[rows] = at, decoded, slopes.reshape(count, -1, 3, size)

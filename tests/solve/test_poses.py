@@ -12,7 +12,7 @@ from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import Latent, Points
 from mocapfix.prior.contract import PoseModel, from_middle
 from mocapfix.prior.linear import Linear
-from mocapfix.solve import poses
+from mocapfix.solve import poses, search
 from tests.kernels import dense, drawn
 
 JOINTS, CODE = 6, 3
@@ -179,7 +179,7 @@ def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
     with monkeypatch.context() as finer:
-        finer.setattr(poses, "ENOUGH", 1e-4)
+        finer.setattr(search, "ENOUGH", 1e-4)
         first = poses.under(tree, (points,), model, *start, most=200)
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end
