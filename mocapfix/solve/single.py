@@ -121,7 +121,7 @@ def foretold(tree: Tree, terms: tuple, model: PoseModel, scale: float, posed: Po
     """-> the joints' places (J, 3), metres, and their standard deviations (J,) per axis, from the curvature of the cost."""
     joints, markers = len(tree.parents), len(terms[0].joints)
     shared, zero = posed.codes / scale, np.zeros(1)
-    latent = linearised(model, scale, shared, 0.0, np.zeros(1, int))
+    latent = linearised(tree, model, scale, shared, 0.0, np.zeros(1, int))
     deviation, turns = np.empty((1, joints)), np.empty((1, joints))
     uncertainties(
         tree, (*terms, latent), np.inf, rows_of(terms), posed.root, posed.rotations, shared, np.empty((1, markers)), deviation,
