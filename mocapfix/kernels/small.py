@@ -7,6 +7,8 @@ import math
 
 from numba import njit
 
+SUMS = {"reassoc", "contract"}  # compile long sums of products so: several at once, in any order
+
 
 @njit(cache=True)
 def matrix(m, j):
@@ -40,6 +42,17 @@ def transposed(a):
 def times(a, x, y, z):
     """-> a @ (x, y, z)"""
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@njit(cache=True, fastmath=SUMS)
+def along(rows, x):
+    """-> rows (3, N) @ x (N,)"""
+    a, b, c = 0.0, 0.0, 0.0
+    for p in range(len(x)):
+        a += rows[0, p] * x[p]
+        b += rows[1, p] * x[p]
+        c += rows[2, p] * x[p]
+    return a, b, c
 
 
 @njit(cache=True)
@@ -76,7 +89,7 @@ def inverse_3(m, j):
     return l10, l20, l21, i0, i1, i2
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=SUMS)
 def cholesky(m):
     """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
 
@@ -84,25 +97,25 @@ def cholesky(m):
     """
     for j in range(len(m)):
         for i in range(j, len(m)):
-            total = m[i, j]
+            total = 0.0
             for c in range(j):
-                total -= m[i, c] * m[j, c]
+                total += m[i, c] * m[j, c]
+            total = m[i, j] - total
             m[i, j] = math.sqrt(max(total, 1e-9)) if i == j else total / m[j, j]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=SUMS)
 def cholesky_solve(m, x):
     """Solve L L' x = x in place with what `cholesky` left in `m` (N, N); x (N,)."""
     for i in range(len(m)):
-        total = x[i]
+        total = 0.0
         for c in range(i):
-            total -= m[i, c] * x[c]
-        x[i] = total / m[i, i]
-    for i in range(len(m) - 1, -1, -1):
-        total = x[i]
-        for c in range(i + 1, len(m)):
-            total -= m[c, i] * x[c]
-        x[i] = total / m[i, i]
+            total += m[i, c] * x[c]
+        x[i] = (x[i] - total) / m[i, i]
+    for i in range(len(m) - 1, -1, -1):  # along rows of L, too
+        x[i] /= m[i, i]
+        for c in range(i):
+            x[c] -= m[i, c] * x[i]
 
 
 @njit(cache=True)

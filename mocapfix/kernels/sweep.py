@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels.pose import copy
-from mocapfix.kernels.small import cholesky, cholesky_solve, inverse_3, inverse_of_cholesky
+from mocapfix.kernels.small import along, cholesky, cholesky_solve, inverse_3, inverse_of_cholesky
 
 HARDLY = 1e-3  # 1/m^2 or 1/rad^2: holds an unknown that nothing else does, so that its variance is large, not infinite
 
@@ -68,7 +68,8 @@ def factor(tree, system, mu, f):
     h, gain, inverse, unknowns = f.h, f.gain, f.inverse, len(system.shared)
     copy(system.h, h)
     if unknowns:
-        copy(system.cross, f.cross)
+        f.cross.fill(0)
+        copy(system.own_cross[0], f.cross[0, :3])  # the root's own turn is part of its twist
         copy(system.shared, f.shared)
     for i in range(len(parents) - 1, 0, -1):
         p = parents[i]
@@ -120,11 +121,14 @@ def yield_to(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
     x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
     l10, l20, l21, d0, d1, d2 = ldl
     unknowns = len(shared)
+    for c in range(unknowns):  # one row at a time, here as elsewhere: the compiler then takes several numbers at once
+        yielding[i, 0, c] = cross[i, 0, c] + z * cross[i, 4, c] - y * cross[i, 5, c] + own_cross[i, 0, c]
     for c in range(unknowns):
-        w0 = cross[i, 0, c] + z * cross[i, 4, c] - y * cross[i, 5, c] + own_cross[i, 0, c]
-        w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c] - l10 * w0
-        w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c] - l20 * w0 - l21 * w1
-        yielding[i, 0, c], yielding[i, 1, c], yielding[i, 2, c] = w0, w1, w2
+        w1 = cross[i, 1, c] - z * cross[i, 3, c] + x * cross[i, 5, c] + own_cross[i, 1, c]
+        yielding[i, 1, c] = w1 - l10 * yielding[i, 0, c]
+    for c in range(unknowns):
+        w2 = cross[i, 2, c] + y * cross[i, 3, c] - x * cross[i, 4, c] + own_cross[i, 2, c]
+        yielding[i, 2, c] = w2 - l20 * yielding[i, 0, c] - l21 * yielding[i, 1, c]
     for c in range(unknowns):
         w0, w1, w2 = d0 * yielding[i, 0, c], d1 * yielding[i, 1, c], d2 * yielding[i, 2, c]
         for d in range(c + 1):
@@ -156,24 +160,37 @@ def carry_shift(i, shift, h, cross, shared):
 
 
 @njit(cache=True)
+def take(times, row, out):
+    """Take so many times a row (P,) from another, `out`."""
+    for c in range(len(row)):
+        out[c] -= times * row[c]
+
+
+@njit(cache=True)
+def divide(row, by):
+    """Divide a row (P,) in place."""
+    for c in range(len(row)):
+        row[c] /= by
+
+
+@njit(cache=True)
 def eliminate_root(mu, lower, cross, root, shared):
     """Eliminate the root's twist, whose curvature is L L', from the shared unknowns' and factor what is left."""
+    copy(cross, root)
+    for a in range(6):  # L^-1 cross
+        for b in range(a):
+            take(lower[a, b], root[b], root[a])
+        divide(root[a], lower[a, a])
     for c in range(len(shared)):
-        for a in range(6):  # L^-1 cross
-            total = cross[a, c]
-            for b in range(a):
-                total -= lower[a, b] * root[b, c]
-            root[a, c] = total / lower[a, a]
+        r0, r1, r2, r3, r4, r5 = root[0, c], root[1, c], root[2, c], root[3, c], root[4, c], root[5, c]
         for d in range(c + 1):
-            for a in range(6):
-                shared[c, d] -= root[a, c] * root[a, d]
+            left = r0 * root[0, d] + r1 * root[1, d] + r2 * root[2, d]
+            shared[c, d] -= left + r3 * root[3, d] + r4 * root[4, d] + r5 * root[5, d]
         shared[c, c] += mu
-    for c in range(len(shared)):
-        for a in range(5, -1, -1):  # L^-T of it
-            total = root[a, c]
-            for b in range(a + 1, 6):
-                total -= lower[b, a] * root[b, c]
-            root[a, c] = total / lower[a, a]
+    for a in range(5, -1, -1):  # L^-T of it
+        for b in range(a + 1, 6):
+            take(lower[b, a], root[b], root[a])
+        divide(root[a], lower[a, a])
     cholesky(shared)
 
 
@@ -217,10 +234,8 @@ def solve(tree, system, f, g, b, step):
                 w0 -= gain[i, a, 0] * twist[p, a]
                 w1 -= gain[i, a, 1] * twist[p, a]
                 w2 -= gain[i, a, 2] * twist[p, a]
-            for c in range(len(shared)):
-                w0 -= f.yielding[i, 0, c] * shared[c]
-                w1 -= f.yielding[i, 1, c] * shared[c]
-                w2 -= f.yielding[i, 2, c] * shared[c]
+            y0, y1, y2 = along(f.yielding[i], shared)
+            w0, w1, w2 = w0 - y0, w1 - y1, w2 - y2
         turn[i, 0], turn[i, 1], turn[i, 2] = w0, w1, w2
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
         twist[i, 0], twist[i, 1], twist[i, 2] = twist[p, 0] + w0, twist[p, 1] + w1, twist[p, 2] + w2

@@ -22,8 +22,7 @@ class System(NamedTuple):
     b: np.ndarray  # (J, 3)
     arm: np.ndarray  # (J, 3) metres: joints from the origin
     shift: np.ndarray  # (J, 3, P) how a joint moves, beyond its parent, with each shared unknown
-    cross: np.ndarray  # (J, 6, P) curvature between twists and shared unknowns
-    own_cross: np.ndarray  # (J, 3, P) between own turns and shared unknowns
+    own_cross: np.ndarray  # (J, 3, P) curvature between own turns, the root's too, and shared unknowns
     shared: np.ndarray  # (P, P) lower triangle
     shared_g: np.ndarray  # (P,)
     rows: np.ndarray  # (M, J, 6)
@@ -38,8 +37,8 @@ def empty_system(joints, unknowns, rows):
     rows = 0 if rows is None else rows
     return System(
         np.empty((joints, 6, 6)), np.empty((joints, 6)), np.empty((joints, 3, 3)), np.empty((joints, 3)), np.empty((joints, 3)),
-        np.zeros((joints, 3, unknowns)), np.empty((joints, 6, unknowns)), np.empty((joints, 3, unknowns)),
-        np.empty((unknowns, unknowns)), np.empty(unknowns), np.empty((rows, joints, 6)), np.empty((rows, joints, 3)),
+        np.zeros((joints, 3, unknowns)), np.empty((joints, 3, unknowns)), np.empty((unknowns, unknowns)),
+        np.empty(unknowns), np.empty((rows, joints, 6)), np.empty((rows, joints, 3)),
         np.empty(rows), np.zeros(1, np.int64),
     )  # fmt: skip
 
@@ -51,7 +50,6 @@ def clear(system):
     system.g.fill(0)
     system.own.fill(0)
     system.b.fill(0)
-    system.cross.fill(0)
     system.own_cross.fill(0)
     system.shared.fill(0)
     system.shared_g.fill(0)
@@ -80,8 +78,6 @@ def linearise(tree, terms, t, scale2, pose, system):
         system.b[0, a] = 0.0
         for c in range(3):
             h[0, a, c] += system.own[0, a, c]
-        for p in range(len(system.shared_g)):
-            system.cross[0, a, p] += system.own_cross[0, a, p]
         for m in range(len(system.away)):
             system.rows[m, 0, a] += system.rows_own[m, 0, a]
             system.rows_own[m, 0, a] = 0.0

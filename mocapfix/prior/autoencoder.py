@@ -110,6 +110,10 @@ class Autoencoder(PoseModel):
     def size(self) -> int:
         return len(self.mean) + len(self.astray)
 
+    @property
+    def bent(self) -> int:
+        return len(self.mean)
+
     def encode(self, vectors: np.ndarray) -> np.ndarray:
         """-> (N, P): the network's numbers, and the likeliest of the others beside these."""
         own, decoded = batched(self._encoded, vectors)

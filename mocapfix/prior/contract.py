@@ -33,6 +33,11 @@ class PoseModel(ABC):
     def size(self) -> int:
         """P, of how many numbers a code is."""
 
+    @property
+    def bent(self) -> int:
+        """B, how many of a code's first numbers decoding bends; it is linear in the others, which say the same at all codes."""
+        return 0 if self.linear else self.size
+
     @abstractmethod
     def encode(self, vectors: np.ndarray) -> np.ndarray:
         """-> (N, P) codes of poses (N, J, 3)."""

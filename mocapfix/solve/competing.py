@@ -22,7 +22,7 @@ class Competing(Search):
         self.mixture = replace(self.model, spreads=self.scale * self.model.spreads)
         self.chosen = np.full(len(self.root), -1)
         self.middle = np.ascontiguousarray(self.model.middle)
-        self.information = self.model.information / self.scale**2
+        self.information = self.model.information / self.scale**2 * self.tree.free[:, None, None]
 
     def said(self, batch: np.ndarray) -> tuple[Latent]:
         """-> the components that are a batch's own, now; the codes of what changed its component are those of the new one."""
@@ -33,7 +33,7 @@ class Competing(Search):
         self.chosen[batch], self.row[batch] = near.chosen, np.arange(len(batch))
         at = self.shared[batch]
         decoded, slopes = near.linearise(at)
-        return (Latent(self.middle, decoded, np.ascontiguousarray(slopes), at, self.information, np.zeros(len(at)), self.row),)
+        return (Latent.asked(self.middle, decoded, slopes, at, self.information, np.zeros(len(at)), self.row),)
 
     def said_again(self, said: tuple, batch: np.ndarray) -> tuple[Latent]:
         return self.said(batch)

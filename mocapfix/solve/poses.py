@@ -64,8 +64,8 @@ def under(
     codes = np.zeros((len(root), model.size)) if codes is None else codes
     search, frames = searching(model)(tree, others, model, scale, root, local, codes), np.arange(len(root))
     batches = np.array_split(frames, 1 if watch else -(-len(frames) // BATCH)) if len(frames) else []
-    if model.linear:
-        once = (linearised(model, scale, codes[:1] / scale, 0.0, search.row),)
+    if isinstance(model, PoseModel) and model.linear:
+        once = (linearised(tree, model, scale, codes[:1] / scale, 0.0, search.row),)
         side_by_side(partial(search.solve, once, FAR, scales2, most), batches)
         search.cost = search.costs(once, scales2[-1], frames)
         if watch:

@@ -16,7 +16,8 @@ from mocapfix.kernels.levenberg import RAN_OUT, SLIGHT, solve_frames
 from mocapfix.kernels.plan import alone
 from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.terms import rows_of
-from mocapfix.solve.linearised import linearised, mend
+from mocapfix.kernels.terms.latent import curve, mend
+from mocapfix.solve.linearised import linearised
 
 FAR, NEAR = 1e-3, 1e-6  # initial damping over the largest curvature: from a start that may be far off; from the last round's end
 EACH = 6  # iterations in a round at each robust scale: more would only go by a linearisation that holds no longer
@@ -50,21 +51,23 @@ class Search:
     def said(self, batch: np.ndarray) -> tuple:
         """-> the model's terms, linearised where a batch of frames is."""
         self.row[batch] = np.arange(len(batch))
-        return (linearised(self.model, self.scale, self.shared[batch], HOLD, self.row),)
+        return (linearised(self.tree, self.model, self.scale, self.shared[batch], HOLD, self.row),)
 
     def said_again(self, said: tuple, batch: np.ndarray) -> tuple:
         """-> the same for the next round: the derivatives asked for anew where they are stale."""
         latent, frames = said[0], batch[self.stale[batch]]
         if len(frames):
-            rows, at = self.row[frames], self.shared[frames]
-            decoded, slopes = self.model.linearise(self.scale * at)
-            latent.at[rows], latent.decoded[rows], latent.jacobian[rows] = at, decoded, self.scale * slopes
-            latent.hold[rows], self.stale[frames] = self.hold[frames], False
+            rows, at, bent = self.row[frames], self.shared[frames], self.model.bent
+            latent.decoded[rows], slopes = self.model.linearise(self.scale * at)
+            latent.jacobian[rows, ..., :bent] = self.scale * slopes[..., :bent]
+            latent.at[rows], latent.hold[rows], self.stale[frames] = at, self.hold[frames], False
+            curve(latent, rows, bent)
         return said
 
     def said_now(self, said: tuple, batch: np.ndarray) -> tuple:
         """-> the same where the batch has come to, the derivative as well as it can be told from the step."""
-        mend(said[0], self.row[batch], self.shared[batch], self.model.decode(self.scale * self.shared[batch]))
+        at = self.shared[batch]
+        mend(said[0], self.row[batch], at, self.model.decode(self.scale * at), self.model.bent)
         return said
 
     def solve(self, said: tuple, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:

@@ -122,7 +122,7 @@ def foretold(tree: Tree, terms: tuple, model: PoseModel, scale: float, posed: Po
     joints, markers = len(tree.parents), len(terms[0].joints)
     shared, zero = posed.codes / scale, np.zeros(1)
     near = model.near(from_middle(posed.rotations, model.middle))
-    latent = linearised(near, scale, shared, 0.0, np.zeros(1, int))
+    latent = linearised(tree, near, scale, shared, 0.0, np.zeros(1, int))
     deviation, turns = np.empty((1, joints)), np.empty((1, joints))
     uncertainties(
         tree, (*terms, latent), np.inf, rows_of(terms), posed.root, posed.rotations, shared, np.empty((1, markers)), deviation,

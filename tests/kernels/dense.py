@@ -254,7 +254,8 @@ def assembled(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray]:
     """-> gradient (N,) and curvature (N, N) of a system as one whole quadratic in x."""
     twist, turn, shared = twists(tree, system)
     among = np.tril(system.shared) + np.tril(system.shared, -1).T
-    crossed = (np.einsum("jan,jap->np", twist, system.cross) + np.einsum("jan,jap->np", turn, system.own_cross)) @ shared
+    own = np.concatenate([twist[:1, :3], turn[1:]])  # the root's own turn is part of its twist
+    crossed = np.einsum("jan,jap->np", own, system.own_cross) @ shared
     rows = across(tree, system)
     bodies, joints = np.swapaxes(twist, 1, 2) @ system.h @ twist, np.swapaxes(turn, 1, 2) @ system.own @ turn
     curvature = bodies.sum(0) + joints.sum(0) + shared.T @ among @ shared + crossed + crossed.T + rows.T @ rows

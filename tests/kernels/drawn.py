@@ -68,7 +68,7 @@ def nothing(joints: int, frames: int = 1) -> dict:
             np.zeros((frames, 0)),
         ),
         "limits": Limits(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
-        "latent": Latent(
+        "latent": Latent.asked(
             eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3)),
             np.zeros(1), np.zeros(1, int),
         ),
@@ -147,7 +147,8 @@ def latent(rng, at: dense.World) -> Latent:
     information[rng.random(joints) < 0.2] = 0.0
     decoded, slope = rng.normal(0, 0.3, (2, joints, 3)), rng.normal(0, 0.3, (2, joints, 3, size))
     middle, hold = rotations(rng, joints, 2.0) @ at.local, rng.uniform(0, 5, 2)
-    return Latent(middle, decoded, slope, rng.normal(size=(2, size)), information, hold, np.ones(1, int))
+    information *= at.tree.free[:, None, None]
+    return Latent.asked(middle, decoded, slope, rng.normal(size=(2, size)), information, hold, np.ones(1, int))
 
 
 def distances(rng, at: dense.World, count: int) -> Distances:

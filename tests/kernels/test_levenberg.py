@@ -76,7 +76,7 @@ def test_markers_tell_the_code_of_a_pose_that_a_decoder_made(seed):
     elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
     decoded = (slope @ elsewhere[0])[None]
     sure = np.tile(1e8 * np.eye(3), (joints, 1, 1))
-    prior = Latent(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
+    prior = Latent.asked(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
     frame = frame._replace(terms=drawn.terms(joints, points=markers, latent=prior))
     start = frame.root + 0.02, drawn.rotations(rng, joints, 0.1) @ local, np.zeros(size)
     _, found, shared, _, _ = solved(frame, PLAIN, start=start)
@@ -111,7 +111,7 @@ def test_a_slight_promise_is_not_believed_where_others_were_broken():
     """
     wanted, information = np.array([[[0, 0, 0], [np.pi + 2, 0, 0]]]), np.array([np.zeros((3, 3)), 9 * np.eye(3)])
     middle, none, row = np.tile(np.eye(3), (2, 1, 1)), np.zeros((1, 0)), np.zeros(1, int)
-    beyond = Latent(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
+    beyond = Latent.asked(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
     for angle in np.arange(2.2, 3.1, 0.02):
         start = np.zeros(3), Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]]).as_matrix(), np.zeros(0)
         _, local, _, status, _ = solved(dense.Frame(chain(2), drawn.terms(2, latent=beyond), *start), PLAIN, most=100)

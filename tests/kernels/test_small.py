@@ -32,6 +32,13 @@ def test_inverse_3_inverts_in_place(seed, power):
     np.testing.assert_allclose(lower / d @ lower.T, stack[1], rtol=1e-9, atol=1e-12 * 10.0**power)
 
 
+@given(seeds, st.integers(0, 40))
+def test_along_rows(seed, size):
+    rng = np.random.default_rng(seed)
+    rows, x = rng.normal(size=(3, size)), rng.normal(size=size)
+    np.testing.assert_allclose(small.along(rows, x), rows @ x, atol=1e-12)
+
+
 @given(seeds, st.integers(0, 12), st.floats(-3, 6))
 def test_the_inverse_of_what_cholesky_left_inverts(seed, size, power):
     matrix = drawn.spd(np.random.default_rng(seed), 1, size, 10.0**power)[0]

@@ -20,12 +20,13 @@ def random_work(rng, tree, unknowns, rows):
     work = workspace(joints, unknowns, rows)
     s = work.system
     s.shared[:] = 0.0
-    for size, curvature, crossed in ((6, s.h, s.cross), (3, s.own, s.own_cross)):
-        half = rng.normal(size=(joints, size, size + unknowns)) * rng.integers(0, 2, (joints, size, 1))
-        half[0] *= size == 6  # the root's own turn is part of its twist
-        both = np.swapaxes(half, 1, 2) @ half
-        curvature[:], crossed[:] = both[:, :size, :size], both[:, :size, size:]
-        s.shared[:] += both[:, size:, size:].sum(0)
+    half = rng.normal(size=(joints, 6, 6)) * rng.integers(0, 2, (joints, 6, 1))
+    s.h[:] = np.swapaxes(half, 1, 2) @ half
+    half = rng.normal(size=(joints, 3, 3 + unknowns)) * rng.integers(0, 2, (joints, 3, 1))
+    both = np.swapaxes(half, 1, 2) @ half
+    s.own[:], s.own_cross[:], s.shared[:] = both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:].sum(0)
+    s.h[0, :3, :3] += s.own[0]  # the root's own turn is part of its twist
+    s.own[0] = 0.0
     for each in (s.g, s.b, s.shared_g, s.rows, s.rows_own, s.away):
         each[:] = rng.normal(size=each.shape)
     s.arm[:], s.shift[:] = rng.normal(size=s.arm.shape), rng.normal(size=s.shift.shape)

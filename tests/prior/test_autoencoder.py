@@ -49,6 +49,14 @@ def test_linearising_says_how_decoding_changes(kind, activation, gives, straight
     assert np.abs(slopes).max() > 0.02
 
 
+def test_only_the_networks_own_numbers_are_bent():
+    model, codes = drawn("continuous", "silu", astray=2), np.random.default_rng(2).normal(size=(4, 5))
+    _, slopes = model.linearise(codes)
+    assert model.bent == 3
+    np.testing.assert_array_equal(slopes[..., 3:], np.repeat(slopes[:1, ..., 3:], 4, axis=0))
+    assert (np.ptp(slopes[..., :3], axis=0).max(axis=(0, 1)) > 1e-3).all()
+
+
 def test_the_code_is_the_networks_own_in_units_of_its_spread():
     model, vectors = drawn("continuous", "silu"), np.random.default_rng(2).normal(0, 0.3, (6, 31, 3))
     vectors[:, 0, 1] = 0

@@ -82,10 +82,10 @@ def case(rng, model, frames=5, joints=(1, 3, 4)):
 def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
     """-> of frame t, all written out: the points, the pose about what the code means, the code"""
     rows, residuals = np.zeros(1, int), (code / scale)[None]
-    latent = Latent(model.middle, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
-                    model.information / scale**2, np.zeros(1), rows)  # fmt: skip
+    prior = Latent.asked(model.middle, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
+                         model.information / scale**2, np.zeros(1), rows)  # fmt: skip
     seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
-    return dense.cost(dense.Frame(tree, (seen, latent), root, local, code / scale))
+    return dense.cost(dense.Frame(tree, (seen, prior), root, local, code / scale))
 
 
 def costs(tree, points, model, found, scale=1.0):
@@ -111,10 +111,11 @@ def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
     found = poses.under(tree, (points,), model, *start, scale=1.5)
     np.testing.assert_allclose(found.cost, costs(tree, points, model, found, 1.5), rtol=1e-9)
     for t, cost in enumerate(found.cost):
-        latent = Latent(model.middle, model.mean[None], 1.5 * np.moveaxis(model.components, 0, -1)[None], np.zeros((1, CODE)),
-                        model.information / 1.5**2, np.zeros(1), np.zeros(1, int))  # fmt: skip
+        slopes = 1.5 * np.moveaxis(model.components, 0, -1)[None]
+        prior = Latent.asked(model.middle, model.mean[None], slopes, np.zeros((1, CODE)), model.information / 1.5**2,
+                             np.zeros(1), np.zeros(1, int))  # fmt: skip
         seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
-        frame = dense.Frame(tree, (seen, latent), found.root[t], found.rotations[t], found.codes[t] / 1.5)
+        frame = dense.Frame(tree, (seen, prior), found.root[t], found.rotations[t], found.codes[t] / 1.5)
 
         def residuals(x, frame=frame):
             after = dense.moved(frame, x)

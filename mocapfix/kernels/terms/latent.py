@@ -11,8 +11,10 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm, tilt
-from mocapfix.kernels.small import matrix, product, times, transposed
+from mocapfix.kernels.small import along, matrix, product, times, transposed
 from mocapfix.kernels.terms.contract import adds, of_frame
+
+TINY = 1e-8  # square of a step of the code from which nothing is learned but a network's rounding
 
 
 class Latent(NamedTuple):
@@ -27,9 +29,19 @@ class Latent(NamedTuple):
     decoded: np.ndarray  # (D, J, 3) radians, at the code `at`
     jacobian: np.ndarray  # (D, J, 3, P) radians: how that changes with the code
     at: np.ndarray  # (D, P)
-    information: np.ndarray  # (J, 3, 3) 1 / rad^2, symmetric; zero for a joint that the decoder does not know
+    information: np.ndarray  # (J, 3, 3) 1 / rad^2, symmetric; zero for a joint that is not free or the decoder does not know
+    curvature: np.ndarray  # (D, P, P) 1 / squared deviations, symmetric: what `curve` writes
     hold: np.ndarray  # (D,) how strongly the code is held `at` where the decoder was asked, for only near there it is right
     row: np.ndarray  # (1 or T,) which of the D linearisations is the frame's
+
+    @classmethod
+    def asked(cls, middle, decoded, jacobian, at, information, hold, row) -> "Latent":
+        """-> the term with its curvature; arguments as its fields, laid out in memory in any way."""
+        size = at.shape[1]
+        arrays = (np.ascontiguousarray(each) for each in (middle, decoded, jacobian, at, information))
+        term = cls(*arrays, np.zeros((len(at), size, size)), hold, row)
+        curve(term, np.arange(len(at)), size)
+        return term
 
 
 @njit(cache=True)
@@ -51,15 +63,13 @@ def add(term, t, scale2, tree, pose, system):
     cost, size = 0.0, len(at)
     for j in range(len(tree.parents)):
         information = matrix(term.information, j)
-        if not tree.free[j] or information[0] + information[4] + information[8] == 0.0:
+        if information[0] + information[4] + information[8] == 0.0:
             continue
         x, y, z, through = away(term, tree, pose, j)
-        x, y, z = x - decoded[j, 0], y - decoded[j, 1], z - decoded[j, 2]
-        for p in range(size):
-            step = pose.shared[p] - at[p]
-            x -= slopes[j, 0, p] * step
-            y -= slopes[j, 1, p] * step
-            z -= slopes[j, 2, p] * step
+        begun, come = along(slopes[j], at), along(slopes[j], pose.shared)
+        x += begun[0] - decoded[j, 0] - come[0]
+        y += begun[1] - decoded[j, 1] - come[1]
+        z += begun[2] - decoded[j, 2] - come[2]
         px, py, pz = times(information, x, y, z)
         cost += 0.5 * (px * x + py * y + pz * z)
         held = product(transposed(through), information)
@@ -75,14 +85,50 @@ def add(term, t, scale2, tree, pose, system):
             for p in range(size):
                 system.own_cross[j, a, p] -= h0 * slopes[j, 0, p] + h1 * slopes[j, 1, p] + h2 * slopes[j, 2, p]
         for p in range(size):
-            ux, uy, uz = slopes[j, 0, p], slopes[j, 1, p], slopes[j, 2, p]
-            system.shared_g[p] -= ux * px + uy * py + uz * pz
-            ux, uy, uz = times(information, ux, uy, uz)
-            for q in range(p + 1):
-                system.shared[p, q] += ux * slopes[j, 0, q] + uy * slopes[j, 1, q] + uz * slopes[j, 2, q]
+            system.shared_g[p] -= slopes[j, 0, p] * px + slopes[j, 1, p] * py + slopes[j, 2, p] * pz
     for p in range(size):
         code, step, hold = pose.shared[p], pose.shared[p] - at[p], term.hold[row]
+        for q in range(p + 1):
+            system.shared[p, q] += term.curvature[row, p, q]
         cost += 0.5 * (code * code + hold * step * step)
         system.shared_g[p] += code + hold * step
         system.shared[p, p] += 1.0 + hold
     return cost
+
+
+@njit(cache=True, nogil=True)
+def curve(term, rows, bent):
+    """Write the curvature that linearisations `rows` give the code, the sum over joints of slopes' information slopes: of the
+    first `bent` numbers, with all others; the rest stays as it is.
+    """
+    for row in rows:
+        curvature = term.curvature[row]
+        curvature[:bent].fill(0)
+        for j in range(len(term.information)):
+            slopes, information = term.jacobian[row, j], matrix(term.information, j)
+            for p in range(bent):  # along rows, that is in the upper triangle, the fastest
+                x, y, z = times(information, slopes[0, p], slopes[1, p], slopes[2, p])
+                for q in range(len(curvature)):
+                    curvature[p, q] += x * slopes[0, q] + y * slopes[1, q] + z * slopes[2, q]
+        curvature[bent:, :bent] = curvature[:bent, bent:].T
+
+
+@njit(cache=True, nogil=True)
+def mend(term, rows, at, decoded, bent):
+    """Move linearisations `rows` to codes `at` (B, P), which are known to mean `decoded` (B, J, 3).
+
+    The derivative to the first `bent` numbers changes by the least that makes it agree with the step there (Broyden 1965); the
+    others' is as it was.
+    """
+    for i in range(len(rows)):
+        row, there, means = rows[i], at[i], decoded[i]
+        said, step = term.decoded[row], there[:bent] - term.at[row, :bent]
+        square = max((step**2).sum(), TINY)
+        for j in range(len(said)):
+            begun, come = along(term.jacobian[row, j], term.at[row]), along(term.jacobian[row, j], there)
+            for a in range(3):
+                missed = (means[j, a] - said[j, a] - come[a] + begun[a]) / square
+                for p in range(bent):
+                    term.jacobian[row, j, a, p] += missed * step[p]
+        term.at[row], term.decoded[row] = there, means
+    curve(term, rows, bent)
