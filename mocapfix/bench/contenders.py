@@ -21,8 +21,8 @@ from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve import poses, search
 from mocapfix.solve.poses import Posed
 
-NONE, PAPERS = "none", "mnn-ik"
-NAMES = (NONE, "pca", "gaussian", "mixture", PAPERS, "autoencoder")
+NONE = "none"
+NAMES = (NONE, "pca", "gaussian", "mixture", models.PAPERS, "autoencoder")
 MOST = 50  # iterations of a pose
 
 Contender = PoseModel | Naturalness | None
@@ -108,7 +108,7 @@ def shelf(where: Path | None = None) -> Shelf:
         path = (where or folder("priors")) / f"{name}.safetensors"
         if path.is_file():
             model = models.load(str(path), cmu31().skeleton)
-            found[name] = Naturalness(model) if name == PAPERS and isinstance(model, Autoencoder) else model
+            found[name] = Naturalness(model) if name == models.PAPERS and isinstance(model, Autoencoder) else model
     if models.DEFAULT not in found:
         raise SceneError(f"{where}: holds no {models.DEFAULT}.safetensors, with which the other priors are compared.")
     return found

@@ -14,16 +14,21 @@ from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
 
 DEFAULT = "autoencoder"  # the model that is asked where nobody names one
+PAPERS = "mnn-ik"  # which stands in a solve in another way, as one number, so that benchmarks can compare it
 
 
 def find(name: str) -> Path:
     """-> where the model is that is shipped as priors/NAME.safetensors, or the file, where `name` ends so.
 
-    Raises SceneError naming the models there are.
+    Raises SceneError naming the models there are; also for the paper's, which goes by its file alone.
     """
     path = Path(name) if name.endswith(".safetensors") else folder("priors") / f"{Path(name).name}.safetensors"
+    there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors") if each.stem != PAPERS))
+    if name == PAPERS:
+        raise SceneError(
+            f"The prior {name!r} is there to be measured (mocapfix bench prior), and has no say; choose one of: {there}."
+        )
     if not path.is_file():
-        there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors")))
         raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
     return path
 

@@ -27,8 +27,8 @@ class Naturalness:
     linear: ClassVar[bool] = False
 
     def __post_init__(self):
-        if self.autoencoder.shape.features != "euler":
-            raise ValueError("naturalness is measured in Euler angles; this network knows others")
+        if (self.autoencoder.shape.features, self.autoencoder.shape.gives) != ("euler", "euler"):
+            raise ValueError("naturalness is measured in Euler angles; this network is told or gives others")
 
     @property
     def deviation(self) -> float:
