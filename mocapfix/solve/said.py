@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.errors import ConstraintError
 from mocapfix.kernels.terms import Directions, Distances, Orientations, Points, Views, normalised
 from mocapfix.skeleton import Skeleton
-from mocapfix.solve.constraints import Constraint, Direction, Distance, Orientation, Position, Seen
+from mocapfix.solve.constraints import Camera, Constraint, Direction, Distance, Orientation, Position, Seen
 
 KINDS = (Position, Direction, Orientation, Distance, Seen)
 SQUARE = 1e-3  # how far the entries of a rotation may be off: somebody wrote it down to a few digits
@@ -50,7 +50,7 @@ def orientations(said: list[Orientation], skeleton: Skeleton, frames: int) -> Or
 
 
 def distances(said: list[Distance], skeleton: Skeleton) -> Distances:
-    joints = np.array([[index(c, name, skeleton) for name in c.joints] for c in said], int).reshape(-1, 2)
+    joints = np.array([[index(c, name, skeleton) for name in pair(c)] for c in said], int).reshape(-1, 2)
     places = gathered(said, lambda c: numbers(c, "places", c.places, 2, 3), 2, 3)
     length = np.array([float(numbers(c, "length", c.length)) for c in said])
     return Distances(joints, places, length[None], weights(said)[None])
@@ -58,6 +58,9 @@ def distances(said: list[Distance], skeleton: Skeleton) -> Distances:
 
 def views(said: list[Seen], skeleton: Skeleton, frames: int) -> Views:
     """Every point brings its own camera along: they are few."""
+    for c in said:
+        if not isinstance(c.camera, Camera):
+            raise wrong(c, f"camera must be a solve.Camera, and is {c.camera!r}")
     pixels = gathered(said, lambda c: numbers(c, "pixel", c.pixel, 2), 2)
     centres = gathered(said, lambda c: numbers(c, "camera.centre", c.camera.centre, 2), 2)
     scales = np.array([positive(c, "camera.scale", c.camera.scale) for c in said]).reshape(-1, 1)
@@ -93,6 +96,12 @@ def index(constraint: Constraint, joint: str, skeleton: Skeleton) -> int:
     return skeleton.index(joint)
 
 
+def pair(constraint: Distance) -> tuple[str, str]:
+    if not isinstance(constraint.joints, tuple | list) or len(constraint.joints) != 2:
+        raise wrong(constraint, "joints must be the names of two")
+    return constraint.joints
+
+
 def weights(said: Sequence[Any]) -> np.ndarray:
     """-> (K,) one over the squares of the standard deviations."""
     return np.array([positive(each, "sd", each.sd) ** -2.0 for each in said])
@@ -120,9 +129,14 @@ def positive(constraint: Constraint, name: str, value: Any) -> float:
 def turn(constraint: Constraint, value: Any) -> np.ndarray:
     """-> (3, 3) a rotation."""
     matrix = numbers(constraint, "rotation", value, 3, 3)
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > SQUARE or np.linalg.det(matrix) < 0:
+    if not turns(matrix):
         raise wrong(constraint, "rotation must have rows of length one at right angles, right-handed")
     return matrix
+
+
+def turns(matrix: np.ndarray) -> bool:
+    """-> whether (3, 3) is a rotation."""
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < SQUARE and np.linalg.det(matrix) > 0)
 
 
 def unit(constraint: Constraint, name: str, vector: np.ndarray) -> np.ndarray:
@@ -145,5 +159,6 @@ def above(child: int, skeleton: Skeleton) -> str:
 
 
 def wrong(constraint: Constraint, why: str) -> ConstraintError:
-    where = " and ".join(constraint.joints) if isinstance(constraint, Distance) else constraint.joint
+    where = constraint.joints if isinstance(constraint, Distance) else constraint.joint
+    where = " and ".join(map(str, where)) if isinstance(where, tuple | list) else where
     return ConstraintError(f"{type(constraint).__name__} of {where}: {why}.")

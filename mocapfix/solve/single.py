@@ -20,12 +20,10 @@ from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve.constraints import Constraint
 from mocapfix.solve.linearised import linearised
 from mocapfix.solve.poses import Posed, under
-from mocapfix.solve.said import terms_of
+from mocapfix.solve.said import terms_of, turns
 
 MOST = 100  # iterations: a single pose has time
-FACING = np.deg2rad(
-    [0, 90, 180, 270]
-)  # headings of the starts: from one that faces away, a body would have to turn through itself
+FACING = np.deg2rad([0, 90, 180, 270])  # of the starts: from one that faces away, a body would have to turn through itself
 LOOSE = 3.0  # radians: how far joints stray about the rest pose where no prior is wanted; it only breaks ties
 
 
@@ -71,8 +69,11 @@ def pose(
     start     root (3,) metres and local rotations (J, 3, 3); else the prior's middle pose, facing four ways, the best of which
               is kept
 
-    Raises ConstraintError where there is no constraint or one does not say what it must, SceneError for an unknown prior.
+    Raises ConstraintError where there is no constraint or one does not say what it must, the same for scale and start;
+    SceneError for an unknown prior.
     """
+    if not 0 < scale < np.inf:
+        raise ConstraintError(f"A prior's scale must be more than 0 and finite, and is {scale!r}.")
     skeleton = cmu31().skeleton if skeleton is None else skeleton
     tree, model = kinematics.tree_of(skeleton), named(prior, skeleton) if isinstance(prior, str) else prior
     frames = len(FACING) if start is None else 1
@@ -114,6 +115,8 @@ def started(start: tuple[np.ndarray, np.ndarray], skeleton: Skeleton) -> tuple[n
     if root.shape != (3,) or local.shape != (joints, 3, 3) or not (np.isfinite(root).all() and np.isfinite(local).all()):
         said = f"this one's are {root.shape} and {local.shape}"
         raise ConstraintError(f"A start is a root (3,) and rotations ({joints}, 3, 3) of finite numbers; {said}.")
+    if not all(map(turns, local)):
+        raise ConstraintError("A start's rotations must have rows of length one at right angles, right-handed.")
     return root[None].copy(), local[None].copy()
 
 

@@ -134,6 +134,9 @@ HAND = Position("LeftHand", (0.5, 1.4, 0.3))
         ([Orientation("Head", -np.eye(3))], "Orientation of Head: rotation must have rows of length one"),
         ([Distance(("Head", "Foot"), 1.0)], "Distance of Head and Foot: there is no joint 'Foot'"),
         ([Distance(("Head", "Neck"), np.inf)], "length must be one finite number, and is inf."),
+        ([Distance(("Head",), 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
+        ([Distance("Head", 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
+        ([Seen("Head", None, (1, 2))], "Seen of Head: camera must be a solve.Camera, and is None."),  # type: ignore[arg-type]
         ([Seen("Head", Camera(np.eye(3), (0, 0, 4), 0.0), (1, 2))], "Seen of Head: camera.scale must be more than 0"),
     ],
 )
@@ -147,6 +150,21 @@ def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
         solve.pose([HAND], "gauss")
     with pytest.raises(ConstraintError, match=re.escape("A start is a root (3,) and rotations (31, 3, 3)")):
         solve.pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
+    with pytest.raises(ConstraintError, match="A start's rotations must have rows of length one"):
+        solve.pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
+def test_a_scale_that_is_none_is_said(scale):
+    with pytest.raises(ConstraintError, match=f"scale must be more than 0 and finite, and is {scale!r}"):
+        solve.pose([HAND], GAUSSIAN, scale=scale)
+
+
+def test_the_papers_network_is_refused_by_its_name():
+    with pytest.raises(
+        SceneError, match=r"'mnn-ik' is there to be measured .* choose one of: autoencoder, gaussian, mixture, pca\."
+    ):
+        solve.pose([HAND], "mnn-ik")
 
 
 def test_the_readmes_example_runs():
