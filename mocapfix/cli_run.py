@@ -23,7 +23,7 @@ def run(
 
     path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped("scenes") / f"{Path(scene).name}.yaml"
     kind = read_yaml(path).get("kind")
-    if kind not in SCENES:
+    if not isinstance(kind, str) or kind not in SCENES:
         raise SceneError(f"{path}: kind: must be one of {', '.join(SCENES)}, not {kind!r}.")
     return SCENES[kind](path, folder or Path(f"{path.stem}.mocapfix"), overwrite)
 

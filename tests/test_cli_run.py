@@ -37,7 +37,12 @@ def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, t
 
 @pytest.mark.parametrize(
     ("scene", "message"),
-    [("kind: opera\n", "kind: must be one of keypoints-2d, not 'opera'"), ("title: a\n", "not None"), (None, "cannot be read")],
+    [
+        ("kind: opera\n", "kind: must be one of keypoints-2d, not 'opera'"),
+        ("kind: [a]\n", "not ['a']"),
+        ("title: a\n", "not None"),
+        (None, "cannot be read"),
+    ],
 )
 def test_a_scene_that_is_none_is_told(mocapfix, tmp_path, scene, message):
     if scene:

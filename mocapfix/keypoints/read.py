@@ -66,7 +66,7 @@ def keypoints(path: Path, skeleton: Skeleton) -> Keypoints:
     points = followed([_people(where, frame, known) for where, frame in frames], len(known.labels))
     if not points[..., 2].any():
         raise ReadError(f"{path}: nobody was found in any frame.")
-    return Keypoints(known, np.ascontiguousarray(points[..., :2]), np.clip(points[..., 2], 0, 1), rate, image)
+    return Keypoints(known, np.ascontiguousarray(points[..., :2]), np.ascontiguousarray(points[..., 2]), rate, image)
 
 
 def followed(people: list[np.ndarray], points: int) -> np.ndarray:
@@ -119,7 +119,7 @@ def _positive(number: object) -> bool:
 
 
 def _people(where: str, frame: object, known: Detector) -> np.ndarray:
-    """-> (N, V, 3) the people of a frame: x, y and confidence."""
+    """-> (N, V, 3) the people of a frame: x, y and confidence, this from 0 to 1."""
     people = frame.get("people") if isinstance(frame, dict) else None
     if not isinstance(people, list):
         raise ReadError(f"{where}: people: must be a list.")
@@ -128,9 +128,10 @@ def _people(where: str, frame: object, known: Detector) -> np.ndarray:
         try:
             numbers = np.array(person[known.key], float)
             found[n] = numbers.reshape(len(known.labels), 3)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             held = f"x, y and confidence of {len(known.labels)} points ({known.name})"
             raise ReadError(f"{where}: people.{n}.{known.key}: must hold {held}.") from error
     if not np.isfinite(found).all():
         raise ReadError(f"{where}: people: holds a number that is not finite.")
+    found[..., 2] = found[..., 2].clip(0, 1)
     return found

@@ -30,7 +30,7 @@ class Settings(BaseModel):
     prior_scale  times its standard deviations: with 2 it is believed half as much
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: Literal["keypoints-2d"]
     title: str
     keypoints: Path
@@ -53,7 +53,8 @@ def settings(path: Path) -> Settings:
 def run(path: Path, progress: Progress | None = None) -> Result:
     """-> motion and camera of the film that the scene names.
 
-    Raises SceneError for what the scene does not say as it must, ReadError for keypoints that cannot be taken in.
+    Raises SceneError for what the scene does not say as it must, ReadError for keypoints that cannot be taken in, TakeError for
+    those that tell of no body.
     """
     said, clock = settings(path), Clock(progress=progress)
     with clock("read"):

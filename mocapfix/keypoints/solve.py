@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocapfix.errors import TakeError
 from mocapfix.kernels.problem import Uncertainty
 from mocapfix.keypoints import guesses
 from mocapfix.keypoints.camera import Camera, answering, centred, fitted_scale
@@ -36,6 +37,8 @@ def film(
     strength  times the model's standard deviations: with 2 it is believed half as much
 
     The camera's scale is as right as the skeleton's size: an image does not tell a tall person far away from a short one.
+
+    Raises TakeError where the keypoints are too few, or not those of somebody upright, to tell it.
     """
     weight = np.where(keypoints.confidence < NOT_FOUND, 0.0, (keypoints.confidence / keypoints.detector.sd) ** 2)
     sight = Sight(skeleton, keypoints.detector, model, strength, rotation, keypoints.pixels, weight)
@@ -54,7 +57,9 @@ def scale_of(sight: Sight) -> float:
     """-> pixels per metre that answer themselves: of the frames that show most, spread over the film."""
     shown = np.flatnonzero((sight.weight > 0).sum(axis=1) >= ENOUGH)
     if not len(shown):
-        shown = np.argmax((sight.weight > 0).sum(axis=1), keepdims=True)
+        raise TakeError(
+            f"In no frame are {ENOUGH} keypoints found with a confidence of {NOT_FOUND:g} and more: too few for a body."
+        )
     few = sight.at(shown[np.linspace(0, len(shown) - 1, min(TELLING, len(shown))).round().astype(int)])
     few = replace(few, robust=(WIDE,))  # at a scale that is too small much lies far off, and must say so
 
@@ -65,9 +70,18 @@ def scale_of(sight: Sight) -> float:
         poses, places, cost = guessed(few, scale, local)
         local = poses.rotations
         best = places.reshape(*cost.shape, *places.shape[1:])[np.arange(len(cost)), cost.argmin(axis=1)]
-        return fitted_scale(few.flat(best), few.pixels, few.trust(scale, best))
+        return upright(fitted_scale(few.flat(best), few.pixels, few.trust(scale, best)))
 
-    return answering(answer, first_scale(few))
+    return answering(answer, upright(first_scale(few)))
+
+
+def upright(scale: float) -> float:
+    """-> the scale. Raises TakeError where it is none: by points in one place, or of somebody who stands on his head."""
+    if not scale > 0:
+        raise TakeError(
+            "The keypoints tell no size of a body; do their pixels count to the right and down, from somebody upright?"
+        )
+    return scale
 
 
 def first_scale(sight: Sight) -> float:

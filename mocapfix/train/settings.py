@@ -12,7 +12,7 @@ from mocapfix.scenes import read_yaml
 class Stated(BaseModel):
     """Nothing but what is stated, all of it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class LinearSettings(Stated):

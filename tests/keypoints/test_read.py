@@ -65,6 +65,12 @@ def test_more_than_sure_is_sure(tmp_path):
     assert found.confidence.max() == 1
 
 
+def test_less_than_not_found_is_not_found_and_hides_nobody(tmp_path):
+    found = read.keypoints(saved(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON)
+    np.testing.assert_array_equal(found.pixels[:, 0, 0], [1.0, 2.0])
+    np.testing.assert_array_equal(found.confidence[:, 0], [0.2, 0.2])
+
+
 @pytest.mark.parametrize(
     ("said", "message"),
     [
@@ -79,6 +85,7 @@ def test_more_than_sure_is_sure(tmp_path):
         (film([{"keypoints": []}]), r"frames\.0: people\.0\.pose_keypoints_2d: must hold"),
         (film([person(float("nan"))]), r"frames\.0: people: holds a number that is not finite"),
         ({"order": "openpose", "frames": [[]]}, r"frames\.0: people: must be a list"),
+        (film([person(10**400)]), r"frames\.0: people\.0\.pose_keypoints_2d: must hold"),  # type: ignore[arg-type]
         (film([], []), r"bad\.json: nobody was found in any frame"),
     ],
 )

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from mocapfix.errors import ReadError, SceneError, WriteError
+from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
 from mocapfix.keypoints import example, read, scene
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
@@ -44,6 +44,7 @@ def test_the_shipped_scene_says_what_it_must_and_shows_a_known_motion():
     [
         ("title: <Mine>\n", "", r"mine\.yaml: title: Field required"),
         ("prior: pca", "prior: pca\nprior_scale: 0", r"mine\.yaml: prior_scale: .*greater than 0"),
+        ("prior: pca", "prior: pca\nprior_scale: .inf", r"mine\.yaml: prior_scale: .*finite"),
         ("prior: pca", "prior: pca\nlooks_down: 95", r"mine\.yaml: looks_down: .*less than 90"),
         ("prior: pca", "prior: pca\ncamera: 3", r"mine\.yaml: camera: Extra inputs"),
         ("kind: keypoints-2d", "kind: keypoints-3d", r"mine\.yaml: kind: "),
@@ -63,6 +64,25 @@ def test_a_film_that_does_not_say_its_rate_needs_the_scenes(place, tmp_path):
     (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
     with pytest.raises(SceneError, match=r"mine\.yaml: rate: must say how many frames a second film\.json has"):
+        scene.run(tmp_path / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda points: points * [1, 1, 0.05], "In no frame are 4 keypoints found with a confidence of 0.1 and more"),
+        (lambda points: points * [0, 0, 1], "The keypoints tell no size of a body"),
+        (lambda points: points * [1, -1, 1], "The keypoints tell no size of a body"),
+    ],
+)
+def test_keypoints_that_tell_of_no_body_are_told(place, tmp_path, spoil, message):
+    said = json.loads((place / "film.json").read_text(encoding="utf-8"))
+    for frame in said["frames"]:
+        for person in frame["people"]:
+            person["keypoints"] = spoil(np.reshape(person["keypoints"], (-1, 3))).ravel().tolist()
+    (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
+    with pytest.raises(TakeError, match=message):
         scene.run(tmp_path / "mine.yaml")
 
 
