@@ -1,4 +1,5 @@
-"""Poses as a mixture of Gaussians (Wei and Chai, SIGGRAPH Asia 2011): reduced linearly, then a density of many components.
+"""Poses as a mixture of Gaussians (Wei and Chai, IEEE Computer Graphics and Applications, 2011): reduced linearly, then a density
+of many components.
 
 The components compete: a pose is told by the one in which it costs least, with that one's linear decoder, and belongs to another
 as soon as that is cheaper. `near` says to which.
