@@ -47,6 +47,14 @@ class Faults:
         """-> (T, M) bool: samples that are there and not judged faulty."""
         return take.seen & ~self.doubted(take)
 
+    def heard(self, take: Take) -> np.ndarray:
+        """-> (T, M) bool: samples that the body listens to: also those that tremble, for they do so about where the marker is.
+
+        They are replaced all the same; but a limb whose markers all tremble is not a limb that was lost.
+        """
+        calm = Faults(tuple(fault for fault in self.items if fault.kind != "jitter"))
+        return calm.believed(take)
+
     def counts(self) -> dict[str, int]:
         """-> how many faults of each kind."""
         return dict(Counter(fault.kind for fault in self.items))

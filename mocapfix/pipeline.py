@@ -62,9 +62,8 @@ def clean(
     motion, joints, error, columns = None, None, None, np.zeros(0, int)
     if set_of_take is not None:
         columns = set_of_take.columns(take.labels)
-        worn = take.worn(columns, believed)
-        known, motion = posed(worn, set_of_take, known, model, weighed, clock)
-        joints, error, more = held_against(take, worn, columns, known, motion)
+        known, motion = posed(take.worn(columns, faults.heard(take)), set_of_take, known, model, weighed, clock)
+        joints, error, more = held_against(take, take.worn(columns, believed), columns, known, motion)
         notes += more
     with clock("fill"):
         after, left = fill.take(take, believed, columns, known, motion, options)

@@ -36,6 +36,13 @@ def test_every_sample_is_missing_doubted_or_believed_and_only_one_of_them(take, 
     assert faults.believed(take).sum() == 30 - 5 - 4
 
 
+def test_the_body_listens_to_what_trembles_but_not_to_spikes(take, faults):
+    assert faults.heard(take)[3:5, 1].all()
+    found = {(int(t), int(m)) for t, m in np.argwhere(faults.heard(take) & faults.doubted(take))}
+    assert found == {(3, 1), (4, 1)}
+    assert not (faults.believed(take) & ~faults.heard(take)).any()
+
+
 @pytest.mark.parametrize("kind", MISSING)
 def test_no_kind_of_gap_casts_doubt_on_a_sample(take, kind):
     assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).doubted(take).any()

@@ -4,11 +4,12 @@ import hashlib
 import json
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, read, subject_file
+from mocapfix import pipeline, read, subject_file, synthetic
 from mocapfix.bench.demo import errors
 from mocapfix.errors import TakeError, WriteError
 from mocapfix.fill import FillOptions
@@ -250,6 +251,20 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, k
     np.testing.assert_array_equal(result.subject.places, known.places)
     assert "calibrate" not in result.report["seconds"]
     assert result.report["take"]["marker_set"] == "cmu41"
+
+
+def test_an_arm_whose_markers_all_tremble_is_not_lost(tmp_path):
+    truth, path = synthetic.take(seed=3, seconds=4.0), tmp_path / "trembling.c3d"
+    arm, shaken = [truth.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")], truth.markers.copy()
+    shaken[120:360, arm] += np.random.default_rng(0).normal(0, 0.02, (240, 4, 3))
+    nothing = np.zeros_like(truth.struck)
+    synthetic.write(path, replace(truth, struck=nothing, damaged=shaken, moved=nothing))
+    result = pipeline.clean(path, subject=truth.subject)
+    assert result.faults.counts() == {"jitter": 4}
+    hand = truth.subject.skeleton.index("LeftHand")
+    assert np.linalg.norm(result.joints[120:360, hand] - truth.joints[120:360, hand], axis=1).mean() < 0.015  # lost: 0.025
+    mended = (result.take.markers != result.before.markers).any(axis=2)
+    assert mended[120:360, arm].mean() > 0.9
 
 
 def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):

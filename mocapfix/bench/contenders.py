@@ -65,6 +65,7 @@ class Found:
     world      (N, J, 3, 3) the joints' rotations there
     codes      (N, P) of the prior; of none where there is none
     iterations (N,) that were spent
+    cost       (N,) half the sum of squares in standard deviations; 0 where nobody asked
     """
 
     root: np.ndarray
@@ -73,6 +74,7 @@ class Found:
     world: np.ndarray
     codes: np.ndarray
     iterations: np.ndarray
+    cost: np.ndarray
 
 
 def placed(skeleton: Skeleton, root: np.ndarray, rotations: np.ndarray) -> Found:
@@ -84,7 +86,7 @@ def placed(skeleton: Skeleton, root: np.ndarray, rotations: np.ndarray) -> Found
 def put(skeleton: Skeleton, solved: Posed) -> Found:
     """-> solved poses with where they put the joints."""
     where = kinematics.world(skeleton, posed(solved.root, solved.rotations))
-    return Found(solved.root, solved.rotations, *where, solved.codes, solved.iterations)
+    return Found(solved.root, solved.rotations, *where, solved.codes, solved.iterations, solved.cost)
 
 
 def given(rotations: np.ndarray, joints: np.ndarray, sd: float, noise: np.ndarray | float = 0.0) -> Given:

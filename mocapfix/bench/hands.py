@@ -23,7 +23,7 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 SECONDS = 2.0  # that the damage lasts
-NOISE, MOMENT = 0.04, (0.03, 0.12)  # metres per axis, and the seconds that a marker is off its place, and that it is not
+NOISE = 0.03  # metres per axis, anew in every frame
 SD = 0.01  # metres: how sure a marker is said to be, where there is nothing else to believe
 
 
@@ -33,7 +33,7 @@ class Damage(NamedTuple):
     labels: tuple[str, ...]
     joints: tuple[str, ...]  # by which the harm is measured
     when: Callable[[Take], int]
-    done: Callable[[np.ndarray, float], np.ndarray]  # to the markers (T, K, 3), at so many Hz
+    done: Callable[[np.ndarray], np.ndarray]  # to the markers (T, K, 3)
 
 
 class Moment(NamedTuple):
@@ -69,18 +69,12 @@ def of(take: Take, label: str) -> np.ndarray:
     return take.markers[:, take.bare_labels.index(label)]
 
 
-def lost(markers: np.ndarray, rate: float) -> np.ndarray:
+def lost(markers: np.ndarray) -> np.ndarray:
     return np.full_like(markers, np.nan)
 
 
-def shaken(markers: np.ndarray, rate: float) -> np.ndarray:
-    """-> the markers, each of them off its place every other moment, as those of hands are that hide one another."""
-    rng, off, (frames, count) = np.random.default_rng(0), np.zeros_like(markers), markers.shape[:2]
-    for marker in range(count):
-        turns = np.cumsum(np.round(rng.uniform(*MOMENT, frames) * rate).astype(int))
-        for first, last in zip(turns[::2], turns[1::2], strict=False):
-            off[first:last, marker] = rng.normal(0, NOISE, 3)
-    return markers + off
+def shaken(markers: np.ndarray) -> np.ndarray:
+    return markers + np.random.default_rng(0).normal(0, NOISE, markers.shape)
 
 
 RIGHT = ("RightForeArm", "RightHand", "RightFingerBase")
@@ -98,7 +92,7 @@ def moment(path: Path, damage: Damage) -> Moment:
     middle, half = damage.when(take), round(SECONDS / 2 * take.rate)
     columns = [take.bare_labels.index(label) for label in damage.labels if len(of(take, label))]
     during, markers = slice(max(middle - half, 0), middle + half), take.markers.copy()
-    markers[during, columns] = damage.done(markers[during, columns], take.rate)
+    markers[during, columns] = damage.done(markers[during, columns])
     with TemporaryDirectory() as folder:
         spoiled = Path(folder) / path.name
         write.c3d(spoiled, take, take.with_markers(markers))

@@ -6,7 +6,6 @@ from mocapfix.bench import contenders
 from mocapfix.bench.contenders import Found, Given, Shelf, given
 from mocapfix.bench.given_joints import SD, drawn, errors
 from mocapfix.clock import Progress
-from mocapfix.prior.contract import PoseModel, from_middle
 
 GIVEN = 10  # joints
 MOST = 25  # iterations shown
@@ -28,25 +27,19 @@ def measure(rotations: np.ndarray, shelf: Shelf, middle: np.ndarray, name: str, 
         way = [contenders.solve(task, model, task.upright(middle), most) for most in range(MOST + 1)]
         said["iterations"][each] = [float(found.iterations.mean()) for found in way]
         said["position_mm"][each] = [1e3 * float(errors(task, found)[0].mean()) for found in way]
-        if each == name and isinstance(model, PoseModel):
-            said["cost"] = costs(task, model, way)
+        if each == name:
+            said["cost"] = costs(task, way)
     return said
 
 
-def costs(task: Given, model: PoseModel, way: list[Found]) -> dict[str, list[float]]:
+def costs(task: Given, way: list[Found]) -> dict[str, list[float]]:
     """-> half the sum of squares in standard deviations, of a pose after each iteration."""
-    joints = [float(fits(task, found).mean()) for found in way]
-    priors = [float(strangeness(model, found).mean()) for found in way]
-    return {"total": [a + b for a, b in zip(joints, priors, strict=True)], "given": joints, "prior": priors}
+    totals = np.array([found.cost.mean() for found in way])
+    given = np.array([fits(task, found).mean() for found in way])
+    return {"total": totals.tolist(), "given": given.tolist(), "prior": (totals - given).tolist()}
 
 
 def fits(task: Given, found: Found) -> np.ndarray:
     """-> (N,) how far the given joints are from their places."""
     away = np.where(task.joints[..., None], found.joints - task.places, 0.0) / task.sd
     return 0.5 * (away**2).sum(axis=(1, 2))
-
-
-def strangeness(model: PoseModel, found: Found) -> np.ndarray:
-    """-> (N,) how strange the prior finds a pose: how far it is from what its code means, and the code from people's."""
-    away = (from_middle(found.rotations, model.middle) - model.decode(found.codes)) / model.sigma[:, None]
-    return 0.5 * ((away**2).sum(axis=(1, 2)) + (found.codes**2).sum(axis=1))

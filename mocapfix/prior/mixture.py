@@ -38,17 +38,21 @@ class Mixture(PoseModel):
         """-> (N, P) radians, poses' coordinates along the axes."""
         return (vectors - self.mean).reshape(len(vectors), -1) @ self.axes.reshape(self.size, -1).T
 
-    def log_densities(self, vectors: np.ndarray) -> np.ndarray:
-        """-> (N, C) logarithms of each component's density, times its weight, at poses in the reduced space."""
+    @property
+    def offsets(self) -> np.ndarray:
+        """-> (C,) what a component costs beside half the square of the code: the logarithm of its spread over its weight."""
+        return np.log(np.diagonal(self.spreads, axis1=1, axis2=2)).sum(1) - np.log(self.weights)
+
+    def costs(self, vectors: np.ndarray) -> np.ndarray:
+        """-> (N, C) what poses cost in each component: but for a constant, the negative logarithm of density times weight."""
         rows, parts = self.reduced(vectors), np.empty((len(self.weights), len(vectors)))
-        for part, weight, centre, spread in zip(parts, self.weights, self.centres, self.spreads, strict=True):
-            away = np.linalg.solve(spread, (rows - centre).T)
-            part[:] = np.log(weight) - np.log(np.diag(spread)).sum() - 0.5 * (away**2).sum(0)
-        return parts.T - 0.5 * self.size * np.log(2 * np.pi)
+        for part, centre, spread, offset in zip(parts, self.centres, self.spreads, self.offsets, strict=True):
+            part[:] = 0.5 * (np.linalg.solve(spread, (rows - centre).T) ** 2).sum(0) + offset
+        return parts.T
 
     def near(self, vectors: np.ndarray) -> "Mixture":
         """-> the same mixture, the codes of which are each of the component in which that pose costs least."""
-        return replace(self, chosen=self.log_densities(vectors).argmax(1))
+        return replace(self, chosen=self.costs(vectors).argmin(1))
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
         away = self.reduced(vectors) - self.centres[self.chosen]

@@ -68,7 +68,7 @@ def motion(
     course = courses.smooth(root, local, known, body.free, rate, options)
     root, local = course.root.copy(), course.rotations.copy()
     status, together = problem.solve(root, local, course, (narrow,))
-    certain = unsure / np.maximum(left_open, SUREST**2) + gone / np.maximum(known.turns, SUREST**2)
+    certain = unsure / np.maximum(np.where(gone, known.turns, left_open), SUREST**2)
     course = course._replace(weight=certain)
     root = courses.polished(root, local, body.free, rate, options)
     solved = Motion(root, local, status, alone + together, known.markers, known.joints)

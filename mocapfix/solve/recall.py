@@ -16,10 +16,10 @@ from mocapfix.take import runs
 
 MOST = 0.5  # share of the joints: with more of them lost, there is no body left to recall the rest from
 BESIDE, STEP = 0.6, 1 / 30  # seconds beside a gap that are learnt from densely, and what lies between two frames learnt from
-LEARNT = 240  # frames at most that are learnt from
+LEARNT = 200  # frames at most that are learnt from
 FEWEST = 3  # frames, without which there is nothing to go by
 LIVELY, BELIEVED = 0.02, 10  # rad^2: the power of an unknown joint's course, believed as much as so many frames
-DOUBT = 2.0  # by how much what is expected errs more, in rad^2, than the process says of itself
+DOUBT = 1.5  # by how much what is expected errs more, in rad^2, than the process says of itself
 SURE = 0.1  # radians: what the take knows so well of all that a gap lost, no model knows better
 STRAYS = 0.3  # radians per axis: how far people's limbs are from what is new in a model's answer
 

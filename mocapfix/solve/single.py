@@ -14,7 +14,7 @@ from mocapfix.kernels.terms import Points, rows_of
 from mocapfix.kernels.uncertainty import uncertainties
 from mocapfix.motion import STATUS
 from mocapfix.prior import models
-from mocapfix.prior.contract import PoseModel
+from mocapfix.prior.contract import PoseModel, from_middle
 from mocapfix.prior.linear import Linear
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve.constraints import Constraint
@@ -121,7 +121,8 @@ def foretold(tree: Tree, terms: tuple, model: PoseModel, scale: float, posed: Po
     """-> the joints' places (J, 3), metres, and their standard deviations (J,) per axis, from the curvature of the cost."""
     joints, markers = len(tree.parents), len(terms[0].joints)
     shared, zero = posed.codes / scale, np.zeros(1)
-    latent = linearised(tree, model, scale, shared, 0.0, np.zeros(1, int))
+    near = model.near(from_middle(posed.rotations, model.middle))
+    latent = linearised(tree, near, scale, shared, 0.0, np.zeros(1, int))
     deviation, turns = np.empty((1, joints)), np.empty((1, joints))
     uncertainties(
         tree, (*terms, latent), np.inf, rows_of(terms), posed.root, posed.rotations, shared, np.empty((1, markers)), deviation,

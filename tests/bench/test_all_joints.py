@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix import prior
 from mocapfix.bench import all_joints, contenders, unseen
 from mocapfix.bench.contenders import placed
+from mocapfix.prior import models
 from mocapfix.skeleton import cmu31
 
 SKELETON = cmu31().skeleton
@@ -69,7 +70,7 @@ def test_bias_is_against_the_solve_without_a_prior_and_the_noise_is_the_same_for
 
 
 def test_without_a_prior_exact_places_are_met_and_with_one_twists_are_fewer(poses):
-    shelf = {"none": None, "gaussian": contenders.shelf()["gaussian"]}
+    shelf = {"none": None, "gaussian": models.load("gaussian", SKELETON)}
     said = all_joints.measure(poses, shelf, MIDDLE, lambda what: None)
     assert said["none"]["bias_mm"] == 0
     assert 0 < said["gaussian"]["bias_mm"] < 5

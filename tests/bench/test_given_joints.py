@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix import prior
 from mocapfix.bench import contenders, given_joints
 from mocapfix.bench.contenders import given, placed
+from mocapfix.prior import models
 from mocapfix.skeleton import cmu31
 
 SKELETON = cmu31().skeleton
@@ -92,7 +93,7 @@ def test_better_is_the_mean_of_the_reductions_not_the_reduction_of_the_mean():
 
 
 def test_a_prior_helps_where_few_joints_are_given_and_all_given_joints_are_met(poses):
-    shelf = {"none": None, "gaussian": contenders.shelf()["gaussian"]}
+    shelf = {"none": None, "gaussian": models.load("gaussian", SKELETON)}
     task = given(poses, given_joints.drawn(6, 31, 8), 0.005)
     for model in shelf.values():
         found = contenders.solve(task, model, task.upright(MIDDLE))

@@ -7,11 +7,12 @@ from mocapfix import prior
 from mocapfix.bench import contenders, iterations, pictures, unseen
 from mocapfix.bench.contenders import given
 from mocapfix.bench.given_joints import SD, drawn, errors
+from mocapfix.prior import models
 from mocapfix.prior.contract import from_middle
 from mocapfix.skeleton import cmu31
 
 MIDDLE = prior.load("mean-pose", cmu31().skeleton).rotations
-SHELF = {"none": None, "gaussian": contenders.shelf()["gaussian"]}
+SHELF = {"none": None, "gaussian": models.load("gaussian", cmu31().skeleton)}
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +43,12 @@ def test_the_total_falls_and_is_the_sum_of_its_parts(said):
     assert cost["given"][-1] < 1e-3 * cost["given"][0]
 
 
-def test_a_pose_costs_what_it_is_off_its_code_and_its_code_off_the_mean(poses):
-    model = SHELF["gaussian"]
-    codes = np.random.default_rng(0).normal(size=(len(poses), model.size))
-    found = contenders.placed(cmu31().skeleton, np.zeros((len(poses), 3)), poses)
-    found = contenders.Found(**vars(found) | {"codes": codes})
-    away = from_middle(poses, model.middle) - model.decode(codes)
-    expected = [0.5 * (np.sum((each / model.sigma[:, None]) ** 2) + code @ code) for each, code in zip(away, codes, strict=True)]
-    np.testing.assert_allclose(iterations.strangeness(model, found), expected)
+def test_what_the_prior_costs_is_how_far_a_pose_is_off_its_code_and_its_code_off_the_mean(poses, said):
+    model, task = SHELF["gaussian"], given(poses, drawn(len(poses), poses.shape[1], iterations.GIVEN), SD)
+    found = contenders.solve(task, model, task.upright(MIDDLE), iterations.MOST)
+    away = (from_middle(found.rotations, model.middle) - model.decode(found.codes)) / model.sigma[:, None]
+    expected = 0.5 * ((away**2).sum(axis=(1, 2)) + (found.codes**2).sum(axis=1))
+    assert said["cost"]["prior"][-1] == pytest.approx(expected.mean(), rel=1e-6)
 
 
 def test_the_curves_are_drawn(said, tmp_path):

@@ -122,6 +122,46 @@ def test_nothing_lost_is_nothing_changed():
     np.testing.assert_array_equal(variance, was)
 
 
+class Oracle:
+    """Somebody who knows the lost arm, but for its elbow a constant turn, and counts how often he is asked."""
+
+    def __init__(self, truth, scale=1.0):
+        self.truth, self.scale, self.asked = truth.copy(), scale, 0
+        self.truth[:, LEFT[1]] = self.truth[:, LEFT[1]] @ Rotation.from_rotvec([0.2, 0.1, 0.0]).as_matrix()
+
+    def turns(self, root, local, told, lost, frames, near):
+        self.asked += 1
+        quaternions = Rotation.from_matrix(self.truth[frames][:, lost].reshape(-1, 3, 3)).as_quat().reshape(len(frames), -1, 4)
+        other = (quaternions * near.reshape(quaternions.shape)).sum(-1, keepdims=True) < 0
+        return (2 * np.where(other, -quaternions, quaternions)).reshape(near.shape)
+
+
+@pytest.mark.parametrize(("scale", "better"), [(1.0, 0.95), (0.2, 0.6), (0.05, 0.4)])
+def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_count(scale, better):
+    root, truth = mirroring(np.random.default_rng(4))
+    own = mirroring(np.random.default_rng(5))[1]
+    truth[:, LEFT] = own[:, LEFT]  # it does not mirror: nothing in the take tells of it
+    gone = np.zeros(truth.shape[:2], bool)
+    gone[LOST, LEFT] = True
+    oracle = Oracle(truth, scale)
+    found, variance = truth.copy(), np.full(gone.shape, 1e-4)
+    found[gone] = np.eye(3)
+    recall.lost_joints(root, found, variance, gone, BODY.free, RATE, oracle)
+    alone = recalled(root, truth, gone)[0]
+    assert oracle.asked == 1
+    for j in LEFT:
+        assert away(found[LOST, j], truth[LOST, j]).mean() < better * away(alone[LOST, j], truth[LOST, j]).mean()
+
+
+def test_nobody_is_asked_of_a_gap_that_the_take_is_sure_of():
+    root, truth = mirroring(np.random.default_rng(0))
+    gone = np.zeros(truth.shape[:2], bool)
+    gone[300:306, LEFT] = True
+    oracle = Oracle(truth)
+    recall.lost_joints(root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free, RATE, oracle)
+    assert oracle.asked == 0
+
+
 def test_joints_lost_from_then_till_then_are_recalled_together():
     gone = np.zeros((20, 5), bool)
     gone[3:7, [1, 2]] = gone[4:7, 3] = gone[15:, 2] = True

@@ -8,8 +8,9 @@ import pytest
 from mocapfix import initialise, marker_set, prior, solve, synthetic
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
+from mocapfix.prior import models
 from mocapfix.skeleton import cmu31
-from mocapfix.solve import SolveOptions
+from mocapfix.solve import SolveOptions, recall
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -150,3 +151,36 @@ def test_the_solve_writes_into_nothing_that_it_is_given(exact):
     solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
+
+
+def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
+    truth = exact(120.0)
+    markers = truth.markers.copy()
+    markers[100:140, truth.labels.index("LWRA")] = np.nan  # the forearm carries others
+
+    def never():
+        raise AssertionError("asked")
+
+    worn = Take(markers, truth.labels, truth.rate)
+    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    with_model, without = solve.motion(*given, never), solve.motion(*given)
+    for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
+    monkeypatch.setattr(recall, "SURE", 0.0)  # this take is quiet, and would not ask
+    truth = exact(120.0)
+    markers = truth.markers.copy()
+    arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
+    markers[100:, np.isin(truth.subject.joints, arm)] = np.nan  # never seen again: the take is not sure of it
+    worn = Take(markers, truth.labels, truth.rate)
+    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    motions = solve.motion(*given, lambda: models.load("gaussian", BODY.skeleton)), solve.motion(*given)
+    moved = np.linalg.norm(np.subtract(*(kinematics.world(truth.subject.skeleton, each)[0] for each in motions)), axis=-1)
+    elbow = [NAMES.index(name) for name in NAMES if name.startswith(("LeftForeArm", "LeftHand", "LeftFinger", "LThumb"))]
+    assert moved[200:, elbow].max() > 0.002
+    assert np.delete(moved, elbow, axis=1).max() < 3e-4
+    assert moved[:90].max() < 3e-4
