@@ -13,7 +13,7 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
 
-DEFAULT = "gaussian"  # the model that is asked where nobody names one
+DEFAULT = "autoencoder"  # the model that is asked where nobody names one
 
 
 def find(name: str) -> Path:
