@@ -56,7 +56,7 @@ def test_every_option_of_clean_is_told_with_its_unit_and_default(mocapfix):
                    "--overwrite", "--json", "--max-gap SECONDS", "--keep MARKER,...", "--frames FIRST:LAST"):  # fmt: skip
         assert option in told
     assert "(default: 600.0)" in told
-    assert "(default: gaussian)" in told
+    assert "(default: autoencoder)" in told
 
 
 def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):

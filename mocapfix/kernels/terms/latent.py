@@ -37,9 +37,9 @@ class Latent(NamedTuple):
     @classmethod
     def asked(cls, middle, decoded, jacobian, at, information, hold, row) -> "Latent":
         """-> the term with its curvature; arguments as its fields, laid out in memory in any way."""
-        size = at.shape[1]
-        arrays = (np.ascontiguousarray(each) for each in (middle, decoded, jacobian, at, information))
-        term = cls(*arrays, np.zeros((len(at), size, size)), hold, row)
+        size, given = at.shape[1], (middle, decoded, jacobian, at, information)
+        middle, decoded, jacobian, at, information = (np.ascontiguousarray(each) for each in given)
+        term = cls(middle, decoded, jacobian, at, information, np.zeros((len(at), size, size)), hold, row)
         curve(term, np.arange(len(at)), size)
         return term
 
