@@ -7,7 +7,6 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix.kernels.pose import Tree
 from mocapfix.motion import Motion
 from mocapfix.prior.contract import PoseModel
 from mocapfix.skeleton import cmu31
@@ -56,9 +55,8 @@ def answers(found: Motion, lost: np.ndarray, frames: np.ndarray, model: PoseMode
     """-> joint: (N, 3, 3) what the model makes of it in each of the frames, given the joints that are not lost."""
     body = cmu31()
     told = np.array([j for j in np.flatnonzero(body.free)[1:] if j not in lost])
-    tree = Tree(body.skeleton.parents, body.skeleton.offsets, body.free)
     either = np.ones((len(frames), 4 * len(lost)))
-    turns = People(tree, lambda: model, 1.0).turns(found.root, found.rotations, told, lost, frames, either)
+    turns = People(lambda: model, 1.0).turns(found.rotations, told, lost, frames, either)
     return {j: Rotation.from_quat(turns[:, 4 * i : 4 * i + 4]).as_matrix() for i, j in enumerate(lost)}
 
 

@@ -63,7 +63,7 @@ def motion(
 
     root, local = start.root.copy(), start.rotations.copy()
     alone, known, left_open = each_alone(problem, root, local, unsure, gone, rate, options)
-    people = People(tree, model, options.prior_scale) if model else None
+    people = People(model, options.prior_scale) if model else None
     recall.lost_joints(root, local, known.turns, gone, body.free, rate, people)
     course = courses.smooth(root, local, known, body.free, rate, options)
     root, local = course.root.copy(), course.rotations.copy()

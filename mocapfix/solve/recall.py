@@ -53,7 +53,7 @@ def lost_joints(
         lively = (len(learn) * power.reshape(-1, 4).sum(axis=1) / 3 + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
         leaves_open = DOUBT * left[:, None] * lively
         if people and leaves_open.max() > SURE**2:
-            said = people.turns(root, solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
+            said = people.turns(solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
             new = said[len(learn) :] - alike.expected(said[: len(learn)], *given)[0]
             expected += np.repeat(leaves_open / (leaves_open + (people.scale * STRAYS) ** 2), 4, axis=1) * new
         for i, j in enumerate(lost):

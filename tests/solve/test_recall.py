@@ -129,7 +129,7 @@ class Oracle:
         self.truth, self.scale, self.asked = truth.copy(), scale, 0
         self.truth[:, LEFT[1]] = self.truth[:, LEFT[1]] @ Rotation.from_rotvec([0.2, 0.1, 0.0]).as_matrix()
 
-    def turns(self, root, local, told, lost, frames, near):
+    def turns(self, local, told, lost, frames, near):
         self.asked += 1
         quaternions = Rotation.from_matrix(self.truth[frames][:, lost].reshape(-1, 3, 3)).as_quat().reshape(len(frames), -1, 4)
         other = (quaternions * near.reshape(quaternions.shape)).sum(-1, keepdims=True) < 0
