@@ -20,6 +20,7 @@ class Competing(Search):
     def __init__(self, *begun):
         super().__init__(*begun)
         self.mixture = replace(self.model, spreads=self.scale * self.model.spreads)
+        self.beside = self.mixture.offsets - self.mixture.offsets.min()  # what each component costs beside its code
         self.chosen = np.full(len(self.root), -1)
         self.middle = np.ascontiguousarray(self.model.middle)
         self.information = self.model.information / self.scale**2 * self.tree.free[:, None, None]
@@ -41,6 +42,6 @@ class Competing(Search):
     def round(self, said: tuple, tau: float, scales2: np.ndarray, most: int, batch: np.ndarray) -> None:
         """Go to where the component has it."""
         self.solve(said, tau, scales2, most, batch)
-        self.cost[batch] = self.costs(said, scales2[-1], batch)
+        self.cost[batch] = self.costs(said, scales2[-1], batch) + self.beside[self.chosen[batch]]
         now = self.mixture.near(from_middle(self.local[batch], self.middle)).chosen
         self.status[batch[now != self.chosen[batch]]] = RAN_OUT

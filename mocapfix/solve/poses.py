@@ -35,7 +35,8 @@ class Posed:
     codes       (T, P) of the model, each number in its own standard deviations
     status      (T,) indices into motion.STATUS
     iterations  (T,) of the Levenberg-Marquardt solve, over all rounds
-    cost        (T,) half the sum of squares of all residuals, in standard deviations
+    cost        (T,) half the sum of squares of all residuals, in standard deviations; of a mixture also what its component costs
+                beside, over the cheapest: the logarithm of its spread over its weight
     """
 
     root: np.ndarray

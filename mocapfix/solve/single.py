@@ -37,7 +37,8 @@ class Pose:
     joints      (J, 3) metres, the joints' places in the world
     deviation   (J,) metres: predicted standard deviation per axis of those places
     code        (P,) of the prior, each number in its own standard deviations
-    cost        half the sum of squares of all residuals, in standard deviations: of k numbers that agree, about k / 2
+    cost        half the sum of squares of all residuals, in standard deviations: of k numbers that agree, about k / 2;
+                of a mixture see `poses.Posed`
     status      a sentence
     iterations  of the Levenberg-Marquardt solve
     """

@@ -66,6 +66,17 @@ def test_a_mixture_of_one_is_a_gaussian(scale):
     np.testing.assert_allclose(found.codes, expected.codes, atol=5e-2)
 
 
+def test_of_poses_that_fit_alike_the_one_in_the_likelier_component_costs_less():
+    rng = np.random.default_rng(4)
+    model = replace(mixed(rng), weights=np.array([0.9, 0.1]))
+    model = replace(model, spreads=model.spreads[[0, 0]])
+    tree, (one, other) = body(rng), (posed(replace(model, chosen=np.array([c])), np.zeros((1, CODE))) for c in (0, 1))
+    local, root = np.concatenate([one, other]), np.zeros((2, 3))
+    points = given(rng, tree, root, local, np.arange(JOINTS), sd=0.05)
+    found = poses.under(tree, (points,), model, root, local)
+    assert found.cost[1] - found.cost[0] == pytest.approx(np.log(9), abs=1e-6)
+
+
 def test_frames_neither_know_their_batch_nor_their_order(monkeypatch):
     rng = np.random.default_rng(3)
     model = mixed(rng)
