@@ -145,7 +145,7 @@ def clean(
     if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
     if not 0 < prior_scale < float("inf"):
-        raise SystemExit(usage(f"--prior-scale must be more than 0, not {prior_scale:g}."))
+        raise SystemExit(usage(f"--prior-scale must be more than 0 and finite, not {prior_scale:g}."))
     labels = tuple(label.strip() for label in keep.split(",") if label.strip())
     options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
     reports, written = [], set()

@@ -22,6 +22,9 @@ def run(
     from mocapfix.scenes import read_yaml
 
     path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped("scenes") / f"{Path(scene).name}.yaml"
+    if path.parent == shipped("scenes") and not path.is_file():
+        there = ", ".join(sorted(each.stem for each in path.parent.glob("*.yaml")))
+        raise SceneError(f"There is no scene named {scene!r}; choose one of: {there}; or give a .yaml file.")
     kind = read_yaml(path).get("kind")
     if not isinstance(kind, str) or kind not in SCENES:
         raise SceneError(f"{path}: kind: must be one of {', '.join(SCENES)}, not {kind!r}.")

@@ -198,7 +198,7 @@ def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocap
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
         (["clean", "a.c3d", "--max-gap", "long"], "--max-gap"),
-        (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be more than 0, not 0."),
+        (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be more than 0 and finite, not 0."),
         (["clean", "a.c3d", "--maxgap", "1"], "--maxgap"),
         (["mend", "a.c3d"], "mend"),
         (["calibrate", "a.c3d"], "--output"),

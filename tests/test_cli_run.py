@@ -51,7 +51,7 @@ def test_a_scene_that_is_none_is_told(mocapfix, tmp_path, scene, message):
     assert (status, message in " ".join(err.split())) == (1, True)
 
 
-def test_a_shipped_scene_goes_by_its_name(mocapfix):
+def test_the_scenes_that_ship_are_told_where_there_is_none_of_a_name(mocapfix):
     status, _, err = mocapfix("run", "opera")
     assert status == 1
-    assert "scenes/opera.yaml: cannot be read" in "".join(err.split("\n")).replace("\\", "/")
+    assert "There is no scene named 'opera'; choose one of: keypoints-2d; or give a .yaml file." in " ".join(err.split())

@@ -63,10 +63,18 @@ def nearest(take: Take) -> int:
 
 
 def of(take: Take, label: str) -> np.ndarray:
-    """-> (T, 3) a marker. Raises TakeError where the take has none of that name."""
+    """-> (T, 3) metres, a marker. Raises TakeError where the take has none of that name, or never shows it."""
+    marker = take.markers[:, column(take, label)]
+    if np.isnan(marker).any(axis=1).all():
+        raise TakeError(f"{take.name}: never shows the marker {label}; give a take that does.")
+    return marker
+
+
+def column(take: Take, label: str) -> int:
+    """-> which of a take's markers goes by a label. Raises TakeError where none does."""
     if label not in take.bare_labels:
         raise TakeError(f"{take.name}: has no marker {label}; give a take in CMU's 41 markers.")
-    return take.markers[:, take.bare_labels.index(label)]
+    return take.bare_labels.index(label)
 
 
 def lost(markers: np.ndarray) -> np.ndarray:
@@ -90,7 +98,7 @@ def moment(path: Path, damage: Damage) -> Moment:
     """
     take, sound = read.take(path), pipeline.clean(path)
     middle, half = damage.when(take), round(SECONDS / 2 * take.rate)
-    columns = [take.bare_labels.index(label) for label in damage.labels if len(of(take, label))]
+    columns = [column(take, label) for label in damage.labels]
     during, markers = slice(max(middle - half, 0), middle + half), take.markers.copy()
     markers[during, columns] = damage.done(markers[during, columns])
     with TemporaryDirectory() as folder:

@@ -25,9 +25,7 @@ def find(name: str) -> Path:
     path = Path(name) if name.endswith(".safetensors") else folder("priors") / f"{Path(name).name}.safetensors"
     there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors") if each.stem != PAPERS))
     if name == PAPERS:
-        raise SceneError(
-            f"The prior {name!r} is there to be measured (mocapfix bench prior), and has no say; choose one of: {there}."
-        )
+        raise SceneError(f"Only mocapfix bench prior asks {name!r}, to compare it with the others; choose one of: {there}.")
     if not path.is_file():
         raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
     return path

@@ -41,6 +41,8 @@ def test_the_moments_are_when_the_right_hand_is_highest_and_when_both_are_neares
     assert (hands.highest(found), hands.nearest(found)) == (1, 2)
     with pytest.raises(TakeError, match="the take: has no marker LFIN; give a take in CMU's 41 markers"):
         hands.nearest(take(RFIN=right))
+    with pytest.raises(TakeError, match="the take: never shows the marker RFIN"):
+        hands.highest(take(RFIN=np.full((3, 3), np.nan)))
 
 
 def test_shaken_markers_are_off_by_the_noise_and_lost_ones_are_not_there():

@@ -162,7 +162,7 @@ def test_a_scale_that_is_none_is_said(scale):
 
 def test_the_papers_network_is_refused_by_its_name():
     with pytest.raises(
-        SceneError, match=r"'mnn-ik' is there to be measured .* choose one of: autoencoder, gaussian, mixture, pca\."
+        SceneError, match=r"Only mocapfix bench prior asks 'mnn-ik', .* choose one of: autoencoder, gaussian, mixture, pca\."
     ):
         solve.pose([HAND], "mnn-ik")
 
