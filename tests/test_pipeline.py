@@ -262,6 +262,7 @@ def test_an_arm_whose_markers_all_tremble_is_not_lost(tmp_path):
     result = pipeline.clean(path, subject=truth.subject)
     assert result.faults.counts() == {"jitter": 4}
     hand = truth.subject.skeleton.index("LeftHand")
+    assert result.joints is not None
     assert np.linalg.norm(result.joints[120:360, hand] - truth.joints[120:360, hand], axis=1).mean() < 0.015  # lost: 0.025
     mended = (result.take.markers != result.before.markers).any(axis=2)
     assert mended[120:360, arm].mean() > 0.9

@@ -20,7 +20,7 @@ def drawn(kind, activation, gives=None, straight=False, seed=0, code=3, astray=0
     given = KINDS[shape.gives](torch.as_tensor(MIDDLE, dtype=torch.float32))
     network = built(shape, MIDDLE)
     with torch.no_grad():
-        weight, offset = [*(network.decoder[0].bent if straight else network.decoder).parameters()][-2:]
+        weight, offset = [each for each in network.decoder.parameters() if len(each) == given.size][:2]
         offset.copy_(given.of(torch.zeros(31, 3)))
         weight.mul_(0.3)
     rng = np.random.default_rng(seed)

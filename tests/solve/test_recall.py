@@ -1,5 +1,7 @@
 """Lost limbs: a take in which one arm mirrors the other tells where the lost one was."""
 
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import recall
+from mocapfix.solve.people import People
 
 BODY = cmu31()
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")
@@ -146,7 +149,7 @@ def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_
     oracle = Oracle(truth, scale)
     found, variance = truth.copy(), np.full(gone.shape, 1e-4)
     found[gone] = np.eye(3)
-    recall.lost_joints(root, found, variance, gone, BODY.free, RATE, oracle)
+    recall.lost_joints(root, found, variance, gone, BODY.free, RATE, cast(People, oracle))
     alone = recalled(root, truth, gone)[0]
     assert oracle.asked == 1
     for j in LEFT:
@@ -158,7 +161,7 @@ def test_nobody_is_asked_of_a_gap_that_the_take_is_sure_of():
     gone = np.zeros(truth.shape[:2], bool)
     gone[300:306, LEFT] = True
     oracle = Oracle(truth)
-    recall.lost_joints(root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free, RATE, oracle)
+    recall.lost_joints(root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free, RATE, cast(People, oracle))
     assert oracle.asked == 0
 
 

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -127,7 +128,7 @@ HAND = Position("LeftHand", (0.5, 1.4, 0.3))
         ([Position("Head", (0, np.nan, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, nan, 0\)."),
         ([Position("Head", (0, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, 0\)."),
         ([Position("Head", (0, 0, 0), 0.0)], "Position of Head: sd must be more than 0, and is 0.0."),
-        ([Position("Head", (0, 0, 0), "x")], "Position of Head: sd must be one finite number, and is 'x'."),
+        ([Position("Head", (0, 0, 0), cast("float", "x"))], "Position of Head: sd must be one finite number, and is 'x'."),
         ([Direction("LeftArm", "Head", (0, 1, 0))], "Direction of LeftArm: Head is no child of LeftArm; its parent is Neck1."),
         ([Direction("Hips", "Hips", (0, 1, 0))], "its parent is none."),
         ([Direction("LeftArm", "LeftForeArm", (0, 0, 0))], "Direction of LeftArm: seen has no length, and so no direction."),

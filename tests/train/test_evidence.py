@@ -21,8 +21,9 @@ def straight_network(gain):
     network = built(Shape("vectors", "vectors", (), 4, 0, "silu", straight=False), MIDDLE)
     with torch.no_grad():
         for layers, weight in ((network.encoder, gain * torch.eye(4, 93)), (network.decoder, torch.eye(93, 4))):
-            layers[0].weight.copy_(weight)
-            layers[0].bias.zero_()
+            slope, offset = layers.parameters()
+            slope.copy_(weight)
+            offset.zero_()
     return network
 
 
