@@ -14,7 +14,7 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.prior.models import DEFAULT
+from mocapfix.scenes import PRIOR
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -121,7 +121,7 @@ def clean(
     subject: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")
     ] = None,
-    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = DEFAULT,
+    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = PRIOR,
     prior_scale: Annotated[
         float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
     ] = 1.0,

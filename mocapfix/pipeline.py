@@ -16,6 +16,7 @@ from mocapfix.motion import Motion
 from mocapfix.prior import models
 from mocapfix.prior.contract import PoseModel
 from mocapfix.result import Result
+from mocapfix.scenes import PRIOR
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
 from mocapfix.subject import Subject
@@ -32,7 +33,7 @@ def clean(
     *,
     marker_set: str | Path | None = None,
     subject: str | Path | Subject | None = None,
-    prior: str = models.DEFAULT,
+    prior: str = PRIOR,
     prior_scale: float = 1.0,
     options: FillOptions = ANYTHING,
     progress: Progress | None = None,

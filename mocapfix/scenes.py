@@ -7,6 +7,7 @@ import yaml
 
 from mocapfix.errors import SceneError
 
+PRIOR = "autoencoder"  # the trained prior that is asked where nobody names one
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's, ten times as fast, where PyYAML was built with it
 
 

@@ -16,7 +16,7 @@ from mocapfix.prior import models
 from mocapfix.prior.autoencoder import Autoencoder
 from mocapfix.prior.contract import PoseModel
 from mocapfix.prior.naturalness import Naturalness
-from mocapfix.scenes import folder
+from mocapfix.scenes import PRIOR, folder
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve import poses, search
 from mocapfix.solve.poses import Posed
@@ -109,8 +109,8 @@ def shelf(where: Path | None = None) -> Shelf:
         if path.is_file():
             model = models.load(str(path), cmu31().skeleton)
             found[name] = Naturalness(model) if name == models.PAPERS and isinstance(model, Autoencoder) else model
-    if models.DEFAULT not in found:
-        raise SceneError(f"{where}: holds no {models.DEFAULT}.safetensors, with which the other priors are compared.")
+    if PRIOR not in found:
+        raise SceneError(f"{where}: holds no {PRIOR}.safetensors, with which the other priors are compared.")
     return found
 
 

@@ -10,7 +10,7 @@ from mocapfix.bench.contenders import Contender, Shelf
 from mocapfix.clock import Progress
 from mocapfix.errors import SceneError
 from mocapfix.prior.contract import PoseModel
-from mocapfix.prior.models import DEFAULT
+from mocapfix.scenes import PRIOR
 from mocapfix.skeleton import cmu31
 
 SETS = 3  # of joints for each pose
@@ -36,22 +36,22 @@ def measure(data: Path | None, frames: int, paper_split: Path | None, curves: bo
     progress("reading")
     poses = unseen.of_subjects(data, frames) if data else unseen.shipped()
     poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
-    said = {"poses": len(poses), "sets": SETS, "default": DEFAULT} | compared(poses, shelf, middle, progress)
+    said = {"poses": len(poses), "sets": SETS, "default": PRIOR} | compared(poses, shelf, middle, progress)
     said["all_joints"] = all_joints.measure(poses, shelf, middle, progress)
-    said["bias_mm"] = said["all_joints"][DEFAULT]["bias_mm"]
-    said |= speed.measure(poses, shelf[DEFAULT], middle, progress)
-    said["limb"] = limbs(data, shelf[DEFAULT], progress)
+    said["bias_mm"] = said["all_joints"][PRIOR]["bias_mm"]
+    said |= speed.measure(poses, shelf[PRIOR], middle, progress)
+    said["limb"] = limbs(data, shelf[PRIOR], progress)
     if paper_split and data:
         said["paper_split"] = compared(unseen.between(data, frames), contenders.shelf(paper_split), middle, progress)
     if curves:
-        said["iterations"] = iterations.measure(poses[:: -(-len(poses) // FEW)], shelf, middle, DEFAULT, progress)
+        said["iterations"] = iterations.measure(poses[:: -(-len(poses) // FEW)], shelf, middle, PRIOR, progress)
     return said
 
 
 def compared(poses: np.ndarray, shelf: Shelf, middle: np.ndarray, progress: Progress) -> dict:
     """-> `given_joints`, and by how much the default is `better` than the others."""
     said = given_joints.measure(poses, shelf, middle, SETS, progress)
-    return {"given_joints": said, "better": given_joints.better(said, DEFAULT)}
+    return {"given_joints": said, "better": given_joints.better(said, PRIOR)}
 
 
 def limbs(data: Path | None, model: Contender, progress: Progress) -> dict | None:

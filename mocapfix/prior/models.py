@@ -13,7 +13,6 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
 
-DEFAULT = "autoencoder"  # the model that is asked where nobody names one
 PAPERS = "mnn-ik"  # which stands in a solve in another way, as one number, so that benchmarks can compare it
 
 

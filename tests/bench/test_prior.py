@@ -8,8 +8,7 @@ import pytest
 from mocapfix import cli
 from mocapfix.bench import contenders, prior
 from mocapfix.errors import SceneError
-from mocapfix.prior import models
-from mocapfix.scenes import folder
+from mocapfix.scenes import PRIOR, folder
 from tests.train.people import walked, write_bvh
 
 ROW = {"position_mm", "rotation_deg", "position_sd", "rotation_sd"}
@@ -32,8 +31,8 @@ def linear_only(monkeypatch):
         return {name: model for name, model in whole(where).items() if name in ("none", "pca", "gaussian")}
 
     monkeypatch.setattr(contenders, "shelf", shelf)
-    for module in (prior, models):
-        monkeypatch.setattr(module, "DEFAULT", "gaussian")
+    for module in (prior, contenders):
+        monkeypatch.setattr(module, "PRIOR", "gaussian")
 
 
 def bench(*arguments):
@@ -75,5 +74,5 @@ def test_what_cannot_be_is_told(motion, tmp_path):
         prior.measure(None, 0, None, False, lambda what: None)
     with pytest.raises(SceneError, match="say with --data where it is"):
         prior.measure(None, 3, tmp_path, False, lambda what: None)
-    with pytest.raises(SceneError, match=f"holds no {models.DEFAULT}"):
+    with pytest.raises(SceneError, match=f"holds no {PRIOR}"):
         prior.measure(motion, 3, tmp_path, False, lambda what: None)
