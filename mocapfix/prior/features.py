@@ -68,8 +68,8 @@ class Continuous(Features):
         return torch.cat([leaning(up)[..., None, :], logarithm(local @ self.middle[1:].transpose(-1, -2))], -2)
 
 
-class Euler(Features):
-    """The angles z, y, x of every joint, the root's too, in radians (MNN-IK, 4.1: 93 numbers)."""
+class ThreeEach(Features):
+    """Three numbers for every joint."""
 
     @property
     def size(self) -> int:
@@ -78,6 +78,10 @@ class Euler(Features):
     @property
     def owners(self) -> Tensor:
         return torch.arange(len(self.middle)).repeat_interleave(3)
+
+
+class Euler(ThreeEach):
+    """The angles z, y, x of every joint, the root's too, in radians (MNN-IK, 4.1: 93 numbers)."""
 
     def of(self, vectors: Tensor) -> Tensor:
         return angles(rotation(vectors) @ self.middle).flatten(-2)
@@ -87,16 +91,8 @@ class Euler(Features):
         return logarithm(rotation(z) @ rotation(y) @ rotation(x) @ self.middle.transpose(-1, -2))
 
 
-class Vectors(Features):
+class Vectors(ThreeEach):
     """The rotation vectors themselves: as continuous as the rest as long as no joint turns by half a turn from the middle."""
-
-    @property
-    def size(self) -> int:
-        return 3 * len(self.middle)
-
-    @property
-    def owners(self) -> Tensor:
-        return torch.arange(len(self.middle)).repeat_interleave(3)
 
     def of(self, vectors: Tensor) -> Tensor:
         return vectors.flatten(-2)
