@@ -8,7 +8,7 @@ import numpy as np
 
 from mocapfix import calibrate, detect, fill, initialise, marker_set, prior, read, record, solve, subject_file
 from mocapfix.clock import Clock, Progress
-from mocapfix.errors import TakeError
+from mocapfix.errors import SceneError, TakeError
 from mocapfix.fill import FillOptions
 from mocapfix.kernels import kinematics
 from mocapfix.marker_set import MarkerSet
@@ -49,6 +49,8 @@ def clean(
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
     """
+    if not 0 < prior_scale < float("inf"):
+        raise SceneError(f"A prior's scale must be more than 0 and finite, not {prior_scale:g}.")
     clock, model = Clock(progress=progress), trained(prior)
     weighed = SolveOptions(prior_scale=prior_scale)
     with clock("read"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocapfix import pipeline, subject_file, synthetic
+from mocapfix import cli, pipeline, subject_file, synthetic
 from mocapfix.pipeline import Result
 from mocapfix.synthetic import Truth
 from tests.c3d_files import c3d_bytes
@@ -92,3 +92,16 @@ def as_c3d(markers: np.ndarray, labels, first: int = 1) -> bytes:
     missing = np.isnan(markers[..., 0])
     counts = np.where(missing[..., None], 0.0, markers[..., [2, 0, 1]] * 1000)
     return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP)
+
+
+@pytest.fixture
+def mocapfix(capsys):
+    """-> run a command: exit status, standard output, standard error"""
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as left:
+            cli.main([str(each) for each in arguments])
+        said = capsys.readouterr()
+        return left.value.code, said.out, said.err
+
+    return run

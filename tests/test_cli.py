@@ -9,24 +9,11 @@ import sys
 import numpy as np
 import pytest
 
-from mocapfix.cli import between, main
+from mocapfix.cli import between
 from tests.c3d_files import c3d_bytes
 from tests.conftest import as_c3d
 
 KINDS = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
-
-
-@pytest.fixture
-def mocapfix(capsys):
-    """-> run a command: exit status, standard output, standard error"""
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as left:
-            main([str(each) for each in arguments])
-        said = capsys.readouterr()
-        return left.value.code, said.out, said.err
-
-    return run
 
 
 def flat(text):

@@ -4,21 +4,7 @@ import json
 
 import pytest
 
-from mocapfix.cli import main
 from mocapfix.keypoints import example
-
-
-@pytest.fixture
-def mocapfix(capsys):
-    """-> run a command: exit status, standard output, standard error"""
-
-    def run(*arguments):
-        with pytest.raises(SystemExit) as left:
-            main([str(each) for each in arguments])
-        said = capsys.readouterr()
-        return left.value.code, said.out, said.err
-
-    return run
 
 
 def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 from mocapfix import pipeline, read, subject_file, synthetic
 from mocapfix.bench.demo import errors
-from mocapfix.errors import TakeError, WriteError
+from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.fill import FillOptions
 from mocapfix.kernels import kinematics
 from mocapfix.skeleton import cmu31
@@ -331,3 +331,9 @@ def test_stages_are_told_in_order(brief):
     told = []
     pipeline.clean(brief.path, progress=told.append)
     assert told == ["read", "detect", "calibrate", "initialise", "solve", "fill"]
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_prior_that_cannot_be_believed_so_is_refused_before_anything_is_read(scale):
+    with pytest.raises(SceneError, match="scale must be more than 0 and finite"):
+        pipeline.clean("nowhere.c3d", prior_scale=scale)
