@@ -17,8 +17,8 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from mocapfix.errors import ReadError
 from mocapfix.files import replacing
-from mocapfix.prior.autoencoder import Network, Shape, built
 from mocapfix.prior.features import KINDS
+from mocapfix.prior.network import Network, Shape, built
 from mocapfix.train import evidence
 from mocapfix.train.corruption import limbs, spoiled
 from mocapfix.train.evidence import Doubt

@@ -12,8 +12,8 @@ import math
 import torch
 from torch import Generator, Tensor, nn
 
-from mocapfix.prior.autoencoder import Network
 from mocapfix.prior.features import Features
+from mocapfix.prior.network import Network
 
 LEAST = math.radians(1.0)  # what a pose strays by at least: the solve that it comes from is not better
 BEGIN = 0.1, 0.3  # radians of the pose, deviations of the code: how far they are known before any training

@@ -35,7 +35,7 @@ class AutoencoderSettings(Stated):
     """An autoencoder; title, test and unseen as in LinearSettings.
 
     seed        of weights, order and corruption
-    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.prior.autoencoder.Shape
+    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.prior.network.Shape
     initial     standard deviation of the weights at the start; null for torch's own
     epochs      times that every pose is seen
     batch       poses in a step

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from mocapfix import prior
-from mocapfix.prior.autoencoder import Autoencoder, Shape, built
+from mocapfix.prior.autoencoder import Autoencoder
 from mocapfix.prior.features import KINDS
+from mocapfix.prior.network import Shape, built
 from mocapfix.skeleton import cmu31
 
 SKELETON = cmu31().skeleton

@@ -8,7 +8,7 @@ import torch
 
 from mocapfix import prior
 from mocapfix.errors import ReadError
-from mocapfix.prior.autoencoder import Network, Shape
+from mocapfix.prior.network import Network, Shape
 from mocapfix.skeleton import cmu31
 from mocapfix.train import autoencoder, settings
 from mocapfix.train.autoencoder import falling, norm

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from mocapfix import prior
-from mocapfix.prior.autoencoder import Shape, built
 from mocapfix.prior.features import KINDS
+from mocapfix.prior.network import Shape, built
 from mocapfix.skeleton import cmu31
 from mocapfix.train.evidence import Doubt, loss
 
