@@ -76,8 +76,8 @@ def swing(t, p):
     b = unit(plus(p, lost, a))
     middle = plus(a, 1.0, b)
     opposite = (dot(middle, middle) < OPPOSITE) * 1.0
-    kept, other = 1 - opposite, across(a)
-    h = unit((kept * middle[0] + opposite * other[0], kept * middle[1] + opposite * other[1], kept * middle[2] + opposite * other[2]))
+    kept = 1 - opposite
+    h = unit(plus((kept * middle[0], kept * middle[1], kept * middle[2]), opposite, across(a)))
     c = 4 * dot(a, h)
     return (
         1 + c * h[0] * a[0] - 2 * (h[0] * h[0] + a[0] * a[0]),
@@ -94,7 +94,7 @@ def swing(t, p):
 
 @register_jitable
 def twist(t, cosine, sine):
-    """-> the rotation about `t` by the angle of this cosine and sine (HybrIK, Eq. 10), which may be of any common length but 0."""
+    """-> the rotation about `t` by the angle of a cosine and a sine, both times any length but 0 (HybrIK, Eq. 10)."""
     u, inverse = unit(t), 1 / square_root(cosine * cosine + sine * sine)
     c, s = cosine * inverse, sine * inverse
     d = 1 - c
