@@ -1,0 +1,1 @@
+def regressor(): raise NotImplementedError
