@@ -1,5 +1,6 @@
-"""The benchmarks' pictures, as PNG: errors over iterations, and hands before and after."""
+"""The benchmarks' pictures, as PNG: errors over iterations, hands before and after, and how far bones are twisted."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 
 from mocapfix.bench.hands import Moment
 from mocapfix.files import replacing
+from mocapfix.train.mirror import mirrored_name
 
 TURN = np.radians(20)  # from straight ahead, towards the body's left
 MARGIN = 0.15  # metres around the joints that are measured
@@ -15,6 +17,7 @@ INK, PAPER, BONE, TRUE = "#38414c", "#f6f7f9", "#8fb3dc", "#1b2a3a"
 COSTS = {"total": "total", "given": "given joints", "prior": "prior"}
 PRIORS = {"none": "#8a94a0", "pca": "#e08a00", "gaussian": "#1f9d57", "mixture": "#7a5bd0", "mnn-ik": "#d93a3a",
           "autoencoder": "#2b6cb0"}  # fmt: skip
+SIDES = {"left": ("#2b6cb0", -0.18), "middle": ("#8a94a0", 0.0), "right": ("#e08a00", 0.18)}  # colour, rows further down
 MARKER, BAD, MENDED = "#5a6470", "#d93a3a", "#1f9d57"
 
 
@@ -75,6 +78,36 @@ def iterations(target: Path, said: dict, default: str) -> None:
         on.spines[:].set_visible(False)
         on.legend(frameon=False)
     save(target, figure)
+
+
+def twists(target: Path, spread: dict[str, tuple[float, ...]]) -> None:
+    """Draw `bench.twists.distribution`: a row for each joint, left and right beside one another. Raises WriteError."""
+    rows = list(dict.fromkeys(one_sided(name)[1] for name in spread))
+    figure = Figure(figsize=(10, 0.8 + 0.42 * len(rows)), layout="constrained")
+    on = figure.subplots()
+    for name, (low, quarter, median, three, high) in spread.items():
+        side, joint = one_sided(name)
+        (colour, shift), row = SIDES[side], rows.index(joint)
+        on.barh(row + shift, high - low, left=low, height=0.07, color=colour)
+        on.barh(row + shift, three - quarter, left=quarter, height=0.28, color=colour, label=side)
+        on.plot([median, median], [row + shift - 0.16, row + shift + 0.16], color=TRUE, linewidth=2, solid_capstyle="butt")
+    handles = dict(zip(*reversed(on.get_legend_handles_labels()), strict=True))
+    on.legend([handles[side] for side in SIDES if side in handles], [side for side in SIDES if side in handles], frameon=False)
+    on.set(yticks=range(len(rows)), yticklabels=rows, ylim=(len(rows) - 0.4, -0.6), facecolor=PAPER, xticks=range(-180, 181, 15))
+    least, most = (each([row[at] for row in spread.values()]) for each, at in ((min, 0), (max, -1)))
+    on.set(xlim=(least - 5, most + 5), xlabel="turn about the bone, degrees: median, middle half, and all but 1 % on either side")
+    on.grid(axis="x", color="white", linewidth=1.2)
+    on.set_axisbelow(True)
+    on.spines[:].set_visible(False)
+    on.tick_params(length=0)
+    save(target, figure)
+
+
+def one_sided(name: str) -> tuple[str, str]:
+    """-> the side that a joint is on, a key of SIDES, and its name without it."""
+    if mirrored_name(name) == name:
+        return "middle", name
+    return ("left" if name.startswith("L") else "right"), re.sub("^(Left|Right|L|R)", "", name)
 
 
 def save(target: Path, figure: Figure) -> None:

@@ -10,8 +10,8 @@ from mocapfix.errors import SceneError
 from mocapfix.scenes import folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-# on the shelf of priors, but not of this kind: the last five say how a model was trained
-OTHERS = ("joint-limits", "shape", "autoencoder", "gaussian", "mixture", "mnn-ik", "pca")
+# on the shelf of priors, but not of this kind: the last six say how a model was trained
+OTHERS = ("joint-limits", "shape", "autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist")
 
 
 @dataclass(frozen=True)

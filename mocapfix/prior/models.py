@@ -13,6 +13,7 @@ from mocapfix.prior.contract import PoseModel
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
 
+OTHERS = ("twist",)  # on the shelf of weights, but no model of poses
 PAPERS = "mnn-ik"  # which stands in a solve in another way, as one number, so that benchmarks can compare it
 
 
@@ -22,10 +23,11 @@ def find(name: str) -> Path:
     Raises SceneError naming the models there are; also for the paper's, which goes by its file alone.
     """
     path = Path(name) if name.endswith(".safetensors") else folder("priors") / f"{Path(name).name}.safetensors"
-    there = ", ".join(sorted(each.stem for each in folder("priors").glob("*.safetensors") if each.stem != PAPERS))
+    shelf = {each.stem for each in folder("priors").glob("*.safetensors")}
+    there = ", ".join(sorted(shelf - {PAPERS, *OTHERS}))
     if name == PAPERS:
         raise SceneError(f"Only mocapfix bench prior asks {name!r}, to compare it with the others; choose one of: {there}.")
-    if not path.is_file():
+    if not path.is_file() or name in OTHERS:
         raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
     return path
 

@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.files import replacing
 from mocapfix.prior.contract import PoseModel
 from mocapfix.train.poses import Poses
-from mocapfix.train.settings import Settings
+from mocapfix.train.settings import Settings, TwistSettings
 
 CARD = """\
 # {name}
@@ -86,7 +86,7 @@ def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores
         part.write_text(text, encoding="utf-8")
 
 
-def kept(settings: Settings, poses: Poses) -> str:
+def kept(settings: Settings | TwistSettings, poses: Poses) -> str:
     """-> the card's rows on whom the model has not learned from."""
     if poses.interleaved:
         return "| kept from it, for the scores and the benchmark | two frames of every five, between those learned from |"

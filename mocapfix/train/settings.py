@@ -1,7 +1,7 @@
-"""How a prior is to be trained: what priors/NAME.yaml says."""
+"""How a prior, or the regressor of twists, is to be trained: what priors/NAME.yaml says."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
 
@@ -95,14 +95,51 @@ class MixtureSettings(Stated):
     most: PositiveInt
 
 
+class TwistSettings(Stated):
+    """The regressor of twists, which is no prior; title, test and unseen as in LinearSettings.
+
+    seed     of weights, order, bodies and displacements
+    hidden   widths of the layers
+    epochs   times that every pose is seen
+    batch    poses in a step
+    rate     of learning, at the start; it falls to zero as a cosine does
+    decay    AdamW's, of weights
+    balance  0: poses are shown as they come; 1: those of every subject as often; between, between
+    """
+
+    model: Literal["twist"]
+    title: str
+    test: frozenset[str]
+    unseen: frozenset[str]
+    seed: int
+    hidden: tuple[PositiveInt, ...]
+    epochs: PositiveInt
+    batch: PositiveInt
+    rate: PositiveFloat
+    decay: Annotated[float, Field(ge=0)]
+    balance: Annotated[float, Field(ge=0, le=1)]
+
+
 Settings = LinearSettings | AutoencoderSettings | MixtureSettings
-READER = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
+READER: TypeAdapter[Settings] = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
+TWIST_READER = TypeAdapter(TwistSettings)
+Form = TypeVar("Form")
 
 
 def read(path: Path) -> Settings:
-    """-> the settings. Raises SceneError naming the file and the key that is not as it must be."""
+    """-> a prior's settings. Raises SceneError naming the file and the key that is not as it must be."""
+    return checked(READER, path)
+
+
+def read_twist(path: Path) -> TwistSettings:
+    """-> the settings of a regressor of twists. Raises SceneError likewise."""
+    return checked(TWIST_READER, path)
+
+
+def checked(reader: TypeAdapter[Form], path: Path) -> Form:
+    """-> what a YAML file says, in the form it must have. Raises SceneError naming the file and the first key that is wrong."""
     try:
-        return READER.validate_python(read_yaml(path))
+        return reader.validate_python(read_yaml(path))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "model"
