@@ -79,7 +79,7 @@ def twists(rotations: np.ndarray, bones: np.ndarray) -> np.ndarray:
 def bones(skeleton: Skeleton) -> np.ndarray:
     """-> (J, 3) metres: each joint's bone, the mean offset of its children that lie away from it; NaN where there are none."""
     found = np.full(skeleton.offsets.shape, np.nan)
-    away = np.linalg.norm(skeleton.offsets, axis=1) > 0
+    away = (np.linalg.norm(skeleton.offsets, axis=1) > 0) & (skeleton.parents >= 0)
     for j in set(skeleton.parents[away]):
         found[j] = skeleton.offsets[away & (skeleton.parents == j)].mean(axis=0)
     return found
@@ -105,7 +105,7 @@ def directions(positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
     found = np.empty((len(positions), 2, len(spans().start), 3), np.float32)
     plain = (np.ascontiguousarray(each, float) for each in (positions, turns))
     over_frames(direct_frames, len(found), spans(), *plain, found)
-    return found.reshape(len(found), -1)
+    return found.reshape(len(found), 6 * len(spans().start))
 
 
 @cache
@@ -120,7 +120,10 @@ def load(path: Path) -> Twists:
         tensors = {name: values.astype(np.float32) for name, values in load_file(path).items()}
         layers = range((len(tensors) - 1) // 2)
         found = [tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets")]
-        return checked(Twists(*found, tensors.pop("sigma").astype(float)))
+        network = Twists(*found, tensors.pop("sigma").astype(float))
+        if tensors:
+            raise ValueError(f"it holds {', '.join(tensors)}, too")
+        return checked(network)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise SceneError(f"{path}: is no regressor of twists that mocapfix trained ({' '.join(str(error).split())}).") from error
 

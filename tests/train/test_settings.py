@@ -11,6 +11,16 @@ def test_what_ships_can_be_trained():
     for name in ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca"):
         said = settings.read(folder("priors") / f"{name}.yaml")
         assert not said.test & said.unseen
+    said = settings.read_twist(folder("priors") / "twist.yaml")
+    assert said.test == settings.read(folder("priors") / "autoencoder.yaml").test
+    assert not said.test & said.unseen
+
+
+def test_a_prior_is_not_trained_by_the_settings_of_the_twists_nor_they_by_its():
+    with pytest.raises(SceneError, match=r"twist\.yaml: model: .*'twist'"):
+        settings.read(folder("priors") / "twist.yaml")
+    with pytest.raises(SceneError, match=r"pca\.yaml: model: .*'twist'"):
+        settings.read_twist(folder("priors") / "pca.yaml")
 
 
 def test_the_papers_network_is_as_the_paper_says_but_for_what_its_settings_explain():

@@ -1,0 +1,204 @@
+"""Twists: taken from rotations exactly, and from joint positions better than by guessing."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from safetensors.numpy import load_file, save_file
+from scipy.spatial.transform import Rotation
+
+from mocapfix.bench import unseen
+from mocapfix.errors import SceneError
+from mocapfix.initialise.twist import BLOCK, Twists, bones, directions, load, regressor, save, spans, twists
+from mocapfix.kernels.kinematics import carried, tree_of
+from mocapfix.kernels.twist_swing import swing, twist
+from mocapfix.skeleton import Skeleton, average
+from mocapfix.train.mirror import mirrored_name
+from tests.kernels import drawn
+
+BODY = average()
+BONES = bones(BODY)
+HAS = ~np.isnan(BONES[:, 0])
+WITHOUT = {"Hips", "LeftToeBase", "RightToeBase", "Head", "LeftHandIndex1", "RightHandIndex1", "LThumb", "RThumb"}
+SWAP = [BODY.index(mirrored_name(name)) for name in BODY.names]
+
+
+@pytest.fixture(scope="module")
+def people():
+    """-> local rotations of people whom the network has not seen, and where their joints are, the root at rest"""
+    poses = unseen.shipped()[::4]
+    poses[:, 0] = np.eye(3)
+    return poses, carried(tree_of(BODY), np.zeros((len(poses), 3)), poses)[0]
+
+
+def upright(frames):
+    return np.tile(np.eye(3), (frames, 1, 1))
+
+
+def random_network(rng: np.random.Generator, width: int = 8) -> Twists:
+    sizes = (6 * len(spans().start), width, 2 * int(HAS.sum()))
+    weights = tuple(rng.normal(0, 0.3, shape).astype(np.float16).astype(np.float32) for shape in zip(sizes, sizes[1:], strict=False))
+    offsets = tuple(rng.normal(0, 0.3, size).astype(np.float16).astype(np.float32) for size in sizes[1:])
+    return Twists(weights, offsets, np.where(HAS, rng.uniform(0.1, 0.5, len(HAS)), np.inf))
+
+
+def apart(one, other):
+    """-> radians between angles given by cosines and sines (..., 2) of any length"""
+    a, b = (np.arctan2(each[..., 1], each[..., 0]) for each in (one, other))
+    return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi)
+
+
+# from rotations
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-np.pi, np.pi))
+def test_the_twist_of_a_twist_and_a_swing_is_told_exactly(seed, angle):
+    rng = np.random.default_rng(seed)
+    bone, way = rng.normal(0, 0.3, 3), Rotation.from_rotvec(rng.uniform(-1.5, 1.5, 3)).as_matrix()
+    swung = np.reshape(swing(tuple(bone), tuple(way @ bone)), (3, 3))
+    turned = np.reshape(twist(tuple(bone), np.cos(angle), np.sin(angle)), (3, 3))
+    np.testing.assert_allclose(twists((swung @ turned)[None], bone[None])[0], [np.cos(angle), np.sin(angle)], atol=1e-9)
+
+
+def test_a_turn_about_the_bone_is_its_angle_and_one_across_it_is_none():
+    bone = np.array([[0.0, 0.3, 0.0]])
+    about, across = (Rotation.from_rotvec(v).as_matrix()[None] for v in ([0, 0.7, 0], [0.7, 0, -1.1]))
+    np.testing.assert_allclose(twists(about, bone), [[np.cos(0.7), np.sin(0.7)]], atol=1e-12)
+    np.testing.assert_allclose(twists(across, bone), [[1, 0]], atol=1e-12)
+
+
+def test_rotations_come_in_any_number_and_a_joint_without_a_bone_has_no_twist():
+    told = twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
+    assert told.shape == (2, 5, 31, 2)
+    assert np.isnan(told[:, :, ~HAS]).all()
+    np.testing.assert_allclose(told[:, :, HAS], np.broadcast_to([1.0, 0.0], (2, 5, HAS.sum(), 2)), atol=1e-12)
+
+
+def test_bones_lead_to_the_mean_of_the_children_that_lie_away():
+    assert {name for name, has in zip(BODY.names, HAS, strict=True) if not has} == WITHOUT
+    np.testing.assert_allclose(BONES[BODY.index("Spine1")], BODY.offsets[BODY.index("Neck")])
+    fork = Skeleton(("a", "b", "c", "d"), np.array([-1, 0, 0, 0]), np.array([[9, 9, 9], [0, 1, 0], [0, 0, 0], [2.0, 0, 0]]), BONES[:4])
+    np.testing.assert_array_equal(bones(fork), [[1, 0.5, 0], *np.full((3, 3), np.nan)])
+
+
+# from positions
+
+
+def test_what_is_regressed_is_as_long_as_it_is_sure_and_never_longer_than_one_over_the_variance():
+    network, rng = random_network(np.random.default_rng(0)), np.random.default_rng(1)
+    positions = rng.normal(size=(400, 31, 3))
+    raw = network.said(directions(positions, upright(400)))
+    lengths = np.linalg.norm(raw, axis=2)
+    assert (lengths < 0.7).any()
+    assert (lengths > 1.4).any()
+    told = network.regressed(positions, upright(400))
+    assert not told[:, ~HAS].any()
+    np.testing.assert_allclose(np.linalg.norm(told[:, HAS], axis=2) * network.sigma[HAS] ** 2, np.minimum(lengths, 1), rtol=1e-5)
+    np.testing.assert_allclose(apart(told[:, HAS], raw), 0, atol=1e-5)
+
+
+def test_frames_do_not_matter_to_one_another():
+    network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(BLOCK + 7, 31, 3))
+    together = network.regressed(positions, upright(len(positions)))
+    for part in (slice(0, 3), slice(BLOCK - 2, BLOCK + 3)):
+        np.testing.assert_allclose(network.regressed(positions[part], upright(len(positions[part]))), together[part], atol=1e-3)
+    assert network.regressed(positions[:0], upright(0)).shape == (0, 31, 2)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_place_and_heading_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    positions, turn, way = rng.normal(size=(3, 31, 3)), drawn.rotations(rng, 1)[0], rng.normal(0, 5, 3)
+    still = regressor().regressed(positions, upright(3))
+    np.testing.assert_allclose(regressor().regressed(positions @ turn.T + way, np.tile(turn, (3, 1, 1))), still, atol=1e-2)
+
+
+def test_frames_of_which_nothing_is_known_get_what_is_usual(people):
+    nothing = regressor().regressed(np.full((1, 31, 3), np.nan), upright(1))
+    assert np.isfinite(nothing).all()
+    np.testing.assert_array_equal(regressor().regressed(people[1][:1], np.full((1, 3, 3), np.nan)), nothing)
+    arm = BODY.index("LeftArm")
+    usual = regressor().regressed(people[1], upright(len(people[1])))[:, arm]
+    assert np.linalg.norm(nothing[0, arm]) < 0.9 * np.linalg.norm(usual, axis=1).mean()  # and it is said to be less sure
+
+
+def test_unseen_peoples_twists_are_told_much_better_than_by_none(people):
+    poses, places = people
+    true = twists(poses, BONES)[:, HAS]
+    said = regressor().regressed(places, upright(len(places)))[:, HAS]
+    none, away = apart(np.array([1.0, 0.0]), true), apart(said, true)
+    assert away.mean() < 0.7 * none.mean()  # hands included, of whose twist no joint tells
+    arms = [j in (BODY.index("LeftArm"), BODY.index("RightArm")) for j in np.flatnonzero(HAS)]
+    assert away[:, arms].mean() < 0.35 * none[:, arms].mean()
+
+
+def test_joints_that_are_displaced_or_lost_do_little_harm(people):
+    poses, places = people
+    rng, true = np.random.default_rng(0), twists(poses, BONES)[:, HAS]
+    spoiled = places + rng.uniform(-0.02, 0.02, places.shape)
+    spoiled[rng.random(places.shape[:2]) < 0.1] = np.nan
+    away = apart(regressor().regressed(spoiled, upright(len(places)))[:, HAS], true)
+    assert away.mean() < 0.85 * apart(np.array([1.0, 0.0]), true).mean()
+
+
+def test_sigma_covers_what_unseen_people_stray(people):
+    poses, places = people
+    away = apart(regressor().regressed(places, upright(len(places))), twists(poses, BONES))[:, HAS]
+    assert ((away < 2 * regressor().sigma[HAS]).mean(axis=0) > 0.9).all()
+
+
+def test_in_a_mirror_twists_are_mirrored_nearly(people):
+    _, places = people
+    said = regressor().regressed(places, upright(len(places)))
+    mirrored = regressor().regressed(places[:, SWAP] * [-1, 1, 1], upright(len(places)))[:, SWAP] * [1, -1]
+    assert np.degrees(apart(said, mirrored)[:, HAS].mean()) < 2
+
+
+# files
+
+
+def test_a_network_comes_back(tmp_path):
+    network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(5, 31, 3))
+    save(tmp_path / "mine.safetensors", network)
+    loaded = load(tmp_path / "mine.safetensors")
+    np.testing.assert_allclose(loaded.regressed(positions, upright(5)), network.regressed(positions, upright(5)), rtol=1e-5)
+    np.testing.assert_allclose(loaded.sigma, network.sigma, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda tensors: tensors.pop("sigma"), "sigma"),
+        (lambda tensors: tensors.pop("weights.0"), r"weights\.0"),
+        (lambda tensors: tensors.update({"weights.1": np.ones((9, 46), np.float16)}), "its layers are not 174 by 8 by 46"),
+        (lambda tensors: tensors.update({"offsets.1": np.ones(44, np.float16)}), "a cosine and a sine for the 23 of 31 joints"),
+        (lambda tensors: tensors["offsets.0"].__setitem__(3, np.nan), "not finite"),
+        (lambda tensors: tensors["sigma"].__setitem__(0, 1.0), "a sigma of a joint without a bone"),
+        (lambda tensors: tensors["sigma"].__setitem__(2, 0.0), "sigma"),
+        (lambda tensors: tensors.update(more=np.ones(3, np.float16)), "it holds more, too"),
+    ],
+)
+def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change, message):
+    path = tmp_path / "mine.safetensors"
+    save(path, random_network(np.random.default_rng(0)))
+    tensors = load_file(path)
+    change(tensors)
+    save_file(tensors, path)
+    with pytest.raises(SceneError, match=rf"mine\.safetensors: is no regressor of twists .*({message})"):
+        load(path)
+
+
+def test_another_file_and_no_file_are_refused(tmp_path):
+    (tmp_path / "text.safetensors").write_text("not that")
+    for name in ("text", "none"):
+        with pytest.raises(SceneError, match=rf"{name}\.safetensors: is no regressor of twists"):
+            load(tmp_path / f"{name}.safetensors")
+
+
+def test_to_regress_needs_no_torch():
+    code = "import sys, numpy as np; from mocapfix.initialise.twist import regressor; "
+    code += "regressor().regressed(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
