@@ -1,4 +1,4 @@
-"""What each joint of a skeleton turns: its children, the markers that ride on it, and joints beyond a child that does not turn."""
+"""What each joint turns: its children, the markers that ride on it, and joints beyond a child that does not turn itself."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ CONFLICT = ("Head", "LeftHand", "RightHand")  # the roots of sub-trees, which ar
 BONE = 1e-4  # metres: joints nearer to one another have no bone between them
 STIFF = 0.1  # radians: how far a child turns that hardly does, as a clavicle
 MARKER = 0.01  # metres per axis: how far a marker strays from its place on the body
-AFAR = 10.0  # metres: so unsure of its place in the mean pose is all that the hips do not carry; it tells the root if nothing else does
+AFAR = 10.0  # metres: as good as nothing beside what the hips carry; but where none of that is known, the trunk tells the root
 
 
 class Wearing(NamedTuple):
@@ -57,7 +57,8 @@ def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarr
     first = np.cumsum([0, *map(len, rows)])
     turns = np.array([any(row[2] for row in each) for each in rows]) & ~held
     bones = Bones(parents, skeleton.offsets, turns, first, source, place, child, spread, ahead)
-    source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in {r[0] for r in of_root}])
+    carried = {row[0] for row in of_root}
+    source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in carried])
     return bones, Root(source, place, spread)
 
 

@@ -1,1 +1,2 @@
-def regressor(): raise NotImplementedError
+def regressor():
+    raise NotImplementedError
