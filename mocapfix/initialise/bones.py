@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.kernels.hybrik import Bones
+from mocapfix.kernels.root import Carried
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
@@ -23,14 +24,6 @@ class Wearing(NamedTuple):
     seen: bool
 
 
-class Root(NamedTuple):
-    """The points that tell the root, as `Bones` has those of other joints."""
-
-    source: np.ndarray  # (R,)
-    place: np.ndarray  # (R, 3) metres
-    spread: np.ndarray  # (R,) m^2
-
-
 def stubs(skeleton: Skeleton, habits: Prior) -> np.ndarray:
     """-> (J,) bool: joints that never turn and lie on the one before: the hips', whose turn would be the thighs' over again."""
     return stiff(habits) & (np.linalg.norm(skeleton.offsets, axis=1) < BONE)
@@ -41,7 +34,7 @@ def stiff(habits: Prior) -> np.ndarray:
     return np.linalg.matrix_rank(habits.held) == 3
 
 
-def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarray) -> tuple[Bones, Root]:
+def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarray) -> tuple[Bones, Carried]:
     """-> the bones, and what tells the root. Markers are points beyond the joints, in the subject's order.
 
     habits  the mean pose; a joint that it holds about all axes is stiff: what it carries goes with the joint before
@@ -59,7 +52,8 @@ def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarr
     bones = Bones(parents, skeleton.offsets, turns, first, source, place, child, spread, ahead)
     carried = {row[0] for row in of_root}
     source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in carried])
-    return bones, Root(source, place, spread)
+    twin = (np.linalg.norm(place[:, None] - place, axis=2) < BONE).argmax(axis=1)
+    return bones, Carried(source, place, spread, twin)
 
 
 def points(j: int, skeleton: Skeleton, habits: Prior, wearing: Wearing) -> list[tuple]:

@@ -7,9 +7,10 @@ import numpy as np
 import torch
 
 from mocapfix import prior
-from mocapfix.initialise.bones import Root, Wearing, bones_of, stubs
+from mocapfix.initialise.bones import Wearing, bones_of, stubs
 from mocapfix.initialise.closed_form import DEVIATION, Way
 from mocapfix.kernels.hybrik import Bones
+from mocapfix.kernels.root import Carried
 from mocapfix.kernels.twist_swing import between, swing, told, twist
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
@@ -41,7 +42,7 @@ def hybrik(
     return place, torch.stack(local, dim=1)
 
 
-def registered(carried: Root, positions: torch.Tensor, deviation: float, refine: bool) -> tuple[torch.Tensor, torch.Tensor]:
+def registered(carried: Carried, positions: torch.Tensor, deviation: float, refine: bool) -> tuple[torch.Tensor, torch.Tensor]:
     """-> place (T, 3) and turn (T, 3, 3) of the root: the singular value decomposition of HybrIK's appendix A, mirrored back
     where the last singular vector would make it a reflection."""
     rest = torch.as_tensor(carried.place, dtype=positions.dtype)
