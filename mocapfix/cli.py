@@ -14,7 +14,7 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.scenes import PRIOR
+from mocapfix.scenes import PRIOR, START, STARTS
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -125,6 +125,7 @@ def clean(
     prior_scale: Annotated[
         float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
     ] = 1.0,
+    init: Annotated[str, tyro.conf.arg(metavar="START", help=f"the way to each frame's first pose: {', '.join(STARTS)}")] = START,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
     as_json: Annotated[
         Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
@@ -157,7 +158,7 @@ def clean(
             check_free(where, take.stem, overwrite, take)
             with staged(take.name) as progress:
                 given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
-                result = pipeline.clean(take, **given, options=options, progress=progress)
+                result = pipeline.clean(take, **given, init=init, options=options, progress=progress)
                 outputs = result.write(where, overwrite, progress)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)

@@ -16,7 +16,7 @@ from mocapfix.motion import Motion
 from mocapfix.prior import models
 from mocapfix.prior.contract import PoseModel
 from mocapfix.result import Result
-from mocapfix.scenes import PRIOR
+from mocapfix.scenes import PRIOR, START, STARTS
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
 from mocapfix.subject import Subject
@@ -35,6 +35,7 @@ def clean(
     subject: str | Path | Subject | None = None,
     prior: str = PRIOR,
     prior_scale: float = 1.0,
+    init: str = START,
     options: FillOptions = ANYTHING,
     progress: Progress | None = None,
 ) -> Result:
@@ -44,6 +45,7 @@ def clean(
     subject     a subject file (or a Subject) from an earlier calibration; None calibrates from this take
     prior       what people's poses are like, where a limb is lost: a trained prior's name, its .safetensors file, or "none"
     prior_scale  times the prior's standard deviations: with 2 it is believed half as much
+    init        the way to each frame's first pose, from which it is solved: one of scenes.STARTS
     options     what may be touched and how sure a fill must be
     progress    told each stage's name as it begins
 
@@ -51,6 +53,8 @@ def clean(
     """
     if not 0 < prior_scale < float("inf"):
         raise SceneError(f"A prior's scale must be more than 0 and finite, not {prior_scale:g}.")
+    if init not in STARTS:
+        raise SceneError(f"There is no start {init!r}; choose one of: {', '.join(STARTS)}.")
     clock, model = Clock(progress=progress), trained(prior)
     weighed = SolveOptions(prior_scale=prior_scale)
     with clock("read"):
@@ -65,13 +69,15 @@ def clean(
     motion, joints, error, columns = None, None, None, np.zeros(0, int)
     if set_of_take is not None:
         columns = set_of_take.columns(take.labels)
-        known, motion = posed(take.worn(columns, faults.heard(take)), set_of_take, known, model, weighed, clock)
+        known, motion = posed(take.worn(columns, faults.heard(take)), set_of_take, known, model, weighed, init, clock)
         joints, error, more = held_against(take, take.worn(columns, believed), columns, known, motion)
         notes += more
     with clock("fill"):
         after, left = fill.take(take, believed, columns, known, motion, options)
     notes += guesses(after)
-    solved = record.of_solve(take, known, motion, error, prior, prior_scale) if known and motion and error is not None else None
+    solved = None
+    if known and motion and error is not None:
+        solved = record.of_solve(take, known, motion, error, prior, prior_scale, init)
     report = {
         "take": record.of_take(take, set_of_take.name if set_of_take else None),
         "faults": record.of_faults(take, faults),
@@ -101,6 +107,7 @@ def posed(
     subject: Subject | None,
     model: Callable[[], PoseModel] | None,
     options: SolveOptions,
+    init: str,
     clock: Clock,
 ) -> tuple[Subject, Motion]:
     """-> the subject, calibrated where it is not known yet, and its motion."""
@@ -110,7 +117,7 @@ def posed(
         with clock("calibrate"):
             subject = calibrate.subject(worn, worn_set, body, poses)
     with clock("initialise"):
-        start = initialise.motion(worn, subject, body, poses)
+        start = initialise.motion(worn, subject, body, poses, init)
     with clock("solve"):
         motion = solve.motion(worn, subject, body, poses, prior.load_limits(body.skeleton), start, options, model)
     return subject, motion

@@ -5,8 +5,8 @@ faults   a list: kind, marker, first, last (the file's own frame numbers, inclus
          no second edge), reason
 subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
 solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
-         deviation per axis), prior (null, or name, scale: what could be asked of lost limbs), iterations_mean, status
-         (sentence: frames)
+         deviation per axis), start (the way to each frame's first pose), prior (null, or name, scale: what could be asked of
+         lost limbs), iterations_mean, status (sentence: frames)
 fill     missing_before, filled, mended (doubted samples replaced), left_empty, left (a list: marker, first, last, reason)
 seconds  per stage, and total
 notes    sentences on anything else a technician should know
@@ -62,10 +62,11 @@ def of_subject(subject: Subject) -> dict:
     }
 
 
-def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray, prior: str, scale: float) -> dict:
+def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray, prior: str, scale: float, start: str) -> dict:
     """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere.
 
     prior  the trained prior that could be asked, "none" for none; scale, times its standard deviations
+    start  the way to each frame's first pose
     """
     there = np.flatnonzero(~np.isnan(error).all(0))
     twice = {label for label, count in Counter(take.labels).items() if count > 1}
@@ -78,6 +79,7 @@ def of_solve(take: Take, subject: Subject, motion: Motion, error: np.ndarray, pr
         "joint_deviation_mm": {
             name: _spread(deviation) for name, deviation in zip(subject.skeleton.names, motion.joint_deviation.T, strict=True)
         },
+        "start": start,
         "prior": None if prior == "none" else {"name": prior, "scale": scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
         "status": {STATUS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},

@@ -40,7 +40,8 @@ def test_every_option_of_clean_is_told_with_its_unit_and_default(mocapfix):
     told = flat(out.replace("│", " "))
     assert status == 0
     for option in ("--out DIR", "--marker-set NAME|FILE", "--subject FILE", "--prior NAME|none", "--prior-scale X",
-                   "--overwrite", "--json", "--max-gap SECONDS", "--keep MARKER,...", "--frames FIRST:LAST"):  # fmt: skip
+                   "--init START", "--overwrite", "--json", "--max-gap SECONDS", "--keep MARKER,...",
+                   "--frames FIRST:LAST"):  # fmt: skip
         assert option in told
     assert "(default: 600.0)" in told
     assert "(default: autoencoder)" in told
@@ -253,6 +254,7 @@ def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
         (["--marker-set", "plug-in-gait39"], "brief.c3d: plug-in-gait39 does not fit: "),
         (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
         (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),
+        (["--init", "hybrik"], "There is no start 'hybrik'; choose one of: hybrik-x, hybrik-adaptive, hybrik-naive, "),
         (["--frames", "1:20"], "brief.c3d: frames 1 to 20 are not in the take, which has 301 to 420"),
         (["--keep", "NOSE"], "brief.c3d: has no marker NOSE to keep; its markers are "),
         (["--subject", "gone.yaml"], "gone.yaml"),

@@ -333,6 +333,20 @@ def test_stages_are_told_in_order(brief):
     assert told == ["read", "detect", "calibrate", "initialise", "solve", "fill"]
 
 
+def test_a_start_that_there_is_not_is_refused_before_anything_is_read():
+    with pytest.raises(SceneError, match=r"no start 'hybrik'; choose one of: .*registration, previous"):
+        pipeline.clean("nowhere.c3d", init="hybrik")
+
+
+def test_the_start_that_was_chosen_is_gone_from_and_told(brief):
+    results = {init: pipeline.clean(brief.path, subject=brief.subject, init=init) for init in ("registration", "previous")}
+    motions = {init: result.motion for init, result in results.items()}
+    for init, result in results.items():
+        assert result.report["solve"]["start"] == init
+    assert motions["previous"].iterations.mean() < motions["registration"].iterations.mean() - 1
+    np.testing.assert_allclose(results["previous"].joints, results["registration"].joints, atol=2e-3)
+
+
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_prior_that_cannot_be_believed_so_is_refused_before_anything_is_read(scale):
     with pytest.raises(SceneError, match="scale must be more than 0 and finite"):

@@ -76,9 +76,10 @@ def test_the_solves_residuals_iterations_and_statuses():
     motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.array([0, 0, 3, 0, 1, 0]), np.arange(6), np.zeros((6, 3)), sure)
     error = np.full((6, 3), NAN)
     error[:, 0], error[:5, 1] = 0.002, [0.001, 0.002, 0.003, 0.004, 0.005]
-    said = plain(record.of_solve(take(), person(), motion, error, "gaussian", 2.0))
+    said = plain(record.of_solve(take(), person(), motion, error, "gaussian", 2.0, "hybrik-x"))
     residual = said["marker_residual_mm"]
-    assert set(said) == {"marker_residual_mm", "joint_deviation_mm", "prior", "iterations_mean", "status"}
+    assert set(said) == {"marker_residual_mm", "joint_deviation_mm", "start", "prior", "iterations_mean", "status"}
+    assert said["start"] == "hybrik-x"
     assert said["prior"] == {"name": "gaussian", "scale": 2.0}
     assert len(said["joint_deviation_mm"]) == 31
     assert said["joint_deviation_mm"]["Hips"] == {"mean": 4.0, "p95": 4.0}
@@ -95,7 +96,7 @@ def test_a_solve_that_no_marker_could_be_held_against():
     motion = Motion(
         np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.full(6, 3), np.zeros(6, int), np.zeros((6, 3)), np.zeros((6, 31))
     )
-    said = plain(record.of_solve(take(), person(), motion, np.full((6, 3), NAN), "none", 1.0))
+    said = plain(record.of_solve(take(), person(), motion, np.full((6, 3), NAN), "none", 1.0, "registration"))
     assert said["prior"] is None
     assert said["marker_residual_mm"] == {"mean": None, "p95": None, "by_marker": {}}
 

@@ -37,10 +37,11 @@ LIMBS = {  # the joints whose rotations are lost; and those whose places are, wh
 
 
 class Performance(NamedTuple):
-    """A recording without flips as somebody performs it who has the average body."""
+    """A recording without flips, by its name, as somebody performs it who has the average body."""
 
     motion: Motion
     rate: float
+    name: str
 
 
 class Gap(NamedTuple):
@@ -90,7 +91,7 @@ def performed(path: Path) -> Iterator[Performance]:
     firm = ~slight(names)
     for recording, place in zip(shards.read(path), places, strict=True):
         kept = longest_between(recording.rotations[:, firm], recording.rate)
-        yield Performance(motion(place[kept], recording.rotations[kept]), recording.rate)
+        yield Performance(motion(place[kept], recording.rotations[kept]), recording.rate, recording.name)
 
 
 def motion(root: np.ndarray, rotations: np.ndarray) -> Motion:

@@ -1,10 +1,11 @@
-"""What each joint of a skeleton turns: its children, the markers that ride on it, and joints beyond a child that does not turn."""
+"""What each joint turns: its children, the markers that ride on it, and joints beyond a child that does not turn itself."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from mocapfix.kernels.hybrik import Bones
+from mocapfix.kernels.root import Carried
 from mocapfix.prior import Prior
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
@@ -13,7 +14,7 @@ CONFLICT = ("Head", "LeftHand", "RightHand")  # the roots of sub-trees, which ar
 BONE = 1e-4  # metres: joints nearer to one another have no bone between them
 STIFF = 0.1  # radians: how far a child turns that hardly does, as a clavicle
 MARKER = 0.01  # metres per axis: how far a marker strays from its place on the body
-AFAR = 10.0  # metres: so unsure of its place in the mean pose is all that the hips do not carry; it tells the root if nothing else does
+AFAR = 10.0  # metres: as good as nothing beside what the hips carry; but where none of that is known, the trunk tells the root
 
 
 class Wearing(NamedTuple):
@@ -21,14 +22,6 @@ class Wearing(NamedTuple):
 
     subject: Subject
     seen: bool
-
-
-class Root(NamedTuple):
-    """The points that tell the root, as `Bones` has those of other joints."""
-
-    source: np.ndarray  # (R,)
-    place: np.ndarray  # (R, 3) metres
-    spread: np.ndarray  # (R,) m^2
 
 
 def stubs(skeleton: Skeleton, habits: Prior) -> np.ndarray:
@@ -41,7 +34,7 @@ def stiff(habits: Prior) -> np.ndarray:
     return np.linalg.matrix_rank(habits.held) == 3
 
 
-def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarray) -> tuple[Bones, Root]:
+def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarray) -> tuple[Bones, Carried]:
     """-> the bones, and what tells the root. Markers are points beyond the joints, in the subject's order.
 
     habits  the mean pose; a joint that it holds about all axes is stiff: what it carries goes with the joint before
@@ -57,8 +50,10 @@ def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarr
     first = np.cumsum([0, *map(len, rows)])
     turns = np.array([any(row[2] for row in each) for each in rows]) & ~held
     bones = Bones(parents, skeleton.offsets, turns, first, source, place, child, spread, ahead)
-    source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in {r[0] for r in of_root}])
-    return bones, Root(source, place, spread)
+    carried = {row[0] for row in of_root}
+    source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in carried])
+    twin = (np.linalg.norm(place[:, None] - place, axis=2) < BONE).argmax(axis=1)
+    return bones, Carried(source, place, spread, twin)
 
 
 def points(j: int, skeleton: Skeleton, habits: Prior, wearing: Wearing) -> list[tuple]:

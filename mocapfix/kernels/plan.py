@@ -19,14 +19,18 @@ def alone(frames: int, joints: int) -> Plan:
     return Plan(np.arange(frames), np.full(frames, -1), np.zeros((1, joints), bool), np.arange(frames + 1))
 
 
+def going_on(own: np.ndarray, joints: int) -> Plan:
+    """-> each frame that has a pose of its `own` (T,) from that, as the first has, each other from the one before it."""
+    order = np.arange(len(own))
+    return Plan(order, np.where(own, -1, order - 1), np.ones((1, joints), bool), np.r_[np.flatnonzero(own), len(own)])
+
+
 def windows(frames: int, joints: int, length: int) -> Plan:
     """-> each frame from the one before it, but for the first of each window of `length` frames.
 
     The windows, not the number of threads, are what is solved side by side, so that this changes nothing.
     """
-    order = np.arange(frames)
-    source = np.where(order % length == 0, -1, order - 1)
-    return Plan(order, source, np.ones((1, joints), bool), np.r_[np.arange(0, frames, length), frames])
+    return going_on(np.arange(frames) % length == 0, joints)
 
 
 def bridges(runs: list[tuple[int, int]], unsure: np.ndarray) -> Plan:

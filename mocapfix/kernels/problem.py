@@ -96,8 +96,12 @@ class Problem:
         return (np.array(scales) / self.marker_sd) ** 2
 
     def solve(self, root, local, pull: Courses, scales: tuple[float, ...], most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
-        """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations"""
-        return self.follow(plan.alone(*local.shape[:2]), root, local, pull, scales, most)
+        """Move every frame's pose to where its cost is least, through the robust scales (metres). -> status, iterations
+
+        A frame whose root is NaN has no pose yet and goes on from where the one before it ended; all others are for themselves.
+        """
+        order = plan.going_on(~np.isnan(root[:, 0]), local.shape[1])
+        return self.follow(order, root, local, pull, scales, most)
 
     def track(self, root, local, pull: Courses, unsure: np.ndarray, scale: float) -> None:
         """Solve the frames with unsure joints (T, J) anew, each from its neighbour, from both ends of their runs inwards."""

@@ -87,7 +87,8 @@ def residuals(record: dict) -> str:
         return ""
     markers, joints = _spreads(solve["marker_residual_mm"]["by_marker"]), _spreads(solve["joint_deviation_mm"])
     status = table(("Frames", "How their solve ended"), [(f"{n:,}", text) for text, n in solve["status"].items() if n])
-    iterations = f'<p class="soft">{number(solve["iterations_mean"])} iterations a frame on average. {_prior(solve)}</p>'
+    steps = f"{number(solve['iterations_mean'])} iterations a frame on average, from the start {escape(solve['start'])}."
+    iterations = f'<p class="soft">{steps} {_prior(solve)}</p>'
     return (
         f"<h2>Each marker’s distance from the body</h2>{legend(RESIDUALS)}{markers}"
         f"<h2>How surely each joint is known</h2>{legend(DEVIATIONS)}{joints}<h2>The solve</h2>{status}{iterations}"

@@ -47,19 +47,14 @@ def motion(
 
     worn   the take's markers in the subject's order, NaN where not seen or not believed
     prior  the independent joints' mean pose, which breaks ties in every frame
+    start  where each frame is first solved from; NaN where it goes on from the one before it
     model  gives a trained model of poses, and is called where a limb is lost for so long that the take and time cannot tell;
            None asks them alone
     """
     rate, narrow = worn.rate, options.robust[-1]
-    gone = listening.lost(worn.seen, subject, body.free)
-    listened = worn.seen & ~listening.beside_gaps(worn.seen, gone[:, subject.joints], rate, options.beside)
-    said_once = pull_to(prior.weakened(1 / (options.habit * rate)))
-    walls = within(limits, options.limit_sd * np.sqrt(options.habit * rate))
-    tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
-    attached = Attached(subject.joints, subject.places)
-    problem = Problem(tree, attached, worn.markers, listened, options.marker_sd, said_once, walls)
-    gone = listening.lost(listened, subject, body.free)
-    unsure = (listening.missed(listened, subject) | gone) & body.free
+    problem = bound(worn, subject, body, prior, limits, options)
+    gone = listening.lost(problem.listened, subject, body.free)
+    unsure = (listening.missed(problem.listened, subject) | gone) & body.free
 
     root, local = start.root.copy(), start.rotations.copy()
     alone, known, left_open = each_alone(problem, root, local, unsure, gone, rate, options)
@@ -77,6 +72,16 @@ def motion(
     return replace(solved, status=judged(solved, subject, worn.markers))
 
 
+def bound(worn: Take, subject: Subject, body: Body, prior: Prior, limits: JointLimits, options: SolveOptions) -> Problem:
+    """-> the pose problem of the take, as `motion` is given it: markers, people's habits and how far joints turn."""
+    gone = listening.lost(worn.seen, subject, body.free)
+    listened = worn.seen & ~listening.beside_gaps(worn.seen, gone[:, subject.joints], worn.rate, options.beside)
+    said_once = pull_to(prior.weakened(1 / (options.habit * worn.rate)))
+    walls = within(limits, options.limit_sd * np.sqrt(options.habit * worn.rate))
+    tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, body.free)
+    return Problem(tree, Attached(subject.joints, subject.places), worn.markers, listened, options.marker_sd, said_once, walls)
+
+
 def each_alone(
     problem: Problem,
     root: np.ndarray,
@@ -86,9 +91,9 @@ def each_alone(
     rate: float,
     options: SolveOptions,
 ) -> tuple[np.ndarray, Uncertainty, np.ndarray]:
-    """Solve each frame alone, then those with joints that are unsure or gone (T, J) from their neighbours and as far as the
-    course through the others says; root (T, 3) and local (T, J, 3, 3) in place. -> (T,) iterations, how far poses are known, and
-    the variance (T, J) of the courses of unsure joints, rad^2
+    """Solve each frame alone, or as its start says, then those with joints that are unsure or gone (T, J) from their neighbours
+    and as far as the course through the others says; root (T, 3) and local (T, J, 3, 3) in place. -> (T,) iterations, how far
+    poses are known, and the variance (T, J) of the courses of unsure joints, rad^2
     """
     none, narrow = no_pull(local.shape[1]), options.robust[-1]
     _, iterations = problem.solve(root, local, none, options.robust)

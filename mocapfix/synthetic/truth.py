@@ -55,12 +55,9 @@ def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, crooked: boo
     crooked  left and right differ and bones lean as people's do, where else only groups of bones are longer or shorter
     """
     rng = np.random.default_rng(seed)
-    subject = _subject(rng, crooked)
+    subject = person(rng, crooked)
     motion = motions.compose(subject, seconds, rate)
-    _, rotation = kinematics.world(subject.skeleton, motion)
-    slide = _skin(rng, motion.frames, len(subject.labels), rate)
-    joints, markers = kinematics.placed(subject, motion)
-    markers += np.einsum("tkab,tkb->tka", rotation[:, subject.joints], slide) + rng.normal(0, NOISE, markers.shape)
+    joints, markers = worn(rng, subject, motion, rate)
     arm = np.isin(subject.joints, [subject.skeleton.index(name) for name in damage.ARM])
     struck = damage.gaps(rng, motion.frames, rate, arm)
     shift = damage.spikes(rng, ~struck, rate)
@@ -68,8 +65,8 @@ def take(seed: int = 0, seconds: float = 10.0, rate: float = 120.0, crooked: boo
     return Truth(motion, subject, joints, markers, damaged, struck, (shift != 0).any(axis=2), subject.labels, rate)
 
 
-def _subject(rng: np.random.Generator, crooked: bool) -> Subject:
-    """The average body, every group of bones somewhat longer or shorter, markers put on by hand."""
+def person(rng: np.random.Generator, crooked: bool) -> Subject:
+    """-> the average body, every group of bones somewhat longer or shorter, markers put on by hand."""
     nominal = marker_set.load("cmu41")
     places = nominal.places + rng.normal(0, PLACES, nominal.places.shape)
     spread = np.full(len(nominal.labels), SLIDE)
@@ -94,6 +91,15 @@ def _crooked(rng: np.random.Generator, skeleton: Skeleton) -> Skeleton:
     shoulders = [skeleton.index("LeftShoulder"), skeleton.index("RightShoulder")]
     offsets[shoulders] = offsets[skeleton.index("Neck")]  # one bone, the thorax, carries all three
     return replace(skeleton, offsets=offsets)
+
+
+def worn(rng: np.random.Generator, subject: Subject, motion: Motion, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> joints (T, J, 3) and markers (T, M, 3), in metres, of a motion: the markers slide with the skin and are seen noisily."""
+    _, rotation = kinematics.world(subject.skeleton, motion)
+    slide = _skin(rng, motion.frames, len(subject.labels), rate)
+    joints, markers = kinematics.placed(subject, motion)
+    markers += np.einsum("tkab,tkb->tka", rotation[:, subject.joints], slide) + rng.normal(0, NOISE, markers.shape)
+    return joints, markers
 
 
 def _skin(rng: np.random.Generator, frames: int, markers: int, rate: float) -> np.ndarray:

@@ -7,9 +7,10 @@ import numpy as np
 import torch
 
 from mocapfix import prior
-from mocapfix.initialise.bones import Root, Wearing, bones_of, stubs
-from mocapfix.initialise.hybrik import DEVIATION, Way
+from mocapfix.initialise.bones import Wearing, bones_of, stubs
+from mocapfix.initialise.closed_form import DEVIATION, Way
 from mocapfix.kernels.hybrik import Bones
+from mocapfix.kernels.root import Carried
 from mocapfix.kernels.twist_swing import between, swing, told, twist
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
@@ -41,7 +42,7 @@ def hybrik(
     return place, torch.stack(local, dim=1)
 
 
-def registered(carried: Root, positions: torch.Tensor, deviation: float, refine: bool) -> tuple[torch.Tensor, torch.Tensor]:
+def registered(carried: Carried, positions: torch.Tensor, deviation: float, refine: bool) -> tuple[torch.Tensor, torch.Tensor]:
     """-> place (T, 3) and turn (T, 3, 3) of the root: the singular value decomposition of HybrIK's appendix A, mirrored back
     where the last singular vector would make it a reflection."""
     rest = torch.as_tensor(carried.place, dtype=positions.dtype)
@@ -58,7 +59,7 @@ def registered(carried: Root, positions: torch.Tensor, deviation: float, refine:
 def turn_of(j, bones: Bones, way: Way, positions, twists, at, parent, deviation: float) -> torch.Tensor:
     """-> (T, 3, 3) the turn of one joint that lies `at` (T, 3), on a parent turned by (T, 3, 3) in the world."""
     origin = positions[:, j] if way == "naive" else at
-    place, there, mine = 0.0, 0.0, range(bones.first[j], bones.first[j + 1])
+    place, there, mine = np.zeros(3), torch.zeros_like(at), range(bones.first[j], bones.first[j + 1])
     for i in mine:
         if bones.child[i]:
             w, child = weight(bones, i, deviation), bones.source[i]
@@ -79,7 +80,7 @@ def turn_of(j, bones: Bones, way: Way, positions, twists, at, parent, deviation:
 
 def subtree_root(j: int, bones: Bones, positions: torch.Tensor, deviation: float) -> torch.Tensor:
     """-> (T, 3) metres: where the sub-tree that hangs on a conflict joint puts it, see `kernels.hybrik`."""
-    place, there, total = 0.0, 0.0, 0.0
+    place, there, total = np.zeros(3), torch.zeros_like(positions[:, j]), 0.0
     for i in range(bones.first[j], bones.first[j + 1]):
         if bones.child[i]:
             w = weight(bones, i, deviation)

@@ -51,7 +51,7 @@ def test_a_model_is_right_at_both_edges_when_it_is_corrected_there():
 
 
 def test_gaps_lie_where_enough_is_seen_on_either_side_and_begin_everywhere():
-    performances = [limb.Performance(turning(frames), RATE) for frames in (40, 20, 60)]
+    performances = [limb.Performance(turning(frames), RATE, "walk") for frames in (40, 20, 60)]
     gaps = limb.drawn(performances, 0.5, 2000, np.random.default_rng(0))
     around = round(limb.AROUND * RATE)
     for gap in gaps:
@@ -66,7 +66,7 @@ def test_gaps_lie_where_enough_is_seen_on_either_side_and_begin_everywhere():
 @pytest.mark.parametrize("name", ["arm", "leg"])
 def test_only_what_the_limb_carries_is_struck(name):
     subject = limb.wearing_all()
-    gap = limb.Gap(limb.Performance(turning(40), RATE), "Right", 12, 26)
+    gap = limb.Gap(limb.Performance(turning(40), RATE, "walk"), "Right", 12, 26)
     seen = limb.struck(gap, name, subject).seen
     assert seen[:12].all()
     assert seen[27:].all()
@@ -86,7 +86,7 @@ def test_a_marker_on_every_joint_lies_there():
 
 def test_errors_are_those_of_the_lost_joints_in_the_gap():
     truth, found = turning(40), turning(40)
-    gap = limb.Gap(limb.Performance(truth, RATE), "Left", 10, 19)
+    gap = limb.Gap(limb.Performance(truth, RATE, "walk"), "Left", 10, 19)
     assert limb.off(gap, "arm", found) == 0
     found.root[:10] += 5.0  # not in the gap
     assert limb.off(gap, "arm", found) == 0

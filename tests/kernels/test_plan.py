@@ -49,6 +49,12 @@ def test_every_window_goes_on_from_its_own_first_frame(frames, chains):
     assert order.taken.all()
 
 
+def test_frames_without_a_pose_of_their_own_go_on_from_the_one_before():
+    order = plan.going_on(np.array([True, True, False, False, True]), 4)
+    assert told(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
+    assert order.taken.all()
+
+
 @pytest.mark.parametrize(
     ("run", "chain"),
     [

@@ -51,6 +51,22 @@ def test_markers_not_listened_to_say_nothing_wherever_they_are():
     np.testing.assert_array_equal(found[1], start[1])
 
 
+def test_a_frame_without_a_pose_goes_on_from_where_the_one_before_it_ended():
+    body, root, local = problem()
+    start = root.copy(), local.copy()
+    start[0][1:], start[1][1:] = np.nan, np.nan
+    status, iterations = body.solve(*start, no_pull(JOINTS), PLAIN)
+    assert (status == NOTHING_LEFT).any()  # the first starts where it belongs
+    assert iterations[0] == 0
+    assert (iterations[1:] > 0).all()
+    np.testing.assert_allclose(start[0], root, atol=1e-3 * SD)
+    deaf = replace(body, listened=np.zeros_like(body.listened))
+    start[0][3:], start[1][3:] = np.nan, np.nan
+    deaf.solve(*start, no_pull(JOINTS), PLAIN)
+    for found in start:
+        np.testing.assert_array_equal(found[3:], np.broadcast_to(found[2], found[3:].shape))
+
+
 def test_robust_scales_are_metres():
     np.testing.assert_allclose(problem()[0].scales2((0.02, 0.05)), [4.0, 25.0])
 

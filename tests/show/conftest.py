@@ -80,6 +80,7 @@ def record(before: Take, after: Take, items: tuple[Fault, ...]) -> dict:
             "prior": {"name": "gaussian", "scale": 1.0},
             "marker_residual_mm": {"mean": 3.2, "p95": 7.4, "by_marker": by_marker},
             "joint_deviation_mm": {"LeftFoot": {"mean": 6.0, "p95": 9.0}, "LeftHand": {"mean": 12.0, "p95": 21.0}},
+            "start": "hybrik-x",
             "iterations_mean": 4.25,
             "status": {"solved: well": 200, "guessed: too few": 40},
         },

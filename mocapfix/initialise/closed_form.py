@@ -52,14 +52,14 @@ def hybrik(
     Raises ConstraintError where an array has not the shape it must have.
     """
     skeleton, habits = subject.skeleton, prior.load("mean-pose", cmu31().skeleton)
-    check(positions, subject, deviation, twists, markers)
+    check(positions, subject, way, deviation, twists, markers)
     frames, joints = positions.shape[:2]
     if held is None:
         held = stubs(skeleton, habits) if way == "x" else np.zeros(joints, bool)
     bones, trunk = bones_of(skeleton, habits, Wearing(subject, markers is not None), held)
     points = positions if markers is None else np.concatenate([positions, markers], axis=1)
     variance = np.zeros((frames if np.ndim(deviation) else 1, points.shape[1]))
-    variance[:, :joints] = np.square(deviation)
+    variance[:, :joints] = np.nan_to_num(np.square(deviation), nan=1.0)  # of what is unknown nobody asks
     place, turn, known = root.registered(trunk, points, variance, way == "x")
     local = np.tile(habits.rotations, (frames, 1, 1, 1))
     local[:, 0], missed = turn, np.empty(frames)
@@ -74,9 +74,11 @@ def hybrik(
     return Motion(place, local, status, np.zeros(frames, int), *unknown)
 
 
-def check(positions, subject: Subject, deviation, twists, markers) -> None:
+def check(positions, subject: Subject, way: str, deviation, twists, markers) -> None:
     """Raise ConstraintError where an array has not the shape it must have, or a place or deviation cannot be one."""
     joints, count = len(subject.skeleton.names), len(subject.joints)
+    if way not in WAYS:
+        raise ConstraintError(f"There is no way {way!r} of HybrIK; choose one of: {', '.join(WAYS)}.")
     if np.ndim(positions) != 3 or np.shape(positions)[1:] != (joints, 3):
         raise ConstraintError(f"positions must be (frames, {joints}, 3), a place for every joint, not {np.shape(positions)}.")
     frames = len(positions)

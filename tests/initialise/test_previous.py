@@ -1,0 +1,74 @@
+"""The start from the frame before: which frames have none of their own, what that saves, and what it carries on."""
+
+import numpy as np
+import pytest
+
+from mocapfix import initialise, prior, solve, synthetic
+from mocapfix.initialise.previous import going_on
+from mocapfix.kernels import kinematics
+from mocapfix.skeleton import cmu31
+from mocapfix.solve import SolveOptions
+from mocapfix.take import Take
+
+BODY = cmu31()
+MEAN, LIMITS = prior.load("mean-pose", BODY.skeleton), prior.load_limits(BODY.skeleton)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return synthetic.take(seed=4, seconds=2.0)
+
+
+def started(truth, markers, by):
+    """-> the start, and what the solve makes of it"""
+    worn = Take(markers, truth.labels, truth.rate)
+    start = initialise.motion(worn, truth.subject, BODY, MEAN, by)
+    return start, solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+
+
+def off(truth, motion):
+    """-> (T,) metres: the joint that is farthest from the truth"""
+    return np.linalg.norm(kinematics.world(truth.subject.skeleton, motion)[0] - truth.joints, axis=-1).max(axis=1)
+
+
+@pytest.mark.parametrize(("unseen", "first"), [(0, 0), (7, 7)])
+def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, unseen, first):
+    markers = truth.markers.copy()
+    markers[:unseen, 20:] = np.nan  # the other 20 of 41 are there, fewer than half
+    own = initialise.motion(Take(markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
+    start = going_on(own, ~np.isnan(markers[..., 0]))
+    np.testing.assert_array_equal(start.root[: first + 1], own.root[: first + 1])
+    np.testing.assert_array_equal(start.rotations[: first + 1], own.rotations[: first + 1])
+    assert np.isnan(start.root[first + 1 :]).all()
+    assert np.isnan(start.rotations[first + 1 :]).all()
+
+
+def test_nothing_is_ever_seen_well_where_nothing_is_seen(truth):
+    own = initialise.motion(Take(truth.markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
+    assert not np.isnan(going_on(own, np.zeros(truth.struck.shape, bool)).root[0]).any()
+
+
+def test_smooth_motion_takes_fewer_iterations_and_ends_at_the_same_poses(truth):
+    (_, own), (_, previous) = (started(truth, truth.markers, by) for by in ("registration", "previous"))
+    assert previous.iterations.mean() < own.iterations.mean() - 1
+    np.testing.assert_allclose(previous.root, own.root, atol=1e-3)
+    assert off(truth, previous).max() < 0.06
+
+
+def test_lost_frames_in_the_middle_are_gone_on_from(truth):
+    markers = truth.markers.copy()
+    markers[100:110] = np.nan
+    _, motion = started(truth, markers, "previous")
+    assert np.isfinite(motion.rotations).all()
+    assert (motion.status[100:110] == 3).all()
+    assert off(truth, motion)[120:].max() < 0.06
+
+
+def test_somebody_who_turned_over_while_unseen_is_a_long_way_from_the_frame_before(truth):
+    """What a start of every frame's own is for: it does not matter to it what was before."""
+    markers, hips = truth.markers.copy(), truth.joints[110:, :1]
+    markers[100:110] = np.nan
+    markers[110:] = (markers[110:] - hips) * [1.0, -1.0, -1.0] + hips
+    previous, own = (started(truth, markers, by)[1].iterations for by in ("previous", "registration"))
+    assert previous[110] > 1.5 * own[110]
+    assert previous[111:].mean() < own[111:].mean()
