@@ -1,0 +1,178 @@
+"""Where a body's segments lie in one frame, in two passes over the tree (belief propagation; Pearl 1988), compiled.
+
+A segment's own markers are points. A neighbour tells of the joint that the two share, which is a point too, and of its own
+axes, which the joint's habit ties to the segment's. From the leaves to the root each segment tells its parent what it knows;
+then from the root to the leaves each tells its children, but to none what it has from it: so nothing is counted twice.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mocapfix.kernels.moments import (
+    INFORMATION,
+    MOMENTS,
+    POSE,
+    TURN,
+    Room,
+    add_point,
+    add_turn,
+    carried,
+    lay,
+    nine,
+    through,
+    variance,
+)  # fmt: skip
+from mocapfix.kernels.small import matrix, product, transposed
+
+FAR = 0.05  # metres (Geman-McClure scale): a marker farther from where its segment is laid counts less and less
+HINT = 1e-3  # 1/rad^2: how surely a segment is turned as in the mean pose, where nothing else tells
+ANYHOW = 1.0  # 1/rad^2: so well a turn is known of which nothing tells, for it cannot be wrong by more than half a turn
+
+
+class Segments(NamedTuple):
+    """S segments, parents before children, the root first; the K markers in the order of their segments."""
+
+    parent: np.ndarray  # (S,)
+    origin: np.ndarray  # (S, 3) metres: each one's joint in its parent's axes
+    mean: np.ndarray  # (S, 3, 3) its axes in its parent's, in the mean pose
+    habit: np.ndarray  # (S, 3, 3) 1/rad^2, in its parent's axes: how surely they keep to that
+    first: np.ndarray  # (S + 1,) where the markers of each begin
+    marker: np.ndarray  # (K,) their columns
+    place: np.ndarray  # (K, 3) metres, in the segment's axes
+    weight: np.ndarray  # (K,) 1/m^2
+    stance: np.ndarray  # (S, 3, 3) the segments' axes in the mean pose, standing
+    standing: np.ndarray  # (K, 3) metres: the markers there
+
+
+class Meetings(NamedTuple):
+    """Which segments meet at each of J joints, so that they carry it."""
+
+    first: np.ndarray  # (J + 1,) where those of each begin
+    segment: np.ndarray  # (N,)
+    place: np.ndarray  # (N, 3) metres: the joint in that segment's axes
+
+
+class Work(NamedTuple):
+    """Room for one frame, taken once for many. The last row of sums and poses is a segment without what a child told."""
+
+    sums: np.ndarray  # (S + 1, MOMENTS) what is known of each segment so far
+    told: np.ndarray  # (S, MOMENTS) what each told its parent
+    poses: np.ndarray  # (S + 1, POSE)
+    trust: np.ndarray  # (K,) the part of each marker's weight that counts; 0 where it is not seen
+
+
+@njit(cache=True, nogil=True)
+def lay_frames(segments, meetings, markers, position, variances, first, stop):
+    """Write where joints lie, position (T, J, 3), and their variances per axis (T, J), in the frames first..stop - 1."""
+    count, origin = len(segments.parent), np.zeros(3)
+    room = Room(np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)))
+    work = Work(
+        np.empty((count + 1, MOMENTS)), np.empty((count, MOMENTS)), np.empty((count + 1, POSE)), np.empty(len(segments.marker))
+    )
+    for t in range(first, stop):
+        _gather(segments, markers[t], work, room)
+        for s in range(count - 1, 0, -1):
+            _lay_robustly(segments, s, markers[t], work, room)
+            _tell_parent(segments, s, origin, work, room)
+        _lay_robustly(segments, 0, markers[t], work, room)
+        for s in range(1, count):
+            _tell_child(segments, s, origin, work, room)
+            _lay_robustly(segments, s, markers[t], work, room)
+        for j in range(position.shape[1]):
+            variances[t, j] = _met(meetings, j, work.poses, position[t, j], room)
+
+
+@njit(cache=True)
+def _gather(segments, seen, work, room):
+    """Begin with what each segment's own markers tell, and hardly more than nothing that the whole body tells of its turn."""
+    count = len(segments.parent)
+    work.sums[:] = 0.0
+    for s in range(count):
+        for i in range(segments.first[s], segments.first[s + 1]):
+            x, w = seen[segments.marker[i]], segments.weight[i]
+            work.trust[i] = 0.0 if math.isnan(x[0]) else 1.0
+            if work.trust[i] > 0:
+                add_point(work.sums[s], w, x, segments.place[i])
+                add_point(work.sums[count], w, x, segments.standing[i])
+    lay(work.sums[count], work.poses[count], room)
+    for s in range(count):
+        turn = product(nine(work.poses[count], TURN), matrix(segments.stance, s))
+        add_turn(work.sums[s], 0.5 * HINT, turn)
+
+
+@njit(cache=True)
+def _lay_robustly(segments, s, seen, work, room):
+    """Lay a segment; where a marker of its lies far off, once more, with each marker counting as it is near."""
+    sums, pose, worst = work.sums[s], work.poses[s], 0.0
+    lay(sums, pose, room)
+    for i in range(segments.first[s], segments.first[s + 1]):
+        if work.trust[i] > 0:
+            worst = max(worst, _off(pose, segments.place[i], seen[segments.marker[i]]))
+    if worst < FAR**2:
+        return
+    for i in range(segments.first[s], segments.first[s + 1]):
+        if work.trust[i] > 0:
+            x, p = seen[segments.marker[i]], segments.place[i]
+            trust = 1 / (1 + _off(pose, p, x) / FAR**2) ** 2
+            add_point(sums, (trust - work.trust[i]) * segments.weight[i], x, p)
+            work.trust[i] = trust
+    lay(sums, pose, room)
+
+
+@njit(cache=True)
+def _off(pose, p, seen):
+    """-> the squared distance of a marker from where its segment carries it."""
+    x, y, z = carried(pose, p)
+    return (seen[0] - x) ** 2 + (seen[1] - y) ** 2 + (seen[2] - z) ** 2
+
+
+@njit(cache=True)
+def _tell_parent(segments, s, origin, work, room):
+    """Add to what is known of the parent what this segment knows without it."""
+    pose, told, mean = work.poses[s], work.told[s], matrix(segments.mean, s)
+    told[:] = 0.0
+    add_point(told, 1 / variance(pose, origin, 0.0, room), carried(pose, origin), segments.origin[s])
+    known = product(mean, product(nine(pose, INFORMATION), transposed(mean)))
+    fisher = through(known, matrix(segments.habit, s), room)
+    add_turn(told, 1.0, product(nine(pose, TURN), product(transposed(mean), fisher)))
+    for n in range(MOMENTS):
+        work.sums[segments.parent[s], n] += told[n]
+
+
+@njit(cache=True)
+def _tell_child(segments, s, origin, work, room):
+    """Add to what is known of this segment what its parent knows without it."""
+    parent, rest = segments.parent[s], len(segments.parent)
+    for n in range(MOMENTS):
+        work.sums[rest, n] = work.sums[parent, n] - work.told[s, n]
+    pose, sums = work.poses[rest], work.sums[s]
+    lay(work.sums[rest], pose, room)
+    fisher = through(nine(pose, INFORMATION), matrix(segments.habit, s), room)
+    add_turn(sums, 1.0, product(nine(pose, TURN), product(fisher, matrix(segments.mean, s))))
+    add_point(sums, 1 / variance(pose, segments.origin[s], 0.0, room), carried(pose, segments.origin[s]), origin)
+
+
+@njit(cache=True)
+def _met(meetings, j, poses, position, room):
+    """Write the mean of where the segments that meet at a joint carry it, as each is sure. -> its variance
+
+    They have told each other what they know, so that together they know hardly more than each.
+    """
+    total = 0.0
+    position[:] = 0.0
+    for n in range(meetings.first[j], meetings.first[j + 1]):
+        pose, p = poses[meetings.segment[n]], meetings.place[n]
+        x, y, z = carried(pose, p)
+        sure = 1 / variance(pose, p, ANYHOW, room)
+        total += sure
+        position[0] += sure * x
+        position[1] += sure * y
+        position[2] += sure * z
+    if total <= 0:
+        return math.inf
+    for a in range(3):
+        position[a] /= total
+    return (meetings.first[j + 1] - meetings.first[j]) / total
