@@ -11,7 +11,11 @@ STATUS = (
     "guessed: too few markers were seen; the pose comes from the frames around",
     "solved: the markers lie on the body exactly",
     "not solved: nothing holds the pose; it stays as it was",
+    "placed: in closed form from where the joints are; nothing was solved",
+    "placed: a hand or the head is out of reach of the bones before it; they point to it",
+    "placed: a hand or the head is nearer than the bones before it can fold",
 )
+GUESSED, PLACED, STRETCHED, FOLDED = 3, 6, 7, 8  # indices into STATUS
 
 
 @dataclass(frozen=True)

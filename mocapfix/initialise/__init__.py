@@ -2,10 +2,12 @@
 
 Ways to it, by the names in scenes.STARTS:
 
+hybrik-...    joints from the markers (initialise/joints), and from these each frame's pose in closed form (closed_form)
 registration  the subject's segments laid on the markers seen, down the tree (kernels/registration)
 previous      none but for the first frame: each other goes on from where the solve of the one before it ended
 """
 
+from mocapfix.initialise.closed_form import Way, hybrik
 from mocapfix.initialise.previous import going_on
 from mocapfix.kernels.registration import poses
 from mocapfix.motion import Motion
@@ -15,6 +17,10 @@ from mocapfix.skeleton import Body
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
+__all__ = ["hybrik", "motion"]
+
+HYBRIK: dict[str, Way] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybrik-naive": "naive"}
+
 
 def motion(worn: Take, subject: Subject, body: Body, prior: Prior, by: str = START) -> Motion:
     """-> every frame's pose in closed form; NaN where a frame has none of its own and goes on from the one before it.
@@ -22,15 +28,5 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, by: str = STA
     worn  the take's markers in the subject's order, NaN where not seen or not believed
     by    the way to it, one of scenes.STARTS
     """
-    return WAYS[by](worn, subject, body, prior)
-
-
-def registered(worn: Take, subject: Subject, body: Body, prior: Prior) -> Motion:
-    return poses(subject, body.free, prior, worn.markers)
-
-
-def previous(worn: Take, subject: Subject, body: Body, prior: Prior) -> Motion:
-    return going_on(registered(worn, subject, body, prior), worn.seen)
-
-
-WAYS = {"registration": registered, "previous": previous}
+    registered = poses(subject, body.free, prior, worn.markers)
+    return going_on(registered, worn.seen) if by == "previous" else registered

@@ -1,0 +1,216 @@
+"""HybrIK on the average body: what its papers say of exact, of wrong and of missing joints, and what a user may give it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix import initialise, marker_set
+from mocapfix.bench import unseen
+from mocapfix.bench.common_task import posed
+from mocapfix.errors import ConstraintError
+from mocapfix.kernels import kinematics
+from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED
+from mocapfix.skeleton import cmu31
+from mocapfix.subject import Subject
+
+SKELETON, WORN = cmu31().skeleton, marker_set.load("cmu41")
+SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.places, np.zeros(len(WORN.labels)))
+STRAIGHT = np.tile([1.0, 0.0], (1, 31, 1))  # no twist, hardly sure
+WAYS = ("naive", "adaptive", "x")
+
+
+@pytest.fixture(scope="module")
+def people():
+    """-> 100 poses of people somewhere in the world, their joints (100, J, 3) and markers (100, K, 3)."""
+    rng = np.random.default_rng(0)
+    rotations, places = unseen.shipped()[::10].copy(), rng.normal(0, 1, (100, 3))
+    rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
+    motion = posed(places, rotations)
+    return motion, *kinematics.placed(SUBJECT, motion)
+
+
+def joints_of(motion, subject=SUBJECT):
+    return kinematics.world(subject.skeleton, motion)[0]
+
+
+def index(name):
+    return SKELETON.index(name)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_exact_joints_are_given_back_to_a_twentieth_of_a_millimetre(people, way):
+    _, joints, _ = people
+    found = initialise.hybrik(joints, SUBJECT, way=way, twists=STRAIGHT)
+    assert np.abs(joints_of(found) - joints).max() < 5e-5
+    assert (found.status == PLACED).all()
+
+
+def test_exact_joints_and_twists_are_the_pose_itself(people):
+    motion, joints, _ = people
+    found = initialise.hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.rotations))
+    boned = [index(name) for name in ("LowerBack", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg", "Neck")]
+    assert np.abs(found.rotations[:, boned] - motion.rotations[:, boned]).max() < 1e-3
+
+
+def true_twists(rotations):
+    """-> (T, J, 2): each rotation about the bone to its joint's children, by scipy's quaternions."""
+    twists = np.tile([1.0, 0.0], (*rotations.shape[:2], 1))
+    for j in range(1, 31):
+        bones = SKELETON.offsets[(SKELETON.parents == j) & (np.linalg.norm(SKELETON.offsets, axis=1) > 1e-3)]
+        if len(bones):
+            quaternion = Rotation.from_matrix(rotations[:, j]).as_quat()
+            half = quaternion[:, :3] @ bones.mean(0) / np.linalg.norm(bones.mean(0))
+            angle = 2 * np.arctan2(half, quaternion[:, 3])
+            twists[:, j] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return twists
+
+
+def test_markers_tell_the_twist_that_joints_do_not(people):
+    _, joints, markers = people
+    by_markers = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT, markers=markers)
+    without = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT)
+    assert np.abs(joints_of(by_markers) - joints).max() < 5e-5
+    off = [np.linalg.norm(kinematics.placed(SUBJECT, each)[1] - markers, axis=2).mean() for each in (by_markers, without)]
+    assert off[0] < 0.5e-3 < 10e-3 < off[1]
+
+
+def shaken(joints):
+    return joints + np.random.default_rng(1).uniform(-0.02, 0.02, joints.shape)
+
+
+def test_naive_gathers_the_errors_of_all_bone_lengths_before(people):
+    """Eq. 15: a joint misses its place by the sum of its ancestors' errors, each along its bone as it is given."""
+    given = shaken(people[1])
+    missed = given - joints_of(initialise.hybrik(given, SUBJECT, way="naive", twists=STRAIGHT))
+    for chain in (("LHipJoint", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"), ("LeftArm", "LeftForeArm", "LeftHand")):
+        for parent, child in pairwise(chain):
+            bone = given[:, index(child)] - given[:, index(parent)]
+            length = np.linalg.norm(bone, axis=1, keepdims=True)
+            error = bone * (1 - np.linalg.norm(SKELETON.offsets[index(child)]) / length)
+            assert np.allclose(missed[:, index(child)], missed[:, index(parent)] + error, atol=1e-9)
+
+
+def test_adaptive_has_only_the_last_bones_error(people):
+    """Eq. 17: what a joint misses lies along its own bone, from where that begins."""
+    given = shaken(people[1])
+    found = joints_of(initialise.hybrik(given, SUBJECT, way="adaptive", twists=STRAIGHT))
+    for parent, child in (("LeftUpLeg", "LeftLeg"), ("RightForeArm", "RightHand"), ("Neck1", "Head"), ("LowerBack", "Spine")):
+        bone = given[:, index(child)] - found[:, index(parent)]
+        length = np.linalg.norm(bone, axis=1)
+        missed = np.linalg.norm(given[:, index(child)] - found[:, index(child)], axis=1)
+        assert np.allclose(missed, np.abs(length - np.linalg.norm(SKELETON.offsets[index(child)])), atol=1e-9)
+
+
+def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_short(people):
+    _, joints, _ = people
+    other = SKELETON.offsets * np.where(np.arange(31) % 2, 1.04, 0.97)[:, None]
+    stranger = Subject(
+        type(SKELETON)(SKELETON.names, SKELETON.parents, other, SKELETON.ends),
+        WORN.name, WORN.labels, WORN.joints, WORN.places, SUBJECT.spread,
+    )  # fmt: skip
+    ends = [index("Head"), index("LeftHand"), index("RightHand")]
+    off = {}
+    for way in ("adaptive", "x"):
+        found = initialise.hybrik(joints, stranger, way=way, twists=STRAIGHT)
+        off[way] = np.linalg.norm(joints_of(found, stranger) - joints, axis=2)[:, ends]
+        if way == "x":
+            reached = found.status == PLACED
+    assert reached.sum() > 80
+    head, hands = off["x"][reached, 0], off["x"][reached, 1:]
+    assert np.median(head) < 0.1 * np.median(off["adaptive"][:, 0])
+    assert np.mean(hands) < 0.6 * np.mean(off["adaptive"][:, 1:])
+
+
+def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
+    _, joints, _ = people
+    far, near = joints[:2].copy(), joints[:2].copy()
+    hand = [index(name) for name in ("LeftHand", "LeftFingerBase", "LThumb", "LeftHandIndex1")]
+    shoulder = joints[:2, index("LeftArm")]
+    direction = joints[:2, hand[0]] - shoulder
+    far[:, hand] += direction[:, None]  # twice as far, farther than any arm
+    far[:, hand] += 0.5 * (direction / np.linalg.norm(direction, axis=1, keepdims=True))[:, None]
+    near[:, hand] -= joints[:2, hand[:1]] - shoulder[:, None]
+    stretched, folded = (initialise.hybrik(each, SUBJECT, twists=STRAIGHT) for each in (far, near))
+    assert (stretched.status == STRETCHED).all()
+    assert (folded.status == FOLDED).all()
+    wrist = joints_of(stretched)[:, hand[0]] - joints_of(stretched)[:, index("LeftArm")]
+    reach = np.linalg.norm(SKELETON.offsets[[index("LeftForeArm"), index("LeftHand")]], axis=1).sum()
+    assert np.allclose(np.linalg.norm(wrist, axis=1), reach, atol=1e-6)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_turning_and_moving_the_world_turns_and_moves_the_pose_alone(people, way):
+    _, joints, _ = people
+    turn, shift = Rotation.from_rotvec([0.3, -2.0, 1.1]).as_matrix(), np.array([5.0, -1.0, 2.0])
+    here = initialise.hybrik(joints, SUBJECT, way=way, twists=STRAIGHT)
+    there = initialise.hybrik(joints @ turn.T + shift, SUBJECT, way=way, twists=STRAIGHT)
+    assert np.allclose(there.root, here.root @ turn.T + shift, atol=1e-9)
+    assert np.allclose(there.rotations[:, 0], turn @ here.rotations[:, 0], atol=1e-9)
+    assert np.allclose(there.rotations[:, 1:], here.rotations[:, 1:], atol=1e-7)
+
+
+def test_a_mirrored_body_has_no_reflection_for_its_root(people):
+    _, joints, _ = people
+    found = initialise.hybrik(joints * [-1, 1, 1], SUBJECT, twists=STRAIGHT)
+    assert np.allclose(np.linalg.det(found.rotations[:, 0]), 1)
+
+
+def test_every_frame_is_for_itself(people):
+    _, joints, _ = people
+    whole = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT)
+    spoilt = joints.copy()
+    spoilt[50] = np.random.default_rng(0).normal(size=(31, 3))
+    again = initialise.hybrik(spoilt, SUBJECT, twists=STRAIGHT)
+    others = np.arange(100) != 50
+    assert np.array_equal(again.rotations[others], whole.rotations[others])
+
+
+def test_unknown_joints_leave_the_rest_where_it_is(people):
+    _, joints, _ = people
+    lost = joints.copy()
+    lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")]] = np.nan
+    found = joints_of(initialise.hybrik(lost, SUBJECT, twists=STRAIGHT))
+    assert np.isfinite(found).all()
+    known = ~np.isnan(lost[0, :, 0])
+    assert np.abs(found - joints)[:, known].max() < 5e-5  # the hand, too, which x reaches across the lost elbow
+
+
+def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything_its_neighbours(people):
+    motion, joints, _ = people
+    take = np.repeat(joints[:1], 5, axis=0)
+    hips = [index(name) for name in ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "LeftUpLeg", "RightUpLeg")]
+    take[1, hips] = np.nan
+    take[3] = np.nan
+    found = initialise.hybrik(take, SUBJECT, twists=STRAIGHT)
+    assert found.status.tolist() == [PLACED, PLACED, PLACED, GUESSED, PLACED]
+    turned = Rotation.from_matrix(motion.rotations[0, 0].T @ found.rotations[:, 0]).magnitude()
+    assert turned[1] < 0.7  # people bend
+    assert turned[3] < 1e-3
+    assert np.linalg.norm(found.root[3] - motion.root[0]) < 1e-4
+
+
+def test_no_frame_and_nothing_known_are_poses_too():
+    assert len(initialise.hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root) == 0
+    nothing = initialise.hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
+    assert (nothing.status == GUESSED).all()
+    assert np.isfinite(nothing.rotations).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"positions": np.zeros((5, 30, 3))}, r"\(frames, 31, 3\)"),
+        ({"positions": np.full((5, 31, 3), np.inf)}, "infinite"),
+        ({"markers": np.zeros((5, 3, 3))}, r"\(5, 41, 3\)"),
+        ({"twists": np.zeros((5, 31))}, "cosine and sine"),
+        ({"deviation": np.zeros((4, 31))}, "one number or"),
+        ({"deviation": 0.0}, "more than 0"),
+        ({"way": "best"}, "naive, adaptive, x"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_sentence(wrong, said):
+    given = {"positions": np.zeros((5, 31, 3)), "twists": STRAIGHT} | wrong
+    with pytest.raises(ConstraintError, match=said):
+        initialise.hybrik(given.pop("positions"), SUBJECT, **given)
