@@ -20,9 +20,9 @@ def test_the_better_a_twist_is_known_the_nearer_come_the_markers(said):
     assert list(said) == ["random", "zero", "regressed", "noisy_markers", "markers"]
     far = [row["markers_mm"] for row in said.values()]
     assert far[0] > 3 * far[1]
-    assert far[2] < 0.8 * far[1]
-    assert far[3] < 0.5 * far[2]
-    assert far[4] < 0.2
+    assert far[2] < 0.6 * far[1]
+    assert far[3] < 0.8 * far[2]
+    assert far[4] < 1
 
 
 def test_twists_leave_joints_alone(said):
