@@ -170,7 +170,7 @@ def test_every_frame_is_for_itself(people):
 def test_unknown_joints_leave_the_rest_where_it_is(people):
     _, joints, _ = people
     lost = joints.copy()
-    lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan  # one number is enough
+    lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan
     found = joints_of(initialise.hybrik(lost, SUBJECT, twists=STRAIGHT))
     assert np.isfinite(found).all()
     known = ~np.isnan(lost[0, :, 1])
