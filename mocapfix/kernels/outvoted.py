@@ -24,13 +24,13 @@ def lay(seen, places, weight, trust, row, pose, room, spare):
     others, candidate = spare
     for i in range(len(trust)):
         if trust[i] > 0:
-            others[:] = row
+            moments.copy(row, others)
             moments.add_point(others, -trust[i] * weight[i], seen[i], places[i])
             moments.lay(others, candidate, room)
             left, _ = _disagreement(seen, places, trust, candidate)
             if left < best:
                 best = left
-                pose[:] = candidate
+                moments.copy(candidate, pose)
     for i in range(len(trust)):
         if trust[i] > 0:
             near = 1 / (1 + _off(pose, places[i], seen[i]) / FAR**2) ** 2

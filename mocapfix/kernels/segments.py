@@ -78,8 +78,9 @@ def lay_frames(segments, meetings, markers, position, variances, first, stop):
 def _gather(segments, seen, work, room):
     """Begin with what each segment's own markers tell, and hardly more than nothing that the whole body tells of its turn."""
     count = len(segments.parent)
-    work.sums[:] = 0.0
+    moments.clear(work.sums[count])
     for s in range(count):
+        moments.clear(work.sums[s])
         for i in range(segments.first[s], segments.first[s + 1]):
             x, w = seen[i], segments.weight[i]
             work.trust[i] = 0.0 if math.isnan(x[0]) else 1.0
@@ -106,7 +107,7 @@ def _lay(segments, s, seen, work, room):
 def _tell_parent(segments, s, origin, work, room):
     """Add to what is known of the parent what this segment knows without it."""
     pose, told, mean = work.poses[s], work.told[s], matrix(segments.mean, s)
-    told[:] = 0.0
+    moments.clear(told)
     moments.add_point(told, 1 / moments.variance(pose, origin, 0.0, room), moments.carried(pose, origin), segments.origin[s])
     known = product(mean, product(moments.nine(pose, moments.INFORMATION), transposed(mean)))
     fisher = moments.through(known, matrix(segments.habit, s), room)
@@ -137,7 +138,7 @@ def _met(meetings, j, poses, position, room):
     They have told each other what they know, so that together they know hardly more than each.
     """
     total = 0.0
-    position[:] = 0.0
+    position[0], position[1], position[2] = 0.0, 0.0, 0.0
     for n in range(meetings.first[j], meetings.first[j + 1]):
         pose, p = poses[meetings.segment[n]], meetings.place[n]
         x, y, z = moments.carried(pose, p)
