@@ -15,8 +15,8 @@ STEPS, ENOUGH = 50, 1e-15  # of Newton's method at most; of the root: it has bee
 def attitude(b):
     """-> whether the cloud is more than a line, and the rotation that maximises trace(R' b), in closed form.
 
-    Markley 1993, "Attitude determination using vector observations: a fast optimal matrix algorithm", Eqs. 13, 14, 17, 18;
-    the largest root of its quartic by Newton's method from above.
+    Markley 1993, "Attitude determination using vector observations: a fast optimal matrix algorithm"; the largest root of its
+    quartic by Newton's method from above.
     """
     cof = (
         b[4] * b[8] - b[5] * b[7], b[5] * b[6] - b[3] * b[8], b[3] * b[7] - b[4] * b[6],
@@ -28,7 +28,9 @@ def attitude(b):
         norm += b[n] * b[n]
         minors += cof[n] * cof[n]
     det = b[0] * cof[0] + b[1] * cof[1] + b[2] * cof[2]
-    root = math.sqrt(3 * norm)  # not below the sum of the singular values
+    # with s the singular values, the last of the sign of det: root = sum s, root^2 = norm + 2 sum s_i s_j, which squared is
+    # minors + 2 det root; and root^2 <= 3 norm, so that this is not below it, and it itself for a plane
+    root = math.sqrt(norm + 2 * math.sqrt(minors + 2 * max(det, 0.0) * math.sqrt(3 * norm)))
     for _ in range(STEPS):
         rest = root * root - norm
         slope = 4 * (root * rest - 2 * det)

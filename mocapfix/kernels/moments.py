@@ -41,6 +41,20 @@ def nine(row, n):
 
 
 @njit(cache=True)
+def clear(row):
+    """Write that nothing is known."""
+    for n in range(len(row)):
+        row[n] = 0.0
+
+
+@njit(cache=True)
+def copy(row, into):
+    """Write one row over another."""
+    for n in range(len(row)):
+        into[n] = row[n]
+
+
+@njit(cache=True)
 def add_point(row, w, at, p):
     """Add what a point, three numbers, at the place `p` (3,) tells."""
     a, b, c = p[0], p[1], p[2]
