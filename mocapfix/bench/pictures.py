@@ -18,6 +18,7 @@ COSTS = {"total": "total", "given": "given joints", "prior": "prior"}
 PRIORS = {"none": "#8a94a0", "pca": "#e08a00", "gaussian": "#1f9d57", "mixture": "#7a5bd0", "mnn-ik": "#d93a3a",
           "autoencoder": "#2b6cb0"}  # fmt: skip
 SIDES = {"left": ("#2b6cb0", -0.18), "middle": ("#8a94a0", 0.0), "right": ("#e08a00", 0.18)}  # colour, rows further down
+WAYS = {"naive": "#d93a3a", "adaptive": "#e08a00", "x": "#2b6cb0"}
 MARKER, BAD, MENDED = "#5a6470", "#d93a3a", "#1f9d57"
 
 
@@ -108,6 +109,31 @@ def one_sided(name: str) -> tuple[str, str]:
     if mirrored_name(name) == name:
         return "middle", name
     return ("left" if name.startswith("L") else "right"), re.sub("^(Left|Right|L|R)", "", name)
+
+
+def jitter(target: Path, said: dict) -> None:
+    """Draw what `bench.jitter` measured: each way's errors over how far joints are off. Raises WriteError."""
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    grid = figure.subplots(2, 3, sharex=True, sharey="row")
+    panels = {"jitter_mm": "from the truth", "from_given_mm": "from the joints as given", "wrong_bones_mm": "bones another's"}
+    for row, part in zip(grid, ("body", "hands"), strict=True):
+        for on, (key, title) in zip(row, panels.items(), strict=True):
+            curves = {way: [ways[way][f"{part}_mm"] for ways in said[key].values()] for way in WAYS}
+            amounts = [int(amount) for amount in said[key]]
+            for way, colour in WAYS.items():
+                on.plot(amounts, curves[way], "o-", color=colour, label=way, linewidth=2)
+            if key != "from_given_mm":
+                given = [each[f"{part}_mm"] for each in said["given_mm"].values()]
+                on.plot(amounts, given, color=MARKER, label="joints as given", linestyle=(0, (3, 2)))
+            on.set_title(f"{part.title()}: {title}", fontsize=11, color=INK, loc="left")
+            on.set(facecolor=PAPER, xticks=amounts)
+            on.grid(color="white", linewidth=1.2)
+            on.spines[:].set_visible(False)
+        row[0].set(ylabel="mean error, mm", ylim=(0, None))
+    for on in grid[-1]:
+        on.set_xlabel("joints given ± mm along each axis")
+    grid[0, 0].legend(frameon=False)
+    save(target, figure)
 
 
 def save(target: Path, figure: Figure) -> None:

@@ -59,7 +59,7 @@ class Found(NamedTuple):
 
 
 def found(case: Case, way: Way, repeats: int) -> Found:
-    """-> what becomes of a take from one start; times are the median of some `repeats`, after all has been compiled."""
+    """-> what becomes of a take from one start, `repeats` times: the median is the time, and of three leaves compilation out."""
     body, options = cmu31(), SolveOptions()
     mean_pose, limits = prior.load("mean-pose", body.skeleton), prior.load_limits(body.skeleton)
     given = case.worn, case.subject, body, mean_pose
@@ -70,8 +70,8 @@ def found(case: Case, way: Way, repeats: int) -> Found:
         started = perf_counter()
         return start, solve.motion(*given, limits, start, options), started - began, perf_counter() - began
 
-    start, motion, _, _ = start_and_solve()
-    times = [start_and_solve()[2:] for _ in range(repeats)]
+    starts, motions, *times = zip(*(start_and_solve() for _ in range(repeats)), strict=True)
+    start, motion = starts[0], motions[0]
     problem = solve.bound(*given, limits, options)
     root, local = start.root.copy(), start.rotations.copy()
     status, iterations = problem.solve(root, local, no_pull(local.shape[1]), options.robust)
@@ -81,7 +81,7 @@ def found(case: Case, way: Way, repeats: int) -> Found:
     )
     return Found(
         off(markers, case.worn), joints, alone, whole, status == RAN_OUT,
-        (median(start for start, _ in times), median(total for _, total in times)),
+        (median(times[0]), median(times[1])),
     )  # fmt: skip
 
 

@@ -72,7 +72,7 @@ def damaged(cases: Iterable[Case], lost: Callable[[Case, np.random.Generator], n
 
 def in_gaps(case: Case, rng: np.random.Generator) -> np.ndarray:
     """-> (T, K) bool: a part of the samples, in gaps of single markers, short ones more often than long ones."""
-    gone, rate = np.zeros(case.worn.seen.shape, bool), case.worn.rate
+    gone, rate = np.zeros_like(case.worn.seen), case.worn.rate
     while gone.mean() < SHARE:
         length = round(rate * SHORTEST * (LONGEST / SHORTEST) ** rng.random())
         first = rng.integers(1 - length, len(gone))
@@ -97,7 +97,7 @@ def half(case: Case, rng: np.random.Generator) -> np.ndarray:
 
 def now_and_again(case: Case, which: Callable[[], np.ndarray]) -> np.ndarray:
     """-> (T, K) bool: `which` (K,) markers are lost FOR seconds of EVERY so many, in the middle of these."""
-    gone, rate = np.zeros(case.worn.seen.shape, bool), case.worn.rate
+    gone, rate = np.zeros_like(case.worn.seen), case.worn.rate
     for begin in np.arange((EVERY - FOR) / 2, case.worn.frames / rate, EVERY):
         gone[round(begin * rate) : round((begin + FOR) * rate), which()] = True
     return gone

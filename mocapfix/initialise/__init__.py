@@ -7,6 +7,9 @@ registration  the subject's segments laid on the markers seen, down the tree (ke
 previous      none but for the first frame: each other goes on from where the solve of the one before it ended
 """
 
+import numpy as np
+
+from mocapfix.initialise import joints
 from mocapfix.initialise.closed_form import Way, hybrik
 from mocapfix.initialise.previous import going_on
 from mocapfix.kernels.registration import poses
@@ -28,5 +31,10 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, by: str = STA
     worn  the take's markers in the subject's order, NaN where not seen or not believed
     by    the way to it, one of scenes.STARTS
     """
+    if by in HYBRIK:
+        positions, deviation = joints.positions(worn, subject, body)
+        return hybrik(
+            positions, subject, way=HYBRIK[by], deviation=deviation, markers=np.ascontiguousarray(worn.markers), held=~body.free
+        )
     registered = poses(subject, body.free, prior, worn.markers)
     return going_on(registered, worn.seen) if by == "previous" else registered

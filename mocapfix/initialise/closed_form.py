@@ -51,8 +51,9 @@ def hybrik(
 
     Raises ConstraintError where an array has not the shape it must have.
     """
-    skeleton, habits = subject.skeleton, prior.load("mean-pose", cmu31().skeleton)
     check(positions, subject, way, deviation, twists, markers)
+    skeleton, habits = subject.skeleton, prior.load("mean-pose", subject.skeleton)
+    positions = np.where(np.isnan(positions).any(axis=2, keepdims=True), np.nan, positions)
     frames, joints = positions.shape[:2]
     if held is None:
         held = stubs(skeleton, habits) if way == "x" else np.zeros(joints, bool)
@@ -76,7 +77,9 @@ def hybrik(
 
 def check(positions, subject: Subject, way: str, deviation, twists, markers) -> None:
     """Raise ConstraintError where an array has not the shape it must have, or a place or deviation cannot be one."""
-    joints, count = len(subject.skeleton.names), len(subject.joints)
+    joints, count = len(cmu31().skeleton.names), len(subject.joints)
+    if subject.skeleton.names != cmu31().skeleton.names:
+        raise ConstraintError(f"HybrIK is for the {joints} joints of the CMU skeleton; the subject's are others.")
     if way not in WAYS:
         raise ConstraintError(f"There is no way {way!r} of HybrIK; choose one of: {', '.join(WAYS)}.")
     if np.ndim(positions) != 3 or np.shape(positions)[1:] != (joints, 3):
@@ -90,5 +93,5 @@ def check(positions, subject: Subject, way: str, deviation, twists, markers) -> 
         raise ConstraintError(f"deviation must be one number or ({frames}, {joints}), not {np.shape(deviation)}.")
     if np.isinf(positions).any():
         raise ConstraintError("A position is infinite; where a joint is unknown, say NaN.")
-    if not np.all(np.asarray(deviation)[~np.isnan(positions[..., 0])] > 0 if np.ndim(deviation) else deviation > 0):
+    if not (np.broadcast_to(deviation, (frames, joints))[~np.isnan(positions).any(axis=2)] > 0).all():
         raise ConstraintError("A deviation must be more than 0 metres wherever the joint's position is known.")

@@ -12,7 +12,7 @@ from mocapfix.bench.common_task import posed
 from mocapfix.errors import ConstraintError
 from mocapfix.kernels import kinematics
 from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED
-from mocapfix.skeleton import cmu31
+from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.subject import Subject
 
 SKELETON, WORN = cmu31().skeleton, marker_set.load("cmu41")
@@ -107,7 +107,7 @@ def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_sho
     _, joints, _ = people
     other = SKELETON.offsets * np.where(np.arange(31) % 2, 1.04, 0.97)[:, None]
     stranger = Subject(
-        type(SKELETON)(SKELETON.names, SKELETON.parents, other, SKELETON.ends),
+        Skeleton(SKELETON.names, SKELETON.parents, other, SKELETON.ends),
         WORN.name, WORN.labels, WORN.joints, WORN.places, SUBJECT.spread,
     )  # fmt: skip
     ends = [index("Head"), index("LeftHand"), index("RightHand")]
@@ -170,10 +170,10 @@ def test_every_frame_is_for_itself(people):
 def test_unknown_joints_leave_the_rest_where_it_is(people):
     _, joints, _ = people
     lost = joints.copy()
-    lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")]] = np.nan
+    lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan
     found = joints_of(initialise.hybrik(lost, SUBJECT, twists=STRAIGHT))
     assert np.isfinite(found).all()
-    known = ~np.isnan(lost[0, :, 0])
+    known = ~np.isnan(lost[0, :, 1])
     assert np.abs(found - joints)[:, known].max() < 5e-5  # the hand, too, which x reaches across the lost elbow
 
 
@@ -196,6 +196,13 @@ def test_no_frame_and_nothing_known_are_poses_too():
     nothing = initialise.hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
     assert (nothing.status == GUESSED).all()
     assert np.isfinite(nothing.rotations).all()
+
+
+def test_another_skeleton_is_refused():
+    fewer = Skeleton(("Hips", "Spine"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)))
+    stranger = Subject(fewer, "none", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
+    with pytest.raises(ConstraintError, match="31 joints of the CMU skeleton"):
+        initialise.hybrik(np.zeros((5, 2, 3)), stranger)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""HybrIK's ways from joints that are off: what the papers found, and the figures themselves by known answers."""
+
+import numpy as np
+import pytest
+
+from mocapfix.bench import jitter, unseen
+from mocapfix.initialise.closed_form import DEVIATION
+from mocapfix.skeleton import cmu31
+
+IN_A_CUBE = 0.9606  # the mean distance from its middle, as a part of half its edge
+
+
+@pytest.fixture(scope="module")
+def said():
+    return jitter.measure(unseen.shipped()[::2], lambda what: None)
+
+
+def test_exact_joints_are_met_by_every_way(said):
+    assert all(row["all_mm"] < 0.1 for row in said["jitter_mm"]["0"].values())
+    assert said["given_mm"]["0"]["all_mm"] == 0
+
+
+def test_adaptive_halves_the_error_of_naive_and_x_that_of_the_hands_again_by_a_tenth(said):
+    for ratios in jitter.ratios(said["jitter_mm"]).values():
+        assert ratios["adaptive_over_naive_all"] < 0.6
+        assert ratios["adaptive_over_naive_body"] < 0.66
+        assert ratios["x_over_adaptive_hands"] < 0.9
+
+
+def test_no_way_but_the_naive_leaves_joints_farther_off_than_they_were_given(said):
+    for amount in ("10", "20", "30"):
+        given = said["given_mm"][amount]
+        assert given["all_mm"] == pytest.approx(IN_A_CUBE * int(amount), rel=0.02)
+        for way, worse in (("naive", True), ("adaptive", False), ("x", False)):
+            assert all((said["jitter_mm"][amount][way][part] > given[part]) == worse for part in given)
+
+
+def test_with_anothers_bones_the_hands_are_met_by_x_alone(said):
+    exact = said["wrong_bones_mm"]["0"]
+    assert exact["x"]["hands_mm"] < 0.4 * exact["adaptive"]["hands_mm"] < 0.4 * exact["naive"]["hands_mm"]
+
+
+def test_hands_are_eight_joints_and_the_body_is_the_rest():
+    names = cmu31().skeleton.names
+    true = np.zeros((2, len(names), 3))
+    for name, part in (("LThumb", "hands_mm"), ("LeftForeArm", "body_mm")):
+        found = true.copy()
+        found[0, names.index(name)] = [0.03, 0, 0.04]
+        expected = {"all_mm": 50 / 62, "body_mm": 0, "hands_mm": 0, part: 50 / (2 * (8 if part == "hands_mm" else 23))}
+        assert jitter.parts(found, true) == pytest.approx(expected)
+
+
+def test_joints_are_shaken_within_their_cube_and_always_alike():
+    true = np.random.default_rng(3).normal(size=(500, 31, 3))
+    task = jitter.shaken(true, 20)
+    off = task.given - true
+    assert 0.0199 < np.abs(off).max() <= 0.02
+    assert task.deviation == pytest.approx(off.std(), rel=0.01)
+    np.testing.assert_array_equal(jitter.shaken(true, 20).given, task.given)
+    assert jitter.shaken(true, 0).deviation == DEVIATION
+
+
+def test_ratios_are_of_what_is_off_only():
+    rows = {"naive": (4.0, 5.0, 8.0), "adaptive": (2.0, 3.0, 4.0), "x": (1.0, 3.0, 3.0)}
+    ways = {
+        way: {f"{part}_mm": far for part, far in zip(("all", "body", "hands"), row, strict=True)} for way, row in rows.items()
+    }
+    expected = {"adaptive_over_naive_all": 0.5, "adaptive_over_naive_body": 0.6, "x_over_adaptive_hands": 0.75}
+    assert jitter.ratios({"0": ways, "10": ways}) == {"10": expected}

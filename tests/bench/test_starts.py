@@ -1,0 +1,170 @@
+"""Starts compared: what is lost of a take, what counts as wrong, and a start that is wrong everywhere."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import initialise, synthetic
+from mocapfix.bench import limb, start_ends, start_takes, starts
+from mocapfix.bench.start_ends import End, begun, far, told_of, wrong
+from mocapfix.bench.start_takes import Case
+from mocapfix.errors import ReadError
+from mocapfix.skeleton import cmu31
+from mocapfix.synthetic import Truth
+from mocapfix.take import Take
+from tests.conftest import as_c3d
+
+NAMES = cmu31().skeleton.names
+KEYS = {
+    "frames", "wrong", "wrong_alone", "unconverged", "iterations", "iterations_alone", "start_markers_mm", "start_joints_mm",
+    "start_seconds", "seconds", "wrong_in",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    return synthetic.take(seed=5, seconds=1.5)
+
+
+@pytest.fixture(scope="module")
+def case(truth):
+    """-> a take whose body is the true one"""
+    return Case("walk", Take(truth.markers, truth.labels, truth.rate), truth.subject, truth.joints)
+
+
+def on_the_moon(*given):
+    """-> a start 10 km up: from there no marker is heard"""
+    start = initialise.motion(*given)
+    return replace(start, root=start.root + [0.0, 1e4, 0.0])
+
+
+def upside_down(*given):
+    start = initialise.motion(*given)
+    turned = start.rotations.copy()
+    turned[:, 0] = np.diag([1.0, -1.0, -1.0]) @ turned[:, 0]
+    return replace(start, rotations=turned)
+
+
+@pytest.fixture(scope="module")
+def said(case):
+    ways = {"sound": initialise.motion, "upside down": upside_down, "moon": on_the_moon}
+    return starts.compared([case], ways, repeats=1)
+
+
+def test_a_start_that_leads_nowhere_is_counted_in_every_frame(case, said):
+    assert set(said) == {"sound", "upside down", "moon"}
+    for row in said.values():
+        assert set(row) == KEYS
+        assert row["frames"] == case.worn.frames
+        assert 0 < row["start_seconds"] < row["seconds"]
+    assert (said["sound"]["wrong"], said["sound"]["wrong_alone"], said["sound"]["wrong_in"]) == (0, 0, {})
+    assert said["moon"]["wrong"] == said["moon"]["wrong_alone"] == case.worn.frames
+    assert said["moon"]["wrong_in"] == {"walk": case.worn.frames}
+    json.dumps(said, allow_nan=False)
+
+
+def test_where_a_start_lies_and_what_it_costs_is_told(said):
+    sound, turned, moon = said["sound"], said["upside down"], said["moon"]
+    assert 1.0 < sound["start_joints_mm"] < 50.0
+    assert 500.0 < turned["start_joints_mm"] < 2000.0
+    assert turned["iterations_alone"] > sound["iterations_alone"] + 2
+    assert 0 < turned["wrong"] < turned["frames"]  # the solve turns him back, but not from everywhere
+    for name in ("start_joints_mm", "start_markers_mm"):
+        assert moon[name] == pytest.approx(1e7, rel=1e-3)
+
+
+def test_a_start_goes_on_from_where_the_frame_before_ended(truth):
+    root, local = truth.motion.root, truth.motion.rotations
+    start = replace(truth.motion, root=root.copy(), rotations=local + 1.0)
+    start.root[2:4] = np.nan
+    found = begun(start, root, local)
+    np.testing.assert_array_equal(found.root[:6], root[[0, 1, 1, 2, 4, 5]])
+    np.testing.assert_array_equal(found.rotations[2:4], local[1:3])
+    np.testing.assert_array_equal(found.rotations[4:], start.rotations[4:])
+
+
+def test_the_truth_says_what_is_wrong_but_only_of_joints_that_markers_tell_of(truth, case):
+    joints, hand = truth.joints.copy(), NAMES.index("LeftHandIndex1")
+    joints[3, hand] += [0.0, 0.101, 0.0]
+    joints[4, hand] += [0.0, 0.099, 0.0]
+    end = End(joints, np.zeros(len(joints)), np.zeros(len(joints), int))
+    assert np.flatnonzero(wrong(case, {"": end})[""]).tolist() == [3]
+    markers = case.worn.markers.copy()
+    markers[3, [label.startswith(("LFRM", "LWR", "LFIN")) for label in case.worn.labels]] = np.nan
+    unseen = case._replace(worn=case.worn.with_markers(markers))
+    assert not told_of(unseen)[3, hand]
+    assert told_of(unseen)[3, NAMES.index("LeftFoot")]
+    assert not wrong(unseen, {"": end})[""].any()
+
+
+def test_where_nobody_knows_the_truth_the_pose_that_costs_least_stands_for_it(truth, case):
+    """Frame 0: alike. 1: the other is far off, and costs more. 2: the one is. 3: far off, but as good."""
+    unknown, frames = case._replace(joints=None), len(truth.joints)
+    aside, none = truth.joints.copy(), np.zeros(frames, int)
+    aside[1:4] += [0.5, 0.0, 0.0]
+    costs = np.zeros((2, frames))
+    costs[1, 1], costs[0, 2], costs[1, 3] = 5.0, 5.0, 0.5 * start_ends.SAME
+    found = wrong(unknown, {"one": End(truth.joints, costs[0], none), "other": End(aside, costs[1], none)})
+    assert np.flatnonzero(found["one"]).tolist() == [2]
+    assert np.flatnonzero(found["other"]).tolist() == [1]
+
+
+def test_far_is_a_tenth_of_a_metre():
+    joints, told = np.zeros((1, 2, 3)), np.array([[True, False]])
+    assert not far(joints, joints + [0.09, 0.0, 0.0], told).any()
+    assert far(joints, joints + [0.11, 0.0, 0.0], told).all()
+    assert not far(joints, joints + [0.11, 0.0, 0.0], ~told & False).any()
+
+
+def test_what_is_lost_is_lost_as_it_is_said(case):
+    gone = {name: lost(case, np.random.default_rng(1)) for name, lost in start_takes.LOSSES.items()}
+    on, half = case.subject.joints, round(start_takes.FOR * case.worn.rate)
+    assert start_takes.SHARE <= gone["gaps"].mean() < 0.2
+    for name in ("a segment lost", "the pelvis lost"):
+        carriers = {tuple(np.unique(on[lost])) for lost in gone[name] if lost.any()}
+        assert all(len(each) == 1 for each in carriers)
+        for (j,) in carriers:
+            frames = gone[name][:, on == j]
+            assert (frames.all(axis=1) == frames.any(axis=1)).all()
+        assert half <= gone[name].any(axis=1).sum() <= 2 * half
+    assert {int(j) for j in on[gone["the pelvis lost"].any(axis=0)]} == {0}
+    assert 0.3 < gone["half lost"][round(0.5 * case.worn.rate)].mean() < 0.7
+    (damaged,) = start_takes.damaged([case], lambda *_: gone["gaps"])
+    np.testing.assert_array_equal(damaged.worn.seen, case.worn.seen & ~gone["gaps"])
+
+
+def test_a_person_who_performs_is_calibrated_and_close_to_who_was_drawn(truth):
+    performance = limb.Performance(truth.motion.at(np.arange(0, truth.motion.frames, 8)), truth.rate / 8, "01_01")
+    (found,) = start_takes.performances([performance], np.random.default_rng(0))
+    assert found.name == "01_01"
+    assert found.joints is not None
+    assert found.joints.shape == (performance.motion.frames, len(NAMES), 3)
+    assert found.worn.seen.all()
+    assert found.subject.frames > 0
+    alike = np.linalg.norm(found.subject.skeleton.offsets, axis=1) / np.linalg.norm(
+        start_takes.person(np.random.default_rng(0), crooked=True).skeleton.offsets, axis=1
+    ).clip(1e-9)
+    assert alike[NAMES.index("LeftFoot")] == pytest.approx(1.0, abs=0.1)
+
+
+def test_captures_are_read_from_a_folder_and_their_truth_is_not_known(truth, tmp_path):
+    (tmp_path / "walk.c3d").write_bytes(as_c3d(truth.markers[:40], truth.labels))
+    (tmp_path / "stick.c3d").write_bytes(as_c3d(truth.markers[:, :3], ("A", "B", "C")))
+    (found,) = start_takes.captured(tmp_path)
+    assert (found.name, found.joints) == ("walk", None)
+    said = starts.compared([found], {"one": initialise.motion}, repeats=1)["one"]
+    assert (said["start_joints_mm"], said["wrong"]) == (None, 0)
+    with pytest.raises(ReadError, match="holds no capture"):
+        list(start_takes.captured(tmp_path / "elsewhere"))
+
+
+def test_every_way_is_measured_on_every_set(monkeypatch, case):
+    monkeypatch.setattr(start_takes, "composed", lambda seeds: [case._replace(name=f"seed {seed}") for seed in seeds])
+    told = []
+    said = starts.run(("registration", "previous"), seeds=[7], repeats=1, progress=told.append)
+    assert set(said) == {"composed"}
+    assert set(said["composed"]) == {"registration", "previous"}
+    assert told == ["composed: seed 7"]
+    assert said["composed"]["previous"]["iterations_alone"] < said["composed"]["registration"]["iterations_alone"] - 1

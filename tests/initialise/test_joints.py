@@ -1,0 +1,182 @@
+"""Joint positions from markers: exact from exact ones, from others as unsure as they are wrong, whatever is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix import marker_set, prior, synthetic
+from mocapfix.initialise.joints import positions
+from mocapfix.kernels import kinematics
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+from tests.kernels import drawn
+
+BODY, WORN = cmu31(), marker_set.load("cmu41")
+NAMES = BODY.skeleton.names
+MEAN = prior.load("mean-pose", BODY.skeleton)
+NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, np.full(len(WORN.labels), 0.005))
+EXACT = replace(NOMINAL, spread=np.full(len(WORN.labels), 1e-7))
+UNTOLD = ("Spine", "Neck1", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # bends that no marker shows
+TOLD = np.array([not name.endswith(UNTOLD) for name in NAMES])
+CARRYING = [NAMES[j] for j in np.unique(WORN.joints)]
+seeds = st.integers(0, 2**32 - 1)
+
+
+def index(*names):
+    return [NAMES.index(name) for name in names]
+
+
+def take_of(markers):
+    return Take(markers, WORN.labels, 100.0)
+
+
+def posed(rng, frames):
+    """-> joints (T, J, 3) and markers (T, K, 3) of NOMINAL in poses such as the prior knows"""
+    local = np.tile(MEAN.rotations, (frames, 1, 1, 1))
+    for j in range(1, len(NAMES)):
+        if BODY.free[j]:
+            turn = rng.multivariate_normal(np.zeros(3), np.linalg.inv(MEAN.information[j]), frames)
+            local[:, j] = Rotation.from_rotvec(turn).as_matrix() @ local[:, j]
+    local[:, 0] = drawn.rotations(rng, frames)
+    zeros, none = np.zeros(frames, int), np.zeros((frames, 0))
+    return kinematics.placed(NOMINAL, Motion(rng.normal(0, 2, (frames, 3)), local, zeros, zeros, none, none))
+
+
+def test_exact_markers_give_the_joints_that_they_tell_exactly():
+    truth = synthetic.take(seed=2, seconds=6.0, rate=30.0)
+    exact = replace(truth.subject, spread=EXACT.spread)
+    joints, markers = kinematics.placed(exact, truth.motion)
+    found, deviation = positions(take_of(markers), exact, BODY)
+    np.testing.assert_allclose(found[:, TOLD], joints[:, TOLD], atol=1e-9)
+    assert deviation[:, TOLD].max() < 1e-5
+    assert np.linalg.norm(found - joints, axis=-1)[:, ~TOLD].max() < 0.1
+
+
+@given(seeds)
+def test_moving_a_frame_moves_its_joints_and_changes_no_deviation(seed):
+    rng = np.random.default_rng(seed)
+    _, markers = posed(rng, 3)
+    markers += rng.normal(0, 0.01, markers.shape)
+    markers[rng.random(markers.shape[:2]) < 0.2] = np.nan
+    turn, way = drawn.rotations(rng, 1)[0], rng.normal(0, 2, 3)
+    here, sure = positions(take_of(markers), NOMINAL, BODY)
+    there, as_sure = positions(take_of(markers @ turn.T + way), NOMINAL, BODY)
+    np.testing.assert_allclose(there, here @ turn.T + way, atol=1e-6)
+    np.testing.assert_allclose(as_sure, sure, atol=1e-6)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_the_truth_lies_as_often_within_the_deviations_as_they_say(whole):
+    rng = np.random.default_rng(1)
+    joints, markers = posed(rng, 3000)
+    markers += rng.normal(0, 0.005, markers.shape)
+    if not whole:
+        markers[rng.random(markers.shape[:2]) < 0.3] = np.nan
+    found, deviation = positions(take_of(markers), NOMINAL, BODY)
+    told = ~np.isnan(deviation)
+    assert told.mean() > 0.99
+    off = np.abs(found - joints) / deviation[..., None]
+    each = np.array([np.median(off[:, j][told[:, j]]) for j in range(len(NAMES))]) / 0.6745
+    assert each.max() < 1.3
+    assert each.min() > 0.5
+    assert (off[told] < 1).mean() == pytest.approx(0.68, abs=0.08)
+    assert (off[told] < 2).mean() == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize("name", CARRYING)
+def test_a_segment_without_markers_is_carried_by_its_neighbours_and_says_so(name):
+    rng, lost = np.random.default_rng(3), WORN.joints == NAMES.index(name)
+    joints, markers = posed(rng, 200)
+    before, sure = positions(take_of(markers), NOMINAL, BODY)
+    markers[:, lost] = np.nan
+    found, deviation = positions(take_of(markers), NOMINAL, BODY)
+    assert np.isfinite(found).all()
+    off = np.abs(found - joints) / deviation[..., None]
+    assert (off < 2).mean() > 0.93
+    assert (deviation > 0.999 * sure).mean() > 0.95
+    other = "Right" if name.startswith("Left") else "Left"
+    far = index(f"{other}Foot", f"{other}Hand")
+    np.testing.assert_allclose(found[:, far], before[:, far], atol=0.005)
+
+
+def test_a_knee_without_its_thighs_markers_lies_one_thigh_from_the_hip():
+    joints, markers = posed(np.random.default_rng(4), 300)
+    markers[:, WORN.joints == NAMES.index("LeftUpLeg")] = np.nan
+    found, _ = positions(take_of(markers), NOMINAL, BODY)
+    hip, knee = index("LeftUpLeg", "LeftLeg")
+    length = np.linalg.norm(NOMINAL.skeleton.offsets[knee])
+    np.testing.assert_allclose(np.linalg.norm(found[:, knee] - found[:, hip], axis=-1), length, atol=0.02)
+    assert np.median(np.linalg.norm(found - joints, axis=-1)[:, knee]) < 0.02
+
+
+@pytest.mark.parametrize("label", ["STRN", "LFWT", "LBHD", "RHEE"])
+def test_a_marker_far_off_is_outvoted(label):
+    rng = np.random.default_rng(5)
+    joints, markers = posed(rng, 100)
+    whole, _ = positions(take_of(markers), NOMINAL, BODY)
+    markers[:, WORN.labels.index(label)] += 0.2 * drawn.units(rng, 100)
+    found, _ = positions(take_of(markers), NOMINAL, BODY)
+    moved = np.linalg.norm(found - whole, axis=-1)
+    assert np.quantile(moved, 0.95) < 0.03
+    assert np.linalg.norm(found - joints, axis=-1).mean() < 0.03
+
+
+def test_joints_at_one_place_get_one_position():
+    _, markers = posed(np.random.default_rng(6), 20)
+    markers += np.random.default_rng(7).normal(0, 0.01, markers.shape)
+    found, deviation = positions(take_of(markers), NOMINAL, BODY)
+    for names in (("Hips", "LHipJoint", "RHipJoint", "LowerBack"), ("Neck", "LeftShoulder", "RightShoulder")):
+        together = index(*names)
+        np.testing.assert_array_equal(found[:, together], found[:, together[:1]].repeat(len(names), 1))
+        np.testing.assert_array_equal(deviation[:, together], deviation[:, together[:1]].repeat(len(names), 1))
+
+
+def test_a_frame_knows_nothing_of_the_others():
+    _, markers = posed(np.random.default_rng(8), 40)
+    alone = [positions(take_of(markers[t : t + 1]), NOMINAL, BODY)[0][0] for t in range(0, 40, 13)]
+    np.testing.assert_array_equal(positions(take_of(markers), NOMINAL, BODY)[0][::13], alone)
+
+
+def test_frames_without_markers_have_no_joints_and_do_not_harm_the_others():
+    joints, markers = posed(np.random.default_rng(9), 5)
+    markers[[0, 3]] = np.nan
+    found, deviation = positions(take_of(markers), EXACT, BODY)
+    assert np.isnan(found[[0, 3]]).all()
+    assert np.isnan(deviation[[0, 3]]).all()
+    np.testing.assert_allclose(found[[1, 2, 4]][:, TOLD], joints[[1, 2, 4]][:, TOLD], atol=1e-8)
+    assert positions(take_of(markers[:0]), NOMINAL, BODY)[0].shape == (0, len(NAMES), 3)
+
+
+@given(seeds, st.integers(0, 3))
+def test_few_markers_tell_of_what_is_near_and_nothing_of_the_rest(seed, count):
+    rng = np.random.default_rng(seed)
+    _, markers = posed(rng, 1)
+    kept = rng.choice(markers.shape[1], count, replace=False)
+    markers[:, np.setdiff1d(np.arange(markers.shape[1]), kept)] = np.nan
+    found, deviation = positions(take_of(markers), NOMINAL, BODY)
+    np.testing.assert_array_equal(np.isnan(found).all(-1), np.isnan(deviation))
+    assert (deviation[~np.isnan(deviation)] > 0).all()
+    if count:
+        assert not np.isnan(deviation[0, WORN.joints[kept]]).any()  # its own segment's joint is within reach
+
+
+@pytest.mark.parametrize("at", [0.0, 5.0])
+def test_markers_all_in_one_point_break_nothing(at):
+    found, deviation = positions(take_of(np.full((2, len(WORN.labels), 3), at)), NOMINAL, BODY)
+    told = ~np.isnan(deviation)
+    assert np.isfinite(found[told]).all()
+
+
+def test_calibrations_own_error_makes_joints_less_sure():
+    _, markers = posed(np.random.default_rng(10), 2)
+    unsure = replace(NOMINAL, joint_sd=np.full(len(NAMES), 0.02))
+    at, sure = positions(take_of(markers), NOMINAL, BODY)
+    same, less_sure = positions(take_of(markers), unsure, BODY)
+    np.testing.assert_array_equal(same, at)
+    np.testing.assert_allclose(less_sure**2, sure**2 + (0.75 * 0.02) ** 2)

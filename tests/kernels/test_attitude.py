@@ -1,0 +1,34 @@
+"""The closed form gives what Horn's eigenvector gives, and says where it cannot."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels.attitude import attitude
+from mocapfix.kernels.rigid import fitted
+from tests.kernels import drawn
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+def test_the_closed_form_is_horns_rotation_and_never_a_reflection(seed):
+    rng = np.random.default_rng(seed)
+    cross = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-6, 6)
+    told, found = attitude(tuple(cross.ravel()))
+    assert told
+    np.testing.assert_allclose(np.reshape(found, (3, 3)), fitted(cross[None])[0], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(np.reshape(found, (3, 3))), 1.0)
+
+
+@given(seeds)
+def test_a_plane_is_told_and_a_line_is_not(seed):
+    rng = np.random.default_rng(seed)
+    first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    ways = drawn.rotations(rng, 1)[0]
+    line = np.outer(ways @ first, first)
+    assert not attitude(tuple(line.ravel()))[0]
+    told, found = attitude(tuple((line + 0.3 * np.outer(ways @ second, second)).ravel()))
+    assert told
+    np.testing.assert_allclose(np.reshape(found, (3, 3)), ways, atol=1e-9)
+    assert not attitude((0.0,) * 9)[0]
