@@ -21,12 +21,11 @@ from mocapfix.kernels.levenberg import RAN_OUT
 from mocapfix.kernels.problem import Problem, no_pull
 from mocapfix.kernels.terms import rows_of
 from mocapfix.motion import Motion
-from mocapfix.skeleton import Body, cmu31
+from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
-from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-Way = Callable[[Take, Subject, Body, prior.Prior], Motion]
+Way = Callable[[Case], Motion]
 WRONG = 0.1  # metres
 SAME = 1.0  # half a sum of squares in standard deviations: costs that differ less are alike
 ENOUGH = 3  # markers that tell of a joint
@@ -66,7 +65,7 @@ def found(case: Case, way: Way, repeats: int) -> Found:
 
     def start_and_solve() -> tuple[Motion, Motion, float, float]:
         began = perf_counter()
-        start = way(*given)
+        start = way(case)
         started = perf_counter()
         return start, solve.motion(*given, limits, start, options), started - began, perf_counter() - began
 

@@ -17,6 +17,7 @@ from mocapfix import calibrate, detect, marker_set, pipeline, prior, read, synth
 from mocapfix.bench.limb import Performance, performed
 from mocapfix.errors import ReadError
 from mocapfix.marker_set import MarkerSet
+from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
 from mocapfix.synthetic.truth import person, worn
@@ -28,12 +29,15 @@ HALF = 0.5  # of the markers
 
 
 class Case(NamedTuple):
-    """A take as the body's K markers (T, K, 3), the calibrated body, and where its joints (T, J, 3) were, if that is known."""
+    """A take as the body's K markers (T, K, 3), and the calibrated body; where that is known, where the joints (T, J, 3) were,
+    and the true motion, of a body that was a little different.
+    """
 
     name: str
     worn: Take
     subject: Subject
     joints: np.ndarray | None
+    motion: Motion | None
 
 
 def composed(seeds: Iterable[int]) -> Iterator[Case]:
@@ -41,7 +45,7 @@ def composed(seeds: Iterable[int]) -> Iterator[Case]:
     for seed in seeds:
         truth = synthetic.take(seed, crooked=True)
         take = Take(np.where(truth.moved[..., None], np.nan, truth.damaged), truth.labels, truth.rate)
-        yield Case(f"seed {seed}", take, calibrated(take, marker_set.load("cmu41")), truth.joints)
+        yield Case(f"seed {seed}", take, calibrated(take, marker_set.load("cmu41")), truth.joints, truth.motion)
 
 
 def whole(data: Path) -> Iterator[Case]:
@@ -60,7 +64,7 @@ def performances(theirs: list[Performance], rng: np.random.Generator) -> Iterato
     together = Take(np.concatenate([markers for _, markers in shown]), body.labels, theirs[0].rate)
     known = calibrated(together, marker_set.load("cmu41"))
     for each, (joints, markers) in zip(theirs, shown, strict=True):
-        yield Case(each.name, Take(markers, body.labels, each.rate), known, joints)
+        yield Case(each.name, Take(markers, body.labels, each.rate), known, joints, each.motion)
 
 
 def damaged(cases: Iterable[Case], lost: Callable[[Case, np.random.Generator], np.ndarray]) -> Iterator[Case]:
@@ -114,7 +118,7 @@ def captured(folder: Path) -> Iterator[Case]:
         _, worn_set, _ = pipeline.wearing(take, None, None)
         if worn_set is not None:
             found, heard = True, take.worn(worn_set.columns(take.labels), detect.faults(take).heard(take))
-            yield Case(path.stem, heard, calibrated(heard, worn_set), None)
+            yield Case(path.stem, heard, calibrated(heard, worn_set), None, None)
     if not found:
         raise ReadError(f"{folder}: holds no capture (.c3d) that wears a known marker set.")
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import initialise, synthetic
+from mocapfix import synthetic
 from mocapfix.bench import limb, start_ends, start_takes, starts
 from mocapfix.bench.start_ends import End, begun, far, told_of, wrong
 from mocapfix.bench.start_takes import Case
@@ -18,8 +18,8 @@ from tests.conftest import as_c3d
 
 NAMES = cmu31().skeleton.names
 KEYS = {
-    "frames", "wrong", "wrong_alone", "unconverged", "iterations", "iterations_alone", "start_markers_mm", "start_joints_mm",
-    "start_seconds", "seconds", "wrong_in",
+    "frames", "wrong", "astray", "wrong_alone", "unconverged", "iterations", "iterations_alone", "start_markers_mm",
+    "start_joints_mm", "start_seconds", "seconds", "wrong_in",
 }  # fmt: skip
 
 
@@ -31,17 +31,21 @@ def truth() -> Truth:
 @pytest.fixture(scope="module")
 def case(truth):
     """-> a take whose body is the true one"""
-    return Case("walk", Take(truth.markers, truth.labels, truth.rate), truth.subject, truth.joints)
+    return Case("walk", Take(truth.markers, truth.labels, truth.rate), truth.subject, truth.joints, truth.motion)
 
 
-def on_the_moon(*given):
+def sound(case):
+    return starts.started(case, "registration")
+
+
+def on_the_moon(case):
     """-> a start 10 km up: from there no marker is heard"""
-    start = initialise.motion(*given)
+    start = sound(case)
     return replace(start, root=start.root + [0.0, 1e4, 0.0])
 
 
-def upside_down(*given):
-    start = initialise.motion(*given)
+def upside_down(case):
+    start = sound(case)
     turned = start.rotations.copy()
     turned[:, 0] = np.diag([1.0, -1.0, -1.0]) @ turned[:, 0]
     return replace(start, rotations=turned)
@@ -49,27 +53,36 @@ def upside_down(*given):
 
 @pytest.fixture(scope="module")
 def said(case):
-    ways = {"sound": initialise.motion, "upside down": upside_down, "moon": on_the_moon}
+    ways = {"sound": sound, "upside down": upside_down, "moon": on_the_moon}
     return starts.compared([case], ways, repeats=1)
 
 
 def test_a_start_that_leads_nowhere_is_counted_in_every_frame(case, said):
-    assert set(said) == {"sound", "upside down", "moon"}
+    assert set(said) == {"truth", "sound", "upside down", "moon"}
     for row in said.values():
         assert set(row) == KEYS
         assert row["frames"] == case.worn.frames
         assert 0 < row["start_seconds"] < row["seconds"]
+        assert row["astray"] == row["wrong"]  # from the truth all ends right
     assert (said["sound"]["wrong"], said["sound"]["wrong_alone"], said["sound"]["wrong_in"]) == (0, 0, {})
     assert said["moon"]["wrong"] == said["moon"]["wrong_alone"] == case.worn.frames
     assert said["moon"]["wrong_in"] == {"walk": case.worn.frames}
     json.dumps(said, allow_nan=False)
 
 
+def test_what_ends_wrong_from_the_truth_too_is_no_starts_fault(case):
+    joints = case.joints.copy()
+    joints[5:8] += [0.0, 0.5, 0.0]  # elsewhere than the markers say
+    said = starts.compared([case._replace(joints=joints)], {"sound": sound}, repeats=1)
+    assert {name: (row["wrong"], row["astray"]) for name, row in said.items()} == {"truth": (3, 0), "sound": (3, 0)}
+
+
 def test_where_a_start_lies_and_what_it_costs_is_told(said):
-    sound, turned, moon = said["sound"], said["upside down"], said["moon"]
-    assert 1.0 < sound["start_joints_mm"] < 50.0
+    near, turned, moon = said["sound"], said["upside down"], said["moon"]
+    assert said["truth"]["start_joints_mm"] < 1e-6
+    assert 1.0 < near["start_joints_mm"] < 50.0
     assert 500.0 < turned["start_joints_mm"] < 2000.0
-    assert turned["iterations_alone"] > sound["iterations_alone"] + 2
+    assert turned["iterations_alone"] > near["iterations_alone"] + 2
     assert 0 < turned["wrong"] < turned["frames"]  # the solve turns him back, but not from everywhere
     for name in ("start_joints_mm", "start_markers_mm"):
         assert moon[name] == pytest.approx(1e7, rel=1e-3)
@@ -153,8 +166,10 @@ def test_captures_are_read_from_a_folder_and_their_truth_is_not_known(truth, tmp
     (tmp_path / "walk.c3d").write_bytes(as_c3d(truth.markers[:40], truth.labels))
     (tmp_path / "stick.c3d").write_bytes(as_c3d(truth.markers[:, :3], ("A", "B", "C")))
     (found,) = start_takes.captured(tmp_path)
-    assert (found.name, found.joints) == ("walk", None)
-    said = starts.compared([found], {"one": initialise.motion}, repeats=1)["one"]
+    assert (found.name, found.joints, found.motion) == ("walk", None, None)
+    said = starts.compared([found], {"one": sound}, repeats=1)
+    assert set(said) == {"one"}
+    said = said["one"]
     assert (said["start_joints_mm"], said["wrong"]) == (None, 0)
     with pytest.raises(ReadError, match="holds no capture"):
         list(start_takes.captured(tmp_path / "elsewhere"))
@@ -165,6 +180,6 @@ def test_every_way_is_measured_on_every_set(monkeypatch, case):
     told = []
     said = starts.run(("registration", "previous"), seeds=[7], repeats=1, progress=told.append)
     assert set(said) == {"composed"}
-    assert set(said["composed"]) == {"registration", "previous"}
+    assert set(said["composed"]) == {"truth", "registration", "previous"}
     assert told == ["composed: seed 7"]
     assert said["composed"]["previous"]["iterations_alone"] < said["composed"]["registration"]["iterations_alone"] - 1
