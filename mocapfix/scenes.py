@@ -9,7 +9,7 @@ from mocapfix.errors import SceneError
 
 PRIOR = "autoencoder"  # the trained prior that is asked where nobody names one
 STARTS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "registration", "previous")  # ways to a frame's first pose
-START = "registration"  # the way that is gone where nobody names one
+START = "hybrik-x"  # the way that is gone where nobody names one
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's, ten times as fast, where PyYAML was built with it
 
 
