@@ -28,13 +28,15 @@ HYBRIK: dict[str, Way] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybri
 def motion(worn: Take, subject: Subject, body: Body, prior: Prior, by: str = START) -> Motion:
     """-> every frame's pose in closed form; NaN where a frame has none of its own and goes on from the one before it.
 
-    worn  the take's markers in the subject's order, NaN where not seen or not believed
-    by    the way to it, one of scenes.STARTS
+    worn   the take's markers in the subject's order, NaN where not seen or not believed
+    prior  its mean pose is that of joints that the body does not turn
+    by     the way to it, one of scenes.STARTS
     """
     if by in HYBRIK:
         positions, deviation = joints.positions(worn, subject, body)
-        return hybrik(
-            positions, subject, way=HYBRIK[by], deviation=deviation, markers=np.ascontiguousarray(worn.markers), held=~body.free
-        )
+        markers, held = np.ascontiguousarray(worn.markers), ~body.free
+        found = hybrik(positions, subject, way=HYBRIK[by], deviation=deviation, markers=markers, held=held)
+        found.rotations[:, held] = prior.rotations[held]
+        return found
     registered = poses(subject, body.free, prior, worn.markers)
     return going_on(registered, worn.seen) if by == "previous" else registered

@@ -51,7 +51,8 @@ def test_whatever_a_network_says_is_some_pose(seed):
     vectors = features.vectors(said)
     assert vectors.isfinite().all()
     assert (vectors.norm(dim=-1) <= np.pi + 1e-5).all()
-    torch.testing.assert_close(features.of(features.vectors(features.of(vectors))), features.of(vectors), atol=2e-3, rtol=0)
+    again = features.of(features.vectors(features.of(vectors)))
+    torch.testing.assert_close(again, features.of(vectors), atol=1e-2, rtol=0)  # near half a turn, in single precision
 
 
 def test_nothing_said_is_still_a_pose():

@@ -63,12 +63,12 @@ def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres
     assert (motion.status < 2).all()
 
 
-def test_a_body_that_stands_still_is_found_to_a_tenth_of_a_millimetre(exact):
+def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
     truth = exact(120.0)
     still = np.tile(truth.markers[200], (30, 1, 1))
     motion = solved(truth, still, limits=NO_LIMITS)  # markers alone: limits may bend it
     assert off(truth, motion, slice(200, 201)).max() < 2e-3
-    assert off(truth, motion, slice(200, 201)).mean() < 1e-4
+    assert off(truth, motion, slice(200, 201)).mean() < 2e-4
 
 
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
