@@ -2,7 +2,7 @@
 
 A joint's rotation is a twist about its bone, the way to its children, and then a swing of the bone (HybrIK, section 3.2). Where
 joints lie tells the swing. Of the twist it tells what people's habits make of it, and the bones beyond: a small network says it
-(section 3.3), trained by `mocapfix.train.twist` and evaluated here without torch.
+(section 3.3), trained by `mocapfix.train.twist` and evaluated without torch.
 """
 
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from safetensors.numpy import load_file, save_file
 
 from mocapfix.errors import SceneError
 from mocapfix.files import replacing
+from mocapfix.kernels.layers import layer_frames
 from mocapfix.kernels.spans import Spans, direct_frames
 from mocapfix.kernels.threads import over_frames
 from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton, average
 
 BESIDE = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))  # no bones, but they show how the chest is turned
-BLOCK = 2048  # frames whose layers stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -45,20 +45,17 @@ class Twists:
         positions  (T, J, 3) metres, in the world; NaN where unknown
         turns      (T, 3, 3) the root's, in the world
         """
-        inputs, joints = directions(positions, turns), np.flatnonzero(np.isfinite(self.sigma))
-        told, variance = np.zeros((len(inputs), len(self.sigma), 2)), self.sigma[joints, None] ** 2
-        for first in range(0, len(inputs), BLOCK):
-            said = self.said(inputs[first : first + BLOCK])
-            told[first : first + BLOCK, joints] = said / (np.maximum(np.linalg.norm(said, axis=2, keepdims=True), 1) * variance)
+        said, joints = self.said(directions(positions, turns)), np.flatnonzero(np.isfinite(self.sigma))
+        scale = 1 / (np.maximum(np.hypot(said[..., 0], said[..., 1]), 1) * self.sigma[joints] ** 2)
+        told = np.zeros((len(said), len(self.sigma), 2))
+        told[:, joints] = said * scale[..., None]
         return told
 
     def said(self, inputs: np.ndarray) -> np.ndarray:
         """-> (T, B, 2) what the network makes of (T, N) inputs: cosine and sine for the B joints with a bone, as they come."""
-        *before, last = zip(self.weights, self.offsets, strict=True)
-        for weights, offsets in before:
-            inputs = inputs @ weights + offsets
-            np.maximum(inputs, 0, out=inputs)
-        return (inputs @ last[0] + last[1]).reshape(len(inputs), -1, 2)
+        found = np.empty((len(inputs), len(self.offsets[-1])), np.float32)
+        over_frames(layer_frames, len(inputs), self.weights, self.offsets, inputs, found)
+        return found.reshape(len(inputs), len(self.offsets[-1]) // 2, 2)
 
 
 def twists(rotations: np.ndarray, bones: np.ndarray) -> np.ndarray:
@@ -119,8 +116,8 @@ def load(path: Path) -> Twists:
     try:
         tensors = {name: values.astype(np.float32) for name, values in load_file(path).items()}
         layers = range((len(tensors) - 1) // 2)
-        found = [tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets")]
-        network = Twists(*found, tensors.pop("sigma").astype(float))
+        weights, offsets = (tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets"))
+        network = Twists(weights, offsets, tensors.pop("sigma").astype(float))
         if tensors:
             raise ValueError(f"it holds {', '.join(tensors)}, too")
         return checked(network)
