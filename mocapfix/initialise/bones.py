@@ -49,7 +49,8 @@ def bones_of(skeleton: Skeleton, habits: Prior, wearing: Wearing, held: np.ndarr
         ahead[parents[parents[k]]] = k
     first = np.cumsum([0, *map(len, rows)])
     turns = np.array([any(row[2] for row in each) for each in rows]) & ~held
-    bones = Bones(parents, skeleton.offsets, turns, first, source, place, child, spread, ahead)
+    tells = np.concatenate([off_axis(each) for each in rows])
+    bones = Bones(parents, skeleton.offsets, turns, first, source, place, child, tells, spread, ahead)
     carried = {row[0] for row in of_root}
     source, place, _, spread = columns(of_root + [row for row in trunk(skeleton, habits) if row[0] not in carried])
     twin = (np.linalg.norm(place[:, None] - place, axis=2) < BONE).argmax(axis=1)
@@ -72,6 +73,15 @@ def points(j: int, skeleton: Skeleton, habits: Prior, wearing: Wearing) -> list[
     worn = np.flatnonzero(subject.joints == j) if wearing.seen else []
     leaf = not len(found)
     return at_root + found + [(len(skeleton.names) + k, subject.places[k], leaf, MARKER**2) for k in worn]
+
+
+def off_axis(rows: list[tuple]) -> np.ndarray:
+    """-> (P,) bool: of a joint's points, those that do not all lie along one line from it."""
+    if not rows:
+        return np.zeros(0, bool)
+    places, children = (np.array([row[at] for row in rows]) for at in (1, 2))
+    alone = children & (np.linalg.norm(places - places[children].mean(axis=0) if children.any() else places, axis=1) < BONE)
+    return ~alone
 
 
 def trunk(skeleton: Skeleton, habits: Prior) -> list[tuple]:

@@ -53,7 +53,7 @@ def hybrik(
     """
     check(positions, subject, way, deviation, twists, markers)
     skeleton, habits = subject.skeleton, prior.load("mean-pose", subject.skeleton)
-    positions = np.where(np.isnan(positions).any(axis=2, keepdims=True), np.nan, positions)
+    positions = np.asarray(positions, float)
     frames, joints = positions.shape[:2]
     if held is None:
         held = stubs(skeleton, habits) if way == "x" else np.zeros(joints, bool)
@@ -93,5 +93,6 @@ def check(positions, subject: Subject, way: str, deviation, twists, markers) -> 
         raise ConstraintError(f"deviation must be one number or ({frames}, {joints}), not {np.shape(deviation)}.")
     if np.isinf(positions).any():
         raise ConstraintError("A position is infinite; where a joint is unknown, say NaN.")
-    if not (np.broadcast_to(deviation, (frames, joints))[~np.isnan(positions).any(axis=2)] > 0).all():
+    known = ~np.isnan(positions).any(axis=2) if np.ndim(deviation) else ()
+    if not (np.asarray(deviation)[known] > 0).all():
         raise ConstraintError("A deviation must be more than 0 metres wherever the joint's position is known.")

@@ -25,15 +25,16 @@ class Bones(NamedTuple):
     first: np.ndarray  # (J + 1,) where each joint's points begin, and the end
     source: np.ndarray  # (P,) which of the Q points seen it is; the first J are the joints
     place: np.ndarray  # (P, 3) metres: where it rests in the joint's axes
-    child: np.ndarray  # (P,) bool: a child, which gives the swing; else the point tells the twist alone
+    child: np.ndarray  # (P,) bool: a child, which gives the swing
+    tells: np.ndarray  # (P,) bool: off the bone's axis, so that it tells the twist
     spread: np.ndarray  # (P,) m^2 per axis: how far it may be from its place anyway
     ahead: np.ndarray  # (J,) the conflict joint two bones on, which HybrIK-X reaches exactly; -1 for none
 
 
 class Seen(NamedTuple):
-    """Where the points are; one row of `variance` or `twists` serves all frames."""
+    """Where the points are; one row of `variance` or `twists` may serve all frames."""
 
-    points: np.ndarray  # (T, Q, 3) metres, NaN where unknown
+    points: np.ndarray  # (T, Q, 3) metres, a number of it NaN where unknown
     variance: np.ndarray  # (T or 1, Q) m^2 per axis
     twists: np.ndarray  # (T or 1, J, 2) 1/rad^2: cosine and sine of each joint's twist, as long as they are sure
 
@@ -76,7 +77,7 @@ def _turn(bones, way, j, points, variance, twists, local, position, rotation):
     """Turn one joint towards its points. -> by how much a conflict joint is missed, metres"""
     parent = transposed(matrix(rotation, bones.parents[j]))
     here = _row(position, j)
-    origin = _row(points, j) if way == NAIVE and not math.isnan(points[j, 0]) else here
+    origin = _row(points, j) if way == NAIVE and _known(points, j) else here
     place, there, weight, missed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
     for i in range(bones.first[j], bones.first[j + 1]):
         if bones.child[i]:
@@ -92,7 +93,7 @@ def _turn(bones, way, j, points, variance, twists, local, position, rotation):
     cosine, sine = twists[j, 0], twists[j, 1]
     for i in range(bones.first[j], bones.first[j + 1]):
         k = bones.source[i]
-        if not math.isnan(points[k, 0]):
+        if bones.tells[i] and _known(points, k):
             off = plus(_row(points, k), -1.0, origin if bones.child[i] else here)
             c, s = told(place, _row(bones.place, i), times(back, off[0], off[1], off[2]))
             w = 1.0 / (variance[k] + bones.spread[i])
@@ -106,9 +107,9 @@ def _turn(bones, way, j, points, variance, twists, local, position, rotation):
 def _target(bones, way, j, child, points, variance, here, rotation):
     """-> whether it is known where a child should be; that; and by how much the conflict joint beyond it is missed."""
     end, target = bones.ahead[j], _row(points, child)
-    if way != X or end < 0 or bones.parents[end] != child or math.isnan(points[end, 0]):
-        return not math.isnan(target[0]), target, 0.0
-    if math.isnan(target[0]):  # where the joint as it is given would put it
+    if way != X or end < 0 or bones.parents[end] != child or not _known(points, end):
+        return _known(points, child), target, 0.0
+    if not _known(points, child):  # where the joint as it is given would put it
         rest = times(matrix(rotation, j), bones.offsets[child, 0], bones.offsets[child, 1], bones.offsets[child, 2])
         target = plus(here, 1.0, rest)
     upper, lower = _length(bones.offsets, child), _length(bones.offsets, end)
@@ -125,7 +126,7 @@ def _subtree_root(bones, j, points, variance):
     place, there, weight = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
     for i in range(bones.first[j], bones.first[j + 1]):
         k = bones.source[i]
-        if bones.child[i] and not math.isnan(points[k, 0]):
+        if bones.child[i] and _known(points, k):
             w = 1.0 / (variance[k] + bones.spread[i])
             place, there = plus(place, w, _row(bones.place, i)), plus(there, w, plus(_row(points, k), -1.0, _row(points, j)))
             weight += w
@@ -134,6 +135,11 @@ def _subtree_root(bones, j, points, variance):
         return _row(points, j)
     share = 1.0 / (weight + 1.0 / variance[j])  # times `weight`, by which `there` still is to be divided
     return plus(_row(points, j), share * (1.0 - square_root(dot(place, place)) / apart), there)
+
+
+@njit(cache=True)
+def _known(points, k):
+    return not math.isnan(points[k, 0] + points[k, 1] + points[k, 2])
 
 
 @njit(cache=True)

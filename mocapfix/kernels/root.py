@@ -30,7 +30,7 @@ def register_frames(carried, points, variance, refine, place, turn, places, firs
         places[t], counted[:] = 0, 0
         for i in range(count):
             k = carried.source[i]
-            known = not np.isnan(points[t, k, 0])
+            known = not np.isnan(points[t, k, 0] + points[t, k, 1] + points[t, k, 2])
             weight[i] = 1.0 / (var[k] + carried.spread[i]) if known else 0.0
             for a in range(3):
                 seen[i, a] = points[t, k, a]
@@ -42,6 +42,6 @@ def register_frames(carried, points, variance, refine, place, turn, places, firs
         nearest_rotation(cross, symmetric, vectors, turn[t])
         x, y, z = times(lone(turn[t]), there[0], there[1], there[2])
         place[t, 0], place[t, 1], place[t, 2] = here[0] - x, here[1] - y, here[2] - z
-        if not refine and not np.isnan(points[t, 0, 0]):
+        if not refine and weight[0] > 0.0:  # the root itself
             for a in range(3):
                 place[t, a] = points[t, 0, a]

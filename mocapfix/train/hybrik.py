@@ -71,7 +71,7 @@ def turn_of(j, bones: Bones, way: Way, positions, twists, at, parent, deviation:
             place, there = place + w * bones.place[i], there + w * (target - origin)
     swung = square(swing(tuple(place), split((parent.mT @ there[..., None])[..., 0])), at)
     cosine, sine = twists.unbind(-1)
-    for i in mine:
+    for i in (i for i in mine if bones.tells[i]):
         off = positions[:, bones.source[i]] - (origin if bones.child[i] else at)
         c, s = told(tuple(place), tuple(bones.place[i]), split((swung.mT @ parent.mT @ off[..., None])[..., 0]))
         cosine, sine = cosine + weight(bones, i, deviation) * c, sine + weight(bones, i, deviation) * s
