@@ -40,7 +40,7 @@ def hybrik(
     if as_json:
         sys.stdout.write(json.dumps(said, indent=1) + "\n")
         return DONE
-    out.print(f"{said['poses']:,} poses of people that no model has seen; mm: over all joints / the body's / the hands'")
+    out.print(f"{said['poses']:,} poses of people that no model has seen; mm over all joints/the body's/the hands'")
     out.print(over_jitter("from where joints truly are", said["jitter_mm"], said["given_mm"]))
     out.print(over_jitter("from where they were given", said["from_given_mm"]))
     out.print(over_jitter("from where they truly are, bones another's", said["wrong_bones_mm"]))
@@ -65,11 +65,11 @@ def drawn(folder: Path, data: Path | None, said: dict) -> None:
 
 def over_jitter(title: str, said: dict[str, dict], given: dict[str, dict] | None = None) -> Table:
     """-> a way's errors a row, by how far joints are off; first those of the joints as they are given, where that is asked."""
-    table = Table(title, *(f"±{jitter} mm" for jitter in said))
+    table = Table("", *(f"±{jitter} mm" for jitter in said), title=title, title_justify="left")
     rows = {"as given": given} if given else {}
     rows |= {way: {jitter: ways[way] for jitter, ways in said.items()} for way in said["0"]}
     for name, row in rows.items():
-        table.add_row(name, *(" / ".join(f"{part:.1f}" for part in parts.values()) for parts in row.values()))
+        table.add_row(name, *("/".join(f"{part:.1f}" for part in parts.values()) for parts in row.values()))
     return table
 
 
@@ -86,16 +86,18 @@ def of_twists(said: dict[str, dict]) -> Table:
 
 def of_starts(takes: str, said: dict[str, dict]) -> Table:
     """-> how solves of a set of takes end, by where they start."""
-    table = Table(
-        "start", "off markers, mm", "off joints, mm", "wrong, alone", "wrong", "unconverged", "iterations, alone", "iterations",
-        "s, alone", "s", title=f"{takes}: {next(iter(said.values()))['frames']:,} frames", title_justify="left",
-    )  # fmt: skip
-    for way, row in said.items():
-        joints = row["start_joints_mm"]
-        table.add_row(
-            way, f"{row['start_markers_mm']:.1f}", "" if joints is None else f"{joints:.1f}",
-            *(str(row[key]) for key in ("wrong_alone", "wrong", "unconverged")),
-            *(f"{row[key]:.1f}" for key in ("iterations_alone", "iterations")),
-            *(f"{row[key]:.2f}" for key in ("start_seconds", "seconds")),
-        )  # fmt: skip
+    title = f"{takes}: {next(iter(said.values()))['frames']:,} frames"
+    table = Table("", *said, title=title, title_justify="left")
+    for key, what, shown in (
+        ("start_markers_mm", "off markers, mm", ".1f"),
+        ("start_joints_mm", "off joints, mm", ".1f"),
+        ("wrong_alone", "wrong, first solve", "d"),
+        ("wrong", "wrong", "d"),
+        ("unconverged", "unconverged", "d"),
+        ("iterations_alone", "iterations, first solve", ".1f"),
+        ("iterations", "iterations", ".1f"),
+        ("start_seconds", "s, start", ".2f"),
+        ("seconds", "s, start and solve", ".2f"),
+    ):
+        table.add_row(what, *("" if row[key] is None else format(row[key], shown) for row in said.values()))
     return table
