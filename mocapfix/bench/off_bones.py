@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from mocapfix.bench.limb import motion
 from mocapfix.clock import Progress
 from mocapfix.initialise import hybrik
+from mocapfix.initialise.bones import away
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 
 NOISE = 0.01  # metres per axis
 SURE = 1e9  # 1/rad^2: as sure of a twist as nothing else is
-BONE = 1e-4  # metres: joints nearer to one another have no bone between them
 
 
 def measure(poses: np.ndarray, subject: Subject, progress: Progress) -> dict[str, dict]:
@@ -44,7 +44,7 @@ def errors(subject: Subject, found: Motion, true: Motion) -> dict:
     """
     (joints, markers), (there, worn) = (kinematics.placed(subject, each) for each in (found, true))
     turn = apart(subject, found, true)
-    bones = np.unique(subject.skeleton.parents[1:][np.linalg.norm(subject.skeleton.offsets[1:], axis=1) > BONE])
+    bones = np.unique(subject.skeleton.parents[away(subject.skeleton)])
     return {
         "joints_mm": 1e3 * float(np.linalg.norm(joints - there, axis=2).mean()),
         "markers_mm": 1e3 * float(np.linalg.norm(markers - worn, axis=2).mean()),

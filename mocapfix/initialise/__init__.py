@@ -9,7 +9,7 @@ previous      none but for the first frame: each other goes on from where the so
 
 import numpy as np
 
-from mocapfix.initialise import joints
+from mocapfix.initialise import joints, necks
 from mocapfix.initialise.closed_form import Way, hybrik
 from mocapfix.initialise.previous import going_on
 from mocapfix.kernels.registration import poses
@@ -22,6 +22,7 @@ from mocapfix.take import Take
 
 __all__ = ["hybrik", "motion"]
 
+DOUBTED = 0.25  # of its weight: a marker that counts no more lies 5 cm from where the others lay its segment
 HYBRIK: dict[str, Way] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybrik-naive": "naive"}
 
 
@@ -33,10 +34,10 @@ def motion(worn: Take, subject: Subject, body: Body, prior: Prior, by: str = STA
     by     the way to it, one of scenes.STARTS
     """
     if by in HYBRIK:
-        positions, deviation = joints.positions(worn, subject, body)
-        markers, held = np.ascontiguousarray(worn.markers), ~body.free
-        found = hybrik(positions, subject, way=HYBRIK[by], deviation=deviation, markers=markers, held=held)
+        placed, held = joints.positions(worn, subject, body), ~body.free
+        heard = np.where(placed.trust[..., None] > DOUBTED, worn.markers, np.nan)
+        found = hybrik(placed.positions, subject, way=HYBRIK[by], deviation=placed.deviation, markers=heard, held=held)
         found.rotations[:, held] = prior.rotations[held]
-        return found
+        return necks.bent(found, subject, prior)
     registered = poses(subject, body.free, prior, worn.markers)
     return going_on(registered, worn.seen) if by == "previous" else registered

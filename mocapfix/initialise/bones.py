@@ -24,9 +24,14 @@ class Wearing(NamedTuple):
     seen: bool
 
 
+def away(skeleton: Skeleton) -> np.ndarray:
+    """-> (J,) bool: joints that lie away from their parents, so that there is a bone between."""
+    return (np.linalg.norm(skeleton.offsets, axis=1) > BONE) & (skeleton.parents >= 0)
+
+
 def stubs(skeleton: Skeleton, habits: Prior) -> np.ndarray:
     """-> (J,) bool: joints that never turn and lie on the one before: the hips', whose turn would be the thighs' over again."""
-    return stiff(habits) & (np.linalg.norm(skeleton.offsets, axis=1) < BONE)
+    return stiff(habits) & ~away(skeleton)
 
 
 def stiff(habits: Prior) -> np.ndarray:
@@ -62,13 +67,13 @@ def points(j: int, skeleton: Skeleton, habits: Prior, wearing: Wearing) -> list[
     offsets, subject, found = skeleton.offsets, wearing.subject, []
     at_root = [(0, np.zeros(3), False, 0.0)] if j == 0 else []
     for c in np.flatnonzero(skeleton.parents == j):
-        away = np.linalg.norm(offsets[c]) > BONE
-        if away or j == 0:
-            found.append((c, offsets[c], away, 0.0))
+        apart = away(skeleton)[c]
+        if apart or j == 0:
+            found.append((c, offsets[c], apart, 0.0))
         if stiff(habits)[c]:
             for g in np.flatnonzero(skeleton.parents == c):
                 beyond = habits.rotations[c] @ offsets[g]
-                spread = (STIFF * np.linalg.norm(offsets[g])) ** 2 if away else 0.0
+                spread = (STIFF * np.linalg.norm(offsets[g])) ** 2 if apart else 0.0
                 found.append((g, offsets[c] + beyond, False, spread))
     worn = np.flatnonzero(subject.joints == j) if wearing.seen else []
     leaf = not len(found)

@@ -3,16 +3,17 @@
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocapfix import prior
 from mocapfix.errors import ConstraintError
 from mocapfix.initialise import root
 from mocapfix.initialise.bones import Wearing, bones_of, stubs
+from mocapfix.initialise.given import array, known_skeleton, variances
 from mocapfix.initialise.twist import regressor
 from mocapfix.kernels.hybrik import ADAPTIVE, NAIVE, Seen, X, recur_frames
 from mocapfix.kernels.threads import over_frames
 from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED, Motion
-from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
 
 Way = Literal["naive", "adaptive", "x"]
@@ -24,14 +25,14 @@ NO_TWIST = 1e-6  # 1/rad^2: how sure it is that a bone of which nothing is known
 
 
 def hybrik(
-    positions: np.ndarray,
+    positions: ArrayLike,
     subject: Subject,
     *,
     way: Way = "x",
-    deviation: np.ndarray | float = DEVIATION,
-    twists: np.ndarray | None = None,
-    markers: np.ndarray | None = None,
-    held: np.ndarray | None = None,
+    deviation: ArrayLike = DEVIATION,
+    twists: ArrayLike | None = None,
+    markers: ArrayLike | None = None,
+    held: ArrayLike | None = None,
 ) -> Motion:
     """-> every frame's pose on its own: each bone swung to where its far end is, and twisted as its markers or people say.
 
@@ -49,50 +50,27 @@ def hybrik(
     held       (J,) bool: joints that are left in the mean pose; None leaves the hip stubs there for "x", none for the others
     Returns a motion whose `status` names frames that were guessed, or whose hands or head the bones do not reach.
 
-    Raises ConstraintError where an array has not the shape it must have.
+    Raises ConstraintError where an array has not the shape it must have, or holds what cannot be.
     """
-    check(positions, subject, way, deviation, twists, markers)
-    skeleton, habits = subject.skeleton, prior.load("mean-pose", subject.skeleton)
-    positions = np.asarray(positions, float)
-    frames, joints = positions.shape[:2]
-    if held is None:
-        held = stubs(skeleton, habits) if way == "x" else np.zeros(joints, bool)
-    bones, trunk = bones_of(skeleton, habits, Wearing(subject, markers is not None), held)
-    points = positions if markers is None else np.concatenate([positions, markers], axis=1)
-    variance = np.zeros((frames if np.ndim(deviation) else 1, points.shape[1]))
-    variance[:, :joints] = np.nan_to_num(np.square(deviation), nan=1.0)  # of what is unknown nobody asks
+    skeleton = known_skeleton(subject)
+    places = array("positions", positions, (None, len(skeleton.names), 3))
+    frames, joints = places.shape[:2]
+    if way not in tuple(WAYS):
+        raise ConstraintError(f"There is no way {way!r} of HybrIK; choose one of: {', '.join(WAYS)}.")
+    habits = prior.load("mean-pose", skeleton)
+    held = (stubs(skeleton, habits) if way == "x" else np.zeros(joints)) if held is None else held
+    bones, trunk = bones_of(skeleton, habits, Wearing(subject, markers is not None), array("held", held, (joints,)).astype(bool))
+    points = places
+    if markers is not None:
+        points = np.concatenate([places, array("markers", markers, (frames, len(subject.joints), 3))], axis=1)
+    variance = variances(deviation, places, points.shape[1])
     place, turn, known = root.registered(trunk, points, variance, way == "x")
     local = np.tile(habits.rotations, (frames, 1, 1, 1))
     local[:, 0], missed = turn, np.empty(frames)
-    if twists is None:
-        twists = regressor().regressed(positions, turn)
-    sure = np.ascontiguousarray(twists, float) + np.array([NO_TWIST, 0.0])
-    over_frames(
-        recur_frames, frames, bones, WAYS[way], Seen(np.ascontiguousarray(points, float), variance, sure), place, local, missed
-    )
+    said = regressor().regressed(places, turn) if twists is None else array("twists", twists, (None, joints, 2), False)
+    if len(said) not in {1, frames}:
+        raise ConstraintError(f"twists must be for all {frames} frames, or one for every frame; they are for {len(said)}.")
+    over_frames(recur_frames, frames, bones, WAYS[way], Seen(points, variance, said + [NO_TWIST, 0.0]), place, local, missed)
     status = np.select([~known, missed > MISSED, missed < -MISSED], [GUESSED, STRETCHED, FOLDED], PLACED)
     unknown = np.full((frames, len(subject.joints)), np.nan), np.full((frames, joints), np.nan)
     return Motion(place, local, status, np.zeros(frames, int), *unknown)
-
-
-def check(positions, subject: Subject, way: str, deviation, twists, markers) -> None:
-    """Raise ConstraintError where an array has not the shape it must have, or a place or deviation cannot be one."""
-    joints, count = len(cmu31().skeleton.names), len(subject.joints)
-    if subject.skeleton.names != cmu31().skeleton.names:
-        raise ConstraintError(f"HybrIK is for the {joints} joints of the CMU skeleton; the subject's are others.")
-    if way not in WAYS:
-        raise ConstraintError(f"There is no way {way!r} of HybrIK; choose one of: {', '.join(WAYS)}.")
-    if np.ndim(positions) != 3 or np.shape(positions)[1:] != (joints, 3):
-        raise ConstraintError(f"positions must be (frames, {joints}, 3), a place for every joint, not {np.shape(positions)}.")
-    frames = len(positions)
-    if markers is not None and np.shape(markers) != (frames, count, 3):
-        raise ConstraintError(f"markers must be ({frames}, {count}, 3), as the subject wears them, not {np.shape(markers)}.")
-    if twists is not None and (np.ndim(twists) != 3 or np.shape(twists) not in {(frames, joints, 2), (1, joints, 2)}):
-        raise ConstraintError(f"twists must be ({frames} or 1, {joints}, 2), cosine and sine, not {np.shape(twists)}.")
-    if np.ndim(deviation) and np.shape(deviation) != (frames, joints):
-        raise ConstraintError(f"deviation must be one number or ({frames}, {joints}), not {np.shape(deviation)}.")
-    if np.isinf(positions).any():
-        raise ConstraintError("A position is infinite; where a joint is unknown, say NaN.")
-    known = ~np.isnan(positions).any(axis=2) if np.ndim(deviation) else ()
-    if not (np.asarray(deviation)[known] > 0).all():
-        raise ConstraintError("A deviation must be more than 0 metres wherever the joint's position is known.")

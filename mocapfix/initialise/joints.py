@@ -1,10 +1,12 @@
 """Joint positions from markers, every frame by itself, and how sure they are."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mocapfix import prior
+from mocapfix.initialise.bones import BONE
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.segments import Meetings, Segments, lay_frames
 from mocapfix.kernels.threads import over_frames
@@ -16,11 +18,23 @@ from mocapfix.take import Take
 CALIBRATION = 0.75  # of the deviation that calibration foretells of its own error: it allows for more than people differ
 EXACT = 1e-7  # metres: no marker keeps its place better
 NOWHERE = 0.5  # metres: a joint known no better than this is not known
-SAME = 9  # decimals of a metre: joints whose rest positions differ by less lie at one place
 
 
-def positions(worn: Take, subject: Subject, body: Body) -> tuple[np.ndarray, np.ndarray]:
-    """-> joint positions (T, J, 3) and their standard deviations per axis (T, J), in metres; NaN where next to nothing tells.
+class Placed(NamedTuple):
+    """Where the joints are, as markers tell it.
+
+    positions  (T, J, 3) metres, NaN where next to nothing tells
+    deviation  (T, J) metres per axis, likewise
+    trust      (T, K) between 0 and 1: how much each marker counted; less than a quarter where it lies 5 cm off, 0 if not seen
+    """
+
+    positions: np.ndarray
+    deviation: np.ndarray
+    trust: np.ndarray
+
+
+def positions(worn: Take, subject: Subject, body: Body) -> Placed:
+    """-> every frame's joint positions, and how sure they are.
 
     Each segment is registered to its own markers, each as near to its place as the subject's `spread` says, and to what its
     neighbours know: of the joint in common, and of its axes as far as people keep to the mean pose there. So a limb without
@@ -32,14 +46,15 @@ def positions(worn: Take, subject: Subject, body: Body) -> tuple[np.ndarray, np.
     rigid = rigid_parts(subject.skeleton, body.free, people)
     order = np.argsort(rigid.carrier[subject.joints], kind="stable")
     position, variance = np.empty((worn.frames, len(body.free), 3)), np.empty((worn.frames, len(body.free)))
+    trust = np.empty(worn.seen.shape)
     over_frames(
         lay_frames, worn.frames, segments(subject, rigid, people, order), meetings(rigid),
-        np.ascontiguousarray(worn.markers[:, order], float), position, variance,
+        np.ascontiguousarray(worn.markers[:, order], float), position, variance, trust,
     )  # fmt: skip
     unknown = ~(variance < NOWHERE**2)
     deviation = np.sqrt(variance + (CALIBRATION * subject.joint_sd) ** 2)
     position[unknown], deviation[unknown] = np.nan, np.nan
-    return position, deviation
+    return Placed(position, deviation, trust[:, order.argsort()])
 
 
 @dataclass(frozen=True)
@@ -102,8 +117,9 @@ def segments(subject: Subject, rigid: Rigid, people: Prior, order: np.ndarray) -
 
 def meetings(rigid: Rigid) -> Meetings:
     """-> the segments that carry each joint: the one it hangs on and, in their own joints, those that hang at the same place."""
-    spots = [(int(a), *np.round(h, SAME)) for a, h in zip(rigid.above, rigid.hung, strict=True)]
-    at = [[s for s, j in enumerate(rigid.own) if s and spots[j] == spot] for spot in spots]
+    together = np.linalg.norm(rigid.hung[:, None] - rigid.hung, axis=2) < BONE
+    together &= rigid.above[:, None] == rigid.above
+    at = [[s for s, j in enumerate(rigid.own) if s and together[i, j]] for i in range(len(together))]
     segment = [s for above, here in zip(rigid.above, at, strict=True) for s in (above, *here)]
     place = [p for hung, here in zip(rigid.hung, at, strict=True) for p in (hung, *np.zeros((len(here), 3)))]
     return Meetings(np.cumsum([0] + [1 + len(here) for here in at]), np.array(segment), np.array(place))

@@ -22,10 +22,10 @@ def registered(
     frames = len(points)
     place, turn, places = np.empty((frames, 3)), np.empty((frames, 3, 3)), np.empty(frames, int)
     over_frames(register_frames, frames, carried, points, variance, refine, place, turn, places)
-    told = places >= ENOUGH
-    source = np.flatnonzero(told)
+    told, source = places >= ENOUGH, np.flatnonzero(places >= ENOUGH)
     if 0 < len(source) < frames:
         nearest = source[np.rint(np.interp(np.arange(frames), source, np.arange(len(source)))).astype(int)]
-        turn = turn[nearest]
-        place = np.stack([np.interp(np.arange(frames), source, place[source, a]) for a in range(3)], axis=1)
+        guess = np.stack([np.interp(np.arange(frames), source, place[source, a]) for a in range(3)], axis=1)
+        here = np.where(np.isnan(points[:, :1]).any(axis=2), guess, points[:, 0])  # seen, it stays, however it is turned
+        place, turn = np.where(told[:, None], place, here), turn[nearest]
     return place, turn, told

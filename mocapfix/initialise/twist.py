@@ -16,6 +16,7 @@ from safetensors.numpy import load_file, save_file
 
 from mocapfix.errors import SceneError
 from mocapfix.files import replacing
+from mocapfix.initialise.bones import away
 from mocapfix.kernels.layers import layer_frames
 from mocapfix.kernels.spans import Spans, direct_frames
 from mocapfix.kernels.threads import over_frames
@@ -76,9 +77,9 @@ def twists(rotations: np.ndarray, bones: np.ndarray) -> np.ndarray:
 def bones(skeleton: Skeleton) -> np.ndarray:
     """-> (J, 3) metres: each joint's bone, the mean offset of its children that lie away from it; NaN where there are none."""
     found = np.full(skeleton.offsets.shape, np.nan)
-    away = (np.linalg.norm(skeleton.offsets, axis=1) > 0) & (skeleton.parents >= 0)
-    for j in set(skeleton.parents[away]):
-        found[j] = skeleton.offsets[away & (skeleton.parents == j)].mean(axis=0)
+    ends = away(skeleton)
+    for j in set(skeleton.parents[ends]):
+        found[j] = skeleton.offsets[ends & (skeleton.parents == j)].mean(axis=0)
     return found
 
 
@@ -86,7 +87,7 @@ def bones(skeleton: Skeleton) -> np.ndarray:
 def spans() -> Spans:
     """-> what the network is told of: the way to every joint from its parent, where it lies away from it, and BESIDE."""
     body = average()
-    ends = [(int(p), j) for j, p in enumerate(body.parents) if np.linalg.norm(body.offsets[j]) > 0]
+    ends = [(int(body.parents[j]), int(j)) for j in np.flatnonzero(away(body))]
     rest = [body.offsets[j] for _, j in ends]
     for start, end in BESIDE:
         j = body.index(end)

@@ -14,6 +14,7 @@ from mocapfix.kernels.small import matrix, product, put, times, transposed
 from mocapfix.kernels.twist_swing import between, dot, plus, square_root, swing, told, twist
 
 NAIVE, ADAPTIVE, X = 0, 1, 2  # HybrIK, Algorithms 1 and 2; HybrIK-X, 3.2.3
+SHORT = 0.01  # metres: so near to a joint, markers that ride on it do not tell where it points
 
 
 class Bones(NamedTuple):
@@ -85,8 +86,8 @@ def _turn(bones, way, j, points, variance, twists, local, position, rotation):
             if known:
                 w = 1.0 / (variance[bones.source[i]] + bones.spread[i])
                 place, there = plus(place, w, _row(bones.place, i)), plus(there, w, plus(target, -1.0, origin))
-                weight, missed = weight + w, miss
-    if weight == 0.0:
+                weight, missed = weight + w, miss if abs(miss) > abs(missed) else missed
+    if dot(place, place) <= (SHORT * weight) ** 2:  # nothing is known, or its middle is the joint itself
         return 0.0
     swung = swing(place, times(parent, there[0], there[1], there[2]))
     back = product(transposed(swung), parent)
@@ -98,6 +99,8 @@ def _turn(bones, way, j, points, variance, twists, local, position, rotation):
             c, s = told(place, _row(bones.place, i), times(back, off[0], off[1], off[2]))
             w = 1.0 / (variance[k] + bones.spread[i])
             cosine, sine = cosine + w * c, sine + w * s
+    if cosine == 0.0 and sine == 0.0:  # as much says one turn as the opposite
+        cosine = 1.0
     put(product(swung, twist(place, cosine, sine)), local, j)
     put(product(matrix(rotation, bones.parents[j]), matrix(local, j)), rotation, j)
     return missed

@@ -70,10 +70,10 @@ def add_point(row, w, at, p):
 
 
 @njit(cache=True)
-def add_turn(row, times, fisher):
+def add_turn(row, factor, fisher):
     """Add so many times what is known of the turn, nine numbers."""
     for n in range(9):
-        row[7 + n] += times * fisher[n]
+        row[7 + n] += factor * fisher[n]
 
 
 @njit(cache=True)

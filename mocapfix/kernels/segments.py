@@ -1,8 +1,9 @@
-"""Where a body's segments lie in one frame, in two passes over the tree (belief propagation; Pearl 1988), compiled.
+"""Where a body's segments lie in one frame, in two passes over the tree (after belief propagation; Pearl 1988), compiled.
 
 A segment's own markers are points. A neighbour tells of the joint that the two share, which is a point too, and of its own
 axes, which the joint's habit ties to the segment's. From the leaves to the root each segment tells its parent what it knows;
-then from the root to the leaves each tells its children, but to none what it has from it: so nothing is counted twice.
+then from the root to the leaves each tells its children, but to none what it has from it: so nothing is counted twice. What
+is told is less than what is known: the joint as sure along every axis, and the axes as though they did not depend on it.
 """
 
 import math
@@ -51,8 +52,9 @@ class Work(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def lay_frames(segments, meetings, markers, position, variances, first, stop):
-    """Write where joints lie, position (T, J, 3), and their variances per axis (T, J), in the frames first..stop - 1."""
+def lay_frames(segments, meetings, markers, position, variances, trust, first, stop):
+    """Write where joints lie, position (T, J, 3), their variances per axis (T, J), and the part of each marker's weight that
+    counted (T, K), in the frames first..stop - 1."""
     count, origin = len(segments.parent), np.zeros(3)
     room = moments.Room(np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)))
     work = Work(
@@ -70,6 +72,7 @@ def lay_frames(segments, meetings, markers, position, variances, first, stop):
         for s in range(1, count):
             _tell_child(segments, s, origin, work, room)
             _lay(segments, s, markers[t], work, room)
+        moments.copy(work.trust, trust[t])
         for j in range(position.shape[1]):
             variances[t, j] = _met(meetings, j, work.poses, position[t, j], room)
 

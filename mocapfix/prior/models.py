@@ -40,7 +40,9 @@ def load(name: str, skeleton: Skeleton) -> PoseModel:
     path = find(name)
     try:
         with safe_open(path, "numpy") as file:
-            said = json.loads((file.metadata() or {})["mocapfix"])
+            said = json.loads((file.metadata() or {}).get("mocapfix", "null"))
+            if said is None:
+                raise ValueError("it does not say what kind of model it holds")
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (it is no mapping)
         joints = tuple(said.pop("joints"))
         if joints == skeleton.names:

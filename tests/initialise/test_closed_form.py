@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import initialise, marker_set
+from mocapfix import initialise, marker_set, prior
 from mocapfix.bench import unseen
 from mocapfix.bench.common_task import posed
 from mocapfix.errors import ConstraintError
@@ -14,6 +14,7 @@ from mocapfix.kernels import kinematics
 from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.subject import Subject
+from mocapfix.take import Take
 
 SKELETON, WORN = cmu31().skeleton, marker_set.load("cmu41")
 SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.places, np.zeros(len(WORN.labels)))
@@ -208,16 +209,85 @@ def test_another_skeleton_is_refused():
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"positions": np.zeros((5, 30, 3))}, r"\(frames, 31, 3\)"),
-        ({"positions": np.full((5, 31, 3), np.inf)}, "infinite"),
-        ({"markers": np.zeros((5, 3, 3))}, r"\(5, 41, 3\)"),
-        ({"twists": np.zeros((5, 31))}, "cosine and sine"),
-        ({"deviation": np.zeros((4, 31))}, "one number or"),
-        ({"deviation": 0.0}, "more than 0"),
+        ({"positions": np.zeros((5, 30, 3))}, r"positions must be of shape \(any, 31, 3\), not \(5, 30, 3\)"),
+        ({"positions": np.full((5, 31, 3), np.inf)}, "positions holds a number that is not finite"),
+        ({"positions": "walk.c3d"}, "positions must be an array of numbers"),
+        ({"positions": np.zeros((5, 31, 3), complex)}, "positions must be an array of numbers"),
+        ({"markers": np.zeros((5, 3, 3))}, r"markers must be of shape \(5, 41, 3\)"),
+        ({"markers": np.full((5, 41, 3), np.inf)}, "markers holds a number"),
+        ({"twists": np.zeros((5, 31))}, r"twists must be of shape \(any, 31, 2\)"),
+        ({"twists": np.zeros((4, 31, 2))}, "for all 5 frames, or one for every frame; they are for 4"),
+        ({"twists": np.full((5, 31, 2), np.nan)}, "twists holds a number that is not finite"),
+        ({"deviation": np.zeros((4, 31))}, r"deviation must be of shape \(5, 31\)"),
+        ({"deviation": 0.0}, "1e-06 metres or more"),
+        ({"deviation": np.inf}, "deviation holds a number"),
+        ({"deviation": "small"}, "deviation must be an array of numbers"),
+        ({"held": np.zeros(5, bool)}, r"held must be of shape \(31\)"),
         ({"way": "best"}, "naive, adaptive, x"),
+        ({"way": ["x"]}, "naive, adaptive, x"),
     ],
 )
 def test_what_cannot_be_is_told_in_a_sentence(wrong, said):
     given = {"positions": np.zeros((5, 31, 3)), "twists": STRAIGHT} | wrong
     with pytest.raises(ConstraintError, match=said):
         initialise.hybrik(given.pop("positions"), SUBJECT, **given)
+
+
+def test_arrays_of_any_kind_and_order_are_the_same_to_it(people):
+    _, joints, markers = people
+    plain = initialise.hybrik(joints, SUBJECT, markers=markers, twists=STRAIGHT)
+    for kind in (lambda a: np.asfortranarray(a), lambda a: a.tolist(), lambda a: a[::-1][::-1]):
+        again = initialise.hybrik(
+            kind(joints), SUBJECT, markers=kind(markers), twists=STRAIGHT, held=[j in (1, 6) for j in range(31)]
+        )
+        assert np.array_equal(again.rotations, plain.rotations)
+
+
+def test_a_marker_with_one_number_unknown_is_unknown(people):
+    _, joints, markers = people
+    part, none = markers.copy(), markers.copy()
+    part[:, 3, 1] = none[:, 3] = np.nan
+    one, other = (initialise.hybrik(joints, SUBJECT, markers=each, twists=STRAIGHT).rotations for each in (part, none))
+    assert np.array_equal(one, other)
+    assert np.isfinite(one).all()
+
+
+def test_a_head_whose_only_marker_is_at_its_joint_stays_as_people_hold_it(people):
+    _, joints, markers = people
+    places, head = WORN.places.copy(), WORN.joints == index("Head")
+    places[head] = 0.0
+    one = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, places, np.zeros(len(WORN.labels)))
+    markers = np.where(head[:, None], joints[:, [index("Head")]], markers)
+    found = initialise.hybrik(joints, one, markers=markers, twists=STRAIGHT)
+    assert np.allclose(found.rotations[:, index("Head")], prior.load("mean-pose", SKELETON).rotations[index("Head")])
+
+
+def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
+    _, joints, _ = people
+    take = np.repeat(joints[:1], 9, axis=0) + np.linspace(0, 1, 9)[:, None, None]
+    take[4:, 1:] = np.nan
+    for way in ("adaptive", "x"):
+        found = initialise.hybrik(take, SUBJECT, way=way, twists=STRAIGHT)
+        assert np.allclose(found.root, take[:, 0], atol=1e-4)
+        assert np.allclose(found.rotations[4:, 0], found.rotations[3, 0])
+
+
+def test_a_marker_that_is_far_off_turns_nothing():
+    """End to end: where joints are placed without it, it must not turn the head, the hips or a forearm either."""
+    rotations = unseen.shipped()[::20]
+    true = posed(np.zeros((len(rotations), 3)), rotations)
+    markers = kinematics.placed(SUBJECT, true)[1] + np.random.default_rng(0).normal(0, 0.002, (len(rotations), 41, 3))
+    body, habits = cmu31(), prior.load("mean-pose", SKELETON)
+    wearing = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.places, np.full(41, 0.005))
+
+    def turned(markers):
+        found = initialise.motion(Take(markers, WORN.labels, 30.0), wearing, body, habits, "hybrik-x")
+        world = [kinematics.world(SKELETON, motion)[1] for motion in (found, true)]
+        off = np.swapaxes(world[0], 2, 3) @ world[1]
+        return np.degrees(Rotation.from_matrix(off.reshape(-1, 3, 3)).magnitude()).reshape(off.shape[:2])
+
+    sound = turned(markers)
+    for label, joint in (("LBWT", "Hips"), ("LFHD", "Head"), ("STRN", "Spine1"), ("LWRB", "LeftForeArm")):
+        spoilt = markers.copy()
+        spoilt[:, WORN.labels.index(label)] += [0.3, -0.3, 0.4]
+        assert np.median(turned(spoilt)[:, index(joint)]) < np.median(sound[:, index(joint)]) + 6

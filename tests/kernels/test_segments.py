@@ -34,7 +34,7 @@ def drawn_markers(rng, frames):
 def laid(markers, habit=1.0):
     """-> positions (T, 2, 3) and variances (T, 2)"""
     position, variance = np.empty((len(markers), 2, 3)), np.empty((len(markers), 2))
-    lay_frames(segments(habit), MEETINGS, markers, position, variance, 0, len(markers))
+    lay_frames(segments(habit), MEETINGS, markers, position, variance, np.empty(markers.shape[:2]), 0, len(markers))
     return position, variance
 
 
