@@ -9,7 +9,7 @@ class SolveOptions:
 
     marker_sd: float = 0.010
     """how far a sound marker lies from its place on the body, metres (standard deviation per axis)"""
-    robust: tuple[float, ...] = (0.2, 0.1, 0.05)
+    robust: tuple[float, ...] = (0.1, 0.05)
     """Geman-McClure scales, metres, one after the other: a marker farther off than the last hardly counts"""
     habit: float = 1.0
     """how long a pose goes on, seconds: the prior speaks once in that time, not anew in every frame"""
