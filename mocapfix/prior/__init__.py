@@ -1,6 +1,7 @@
 """What people's poses are like, where nothing else tells: the mean pose and the joint limits; trained models in `models`."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +66,15 @@ def load(name: str, skeleton: Skeleton) -> Prior:
     if not path.is_file() or path.stem in OTHERS:
         there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml") if p.stem not in OTHERS))
         raise SceneError(f"There is no prior named {name!r}; choose one of: {there}, none.")
-    data = read_yaml(path)
+    return read(path, skeleton.names)
+
+
+@cache
+def read(path: Path, names: tuple[str, ...]) -> Prior:
+    """-> the prior in a file, for joints of these names; read once. Raises SceneError where it does not say what it must."""
+    data, joints = read_yaml(path), len(names)
     rotations, information, held = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3)), np.zeros((joints, 3, 3))
-    for j, joint in enumerate(skeleton.names[1:], start=1):
+    for j, joint in enumerate(names[1:], start=1):
         try:
             said = data["joints"][joint]
             rotations[j] = Rotation.from_quat(said["quaternion_xyzw"]).as_matrix()
@@ -78,7 +85,7 @@ def load(name: str, skeleton: Skeleton) -> Prior:
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
             keys = "quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz) and held"
             raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
-    return Prior(name, rotations, information, held)
+    return Prior(path.stem, rotations, information, held)
 
 
 def load_limits(skeleton: Skeleton) -> JointLimits:
