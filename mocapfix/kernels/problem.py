@@ -17,7 +17,7 @@ from mocapfix.prior import JointLimits, Prior
 from mocapfix.take import runs
 
 COMPILED = "levenberg.solve_frames-*.nbi"  # the index that Numba keeps of the longest compilation
-MOST = 12  # iterations of a frame at each robust scale
+MOST = 20  # iterations of a frame at each robust scale
 
 
 class Attached(NamedTuple):
