@@ -7,6 +7,7 @@ import numpy as np
 
 from mocapfix import prior
 from mocapfix.initialise.bones import BONE
+from mocapfix.initialise.given import LEAST
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.segments import Meetings, Segments, lay_frames
 from mocapfix.kernels.threads import over_frames
@@ -52,7 +53,7 @@ def positions(worn: Take, subject: Subject, body: Body) -> Placed:
         np.ascontiguousarray(worn.markers[:, order], float), position, variance, trust,
     )  # fmt: skip
     unknown = ~(variance < NOWHERE**2)
-    deviation = np.sqrt(variance + (CALIBRATION * subject.joint_sd) ** 2)
+    deviation = np.maximum(np.sqrt(variance + (CALIBRATION * subject.joint_sd) ** 2), LEAST)
     position[unknown], deviation[unknown] = np.nan, np.nan
     return Placed(position, deviation, trust[:, order.argsort()])
 
