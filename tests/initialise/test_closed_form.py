@@ -273,7 +273,7 @@ def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
 
 
 def test_a_subject_whose_markers_never_stray_can_be_posed(people):
-    motion, joints, markers = people
+    _, joints, markers = people
     found = initialise.motion(Take(markers, WORN.labels, 30.0), SUBJECT, cmu31(), prior.load("mean-pose", SKELETON), "hybrik-x")
     told = [index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "LeftForeArm", "RightHand")]
     assert np.median(np.linalg.norm(joints_of(found) - joints, axis=2)[:, told]) < 0.002
