@@ -1,9 +1,9 @@
 """The takes on which starts are compared.
 
 Composed takes have gaps and spikes and need nothing but mocapfix. Performed ones are recordings of people whom no model was
-trained on, acrobats among them, each put on by one drawn person whose skin slides; their markers are lost in ways that are
-hard on a start. Captures are whatever somebody recorded, and nobody knows the truth of them. In all of them the body that
-is solved is the one that calibration finds, and so not quite the one that there is.
+trained on, acrobats among them, each put on by one drawn person whose skin slides; their markers are lost, or jump, in ways
+that are hard on a start. Captures are whatever somebody recorded, and nobody knows the truth of them. In all of them the body
+that is solved is the one that calibration finds, and so not quite the one that there is.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -26,6 +26,7 @@ from mocapfix.take import Take
 SHARE, SHORTEST, LONGEST = 0.1, 0.1, 2.0  # of the samples, and seconds: gaps of single markers
 EVERY, FOR = 1.0, 0.5  # seconds: how often markers are lost together, and for how long
 HALF = 0.5  # of the markers
+THROWN = 0.4  # metres per axis: how far off a label's ghost is
 
 
 class Case(NamedTuple):
@@ -97,6 +98,15 @@ def of_the_pelvis(case: Case, rng: np.random.Generator) -> np.ndarray:
 def half(case: Case, rng: np.random.Generator) -> np.ndarray:
     """-> (T, K) bool: now and again half of the markers, others every time."""
     return now_and_again(case, lambda: rng.random(len(case.subject.joints)) < HALF)
+
+
+def astray(cases: Iterable[Case]) -> Iterator[Case]:
+    """Yield cases in which now and again one marker is somewhere else, another every time: its label has jumped to a ghost."""
+    for number, case in enumerate(cases):
+        rng, labels = np.random.default_rng(number), np.arange(len(case.subject.joints))
+        jumped = now_and_again(case, lambda rng=rng, labels=labels: labels == rng.integers(len(labels)))
+        ghosts = rng.normal(0, THROWN, (len(labels), 3))
+        yield case._replace(worn=case.worn.with_markers(case.worn.markers + jumped[..., None] * ghosts))
 
 
 def now_and_again(case: Case, which: Callable[[], np.ndarray]) -> np.ndarray:

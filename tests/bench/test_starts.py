@@ -183,3 +183,12 @@ def test_every_way_is_measured_on_every_set(monkeypatch, case):
     assert set(said["composed"]) == {"truth", "registration", "previous"}
     assert told == ["composed: seed 7"]
     assert said["composed"]["previous"]["iterations_alone"] < said["composed"]["registration"]["iterations_alone"] - 1
+
+
+def test_a_label_that_jumps_to_a_ghost_does_so_one_at_a_time_and_for_a_while(case):
+    (other,) = start_takes.astray([case])
+    jumped = (other.worn.markers != case.worn.markers).any(axis=2)
+    assert jumped.sum(axis=1).max() == 1
+    assert 0.2 < jumped.any(axis=1).mean() < 0.8
+    shift = other.worn.markers[jumped] - case.worn.markers[jumped]
+    assert len(np.unique(shift.round(9), axis=0)) <= 2  # in one and a half seconds it jumps once or twice, and stays there
