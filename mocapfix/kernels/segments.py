@@ -65,13 +65,13 @@ def lay_frames(segments, meetings, markers, position, variances, trust, first, s
     )
     for t in range(first, stop):
         _gather(segments, markers[t], work, room)
-        for s in range(count - 1, 0, -1):
+        for n in range(1, 2 * count):  # from the leaves to the root, and back
+            s = abs(count - n)
+            if n > count:
+                _tell_child(segments, s, origin, work, room)
             _lay(segments, s, markers[t], work, room)
-            _tell_parent(segments, s, origin, work, room)
-        _lay(segments, 0, markers[t], work, room)
-        for s in range(1, count):
-            _tell_child(segments, s, origin, work, room)
-            _lay(segments, s, markers[t], work, room)
+            if n < count:
+                _tell_parent(segments, s, origin, work, room)
         moments.copy(work.trust, trust[t])
         for j in range(position.shape[1]):
             variances[t, j] = _met(meetings, j, work.poses, position[t, j], room)

@@ -180,7 +180,8 @@ def respond(tree, terms, t, deformations, scale2, work, trusted, away, moved, ca
 @njit(cache=True, nogil=True)
 def respond_frames(tree, terms, deformations, scale2, root, local, cost, trusted, away, moved, carried, first, stop):
     """`respond` on first..stop, each into its own row."""
-    work, none = workspace(local.shape[1], 0, None), np.zeros((len(root), 0))
+    none = np.zeros((len(root), 0))
+    work = workspace(local.shape[1], none.shape[1], None)  # a plain 0 would be a type of its own, compiled anew
     for t in range(first, stop):
         load(root, local, none, t, work.pose)
         cost[t] = respond(tree, terms, t, deformations, scale2, work, trusted[t], away[t], moved[t], carried[t])
