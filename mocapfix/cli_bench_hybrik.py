@@ -93,6 +93,7 @@ def of_starts(takes: str, said: dict[str, dict]) -> Table:
         ("start_joints_mm", "off joints, mm", ".1f"),
         ("wrong_alone", "wrong, first solve", "d"),
         ("wrong", "wrong", "d"),
+        ("astray", "... though right from the truth", "d"),
         ("unconverged", "unconverged", "d"),
         ("iterations_alone", "iterations, first solve", ".1f"),
         ("iterations", "iterations", ".1f"),

@@ -1,6 +1,5 @@
 """What HybrIK's closed form is worth: the papers' tables on people whom no model has seen, its speed, and it as a start."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
@@ -11,6 +10,7 @@ import numpy as np
 from mocapfix import initialise, prior
 from mocapfix.bench import jitter, off_bones, starts, unseen
 from mocapfix.bench.limb import motion
+from mocapfix.bench.speed import seconds
 from mocapfix.clock import Progress
 from mocapfix.initialise import hybrik
 from mocapfix.initialise.closed_form import Way
@@ -70,11 +70,5 @@ def speeds(poses: np.ndarray, subject: Subject) -> dict:
 
 
 def a_second(frames: int, once: Callable[[], object]) -> float:
-    """-> the median over ROUNDS; it is called once before, for what is only done the first time."""
-    once()
-    spent = []
-    for _ in range(ROUNDS):
-        started = time.perf_counter()
-        once()
-        spent.append(time.perf_counter() - started)
-    return frames / median(spent)
+    """-> frames a second, by the median over ROUNDS."""
+    return frames / median(seconds(once, ROUNDS))

@@ -1,6 +1,7 @@
 """How many frames a second a prior poses on all cores, of frames that need it: GIVEN joints of 31, each frame for itself."""
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,15 +25,16 @@ def measure(rotations: np.ndarray, model: Contender, middle: np.ndarray, progres
         "fps": (rng.normal(0, ASIDE, (len(rotations), 3)), turned @ rotations),
         "fps_from_mean_pose": task.upright(middle),
     }
-    return {name: len(rotations) / seconds(lambda s=start: contenders.solve(task, model, s)) for name, start in starts.items()}
+    spent = {name: min(seconds(lambda s=start: contenders.solve(task, model, s), ROUNDS)) for name, start in starts.items()}
+    return {name: len(rotations) / least for name, least in spent.items()}
 
 
-def seconds(once) -> float:
-    """-> the least that it took; it is called once before, for what is only done the first time."""
+def seconds(once: Callable[[], object], rounds: int) -> list[float]:
+    """-> what it took each time; it is called once before, for what is only done the first time."""
     once()
     spent = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         started = time.perf_counter()
         once()
         spent.append(time.perf_counter() - started)
-    return min(spent)
+    return spent

@@ -100,7 +100,7 @@ def half(case: Case, rng: np.random.Generator) -> np.ndarray:
     return now_and_again(case, lambda: rng.random(len(case.subject.joints)) < HALF)
 
 
-def astray(cases: Iterable[Case]) -> Iterator[Case]:
+def with_ghosts(cases: Iterable[Case]) -> Iterator[Case]:
     """Yield cases in which now and again one marker is somewhere else, another every time: its label has jumped to a ghost."""
     for number, case in enumerate(cases):
         rng, labels = np.random.default_rng(number), np.arange(len(case.subject.joints))

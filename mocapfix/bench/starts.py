@@ -83,7 +83,7 @@ def sets(data: Path | None, captures: Path | None, seeds: Iterable[int]) -> dict
         whole = list(start_takes.whole(data))
         found["performed"] = whole
         found |= {f"performed, {name}": start_takes.damaged(whole[::SPARED], lost) for name, lost in start_takes.LOSSES.items()}
-        found["performed, a marker astray"] = start_takes.astray(whole[::SPARED])
+        found["performed, a ghost"] = start_takes.with_ghosts(whole[::SPARED])
     if captures is not None:
         found["captures"] = start_takes.captured(captures)
     return found

@@ -81,12 +81,11 @@ def points(j: int, skeleton: Skeleton, habits: Prior, wearing: Wearing) -> list[
 
 
 def off_axis(rows: list[tuple]) -> np.ndarray:
-    """-> (P,) bool: of a joint's points, those that do not all lie along one line from it."""
-    if not rows:
-        return np.zeros(0, bool)
+    """-> (P,) bool: of a joint's points, all but children at the end of its one bone, who say nothing of its twist."""
     places, children = (np.array([row[at] for row in rows]) for at in (1, 2))
-    alone = children & (np.linalg.norm(places - places[children].mean(axis=0) if children.any() else places, axis=1) < BONE)
-    return ~alone
+    if not children.any():
+        return np.ones(len(rows), bool)
+    return ~children | (np.linalg.norm(places - places[children].mean(axis=0), axis=1) > BONE)
 
 
 def trunk(skeleton: Skeleton, habits: Prior) -> list[tuple]:

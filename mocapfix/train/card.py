@@ -60,17 +60,9 @@ class Scores:
 
 def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores: Scores, told: str) -> None:
     """Write the card; into place whole or not at all; `told` is what more there is to say of the fit. Raises WriteError."""
-    said = settings.model_dump(exclude={"title", "test", "unseen"})
-    learned = {who: frames for who, frames in poses.frames.items() if poses.interleaved or who not in settings.unseen}
     low, median, high = np.degrees(np.percentile(model.sigma[1:], [0, 50, 100]))
     text = CARD.format(
-        name=path.stem,
-        title=settings.title,
-        count=sum(learned.values()),
-        people=len(learned),
-        dropped=poses.dropped,
-        seen=listed(learned),
-        kept=kept(settings, poses),
+        **common(path.stem, settings, poses),
         whom="frames" if poses.interleaved else "subjects",
         seen_deg=scores.seen,
         unseen_deg=scores.unseen,
@@ -79,11 +71,26 @@ def write(path: Path, settings: Settings, model: PoseModel, poses: Poses, scores
         low=low,
         median=median,
         high=high,
-        settings="\n".join(f"- {key}: {value}" for key, value in said.items()),
         told=f"\n{told}\n" if told else "",
     )
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def common(name: str, settings: Settings | TwistSettings, poses: Poses) -> dict[str, object]:
+    """-> what every card tells, by its names there: what the model is called, from whom it has learned, its settings."""
+    said = settings.model_dump(exclude={"title", "test", "unseen"})
+    learned = {who: frames for who, frames in poses.frames.items() if poses.interleaved or who not in settings.unseen}
+    return {
+        "name": name,
+        "title": settings.title,
+        "count": sum(learned.values()),
+        "people": len(learned),
+        "dropped": poses.dropped,
+        "seen": listed(learned),
+        "kept": kept(settings, poses),
+        "settings": "\n".join(f"- {key}: {value}" for key, value in said.items()),
+    }
 
 
 def kept(settings: Settings | TwistSettings, poses: Poses) -> str:
@@ -96,4 +103,5 @@ def kept(settings: Settings | TwistSettings, poses: Poses) -> str:
 
 
 def listed(frames: dict[str, int]) -> str:
+    """-> subjects, each with how many frames are his."""
     return ", ".join(f"{who} ({count:,})" for who, count in sorted(frames.items()))

@@ -93,6 +93,7 @@ def subtree_root(j: int, bones: Bones, positions: torch.Tensor, deviation: float
 
 
 def weight(bones: Bones, i: int, deviation: float) -> float:
+    """-> 1/m^2: what one of the points counts, `deviation` metres per axis being a joint's."""
     return float(1 / (deviation**2 + bones.spread[i]))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.files import replacing
 from mocapfix.initialise.twist import Twists
 from mocapfix.skeleton import average
-from mocapfix.train.card import kept, listed
+from mocapfix.train.card import common
 from mocapfix.train.mirror import mirrored_name
 from mocapfix.train.poses import Poses
 from mocapfix.train.settings import TwistSettings
@@ -65,19 +65,8 @@ class Scores:
 
 def write(path: Path, settings: TwistSettings, network: Twists, poses: Poses, scores: Scores) -> None:
     """Write the card; into place whole or not at all. Raises WriteError."""
-    said = settings.model_dump(exclude={"title", "test", "unseen"})
-    learned = {who: frames for who, frames in poses.frames.items() if who not in settings.unseen}
-    text = CARD.format(
-        name=path.stem,
-        title=settings.title,
-        count=sum(learned.values()),
-        people=len(learned),
-        dropped=poses.dropped,
-        seen=listed(learned),
-        kept=kept(settings, poses),
-        rows="\n".join(rows(scores, np.degrees(network.sigma[HAS]))),
-        settings="\n".join(f"- {key}: {value}" for key, value in said.items()),
-    )
+    shown = rows(scores, np.degrees(network.sigma[HAS]))
+    text = CARD.format(**common(path.stem, settings, poses), rows="\n".join(shown))
     with replacing(path) as part:
         part.write_text(text, encoding="utf-8")
 

@@ -17,7 +17,7 @@ def short(monkeypatch):
     poses = unseen.shipped()[::50]
     monkeypatch.setattr(unseen, "shipped", lambda: poses)
     monkeypatch.setattr(hybrik, "FRAMES", 30)
-    row = {"frames": 7, "wrong": 1, "wrong_alone": 2, "unconverged": 3, "iterations": 4.0, "iterations_alone": 5.0}
+    row = {"frames": 7, "wrong": 1, "astray": 1, "wrong_alone": 2, "unconverged": 3, "iterations": 4.0, "iterations_alone": 5.0}
     row |= {"start_markers_mm": 6.0, "start_joints_mm": None, "start_seconds": 0.125, "seconds": 8.0, "wrong_in": {}}
     monkeypatch.setattr(starts, "run", lambda **asked: {"composed": {"hybrik-x": row}})
 

@@ -186,7 +186,7 @@ def test_every_way_is_measured_on_every_set(monkeypatch, case):
 
 
 def test_a_label_that_jumps_to_a_ghost_does_so_one_at_a_time_and_for_a_while(case):
-    (other,) = start_takes.astray([case])
+    (other,) = start_takes.with_ghosts([case])
     jumped = (other.worn.markers != case.worn.markers).any(axis=2)
     assert jumped.sum(axis=1).max() == 1
     assert 0.2 < jumped.any(axis=1).mean() < 0.8
