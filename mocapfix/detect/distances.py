@@ -2,8 +2,8 @@
 
 Two markers of one segment keep their distance; which ones do, and how well, is learnt from the take itself (Ringer & Lasenby
 2004, "A procedure for automatically estimating model parameters in optical motion capture"). A sample under the wrong label
-breaks the distances to its label's partners and keeps those to another's. Each partner has one vote of at most 1, so that
-one that is itself off, or mislabelled, cannot outvote the others.
+breaks the distances to its label's partners and keeps those to another's. Each partner has one limited vote, so that one that
+is itself off, or mislabelled, cannot outvote the others.
 """
 
 from typing import NamedTuple
@@ -67,11 +67,12 @@ def _usual(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True)
 def contradiction(markers, known, frame, label, marker, left_out):
-    """-> 0..1, NaN where nobody can tell: how badly the sample under `label` fits as the `marker`, on its partners' average.
+    """-> 0..1: how badly the sample under `label` fits as the `marker`, on its partners' weighted average.
 
-    `known` are the Distances; partners that are `left_out` (M,) have no vote.
+    `known` are the Distances. Partners that are `left_out` (M,) have no vote. Those not seen vote against it: a marker may be
+    anywhere for all they know, and then what is seen is no better explained than by chance.
     """
-    total, votes = 0.0, 0
+    against, votes = 0.0, 0.0
     for k in range(known.partner.shape[1]):
         p = known.partner[marker, k]
         if p < 0 or left_out[p] or p == label:
@@ -79,17 +80,16 @@ def contradiction(markers, known, frame, label, marker, left_out):
         square = 0.0
         for x in range(3):
             square += (markers[frame, label, x] - markers[frame, p, x]) ** 2
-        if np.isnan(square):
-            continue
+        weight = 1 / known.tolerance[marker, k] ** 2
+        votes += weight
         off = (np.sqrt(square) - known.length[marker, k]) / known.tolerance[marker, k]
-        total += min(1.0, off * off)
-        votes += 1
-    return total / votes if votes else np.nan
+        against += weight * (off * off if off * off < 1 else 1.0)  # NaN is not less
+    return against / votes if votes else 1.0
 
 
 @njit(cache=True)
 def own_contradictions(markers, known):
-    """-> (T, M) 0..1, NaN where nobody can tell: how badly each sample fits under its own label."""
+    """-> (T, M) 0..1: how badly each sample fits under its own label."""
     frames, count = markers.shape[:2]
     nobody = np.zeros(count, np.bool_)
     own = np.empty((frames, count))

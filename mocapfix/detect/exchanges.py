@@ -16,10 +16,11 @@ from mocapfix.detect.continuity import Courses, leap
 from mocapfix.detect.distances import Distances, contradiction
 from mocapfix.take import runs
 
-CHANGE = 1.0  # leaps: the price of a change of labels
+CHANGE = 0.5  # leaps: the price of a label's change from one marker to another
 SMOOTH = 0.25  # of a leap: a label that goes on so well from one frame to the next has not changed its marker
 NEVER = 1000.0  # leaps: the price of saying so all the same
 TELLING = 0.05  # seconds for which a sample must be wholly contradicted to count as much as a leap
+BLINK = 0.1  # seconds: a label in the place of one that is not seen meanwhile may be a spike if it is there for less
 DOUBT = 0.1  # leaps a second: labels are rather right than wrong where nothing tells
 
 
@@ -52,7 +53,8 @@ def within(group: tuple[int, ...], courses: Courses, known: Distances) -> list[E
             against = float(extra[course == 0].sum() - extra[inside].sum())
             for ring in _rings(states[s]):
                 there = first + np.flatnonzero(seen[inside][:, ring].any(1))
-                if len(there):
+                whole = seen[inside][:, ring].any(0).all()
+                if len(there) >= (1 if whole else BLINK * courses.rate):
                     named = tuple(group[i] for i in ring)
                     found.append(Exchange(named, int(there[0]), int(there[-1]), gain, against))
     return sorted(found, key=lambda each: each.first)
@@ -87,24 +89,25 @@ def _costs(states, group, courses, known):
     for marker in group:
         left_out[marker] = True
     step, stay = np.zeros((frames, n, n)), np.zeros((frames, n))
-    leaps, misfit = np.zeros((size, size)), np.zeros((size, size))
+    leaps, fixed, misfit = np.zeros((size, size)), np.zeros(size, np.bool_), np.zeros((size, size))
     for t in range(frames):
-        for i in range(size):
-            for j in range(size):
-                leaps[i, j] = leap(courses, t, group[i], group[j])
-                off = contradiction(courses.markers, known, t, group[j], group[i], left_out)
-                misfit[i, j] = 0.0 if np.isnan(off) else off / (TELLING * courses.rate)
+        for j in range(size):
+            there = not np.isnan(courses.markers[t, group[j], 0])
+            leaps[j, j] = leap(courses, t, group[j], group[j])
+            fixed[j] = there and courses.last[t, group[j]] == t - 1 and leaps[j, j] < SMOOTH
+            for i in range(size):
+                off = contradiction(courses.markers, known, t, group[j], group[i], left_out) if there else 0.0
+                misfit[i, j] = off / (TELLING * courses.rate)
+        if not fixed.all():
+            for i in range(size):
+                for j in range(size):
+                    leaps[i, j] = leap(courses, t, group[i], group[j])
         for s in range(n):
             for i in range(size):
                 stay[t, s] += misfit[i, states[s, i]]
-            for r in range(n):
-                step[t, r, s] = 0.0 if r == s else CHANGE
-                for i in range(size):
+                for r in range(n):
                     before, now = states[r, i], states[s, i]
-                    step[t, r, s] += leaps[before, now]
-                    goes_on = courses.last[t, group[before]] == t - 1 and not np.isnan(courses.markers[t, group[before], 0])
-                    if before != now and goes_on and leaps[before, before] < SMOOTH:
-                        step[t, r, s] += NEVER
+                    step[t, r, s] += leaps[before, now] + (before != now) * (CHANGE + NEVER * fixed[before])
     return step, stay
 
 
