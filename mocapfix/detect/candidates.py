@@ -14,7 +14,7 @@ from mocapfix.take import runs
 LEAPS = 0.5  # of a leap: a label that does so may change its marker
 MEETS = 0.3  # of a leap: where another goes on so well, it may be the same marker
 WRONG = 0.3  # how far samples contradict a marker's distances that may be another's
-BETTER = 0.7  # of that: how far they contradict the other's at most
+BETTER = 0.85  # of that: how far they contradict the other's at most
 LONGEST = 0.05  # seconds: for less than that distances hint at nothing
 RECENT = 0.1  # seconds since a marker was seen: later a label is too easily where it might have gone
 OFTEN = 0.5  # of the take: a label seen in less of it is a fragment, not a marker of its own
@@ -25,7 +25,7 @@ def groups(courses: Courses, known: Distances) -> list[tuple[int, ...]]:
     """-> pairs and triples of markers among which labels may have been exchanged."""
     count = courses.last.shape[1]
     rides = np.zeros((count, count), bool)
-    own = own_contradictions(courses.markers, known)
+    own = own_contradictions(courses.markers, known, 1.0)
     _where_it_goes_on(courses, known, own_leaps(courses), own, rides)
     _where_it_fits(courses, known, own, rides)
     rare = np.isnan(courses.markers[..., 0]).mean(0) > 1 - OFTEN
@@ -58,8 +58,8 @@ def _where_it_goes_on(courses, known, leaps, own, rides):
                 if i == j or rides[i, j] or not (gone or leaps[t, i] > LEAPS) or courses.last[t, i] < 0 or late:
                     continue
                 if leap(courses, t, i, j) < MEETS:
-                    off = contradiction(courses.markers, known, t, j, i, nobody)
-                    rides[i, j] = off <= own[t, j]
+                    off = contradiction(courses.markers, known, t, j, i, nobody, 1.0)
+                    rides[i, j] = off <= own[t, j] + WRONG
 
 
 def _where_it_fits(courses: Courses, known: Distances, own: np.ndarray, rides: np.ndarray) -> None:
@@ -82,5 +82,5 @@ def _fits(markers, known, looks, label):
     nobody, fit = np.zeros(count, np.bool_), np.zeros(count)
     for m in range(count):
         for t in looks:
-            fit[m] += contradiction(markers, known, t, label, m, nobody) / len(looks)
+            fit[m] += contradiction(markers, known, t, label, m, nobody, 1.0) / len(looks)
     return fit

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtri
 
 PARTNERS = 8  # of one marker, at most
 LOOSE = 0.03  # metres: a distance that varies by more tells little of which marker is which
@@ -18,7 +19,6 @@ BROKEN = 3.0  # standard deviations from which on a distance is wholly broken
 LEARNING = 300  # frames at most, evenly spread, from which the distances are learnt
 FEWEST = 10  # of these in which both were seen
 MOST = 0.55  # of these frames must be right, whatever the rest
-DEVIATIONS = 0.755  # standard deviations to either side that hold so many of a normal distribution
 
 
 class Distances(NamedTuple):
@@ -34,10 +34,10 @@ class Distances(NamedTuple):
     tolerance: np.ndarray
 
 
-def learnt(markers: np.ndarray) -> Distances:
-    """-> the distances that markers (T, M, 3), in metres, NaN where not seen, keep over most of the take."""
+def learnt(markers: np.ndarray, most: float = MOST) -> Distances:
+    """-> the distances that markers (T, M, 3), in metres, NaN where not seen, keep over `most` (0..1) of the take."""
     count = markers.shape[1]
-    middle, spread = _usual(markers)
+    middle, spread = _usual(markers, most)
     order = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
     rows = np.arange(count)[:, None]
     steady = spread[rows, order] < LOOSE
@@ -45,10 +45,10 @@ def learnt(markers: np.ndarray) -> Distances:
     return Distances(np.where(steady, order, -1), np.where(steady, middle[rows, order], 0), tolerance)
 
 
-def _usual(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _usual(markers: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
     """-> centre and robust standard deviation (M, M) of each distance, in metres; infinite where hardly ever seen.
 
-    Those of the shortest interval that holds MOST of the frames, so that it does not matter how far off the others are.
+    Those of the shortest interval that holds `most` of the frames, so that it does not matter how far off the others are.
     """
     frames, count = markers.shape[:2]
     centre, spread = np.full((count, count), np.inf), np.full((count, count), np.inf)
@@ -57,20 +57,20 @@ def _usual(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, :i], axis=-1), axis=0)  # NaN comes last
         seen = (~np.isnan(distance)).sum(0)
         for j in np.flatnonzero(seen >= FEWEST):
-            held = int(np.ceil(MOST * seen[j]))
+            held = int(np.ceil(most * seen[j]))
             width = distance[held - 1 : seen[j], j] - distance[: seen[j] - held + 1, j]
             start = int(np.argmin(width))
             centre[i, j] = centre[j, i] = distance[start, j] + width[start] / 2
-            spread[i, j] = spread[j, i] = width[start] / 2 / DEVIATIONS
+            spread[i, j] = spread[j, i] = width[start] / 2 / ndtri((1 + most) / 2)  # as of a normal distribution
     return centre, spread
 
 
 @njit(cache=True)
-def contradiction(markers, known, frame, label, marker, left_out):
+def contradiction(markers, known, frame, label, marker, left_out, chance):
     """-> 0..1: how badly the sample under `label` fits as the `marker`, on its partners' weighted average.
 
-    `known` are the Distances. Partners that are `left_out` (M,) have no vote. Those not seen vote against it: a marker may be
-    anywhere for all they know, and then what is seen is no better explained than by chance.
+    `known` are the Distances. Partners that are `left_out` (M,) have no vote. Those not seen vote `chance`: 1 where labels are
+    compared, for a marker that may be anywhere explains what is seen no better than chance does.
     """
     against, votes = 0.0, 0.0
     for k in range(known.partner.shape[1]):
@@ -83,17 +83,17 @@ def contradiction(markers, known, frame, label, marker, left_out):
         weight = 1 / known.tolerance[marker, k] ** 2
         votes += weight
         off = (np.sqrt(square) - known.length[marker, k]) / known.tolerance[marker, k]
-        against += weight * (off * off if off * off < 1 else 1.0)  # NaN is not less
-    return against / votes if votes else 1.0
+        against += weight * (chance if np.isnan(square) else min(1.0, off * off))
+    return against / votes if votes else chance
 
 
 @njit(cache=True)
-def own_contradictions(markers, known):
+def own_contradictions(markers, known, chance):
     """-> (T, M) 0..1: how badly each sample fits under its own label."""
     frames, count = markers.shape[:2]
     nobody = np.zeros(count, np.bool_)
     own = np.empty((frames, count))
     for t in range(frames):
         for m in range(count):
-            own[t, m] = contradiction(markers, known, t, m, m, nobody)
+            own[t, m] = contradiction(markers, known, t, m, m, nobody, chance)
     return own

@@ -43,7 +43,7 @@ def within(group: tuple[int, ...], courses: Courses, known: Distances) -> list[E
     states = np.array(list(permutations(range(len(group)))))  # marker i rides on label states[s, i]; in the first on its own
     step, stay = _costs(states, np.array(group), courses, known)
     doubt = DOUBT / courses.rate * (np.arange(len(states)) > 0)
-    course = _cheapest(step, stay + doubt)
+    course = cheapest(step, stay + doubt)
     seen, found = ~np.isnan(courses.markers[:, group, 0]), []
     for s in range(1, len(states)):
         extra = stay[:, s] - stay[:, 0]
@@ -96,7 +96,7 @@ def _costs(states, group, courses, known):
             leaps[j, j] = leap(courses, t, group[j], group[j])
             fixed[j] = there and courses.last[t, group[j]] == t - 1 and leaps[j, j] < SMOOTH
             for i in range(size):
-                off = contradiction(courses.markers, known, t, group[j], group[i], left_out) if there else 0.0
+                off = contradiction(courses.markers, known, t, group[j], group[i], left_out, 1.0) if there else 0.0
                 misfit[i, j] = off / (TELLING * courses.rate)
         if not fixed.all():
             for i in range(size):
@@ -112,7 +112,7 @@ def _costs(states, group, courses, known):
 
 
 @njit(cache=True)
-def _cheapest(step, stay):
+def cheapest(step, stay):
     """-> (T,) the state in each frame of the cheapest course."""
     frames, n = stay.shape
     cost, came = stay[0].copy(), np.zeros((frames, n), np.int64)
