@@ -63,8 +63,8 @@ class Fingerprints:
         surest, side = 0.0, 0.0
         for corners in combinations(near, 3):
             low, usual_height, high = _quantiles(heights(self.sample[:, marker], self.sample[:, corners])[:, None])[:, 0]
-            deviation = np.hypot((high - low) / 2, STEADY)
-            if np.isfinite(deviation) and abs(usual_height) / deviation > surest:
+            deviation = np.hypot((high - low) / 2, STEADY) if np.isfinite(high) else np.inf
+            if abs(usual_height) > surest * deviation:
                 surest = abs(usual_height) / deviation
                 height = float(np.nanmedian(heights(points, there[:, corners])))
                 side = abs(height - usual_height) / deviation
@@ -78,8 +78,8 @@ def usual(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for i in range(1, count):
         low, half, high = _quantiles(np.linalg.norm(sample[:, i, None] - sample[:, :i], axis=-1))
         middle[i, :i] = middle[:i, i] = half
-        spread[i, :i] = spread[:i, i] = (high - low) / 2
-    return middle, np.where(np.isnan(spread), np.inf, spread)
+        spread[i, :i] = spread[:i, i] = (high - np.where(np.isfinite(high), low, 0.0)) / 2
+    return middle, spread
 
 
 def heights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

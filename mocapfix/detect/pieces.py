@@ -14,7 +14,6 @@ from mocapfix.take import Take
 NUMBERED = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")
 PAUSE = 0.025  # seconds: a longer one ends a piece
 SLACK, BEND = 0.015, 200.0  # metres, m/s2: a step farther off a straight course than that in its time is another point's
-LISTENED = 0.03  # seconds of a course that tell its velocity
 
 
 @dataclass(frozen=True)
@@ -75,24 +74,6 @@ def unbroken(frames: np.ndarray, path: np.ndarray, rate: float) -> list[np.ndarr
     off, lag = np.minimum(ahead, behind), lag[:, 0]
     leaps = np.isfinite(off) & (off > SLACK + BEND * lag**2)
     return np.split(frames, np.flatnonzero(leaps | (lag > PAUSE)) + 1)
-
-
-def onward(early: np.ndarray, before: np.ndarray, late: np.ndarray, after: np.ndarray, rate: float) -> tuple[float, float]:
-    """-> metres by which a course misses, going on from its last point to another's first at the mean of their velocities,
-    and the seconds between.
-
-    early (N,) and late (K,) frames, before (N, 3) and after (K, 3) metres
-    """
-    seconds = (late[0] - early[-1]) / rate
-    mean = (_velocity(early[::-1], before[::-1], rate) + _velocity(late, after, rate)) / 2
-    return float(np.linalg.norm(after[0] - before[-1] - mean * seconds)), float(seconds)
-
-
-def _velocity(frames: np.ndarray, points: np.ndarray, rate: float) -> np.ndarray:
-    """-> (3,) m/s at the first of the frames (N,), from those within what is listened to; 0 from one alone."""
-    near = max(2, int(np.searchsorted(np.abs(frames - frames[0]), LISTENED * rate, side="right")))
-    time = (frames[:near] - frames[:near].mean()) / rate
-    return time @ points[:near] / max(float(time @ time), 1e-12)
 
 
 def meet(one: Piece, other: Piece) -> bool:
