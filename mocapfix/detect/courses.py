@@ -19,9 +19,9 @@ def course(piece: Piece, path: np.ndarray, rate: float, reach: float) -> float:
     if both.any():
         apart = float(np.median(np.linalg.norm(piece.points[both] - path[piece.frames[both]], axis=1)))
         return (2 * apart / AGREES) ** 2 if apart <= AGREES else np.inf
-    near = np.arange(max(0, piece.frames[0] - round(reach * rate) - 1), min(len(path), piece.frames[-1] + round(reach * rate) + 2))
-    near = near[seen[near]]
-    early, late = near[near < piece.frames[0]], near[near > piece.frames[-1]]
+    first, last, far = piece.frames[0], piece.frames[-1], round(reach * rate) + 1
+    start = max(0, first - far)
+    early, late = start + np.flatnonzero(seen[start:first]), last + 1 + np.flatnonzero(seen[last + 1 : last + 1 + far])
     ends = []
     if len(early):
         ends.append(onward(early, path[early], piece.frames, piece.points, rate))
@@ -49,7 +49,7 @@ def _velocity(frames: np.ndarray, points: np.ndarray, rate: float) -> np.ndarray
 
 
 def smoother(piece: Piece, path: np.ndarray, rate: float) -> bool:
-    """Does a marker's path (T, 3) go on more smoothly at both of the piece's ends through the piece than through its own samples?"""
+    """Does a marker's path (T, 3) lead through the piece more smoothly, at both its ends, than through its own samples?"""
     first, last = piece.frames[0], piece.frames[-1]
     seen = np.flatnonzero(~np.isnan(path[:, 0]))
     early, late, own = seen[seen < first], seen[seen > last], seen[(seen >= first) & (seen <= last)]

@@ -16,7 +16,7 @@ from mocapfix.take import Take
 
 NONE = 20.0  # the cost at which a piece may as well be none of the markers
 WORST = 4.5  # standard deviations from which on distances or side alone speak against a marker
-NAMED = 0.5  # of the deviations from the marker whose name a piece bears
+NAMED = 0.5  # times the deviations from the marker whose name a piece bears, and by it divided those from all others
 UNKNOWN = 3.0  # the cost of distances that nobody can tell
 USUAL = 1.0  # that of a course that nobody can tell
 SURE = 0.9  # odds from which on a piece is joined
@@ -31,7 +31,9 @@ def found(take: Take) -> list[Fragment]:
     several one after the other. Every piece that is not joined is accounted for as well.
     """
     loose, markers = pieces(take), take.markers.copy()
-    receivers = np.setdiff1d(np.flatnonzero(take.seen.any(0)), [piece.donor for piece in loose])
+    donors = {piece.donor for piece in loose if piece.donor < len(take.labels)}
+    markers[:, list(donors)] = np.nan  # a piece must not speak for itself
+    receivers = np.setdiff1d(np.flatnonzero(take.seen.any(0)), list(donors))
     told = [_at_once(piece, take, receivers) for piece in loose]
     while open_ := [i for i, fragment in enumerate(told) if fragment is None]:
         prints = Fingerprints(markers)
@@ -47,10 +49,11 @@ def _at_once(piece: Piece, take: Take, receivers: np.ndarray) -> Fragment | None
     """-> what a piece is, where that can be told from itself and the markers seen."""
     if (len(piece.frames) - 1) / take.rate < SHORTEST:
         return short(piece, take)
-    apart = np.linalg.norm(take.markers[np.ix_(piece.frames, receivers)] - piece.points[:, None], axis=-1)
-    beside = np.median(apart, axis=0)  # NaN for a marker that is not seen throughout
-    nearest = np.argmin(np.where(np.isnan(beside), np.inf, beside)) if len(receivers) else -1
-    return double(piece, int(receivers[nearest]), float(beside[nearest]), take) if nearest >= 0 and beside[nearest] <= AGREES else None
+    seen = receivers[take.seen[np.ix_(piece.frames, receivers)].all(0)]
+    apart = np.median(np.linalg.norm(take.markers[np.ix_(piece.frames, seen)] - piece.points[:, None], axis=-1), axis=0)
+    if apart.min(initial=np.inf) > AGREES:
+        return None
+    return double(piece, int(seen[apart.argmin()]), float(apart.min()), take)
 
 
 def matches(piece: Piece, markers: np.ndarray, rate: float, prints: Fingerprints, receivers: np.ndarray) -> list[Match]:
@@ -64,7 +67,7 @@ def matches(piece: Piece, markers: np.ndarray, rate: float, prints: Fingerprints
 
 
 def _match(piece: Piece, marker: int, path: np.ndarray, rate: float, prints: Fingerprints) -> Match:
-    scale = NAMED if piece.namesake == marker else 1.0
+    scale = 1.0 if piece.namesake < 0 else NAMED if piece.namesake == marker else 1 / NAMED
     like = prints.likeness(piece.frames, piece.points, marker)
     along = scale**2 * course(piece, path, rate, REACH if like else ALONE)
     if like is None:
@@ -81,7 +84,7 @@ def odds(weighed: list[Match]) -> float:
 
 
 def _joined(weighed: dict[int, list[Match]], loose: list[Piece], markers: np.ndarray) -> list[int]:
-    """-> the pieces that are surely a marker's, cheapest first and one at a time for each; joined to markers (T, M, 3) in place."""
+    """-> the pieces that are surely a marker's, one at a time, the cheapest first; joined to markers (T, M, 3) in place."""
     sure = [i for i, each in weighed.items() if odds(each) >= SURE]
     joined: list[int] = []
     for i in sorted(sure, key=lambda i: weighed[i][0].cost):
@@ -90,6 +93,4 @@ def _joined(weighed: dict[int, list[Match]], loose: list[Piece], markers: np.nda
             joined.append(i)
             free = np.isnan(markers[piece.frames, marker, 0])
             markers[piece.frames[free], marker] = piece.points[free]
-            if piece.donor < markers.shape[1]:
-                markers[piece.frames, piece.donor] = np.nan
     return joined

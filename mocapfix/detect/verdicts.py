@@ -95,7 +95,8 @@ def double(piece: Piece, marker: int, off: float, take: Take) -> Fragment:
 
 def short(piece: Piece, take: Take) -> Fragment:
     """-> a piece that shows too little."""
-    return _fragment("other", piece, -1, np.nan, 0.5, f"{_donor(piece, take)} is seen for {_long(piece, take)}, too short to tell of what.")
+    reason = f"{_donor(piece, take)} is seen for {_long(piece, take)}, too short to tell of what."
+    return _fragment("other", piece, -1, np.nan, 0.5, reason)
 
 
 def summed_up(fragments: Sequence[Fragment]) -> list[Fragment]:
@@ -118,9 +119,9 @@ def _nature(piece: Piece, take: Take) -> str:
     if np.ptp(piece.points, axis=0).max() < STILL:
         return "it stands still"
     spread = np.std(np.linalg.norm(take.markers[piece.frames] - piece.points[:, None], axis=-1), axis=0)
-    near = np.argsort(spread)[:3]  # NaN, of markers not seen throughout or the donor's own
+    near = [m for m in np.argsort(spread).tolist() if m != piece.donor][:3]  # NaN, of a marker not seen throughout, comes last
     if len(near) == 3 and spread[near[-1]] < RIDES:
-        return f"it rides on the body with {_names(near.tolist(), take)}"
+        return f"it rides on the body with {_names(near, take)}"
     return "it moves by itself"
 
 
