@@ -13,6 +13,7 @@ import numpy as np
 LEARNING = 300  # frames at most, evenly spread, from which fingerprints are learnt
 FEWEST = 20  # of these in which the markers must be seen
 STEADY = 0.004  # metres: by which even a distance on one rigid thing varies
+UNTRIED = 0.04  # of a distance: by which it may vary in what the take does not show often, so that near markers count for more
 LOOSE = 0.04  # metres: a distance that varies by more tells nothing
 PARTNERS, CORNERS = 4, 5  # whose distances are asked, and among which three make a plane
 HOPELESS = 10.0  # standard deviations of the distances, from which on the side is no matter
@@ -82,7 +83,7 @@ def usual(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         low, half, high = _quantiles(np.linalg.norm(sample[:, i, None] - sample[:, :i], axis=-1))
         middle[i, :i] = middle[:i, i] = half
         spread[i, :i] = spread[:i, i] = (high - np.where(np.isfinite(high), low, 0.0)) / WIDTH
-    return middle, spread
+    return middle, np.hypot(spread, UNTRIED * np.where(np.isfinite(middle), middle, 0.0))
 
 
 def heights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -43,9 +43,9 @@ def told(take):
     return [(f.kind, take.labels[f.marker] if f.marker >= 0 else "", f.first, f.last) for f in fragments.found(take)]
 
 
-@given(marker=st.integers(0, 40), first=st.integers(0, 700), length=st.integers(6, 300))
+@given(marker=st.integers(0, 40), first=st.integers(0, 300), length=st.integers(6, 150))
 def test_a_marker_that_goes_on_unlabelled_is_found_again(marker, first, length):
-    take, last = whole(), min(first + length, 720) - 1
+    take, last = whole(), first + length - 1
     (fragment,) = fragments.found(cut(take, (take.labels[marker], first, last)))
     assert (fragment.kind, fragment.marker, fragment.first, fragment.last) == ("continues", marker, first, last)
     assert fragment.donor == len(take.labels)
