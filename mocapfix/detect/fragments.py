@@ -16,7 +16,7 @@ from mocapfix.take import Take
 
 NONE = 20.0  # the cost at which a piece may as well be none of the markers
 WORST = 4.5  # standard deviations from which on distances or side alone speak against a marker
-NAMED = 0.5  # times the deviations from the marker whose name a piece bears, and by it divided those from all others
+NAMED = 0.5  # times the deviations from the marker whose name a piece bears
 UNKNOWN = 3.0  # the cost of distances that nobody can tell
 USUAL = 1.0  # that of a course that nobody can tell
 SURE = 0.9  # odds from which on a piece is joined
@@ -57,17 +57,20 @@ def _at_once(piece: Piece, take: Take, receivers: np.ndarray) -> Fragment | None
 
 
 def matches(piece: Piece, markers: np.ndarray, rate: float, prints: Fingerprints, receivers: np.ndarray) -> list[Match]:
-    """-> how the piece would do as each of the `receivers` that is missing meanwhile, the likeliest first.
+    """-> how the piece would do as each of the `receivers` that is missing meanwhile, the likeliest first; one that bears a
+    marker's name is no other's.
 
     markers (T, M, 3) metres, NaN where missing; receivers (R,) indices of those that may be given a piece
     """
+    if piece.namesake >= 0:
+        receivers = np.array([piece.namesake])
     missing = np.isnan(markers[np.ix_(piece.frames, receivers)][..., 0]).any(0)
     each = [_match(piece, m, markers[:, m], rate, prints) for m in receivers[missing].tolist()]
     return sorted(each, key=lambda match: (match.cost, match.off))
 
 
 def _match(piece: Piece, marker: int, path: np.ndarray, rate: float, prints: Fingerprints) -> Match:
-    scale = 1.0 if piece.namesake < 0 else NAMED if piece.namesake == marker else 1 / NAMED
+    scale = NAMED if piece.namesake == marker else 1.0
     like = prints.likeness(piece.frames, piece.points, marker)
     along = scale**2 * course(piece, path, rate, REACH if like else ALONE)
     if like is None:

@@ -79,6 +79,8 @@ def other(piece: Piece, weighed: Sequence[Match], odds: float, take: Take) -> Fr
         why = f"the likeliest of those missing meanwhile is {labels[best.marker]}, and it is {off}"
     elif weighed:
         why, confidence = f"while {labels[weighed[0].marker]} is missing nothing tells where that is", 0.5
+    elif piece.namesake >= 0:
+        why = f"{labels[piece.namesake]} is seen meanwhile, elsewhere"
     else:
         why = f"none is missing meanwhile; {_nature(piece, take)}"
     reason = f"{_donor(piece, take)} continues no marker in its {_long(piece, take)}: {why}."

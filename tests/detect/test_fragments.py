@@ -148,6 +148,16 @@ def test_a_label_with_a_number_added_belongs_to_the_label():
     assert told(named) == [("continues", "RBAC", 300, 420)]
 
 
+def test_a_numbered_label_is_no_other_markers():
+    take = cut(whole(), ("LELB", 300, 420), ("RBAC", 300, 420))
+    assert take.unlabelled is not None
+    named = Take(np.concatenate([take.markers, take.unlabelled.markers[:, :1]], axis=1), (*take.labels, "RBAC-1"), take.rate)
+    assert told(named) == [("other", "", 300, 420)]
+    named.markers[:, take.labels.index("RBAC")] = whole().markers[:, take.labels.index("RBAC")]
+    (fragment,) = fragments.found(named)
+    assert fragment.reason == "RBAC-1 continues no marker in its 1.01 s: RBAC is seen meanwhile, elsewhere."
+
+
 @pytest.mark.parametrize("rate", [60.0, 240.0])
 def test_seconds_count_and_not_frames(rate):
     truth = synthetic.take(seed=8, seconds=4.0, rate=rate)
