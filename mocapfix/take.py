@@ -18,6 +18,7 @@ class Take:
     first_frame  the file's own number of frame 0; people are always shown the file's numbers
     columns    (M,) the index of each marker among the file's points
     others     labels of the file's points that are no markers: model outputs and unlabelled points
+    unlabelled  the unlabelled points' trajectories as a take of their own, None where there are none
     deviation  (T, M) metres: predicted standard deviation of the samples that mocapfix put there, NaN elsewhere
     """
 
@@ -29,6 +30,7 @@ class Take:
     layout: C3DLayout | None = None
     columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     others: tuple[str, ...] = ()
+    unlabelled: "Take | None" = None
     deviation: np.ndarray | None = None
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
 from mocapfix.read.axes import to_y_up
-from mocapfix.read.labels import marker_columns
+from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
 from mocapfix.take import Take
 
@@ -21,7 +21,7 @@ def take(path: str | Path) -> Take:
     """-> the take in a C3D file, told by what it holds and not by its suffix.
 
     Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
-    9999999, NaN. Model outputs and unlabelled points go to `others`. Source: C3D User Guide, "The 3D Data Section".
+    9999999, NaN. Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data Section".
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
@@ -38,12 +38,15 @@ def take(path: str | Path) -> Take:
     columns = marker_columns(labels, said.outputs, seen, values[..., 3])
     if not len(columns):
         raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
-    positions = values[:, columns, :3] * layout.unit
-    positions[~seen[:, columns]] = np.nan
+    positions = np.where(seen[..., None], values[..., :3] * layout.unit, np.nan)
     names = tuple(labels[i] for i in columns)
-    axes = to_y_up(said.vertical, names, positions)
+    axes = to_y_up(said.vertical, names, positions[:, columns])
+    nameless = unlabelled_columns(labels, said.outputs, seen)
+    unlabelled = Take(
+        positions[:, nameless] @ axes.T, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless
+    )
     return Take(
-        markers=positions @ axes.T,
+        markers=positions[:, columns] @ axes.T,
         labels=names,
         rate=said.rate,
         first_frame=said.first_frame,
@@ -51,6 +54,7 @@ def take(path: str | Path) -> Take:
         layout=replace(layout, axes=axes),
         columns=columns,
         others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
+        unlabelled=unlabelled if len(nameless) else None,
     )
 
 

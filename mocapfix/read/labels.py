@@ -38,9 +38,22 @@ def marker_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray, w
     return np.flatnonzero(is_marker)
 
 
+def unlabelled_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray) -> np.ndarray:
+    """-> (U,) indices of the points that nobody named and that are `seen` (T, P) at some time."""
+    nameless = [_is_nameless(label) and label not in outputs for label in labels]
+    return np.flatnonzero(np.array(nameless, bool) & seen.any(0))
+
+
 def _is_named(label: str) -> bool:
-    bare = label.rsplit(":", 1)[-1].strip()
-    return any(c.isalpha() for c in bare) and not UNLABELLED.fullmatch(bare) and not OUTPUT.fullmatch(bare)
+    return not _is_nameless(label) and not OUTPUT.fullmatch(_bare(label))
+
+
+def _is_nameless(label: str) -> bool:
+    return not any(c.isalpha() for c in _bare(label)) or UNLABELLED.fullmatch(_bare(label)) is not None
+
+
+def _bare(label: str) -> str:
+    return label.rsplit(":", 1)[-1].strip()
 
 
 def _is_segment(label: str, names: Set[str]) -> bool:

@@ -138,6 +138,18 @@ def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
     assert take.others == tuple(others)
 
 
+def test_unlabelled_trajectories_are_a_take_of_their_own(tmp_path):
+    xyz = np.concatenate([STANDING, STANDING[:, ::-1] + 5, STANDING[:, :1] * 0], axis=1)
+    labels = [*LABELS, "*12", "LKneeAngles", "Uname*1", "*99"]  # the last is never seen
+    take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
+    assert take.unlabelled is not None
+    assert take.unlabelled.labels == ("*12", "Uname*1")
+    np.testing.assert_array_equal(take.unlabelled.columns, [3, 5])
+    np.testing.assert_allclose(take.unlabelled.markers, xyz[:, [3, 5]] / 1000, rtol=1e-6)
+    assert take.unlabelled.rate == take.rate
+    assert take_of(tmp_path, STANDING, LABELS).unlabelled is None
+
+
 def test_points_behind_the_last_measured_one_are_computed(tmp_path):
     labels = ["A", "B", "C", "D", "RHJC", "LHJC", "HED0"]
     xyz, words = np.full((2, 7, 3), 100.0), np.zeros((2, 7))

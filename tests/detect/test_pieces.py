@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from mocapfix.detect.pieces import meet, namesakes, pieces, unbroken
+from mocapfix.take import Take
+
+RATE = 120.0
+MOVING = np.arange(100)[:, None] / RATE * [2.0, 0.0, 1.0]  # m/s
+
+
+def spans(path, rate=RATE):
+    frames = np.flatnonzero(~np.isnan(path[:, 0]))
+    return [(int(each[0]), int(each[-1])) for each in unbroken(frames, path, rate)]
+
+
+def test_a_smooth_path_is_one_piece():
+    assert spans(MOVING) == [(0, 99)]
+    assert spans(MOVING[:1]) == [(0, 0)]
+    assert spans(MOVING[:0]) == []
+
+
+def test_a_pause_ends_a_piece_and_a_flicker_does_not():
+    path = MOVING.copy()
+    path[[20, 21, 50, 51, 52]] = np.nan
+    assert spans(path) == [(0, 49), (53, 99)]
+
+
+@pytest.mark.parametrize("frame", [3, 40, 97])
+def test_a_leap_to_another_course_ends_a_piece(frame):
+    path = MOVING.copy()
+    path[frame:] += [0.0, 0.06, 0.0]
+    assert spans(path) == [(0, frame - 1), (frame, 99)]
+
+
+def test_a_sharp_bend_is_no_leap():
+    assert spans(3.0 * np.abs(MOVING - MOVING[50])) == [(0, 99)]
+
+
+def take_of(*labels, seen=None):
+    markers = np.tile(MOVING[:, None], (1, len(labels), 1)) + np.arange(len(labels))[:, None]
+    for m, count in (seen or {}).items():
+        markers[count:, m] = np.nan
+    return Take(markers, labels, RATE)
+
+
+def test_whose_name_a_label_bears():
+    assert namesakes(take_of("RBAC", "RBAC-1", "Jim:C7", "Jim:C7_2", "Stick 1", "LMT5", "LMT1", "P1")) == {1: 0, 3: 2}
+    assert namesakes(take_of("T10", "C7 (2)", "C7", "C7.001", "C7*3")) == {1: 2, 3: 2, 4: 2}
+
+
+def test_of_one_label_twice_the_longer_is_the_marker():
+    take = take_of("LELB", "LELB", "LELB", seen={0: 20, 2: 0})
+    assert namesakes(take) == {0: 1}
+    assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in pieces(take)] == [(0, 1, 20)]
+
+
+def test_unlabelled_ones_are_counted_on_from_the_labels():
+    take = Take(MOVING[:, None], ("LELB",), RATE, unlabelled=take_of("*1", "*2"))
+    assert [(piece.donor, piece.namesake) for piece in pieces(take)] == [(1, -1), (2, -1)]
+    np.testing.assert_array_equal(pieces(take)[1].points, MOVING + 1)
+
+
+def test_who_is_seen_at_one_time():
+    one, other = pieces(Take(MOVING[:, None], ("A",), RATE, unlabelled=take_of("*1", "*2", seen={0: 50})))
+    assert meet(one, other)
+    late = type(other)(other.donor, -1, other.frames[50:], other.points[50:])
+    assert not meet(one, late)
+    assert not meet(late, one)
