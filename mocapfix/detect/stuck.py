@@ -42,7 +42,7 @@ def found(take: Take, shortest: float = 0.1, smallest: float = 0.002) -> list[St
     if not held:
         return []
     smallest = max(smallest, REST * last_digit(take.markers))
-    near = np.argsort(looseness(take.markers), axis=1)[:, :-1]
+    near = np.argsort(looseness(take.markers, take.rate), axis=1)[:, :-1]
     faults = []
     for marker, first, last in held:
         gone = _gone(take.markers[first : last + 1, near[marker]])
