@@ -21,10 +21,10 @@ EDGE = 1.0  # seconds: what must be seen before and after a sudden change
 SURE = 2.0  # times what else is left: how large a sudden change is at least
 BESIDE = 0.3  # seconds before and after a sudden change in which it must be seen frame by frame
 JUMP = (0.5, 1.6)  # of the change that lasts: what the marker jumps there at least and at most
-CLEAR = 5.2  # times what its places before and after scatter: what it jumps at least; a marker that goes there evenly has 3.5
+CLEAR, HIDDEN = 4.8, 3.0  # times what its places before and after scatter: what it jumps at least, in sight and within a gap
 SLOW = 5.0  # seconds: how long a marker slides at least, and half of what must be seen of it to tell
 TOGETHER = 1.0  # seconds: what goes to and fro faster is no matter for slides
-SLOWLY_SURE = 6.0  # times what else is left, in means over that: how large a slide is at least
+SLOWLY_SURE = 5.5  # times what else is left, in means over that: how large a slide is at least
 MOST = 12  # changes in a take: with more, what was taken for segments is not rigid, and nothing is sure
 
 
@@ -89,9 +89,10 @@ def _knocked(take: Take, there: Place, marker: int, loose: np.ndarray, smallest:
         return None
     before, after = (int(there.frames[at]) * step for at in (change.start, change.end))
     first, jump, scatter = _onset(take, marker, loose, before, after)
-    if not JUMP[0] < jump / change.size < JUMP[1] or jump < CLEAR * scatter:
+    clear = jump / scatter / (CLEAR if take.seen[first - 1, marker] else HIDDEN)
+    if not JUMP[0] < jump / change.size < JUMP[1] or clear < 1:
         return None
-    return _Seen(change, there, first, first, min(sure, jump / scatter / CLEAR))
+    return _Seen(change, there, first, first, min(sure, clear))
 
 
 def _onset(take: Take, marker: int, loose: np.ndarray, before: int, after: int) -> tuple[int, float, float]:
