@@ -1,0 +1,113 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from mocapfix import read
+from mocapfix.detect import straight
+from mocapfix.take import Take
+from tests.detect.filled import as_floats, as_integers, walking
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+
+
+def filled(take, marker, first, last, degree):
+    """-> the take with first..last of a marker laid on a polynomial that joins the samples beside them."""
+    markers = take.markers.copy()
+    gap, beside = np.arange(first, last + 1), {1: [-1, 1], 2: [-2, -1, 1], 3: [-2, -1, 1, 2]}[degree]
+    at = np.array([first + k if k < 0 else last + k for k in beside])
+    scale = last - first + 1
+    for a in range(3):
+        fit = np.polynomial.Polynomial.fit((at - first) / scale, markers[at, marker, a], degree)
+        markers[gap, marker, a] = fit((gap - first) / scale)
+    return take.with_markers(markers)
+
+
+@given(
+    rate=st.sampled_from([60.0, 120.0, 250.0]),
+    start=st.floats(0.5, 2.0),
+    seconds=st.floats(0.2, 1.5),
+    degree=st.sampled_from([1, 2, 3]),
+)
+def test_a_fill_is_found_to_a_few_frames_and_its_degree_told(rate, start, seconds, degree):
+    first, last = round(start * rate), round((start + seconds) * rate)
+    (fault,) = straight.found(as_floats(filled(walking(rate), 1, first, last, degree)))
+    assert (fault.marker, fault.degree) == (1, degree)
+    assert abs(fault.first - first) <= 1  # a cubic through four samples hits the outer ones too
+    assert abs(fault.last - last) <= 1
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_a_fill_in_a_file_of_tenths_of_millimetres(degree):
+    (fault,) = straight.found(as_integers(filled(walking(), 1, 200, 259, degree)))
+    np.testing.assert_allclose([fault.first, fault.last], [200, 259], rtol=0, atol=3)
+
+
+def test_a_natural_spline_across_one_gap_is_a_cubic():
+    take = walking()
+    markers, gap = take.markers.copy(), np.arange(200, 240)
+    others = np.delete(np.arange(len(markers)), gap)
+    markers[gap, 3] = CubicSpline(others, markers[others, 3])(gap)
+    (fault,) = straight.found(take.with_markers(markers))
+    assert (fault.marker, fault.first, fault.last, fault.degree) == (3, 200, 239, 3)
+
+
+def test_what_is_said():
+    (fault,) = straight.found(filled(walking(), 1, 200, 259, 1))
+    off = f"{fault.severity * 1e3:.2g} mm"
+    assert fault.reason == (
+        f"B lies on an exact line for 0.50 s, as other programs fill gaps; what was measured thereabouts is {off} off one."
+    )
+    assert 0.99 < fault.confidence <= 1
+
+
+def test_fills_side_by_side_and_beside_a_gap():
+    take = filled(filled(walking(), 1, 200, 230, 3), 1, 232, 280, 1)
+    markers = take.markers.copy()
+    markers[100:140, 1] = np.linspace(markers[100, 1], markers[140, 1], 40)
+    markers[80:100, 1] = np.nan
+    markers[60:80, 1] = np.nan
+    ends = [(f.first, f.last) for f in straight.found(take.with_markers(markers))]
+    np.testing.assert_allclose(ends, [(100, 138), (200, 230), (232, 280)], rtol=0, atol=1)
+
+
+def test_measured_motion_is_not_straight():
+    """Also a body in free fall, on a parabola but for the noise; and one at rest, in a file of coarse integers."""
+    for rate in (50.0, 120.0, 250.0):
+        assert straight.found(as_floats(walking(rate, noise=1e-4))) == []
+    t = np.arange(240) / 120
+    fall = np.stack([2 * t, 1.5 + 4 * t - 4.9 * t**2, 0 * t], -1)[:, None]
+    assert straight.found(as_floats(Take(fall + np.random.default_rng(1).normal(0, 1e-4, fall.shape), ("A",), 120.0))) == []
+    rest = np.random.default_rng(2).normal(0, 2e-5, (600, 3, 3)) + np.arange(9.0).reshape(3, 3) / 10
+    assert straight.found(as_integers(Take(rest, ("A", "B", "C"), 120.0))) == []
+
+
+def test_a_marker_held_at_one_value_stands():
+    take = walking()
+    markers = take.markers.copy()
+    markers[200:260, 0] = markers[200, 0]
+    assert straight.found(take.with_markers(markers)) == []
+
+
+def test_too_short_a_stretch_is_left():
+    assert straight.found(filled(walking(), 1, 200, 206, 1)) == []
+
+
+def test_empty_takes():
+    assert straight.found(Take(np.zeros((10, 0, 3)), (), 120.0)) == []
+    assert straight.found(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)) == []
+    assert straight.found(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
+    assert straight.found(Take(np.zeros((50, 2, 3)), ("a", "b"), 120.0)) == []
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize(
+    ("name", "filled"),
+    [("cmu/01_01", 7), ("cmu/85_02", 0), ("c3d/tennis_serve_motive", 2), ("c3d/HDM_bd_05-01_01_120", 0), ("c3d/squat", 0)],
+)
+def test_what_studios_filled(name, filled):
+    """01_01 was filled with cubics, RFRM over 0.4 s; the serve with two lines; 85_02 is smoothed, HDM05 coarse: both measured."""
+    assert len(straight.found(read.take(CAPTURES / f"{name}.c3d"))) == filled
