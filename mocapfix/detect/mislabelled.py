@@ -1,0 +1,138 @@
+"""Mislabelled: labels exchanged over the whole take, told by where the marker set has them on a body.
+
+The trajectories are as smooth as ever and keep their distances, so nothing in the take itself tells. The average body does,
+laid on some frames of it once with the labels as they are and once with an exchange undone: both fit worse than the true
+subject would, and what they differ by is the evidence. A marker is stuck on once, so all frames of a take are one observation
+of where, and a frame of the usual sort says as much as all of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocapfix.detect import sides
+from mocapfix.detect.laid import Average, average, misfit
+from mocapfix.faults import Fault
+from mocapfix.marker_set import MarkerSet
+from mocapfix.take import Take
+
+LOOKS = 16  # frames, evenly over those that show most
+FULL = 0.9  # of the markers that the fullest frames show
+FEWEST = 12  # markers in them, with fewer of which no body is laid
+OFTEN = 5  # of the frames must show a marker
+PAIRS = 16  # of markers that the body, as it lies, would rather have exchanged: laid anew for each
+LEAST = 0.5  # log likelihood: an exchange that gains less is none
+ODDS = 1.6  # log of the odds that labels are right, when a gain of 2 is just believed
+MOST = 40  # exchanges in a take
+FITS = 2.0  # log likelihood that each marker may miss on average: else these are not the set's markers, whatever their names
+
+
+@dataclass(frozen=True)
+class Step:
+    """One exchange that was undone: of each of K markers, the one under whose label it was then; what it gained."""
+
+    exchange: np.ndarray
+    gain: float
+
+    @property
+    def touched(self) -> np.ndarray:
+        return self.exchange != np.arange(len(self.exchange))
+
+
+def found(take: Take, marker_set: MarkerSet) -> list[Fault]:
+    """-> the rings of labels that are exchanged all along; undone together they leave every marker under its own.
+
+    Of a mirrored limb, or a mirrored body, each pair of twins is a fault with one sentence in common.
+    """
+    columns = marker_set.columns(take.labels)
+    markers = telling(take.worn(columns, take.seen).markers)
+    if len(markers) == 0:
+        return []
+    body = average(marker_set, markers)
+    order, steps = rightly(markers, body, sides.groups(marker_set))
+    if not steps:
+        return []
+    before, after = body.placed(markers), body.placed(np.ascontiguousarray(markers[:, order]))
+    sorted_ = markers[:, order]
+    if misfit(sorted_, after).sum() > FITS * (~np.isnan(sorted_[..., 0])).sum():
+        return []
+    off = np.linalg.norm(markers - before, axis=-1), np.linalg.norm(sorted_ - after, axis=-1)
+    return [_fault(take, columns, ring, steps, off) for ring in rings(order)]
+
+
+def telling(markers: np.ndarray) -> np.ndarray:
+    """-> (N, K, 3) up to LOOKS frames of markers (T, K, 3) that show the most, evenly over the take."""
+    count = (~np.isnan(markers[..., 0])).sum(1)
+    full = np.flatnonzero(count >= max(FEWEST, FULL * count.max(initial=0)))
+    return np.ascontiguousarray(markers[full[np.unique(np.linspace(0, len(full) - 1, LOOKS).astype(int))]]) if len(full) else markers[:0]
+
+
+def rightly(markers: np.ndarray, body: Average, groups: list[np.ndarray]) -> tuple[np.ndarray, list[Step]]:
+    """-> (K,) the label that each marker is under, and the steps to it, each the one that gained most of all tried."""
+    order, steps = np.arange(markers.shape[1]), []
+    seen = (~np.isnan(markers[..., 0])).sum(0) >= OFTEN
+    while len(steps) < MOST:
+        now = np.ascontiguousarray(markers[:, order])
+        placed = body.placed(now)
+        as_is = misfit(now, placed).sum(1)
+        tried = [_tried(now, body, as_is, exchange) for exchange in [*groups, *pairs(now, placed, seen[order])]]
+        best = max(tried, key=lambda step: step.gain)
+        if best.gain < LEAST:
+            break
+        order = order[best.exchange]
+        steps.append(best)
+    return order, steps
+
+
+def _tried(markers: np.ndarray, body: Average, as_is: np.ndarray, exchange: np.ndarray) -> Step:
+    other = np.ascontiguousarray(markers[:, exchange])
+    touched = exchange != np.arange(len(exchange))
+    shown = ~np.isnan(markers[:, touched, 0]).all(1)
+    gain = as_is - misfit(other, body.placed(other)).sum(1)
+    return Step(exchange, float(np.median(gain[shown])) if shown.sum() >= OFTEN else 0.0)
+
+
+def pairs(markers: np.ndarray, placed: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """-> the PAIRS exchanges of two that fit best while the body stays as it lies."""
+    count = len(seen)
+    fit = misfit(markers[:, None], placed[:, :, None]).sum(0) / np.maximum((~np.isnan(markers[..., 0])).sum(0), 1)  # place, samples
+    gain = np.diag(fit)[:, None] + np.diag(fit) - fit - fit.T
+    first, second = np.triu_indices(count, 1)
+    both = seen[first] & seen[second]
+    first, second = first[both], second[both]
+    exchanges = []
+    for best in np.argsort(-gain[first, second], kind="stable")[:PAIRS]:
+        exchange = np.arange(count)
+        exchange[[first[best], second[best]]] = second[best], first[best]
+        exchanges.append(exchange)
+    return exchanges
+
+
+def rings(order: np.ndarray) -> list[tuple[int, ...]]:
+    """-> the rings of a permutation but those of one: each is followed by the one under whose label it is."""
+    found, left = [], set(range(len(order)))
+    while left:
+        ring = [min(left)]
+        while (following := int(order[ring[-1]])) != ring[0]:
+            ring.append(following)
+        left -= set(ring)
+        found += [tuple(ring)] if len(ring) > 1 else []
+    return found
+
+
+def _fault(take: Take, columns: np.ndarray, ring: tuple[int, ...], steps: list[Step], off: tuple[np.ndarray, np.ndarray]) -> Fault:
+    own = [step for step in steps if step.touched[list(ring)].any()]
+    gain = sum(step.gain for step in own)
+    touched = np.flatnonzero(np.any([step.touched for step in own], axis=0))
+    was, is_now = (float(np.nanmedian(each[:, touched])) for each in off)
+    labels = [take.bare_labels[columns[k]] for k in ring]
+    where = f"their samples lie {was * 1e3:.0f} mm from where the marker set has them on a body, the other way round {is_now * 1e3:.0f} mm."
+    if len(touched) > len(ring):
+        names = ", ".join(take.bare_labels[columns[k]] for k in touched if k < steps[0].exchange[k])
+        reason = f"Left and right are exchanged over the whole take: {names} are the other side's, and {where}"
+    elif len(ring) == 2:
+        reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {where}"
+    else:
+        reason = f"{', '.join(labels)} and again {labels[0]} each follow the one before over the whole take: {where}"
+    marker, *others = (int(columns[k]) for k in ring)
+    return Fault("mislabelled", marker, 0, take.frames - 1, was, reason, float(1 / (1 + np.exp(ODDS - gain))), tuple(others))
