@@ -20,7 +20,8 @@ LOOKS = 16  # frames, evenly over those that show most
 FULL = 0.9  # of the markers that the fullest frames show
 FEWEST = 12  # markers in them, with fewer of which no body is laid
 OFTEN = 5  # of the frames must show a marker
-PAIRS = 16  # of markers that the body, as it lies, would rather have exchanged: laid anew for each
+PAIRS = 16  # of markers, at most, for whose exchange the body is laid anew
+HOPE = -2.0  # log likelihood that such an exchange gains at least while the body stays as it lies: a true one costs nothing
 LEAST = 0.5  # log likelihood: an exchange that gains less is none
 ODDS = 1.6  # log of the odds that labels are right, when a gain of 2 is just believed
 MOST = 40  # exchanges in a take
@@ -93,19 +94,17 @@ def _tried(markers: np.ndarray, body: Average, as_is: np.ndarray, exchange: np.n
 
 
 def pairs(markers: np.ndarray, placed: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """-> the PAIRS exchanges of two that fit best while the body stays as it lies."""
-    count = len(seen)
-    fit = misfit(markers[:, None], placed[:, :, None]).sum(0) / np.maximum((~np.isnan(markers[..., 0])).sum(0), 1)  # place, samples
+    """-> the exchanges of two that might fit better: by what they do while the body stays as it lies, the likeliest first."""
+    often = np.maximum((~np.isnan(markers[..., 0])).sum(0), 1)
+    fit = misfit(markers[:, None], placed[:, :, None]).sum(0) / often  # of samples (columns) as the markers (rows)
     gain = np.diag(fit)[:, None] + np.diag(fit) - fit - fit.T
-    first, second = np.triu_indices(count, 1)
-    both = seen[first] & seen[second]
-    first, second = first[both], second[both]
-    exchanges = []
-    for best in np.argsort(-gain[first, second], kind="stable")[:PAIRS]:
-        exchange = np.arange(count)
-        exchange[[first[best], second[best]]] = second[best], first[best]
-        exchanges.append(exchange)
-    return exchanges
+    first, second = np.triu_indices(len(seen), 1)
+    gain = np.where(seen[first] & seen[second], gain[first, second], -np.inf)
+    likely = np.argsort(-gain, kind="stable")[:PAIRS]
+    exchanges = np.tile(np.arange(len(seen)), ((gain[likely] > HOPE).sum(), 1))
+    for exchange, pair in zip(exchanges, likely, strict=False):
+        exchange[[first[pair], second[pair]]] = second[pair], first[pair]
+    return list(exchanges)
 
 
 def rings(order: np.ndarray) -> list[tuple[int, ...]]:
