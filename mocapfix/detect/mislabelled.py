@@ -24,7 +24,7 @@ PAIRS = 16  # of markers, at most, for whose exchange the body is laid anew
 HOPE = -2.0  # log likelihood that such an exchange gains at least while the body stays as it lies: a true one costs nothing
 LEAST = 0.5  # log likelihood: an exchange that gains less is none
 ODDS = 1.6  # log of the odds that labels are right, when a gain of 2 is just believed
-MOST = 20  # exchanges in a take
+MOST = 12  # exchanges in a take
 FITS = 2.0  # log likelihood that each marker may miss on average: else these are not the set's markers, whatever their names
 
 
