@@ -13,14 +13,14 @@ FLICKER = 0.02  # seconds: how long a flicker lasts at most, but for one frame, 
 
 
 def found(take: Take) -> list[Fault]:
-    """-> every gap and flicker, leading and trailing gap, and every marker that is absent throughout, by marker and first frame."""
+    """-> every gap, flicker, leading and trailing gap, and every marker that is absent throughout, by marker and first frame."""
     missing = ~take.seen
     return [fault for m in range(len(take.labels)) for fault in _of(take, m, runs(missing[:, m]))]
 
 
 def _of(take: Take, marker: int, gaps: list[tuple[int, int]]) -> list[Fault]:
     """-> the faults that the gaps of one marker are."""
-    kinds = [_kind(take, first, last) for first, last in gaps]
+    kinds: list[Kind] = [_kind(take, first, last) for first, last in gaps]
     label, flickers = take.bare_labels[marker], kinds.count("flicker")
     faults = []
     for kind, (first, last) in zip(kinds, gaps, strict=True):

@@ -53,19 +53,20 @@ def found(take: Take, marker_set: MarkerSet) -> list[Fault]:
     order, steps = rightly(markers, body, sides.groups(marker_set))
     if not steps:
         return []
-    before, after = body.placed(markers), body.placed(np.ascontiguousarray(markers[:, order]))
-    sorted_ = markers[:, order]
-    if misfit(sorted_, after).sum() > FITS * (~np.isnan(sorted_[..., 0])).sum():
+    right = np.ascontiguousarray(markers[:, order])
+    as_is, placed = body.placed(markers), body.placed(right)
+    if misfit(right, placed).sum() > FITS * (~np.isnan(right[..., 0])).sum():
         return []
-    off = np.linalg.norm(markers - before, axis=-1), np.linalg.norm(sorted_ - after, axis=-1)
-    return [_fault(take, columns, ring, steps, off) for ring in rings(order)]
+    was, is_now = (np.linalg.norm(one - other, axis=-1) for one, other in ((markers, as_is), (right, placed)))
+    return [_fault(take, columns, order, ring, steps, was, is_now) for ring in rings(order)]
 
 
 def telling(markers: np.ndarray) -> np.ndarray:
-    """-> (N, K, 3) up to LOOKS frames of markers (T, K, 3) that show the most, evenly over the take."""
+    """-> (N, K, 3) up to LOOKS of the frames of markers (T, K, 3) that show the most, evenly over the take."""
     count = (~np.isnan(markers[..., 0])).sum(1)
     full = np.flatnonzero(count >= max(FEWEST, FULL * count.max(initial=0)))
-    return np.ascontiguousarray(markers[full[np.unique(np.linspace(0, len(full) - 1, LOOKS).astype(int))]]) if len(full) else markers[:0]
+    some = np.unique(np.linspace(0, len(full) - 1, LOOKS).astype(int)) if len(full) else full
+    return np.ascontiguousarray(markers[full[some]])
 
 
 def rightly(markers: np.ndarray, body: Average, groups: list[np.ndarray]) -> tuple[np.ndarray, list[Step]]:
@@ -119,19 +120,29 @@ def rings(order: np.ndarray) -> list[tuple[int, ...]]:
     return found
 
 
-def _fault(take: Take, columns: np.ndarray, ring: tuple[int, ...], steps: list[Step], off: tuple[np.ndarray, np.ndarray]) -> Fault:
+def _fault(
+    take: Take,
+    columns: np.ndarray,
+    order: np.ndarray,
+    ring: tuple[int, ...],
+    steps: list[Step],
+    was: np.ndarray,
+    is_now: np.ndarray,
+) -> Fault:
+    """-> what is said of one ring; was, is_now (N, K) metres: how far from the body the markers lie before and after `steps`."""
     own = [step for step in steps if step.touched[list(ring)].any()]
     gain = sum(step.gain for step in own)
     touched = np.flatnonzero(np.any([step.touched for step in own], axis=0))
-    was, is_now = (float(np.nanmedian(each[:, touched])) for each in off)
+    before, after = (float(np.nanmedian(each[:, touched])) for each in (was, is_now))
+    off = f"their samples lie {before * 1e3:.0f} mm from where the marker set has them on a body"
+    off += f", the other way round {after * 1e3:.0f} mm."
     labels = [take.bare_labels[columns[k]] for k in ring]
-    where = f"their samples lie {was * 1e3:.0f} mm from where the marker set has them on a body, the other way round {is_now * 1e3:.0f} mm."
-    if len(touched) > len(ring):
-        names = ", ".join(take.bare_labels[columns[k]] for k in touched if k < steps[0].exchange[k])
-        reason = f"Left and right are exchanged over the whole take: {names} are the other side's, and {where}"
+    if len(ring) == 2 < len(touched):
+        names = ", ".join(take.bare_labels[columns[k]] for k in touched if k < order[k])
+        reason = f"Left and right are exchanged over the whole take: {names} are the other side's, and {off}"
     elif len(ring) == 2:
-        reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {where}"
+        reason = f"{labels[0]} and {labels[1]} have exchanged their labels over the whole take: {off}"
     else:
-        reason = f"{', '.join(labels)} and again {labels[0]} each follow the one before over the whole take: {where}"
+        reason = f"{', '.join(labels)} and again {labels[0]} each follow the one before over the whole take: {off}"
     marker, *others = (int(columns[k]) for k in ring)
-    return Fault("mislabelled", marker, 0, take.frames - 1, was, reason, float(1 / (1 + np.exp(ODDS - gain))), tuple(others))
+    return Fault("mislabelled", marker, 0, take.frames - 1, before, reason, float(1 / (1 + np.exp(ODDS - gain))), tuple(others))

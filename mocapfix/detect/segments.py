@@ -21,7 +21,7 @@ def found(take: Take, marker_set: MarkerSet) -> list[Fault]:
     """
     faults: list[Fault] = []
     for name, markers in parts(take, marker_set):
-        for first, last in runs(~take.seen[:, markers].any(1)):
+        for first, last in runs(~np.any(take.seen[:, markers], axis=1)):
             inside = any(whole.first <= first and last <= whole.last and set(markers) <= set(whole.markers) for whole in faults)
             if last - first + 1 >= LEAST * take.rate and not inside:
                 faults.append(_fault(take, name, markers, first, last))

@@ -118,7 +118,9 @@ def test_rings_are_followed_by_whose_label_they_are_under():
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
-@pytest.mark.parametrize("name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"])
+@pytest.mark.parametrize(
+    "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
+)
 def test_captures_are_labelled_right(name):
     take = read.take(CAPTURES / f"{name}.c3d")
     worn_set = marker_set.choose(take.labels).marker_set
