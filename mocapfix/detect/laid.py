@@ -1,6 +1,7 @@
-"""The average body, at the subject's size, laid on some frames: where it would have the markers that are seen.
+"""A body laid on some frames: where it would have the markers that are seen.
 
-Nothing of the take is learnt but the size, so that a label that is wrong all along cannot teach the body to expect it there.
+A person's own, where it is known, or the average body. Then nothing of the take is learnt but the size, so that a label that
+is wrong all along cannot teach the body to expect it there.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ from mocapfix.kernels.registration import poses
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.prior import JointLimits, Prior
-from mocapfix.skeleton import Body, cmu31
+from mocapfix.skeleton import Body, Skeleton, cmu31
 from mocapfix.subject import Subject
 
 MARKER_SD = 0.030  # metres per axis: a marker's place, people's proportions and skin together
@@ -26,8 +27,8 @@ SHORTEST = 0.12  # metres: nearer pairs say more of where markers were stuck tha
 
 
 @dataclass(frozen=True)
-class Average:
-    """The average body at somebody's size, and what its poses are like."""
+class Figure:
+    """A body that wears K markers, and what its poses are like."""
 
     body: Body
     subject: Subject
@@ -46,13 +47,22 @@ class Average:
         return kinematics.placed(self.subject, start)[1]
 
 
-def average(marker_set: MarkerSet, markers: np.ndarray) -> Average:
+def of(subject: Subject) -> Figure:
+    """-> the body of a subject."""
+    body = cmu31()
+    return Figure(body, subject, prior.load("mean-pose", body.skeleton), prior.load_limits(body.skeleton))
+
+
+def average(marker_set: MarkerSet, markers: np.ndarray) -> Figure:
     """-> the average body at the size that markers (N, K, 3) in metres, NaN where not seen, tell."""
-    body, ratio = cmu31(), size(marker_set, markers)
-    skeleton = replace(body.skeleton, offsets=body.skeleton.offsets * ratio, ends=body.skeleton.ends * ratio)
-    places = marker_set.places * ratio
-    subject = Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
-    return Average(body, subject, prior.load("mean-pose", body.skeleton), prior.load_limits(body.skeleton))
+    skeleton, ratio = cmu31().skeleton, size(marker_set, markers)
+    grown = replace(skeleton, offsets=skeleton.offsets * ratio, ends=skeleton.ends * ratio)
+    return of(wearing(marker_set, grown, marker_set.places * ratio))
+
+
+def wearing(marker_set: MarkerSet, skeleton: Skeleton, places: np.ndarray) -> Subject:
+    """-> somebody of these bones with the set's markers at places (K, 3) in metres."""
+    return Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.spread)
 
 
 def size(marker_set: MarkerSet, markers: np.ndarray) -> float:
@@ -80,5 +90,4 @@ def rest(marker_set: MarkerSet) -> np.ndarray:
     still = np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
     nothing = np.zeros((1, 0))
     pose = Motion(np.zeros((1, 3)), still, np.zeros(1, int), np.zeros(1, int), nothing, nothing)
-    subject = Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, marker_set.places, marker_set.spread)
-    return kinematics.placed(subject, pose)[1][0]
+    return kinematics.placed(wearing(marker_set, skeleton, marker_set.places), pose)[1][0]

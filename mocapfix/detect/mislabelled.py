@@ -1,6 +1,6 @@
 """Mislabelled: labels exchanged over the whole take, told by where the marker set has them on a body.
 
-The trajectories are as smooth as ever and keep their distances, so nothing in the take itself tells. The average body does,
+The trajectories are as smooth as ever and keep their distances, so nothing in the take itself tells. A body does,
 laid on some frames of it once with the labels as they are and once with an exchange undone: both fit worse than the true
 subject would, and what they differ by is the evidence. A marker is stuck on once, so all frames of a take are one observation
 of where, and a frame of the usual sort says as much as all of them.
@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocapfix.detect import sides
-from mocapfix.detect.laid import Average, average, misfit
+from mocapfix.detect import laid, sides
+from mocapfix.detect.laid import Figure, misfit
 from mocapfix.faults import Fault
 from mocapfix.marker_set import MarkerSet
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 LOOKS = 16  # frames, evenly over those that show most
@@ -40,16 +41,18 @@ class Step:
         return self.exchange != np.arange(len(self.exchange))
 
 
-def found(take: Take, marker_set: MarkerSet) -> list[Fault]:
+def found(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> list[Fault]:
     """-> the rings of labels that are exchanged all along; undone together they leave every marker under its own.
 
     Of a mirrored limb, or a mirrored body, each pair of twins is a fault with one sentence in common.
+
+    subject  who wears the set, where that is known from before; else the average body stands for everybody
     """
     columns = marker_set.columns(take.labels)
     markers = telling(take.worn(columns, take.seen).markers)
     if len(markers) == 0:
         return []
-    body = average(marker_set, markers)
+    body = laid.of(subject) if subject else laid.average(marker_set, markers)
     order, steps = rightly(markers, body, sides.groups(marker_set))
     if not steps:
         return []
@@ -69,7 +72,7 @@ def telling(markers: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(markers[full[some]])
 
 
-def rightly(markers: np.ndarray, body: Average, groups: list[np.ndarray]) -> tuple[np.ndarray, list[Step]]:
+def rightly(markers: np.ndarray, body: Figure, groups: list[np.ndarray]) -> tuple[np.ndarray, list[Step]]:
     """-> (K,) the label that each marker is under, and the steps to it, each the one that gained most of all tried."""
     order, steps = np.arange(markers.shape[1]), []
     seen = (~np.isnan(markers[..., 0])).sum(0) >= OFTEN
@@ -86,7 +89,7 @@ def rightly(markers: np.ndarray, body: Average, groups: list[np.ndarray]) -> tup
     return order, steps
 
 
-def _tried(markers: np.ndarray, body: Average, as_is: np.ndarray, exchange: np.ndarray) -> Step:
+def _tried(markers: np.ndarray, body: Figure, as_is: np.ndarray, exchange: np.ndarray) -> Step:
     other = np.ascontiguousarray(markers[:, exchange])
     touched = exchange != np.arange(len(exchange))
     shown = ~np.isnan(markers[:, touched, 0]).all(1)

@@ -1,12 +1,14 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, read
+from mocapfix import marker_set, read, synthetic
 from mocapfix.detect import mislabelled
 from mocapfix.detect.mislabelled import rings, telling
 from mocapfix.faults import SURE
+from mocapfix.take import Take
 from tests.detect.people import CMU41, columns, mirrored, relabelled, somebody, without
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -89,9 +91,21 @@ def test_children_and_giants_are_people(scale):
     assert len(mislabelled.found(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
 
 
+def test_a_person_who_is_known_is_asked_instead_of_the_average_one():
+    truth = synthetic.take(3, 2.0, 30.0, crooked=True)
+    small = replace(truth.subject.skeleton, offsets=truth.subject.skeleton.offsets * 0.6)
+    subject = replace(truth.subject, skeleton=small, places=truth.subject.places * 0.6)
+    child = Take(truth.markers * 0.6, truth.labels, 30.0)
+    worn = marker_set.of_subject(subject)
+    assert mislabelled.found(child, worn, subject) == []
+    (fault,) = mislabelled.found(relabelled(child, "LBWT", "RBWT"), worn, subject)
+    assert fault.markers == columns(child, "LBWT", "RBWT")
+    assert "mm from where the marker set has them" in fault.reason
+
+
 def test_markers_that_only_bear_the_names_are_left_alone():
     take = somebody()
-    elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers
+    elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
     assert mislabelled.found(take.with_markers(elsewhere), CMU41) == []
 
 
