@@ -86,3 +86,17 @@ def test_under_another_label_a_sample_is_asked_for_the_others_distances():
     own = own_contradictions(TRIANGLE, KNOWN, 1.0)
     assert own.shape == (1, 3)
     np.testing.assert_allclose(own, 0, atol=1e-12)
+
+
+def test_usual_is_the_shortest_interval_that_holds_enough():
+    apart = np.r_[np.linspace(0.2, 0.21, 60), np.linspace(0.5, 0.9, 40)]  # six tenths of the frames agree
+    markers = np.zeros((100, 2, 3))
+    markers[:, 1, 0] = apart
+    centre, spread = distances.usual(markers, 0.55)
+    assert centre[0, 1] == centre[1, 0] == pytest.approx(0.205, abs=0.0006)
+    assert spread[0, 1] == pytest.approx(0.0046 / 0.7554, rel=0.02)  # half of 55 of 60 steps; a normal distribution's quantile
+    assert distances.usual(markers, 0.9)[1][0, 1] > 0.1
+    assert np.isinf(np.diag(centre)).all()
+    markers[19:, 1] = np.nan
+    assert np.isinf(distances.usual(markers, 0.55)[0][0, 1])
+    assert distances.usual(markers[:19], 0.55)[0][0, 1] < 0.21  # of so short a take all frames must do
