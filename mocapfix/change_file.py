@@ -92,15 +92,16 @@ def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
 def vouched(take: Take, decided: tuple[Decided, ...]) -> Callable[[Fault], bool]:
     """-> whether a fault may be one, for all that somebody decided: none that touches what is kept as measured, and no
     marker has moved that is said not to have."""
-    kept = np.zeros(take.seen.shape, bool)
+    count = len(take.labels)
+    kept = np.zeros((take.frames, count), bool)
     for each in decided:
         if each.decision == "keep" and each.change["kind"] not in (*MISSING, *PLACES):
-            kept[each.first : each.last + 1, [m for m in each.markers if m < kept.shape[1]]] = True
+            kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
 
     def stands(fault: Fault) -> bool:
         if fault.kind in PLACES:
             return not any(each.about(fault) for each in decided)
-        return not kept[fault.frames][:, concerned(fault, kept.shape[1])].any()
+        return not kept[fault.frames][:, concerned(fault, count)].any()
 
     return stands
 

@@ -87,6 +87,19 @@ def clean(
     return Result(take, looked.take, after, looked.faults, made, left, *found, error, report)
 
 
+def inspected(
+    path: str | Path,
+    marker_set: str | Path | None = None,
+    subject: str | Path | Subject | None = None,
+    progress: Progress | None = None,
+) -> tuple[Take, Looked, MarkerSet | None]:
+    """-> a take, what `clean` finds wrong with it, and the set it wears; nothing is written. Raises as `clean`."""
+    take = read.take(path)
+    known, worn_set, _ = wearing(take, marker_set, subject)
+    looked, _, _ = understood(take, worn_set, known, wanted(PRIOR, 1.0, START, ()), lambda fault: True, Clock(progress=progress))
+    return take, looked, worn_set
+
+
 def wanted(prior: str, prior_scale: float, init: str, only: Sequence[str]) -> How:
     """-> how the body is to be found. Raises SceneError where something is asked for that there is not."""
     if not 0 < prior_scale < float("inf"):
