@@ -1,9 +1,9 @@
 """Mislabelled: labels exchanged over the whole take, told by where the marker set has them on a body.
 
-The trajectories are as smooth as ever and keep their distances, so nothing in the take itself tells. A body does,
-laid on some frames of it once with the labels as they are and once with an exchange undone: both fit worse than the true
-subject would, and what they differ by is the evidence. A marker is stuck on once, so all frames of a take are one observation
-of where, and a frame of the usual sort says as much as all of them.
+The trajectories are as smooth as ever and keep their distances, so nothing in the take itself tells. A body does, laid on some
+of its frames once with the labels as they are and once with an exchange undone: both fit worse than the true subject would,
+and what they differ by is the evidence. A marker is stuck on once, so all frames of a take are one observation of where, and a
+frame of the usual sort says as much as all of them.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,9 @@ def found(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> 
     if len(markers) == 0:
         return []
     body = laid.of(subject) if subject else laid.average(marker_set, markers)
-    order, steps = rightly(markers, body, sides.groups(marker_set))
+    own, there = np.arange(len(columns)), columns >= 0  # what is not in the take has no label to exchange
+    groups = [np.where(there & there[each], each, own) for each in sides.groups(marker_set)]
+    order, steps = rightly(markers, body, groups)
     if not steps:
         return []
     right = np.ascontiguousarray(markers[:, order])

@@ -55,6 +55,14 @@ def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(l
     assert all(f"L{label}" in reason for label in labels)
 
 
+def test_what_is_not_in_the_take_is_not_exchanged():
+    take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
+    kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
+    take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
+    found = mislabelled.found(take, CMU41)
+    assert {fault.markers for fault in found} == {columns(take, f"L{b}", f"R{b}") for b in ("UPA", "ELB", "FRM", "WRA", "WRB")}
+
+
 def test_several_exchanges_are_found_among_gaps():
     take = relabelled(relabelled(somebody(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
     take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
