@@ -1,0 +1,88 @@
+"""Astray: samples that lie where the solved body cannot have their marker.
+
+A marker's path on its segment is cut where it leaps, in sight or within a gap. A piece between two cuts is judged as a
+whole: it is astray where it lies far from the marker's usual place, beside how
+far it may. What comes there slowly is no piece of its own: that is skin, or a marker badly calibrated, and no fault of the
+samples. The body leans towards what is astray, so that sound samples around look wrong, too: only the worst of what is
+astray at one time is believed, and then the body is asked again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocapfix.detect.off_body import OffBody
+from mocapfix.faults import Fault
+from mocapfix.take import Take
+
+STEP, DRIFT, SETTLED = 0.010, 0.4, 0.04  # metres, m/s, and the seconds after which skin carries a marker no farther
+SURE = 7.0  # standard deviations
+MOST = 0.4  # of a marker's samples: what is astray for longer is where the marker sits
+WORST = 0.5  # of the worst: what is astray by less at the same time may be so for the worst's sake
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What one marker's label drew on its segment without a leap.
+
+    frames    (N,) indices into the take
+    distance  metres from the marker's usual place, the median
+    score     in standard deviations, the median
+    """
+
+    marker: int
+    frames: np.ndarray
+    distance: float
+    score: float
+
+    @property
+    def first(self) -> int:
+        return int(self.frames[0])
+
+    @property
+    def last(self) -> int:
+        return int(self.frames[-1])
+
+
+def pieces(off: OffBody, rate: float, smallest: float) -> list[Piece]:
+    """-> the pieces that are astray by at least `smallest` metres."""
+    found, distance = [], off.distance
+    for k in range(distance.shape[1]):
+        frames = np.flatnonzero(~np.isnan(distance[:, k]))
+        for piece in _unbroken(frames, off.path[:, k], rate):
+            far = float(np.median(distance[piece, k]))
+            score = float(np.median(distance[piece, k] / off.sd[piece, k]))
+            if far > smallest and score > SURE and len(piece) < MOST * len(frames):
+                found.append(Piece(k, piece, far, score))
+    return found
+
+
+def worst(astray: list[Piece]) -> list[Piece]:
+    """-> those that are not there for another's sake, which is astray at the same time and by much more."""
+    chosen: list[Piece] = []
+    for piece in sorted(astray, key=lambda each: -each.score):
+        if not any(piece.score < WORST * other.score and _meet(piece, other) for other in chosen):
+            chosen.append(piece)
+    return chosen
+
+
+def fault(piece: Piece, take: Take, longest_spike: float) -> Fault:
+    """-> a piece that is astray as a ghost, or as a spike where it lasts no longer than `longest_spike` seconds."""
+    label, count = take.bare_labels[piece.marker], piece.last - piece.first + 1
+    where = f"{label} lies {piece.distance * 1e3:.0f} mm from where the body has it, {piece.score:.0f} standard deviations"
+    reason = f"{where}, for {count / take.rate:.2f} s ({count} frame{'s' if count > 1 else ''})."
+    kind = "spike" if count <= longest_spike * take.rate else "ghost"
+    sure = piece.score / SURE
+    return Fault(kind, piece.marker, piece.first, piece.last, piece.distance, reason, sure / (1 + sure))
+
+
+def _unbroken(frames: np.ndarray, path: np.ndarray, rate: float) -> list[np.ndarray]:
+    """-> the `frames` (N,) at which a path (T, 3) on a segment is seen, cut where it leaps."""
+    if not len(frames):
+        return []
+    lag, step = np.diff(frames) / rate, np.linalg.norm(np.diff(path[frames], axis=0), axis=1)
+    return np.split(frames, np.flatnonzero(step > STEP + DRIFT * np.minimum(lag, SETTLED)) + 1)
+
+
+def _meet(one: Piece, other: Piece) -> bool:
+    return one.first <= other.last and other.first <= one.last
