@@ -18,6 +18,7 @@ from mocapfix.take import Take
 STEP, DRIFT, SETTLED = 0.010, 0.4, 0.04  # metres, m/s, and the seconds after which skin carries a marker no farther
 SURE = 7.0  # standard deviations
 MOST = 0.4  # of a marker's samples: what is astray for longer is where the marker sits
+BROKEN = 0.4  # of the markers seen: where more are far off, the body is astray and none of them can be judged
 WORST = 0.5  # of the worst: what is astray by less at the same time may be so for the worst's sake
 
 
@@ -47,8 +48,10 @@ class Piece:
 def pieces(off: OffBody, rate: float, smallest: float) -> list[Piece]:
     """-> the pieces that are astray by at least `smallest` metres."""
     found, distance = [], off.distance
+    seen, astray = ~np.isnan(distance), distance > SURE * off.sd
+    told = seen & (astray.sum(1) <= BROKEN * seen.sum(1))[:, None]
     for k in range(distance.shape[1]):
-        frames = np.flatnonzero(~np.isnan(distance[:, k]))
+        frames = np.flatnonzero(told[:, k])
         for piece in _unbroken(frames, off.path[:, k], rate):
             far = float(np.median(distance[piece, k]))
             score = float(np.median(distance[piece, k] / off.sd[piece, k]))
@@ -61,7 +64,7 @@ def worst(astray: list[Piece]) -> list[Piece]:
     """-> those that are not there for another's sake, which is astray at the same time and by much more."""
     chosen: list[Piece] = []
     for piece in sorted(astray, key=lambda each: -each.score):
-        if not any(piece.score < WORST * other.score and _meet(piece, other) for other in chosen):
+        if not any(piece.score < WORST * other.score and meet(piece, other) for other in chosen):
             chosen.append(piece)
     return chosen
 
@@ -84,5 +87,6 @@ def _unbroken(frames: np.ndarray, path: np.ndarray, rate: float) -> list[np.ndar
     return np.split(frames, np.flatnonzero(step > STEP + DRIFT * np.minimum(lag, SETTLED)) + 1)
 
 
-def _meet(one: Piece, other: Piece) -> bool:
+def meet(one: Piece | Fault, other: Piece | Fault) -> bool:
+    """Are the two at one time?"""
     return one.first <= other.last and other.first <= one.last

@@ -1,14 +1,17 @@
 """Crossed: labels that lie where the solved body has one another's markers.
 
 What is astray under a label and lies well where the body has another marker, which is not seen there itself meanwhile, is
-that marker. Where two labels, or three in a ring, are each other's they are exchanged.
+that marker. Where two labels, or three in a ring, are each other's they are exchanged, and so they are from leap to leap, for
+a label that goes on smoothly has not changed its marker, even where the exchange led the body astray and others with it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.detect import continuity
 from mocapfix.detect.astray import Piece
+from mocapfix.detect.exchanges import SMOOTH
 from mocapfix.detect.off_body import OffBody
 from mocapfix.faults import Fault
 from mocapfix.take import Take
@@ -31,10 +34,11 @@ class Carried(NamedTuple):
 def rings(off: OffBody, astray: list[Piece], take: Take) -> list[Fault]:
     """-> the exchanges of labels that explain what is `astray`, the surest first; none meets another."""
     at_home = off.distance < FITS * off.sd
+    smooth = continuity.own_leaps(continuity.of(take.markers, take.rate)) < SMOOTH
     carried = [each for piece in astray for each in _others(off, at_home, piece)]
     found: list[Fault] = []
     for ring in sorted(_closed(carried, take), key=lambda ring: max(each.fit / each.piece.score for each in ring)):
-        swap = _swap(ring, at_home, take)
+        swap = _swap(ring, smooth, take)
         if not any(swap.meets(other) for other in found):
             found.append(swap)
     return found
@@ -75,19 +79,28 @@ def _together(one: Piece, other: Piece) -> bool:
     return both > TOGETHER * max(one.last - one.first + 1, other.last - other.first + 1)
 
 
-def _swap(ring: tuple[Carried, ...], at_home: np.ndarray, take: Take) -> Fault:
-    """-> the labels of a ring as exchanged for as long as none of them is seen at home."""
+def _swap(ring: tuple[Carried, ...], smooth: np.ndarray, take: Take) -> Fault:
+    """-> the labels of a ring as exchanged, from leap to leap."""
     markers = [ring[0].marker, *(each.piece.marker for each in (ring[0], *ring[:0:-1]))][: max(2, len(ring))]
-    home = at_home[:, markers].any(1)
-    middle = max(each.piece.first for each in ring), min(each.piece.last for each in ring)
-    first = min(each.piece.first for each in ring)
-    last = max(each.piece.last for each in ring)
-    first += max(np.flatnonzero(home[first : middle[0]]), default=-1) + 1
-    last -= len(home[middle[1] + 1 : last + 1]) - min(np.flatnonzero(home[middle[1] + 1 : last + 1]), default=last - middle[1])
+    within = max(each.piece.first for each in ring), min(each.piece.last for each in ring)
+    first, last = _stretched(*within, take.seen[:, markers], smooth[:, markers])
     worst = max(ring, key=lambda each: each.fit / each.piece.score)
-    labels = [take.bare_labels[m] for m in markers]
+    labels, times = [take.bare_labels[m] for m in markers], worst.piece.score / worst.fit
     far = float(np.mean([each.piece.distance for each in ring]))
-    where = f"they lie {far * 1e3:.0f} mm from where the body has them, and fit one another's places {worst.piece.score / worst.fit:.1f} times as well"
     time = f"for {(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
-    reason = f"{' and '.join(labels)} have exchanged their labels {time}: {where}."
-    return Fault("swap", markers[0], first, last, far, reason, 1 - worst.fit / worst.piece.score, tuple(markers[1:]))
+    where = f"they lie {far * 1e3:.0f} mm from where the body has them, and {times:.1f} times nearer to one another's places"
+    names = f"{', '.join(labels[:-1])} and {labels[-1]}"
+    reason = f"{names} have exchanged their labels {time}: {where}."
+    return Fault("swap", markers[0], first, last, far, reason, 1 - 1 / times, tuple(markers[1:]))
+
+
+def _stretched(first: int, last: int, seen: np.ndarray, smooth: np.ndarray) -> tuple[int, int]:
+    """-> the frames around first..last over which none of the labels (T, N) leaps or comes out of a gap."""
+    goes_on = seen[1:] & seen[:-1] & smooth[1:]
+    backward = (goes_on | ~seen[:-1]).all(1) & seen[:-1].any(1)
+    forward = (goes_on | ~seen[1:]).all(1) & seen[1:].any(1)
+    while first > 0 and backward[first - 1]:
+        first -= 1
+    while last < len(seen) - 1 and forward[last]:
+        last += 1
+    return first, last

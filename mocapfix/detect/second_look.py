@@ -3,6 +3,7 @@
 import numpy as np
 
 from mocapfix.detect import astray, crossed, off_body
+from mocapfix.detect.astray import meet
 from mocapfix.faults import Fault
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
@@ -27,6 +28,6 @@ def found(
     off = off_body.of(worn, heard, subject, motion)
     pieces = astray.pieces(off, worn.rate, smallest)
     swaps = crossed.rings(off, pieces, worn)
-    lone = [astray.fault(piece, worn, longest_spike) for piece in astray.worst(pieces)]
-    lone = [each for each in lone if not any(each.meets(swap) for swap in swaps)]
-    return sorted(swaps + lone, key=lambda fault: (fault.marker, fault.first))
+    lone = [piece for piece in astray.worst(pieces) if not any(meet(piece, swap) for swap in swaps)]
+    ghosts = [astray.fault(piece, worn, longest_spike) for piece in lone]
+    return sorted(swaps + ghosts, key=lambda fault: (fault.marker, fault.first))
