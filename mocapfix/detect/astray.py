@@ -1,8 +1,8 @@
 """Astray: samples that lie where the solved body cannot have their marker.
 
 A marker's path on its segment is cut where it leaps, in sight or within a gap. A piece between two cuts is judged as a
-whole: it is astray where it lies far from the marker's usual place, beside how
-far it may. What comes there slowly is no piece of its own: that is skin, or a marker badly calibrated, and no fault of the
+whole: it is astray where it lies far from the marker's usual place, beside how far it may; and by less where the marker
+leaps there and back in sight, for the body leans towards a single marker for as long as that is elsewhere. What comes there slowly is no piece of its own: that is skin, or a marker badly calibrated, and no fault of the
 samples. The body leans towards what is astray, so that sound samples around look wrong, too: only the worst of what is
 astray at one time is believed, and then the body is asked again.
 """
@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocapfix.detect import continuity
+from mocapfix.detect.exchanges import SMOOTH
 from mocapfix.detect.off_body import OffBody
 from mocapfix.faults import Fault
 from mocapfix.take import Take
 
 STEP, DRIFT, SETTLED = 0.010, 0.4, 0.04  # metres, m/s, and the seconds after which skin carries a marker no farther
-SURE = 7.0  # standard deviations
+SURE = 6.0  # standard deviations
+LEANS = 2.5  # standard deviations: for what leaps there and back, for the body leans towards it
 MOST = 0.4  # of a marker's samples: what is astray for longer is where the marker sits
 BROKEN = 0.4  # of the markers seen: where more are far off, the body is astray and none of them can be judged
 WORST = 0.5  # of the worst: what is astray by less at the same time may be so for the worst's sake
@@ -27,7 +30,7 @@ class Piece:
     """What one marker's label drew on its segment without a leap.
 
     frames    (N,) indices into the take
-    distance  metres from the marker's usual place, the median
+    distance  metres from the marker's usual place, the median, or by which it leaps there and back
     score     in standard deviations, the median
     """
 
@@ -50,14 +53,25 @@ def pieces(off: OffBody, rate: float, smallest: float) -> list[Piece]:
     found, distance = [], off.distance
     seen, astray = ~np.isnan(distance), distance > SURE * off.sd
     told = seen & (astray.sum(1) <= BROKEN * seen.sum(1))[:, None]
+    leaps = continuity.own_leaps(continuity.of(off.measured, rate)) > SMOOTH
     for k in range(distance.shape[1]):
         frames = np.flatnonzero(told[:, k])
         for piece in _unbroken(frames, off.path[:, k], rate):
             far = float(np.median(distance[piece, k]))
             score = float(np.median(distance[piece, k] / off.sd[piece, k]))
-            if far > smallest and score > SURE and len(piece) < MOST * len(frames):
-                found.append(Piece(k, piece, far, score))
+            excursion = _excursion(off.path[:, k], leaps[:, k], int(piece[0]), int(piece[-1]) + 1)
+            sure = score > SURE and far > smallest or score > LEANS and excursion > smallest
+            if sure and len(piece) < MOST * len(frames):
+                found.append(Piece(k, piece, max(far, excursion), score))
     return found
+
+
+def _excursion(path: np.ndarray, leaps: np.ndarray, first: int, stop: int) -> float:
+    """-> metres by which a marker leaps in `first` and back in `stop`, the lesser; 0 where it does not, or not in sight."""
+    if first == 0 or stop == len(path) or not (leaps[first] and leaps[stop]):
+        return 0.0
+    into, back = path[first] - path[first - 1], path[stop] - path[stop - 1]
+    return float(np.nan_to_num(min(np.linalg.norm(into), np.linalg.norm(back))))
 
 
 def worst(astray: list[Piece]) -> list[Piece]:
