@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocapfix.detect import continuity
-from mocapfix.detect.exchanges import SMOOTH
 from mocapfix.detect.off_body import OffBody
 from mocapfix.faults import Fault
 from mocapfix.take import Take
 
 STEP, DRIFT, SETTLED = 0.010, 0.4, 0.04  # metres, m/s, and the seconds after which skin carries a marker no farther
 SURE = 6.0  # standard deviations
+SLACK, BEND = 0.010, 100.0  # metres and m/s2: what a marker on a body misses a straight course by, and in its time squared
 LEANS = 2.5  # standard deviations: for what leaps there and back, for the body leans towards it
 MOST = 0.4  # of a marker's samples: what is astray for longer is where the marker sits
 BROKEN = 0.4  # of the markers seen: where more are far off, the body is astray and none of them can be judged
@@ -53,10 +52,10 @@ def pieces(off: OffBody, rate: float, smallest: float) -> list[Piece]:
     found, distance = [], off.distance
     seen, astray = ~np.isnan(distance), distance > SURE * off.sd
     told = seen & (astray.sum(1) <= BROKEN * seen.sum(1))[:, None]
-    leaps = continuity.own_leaps(continuity.of(off.measured, rate)) > SMOOTH
+    leaps = _leaps(off.measured, rate)
     for k in range(distance.shape[1]):
         frames = np.flatnonzero(told[:, k])
-        for piece in _unbroken(frames, off.path[:, k], rate):
+        for piece in _unbroken(frames, off.path[:, k], leaps[:, k], rate):
             far = float(np.median(distance[piece, k]))
             score = float(np.median(distance[piece, k] / off.sd[piece, k]))
             excursion = _excursion(off.path[:, k], leaps[:, k], int(piece[0]), int(piece[-1]) + 1)
@@ -64,6 +63,18 @@ def pieces(off: OffBody, rate: float, smallest: float) -> list[Piece]:
             if sure and len(piece) < MOST * len(frames):
                 found.append(Piece(k, piece, max(far, excursion), score))
     return found
+
+
+def _leaps(markers: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T, K) bool: is the step from the frame before unlike the step before it, the one after it and the mean of both?
+
+    markers  (T, K, 3) metres; what is not known is no reason to say that there is no leap
+    """
+    step = np.full((len(markers) + 2, *markers.shape[1:]), np.nan)
+    step[1:-2] = np.diff(markers, axis=0)
+    before, own, after = step[:-2], step[1:-1], step[2:]
+    off = [np.linalg.norm(own - other, axis=-1) for other in (before, after, (before + after) / 2)]
+    return np.roll(~(np.fmin.reduce(off) < SLACK + BEND / rate**2), 1, axis=0)
 
 
 def _excursion(path: np.ndarray, leaps: np.ndarray, first: int, stop: int) -> float:
@@ -93,12 +104,17 @@ def fault(piece: Piece, take: Take, longest_spike: float) -> Fault:
     return Fault(kind, piece.marker, piece.first, piece.last, piece.distance, reason, sure / (1 + sure))
 
 
-def _unbroken(frames: np.ndarray, path: np.ndarray, rate: float) -> list[np.ndarray]:
-    """-> the `frames` (N,) at which a path (T, 3) on a segment is seen, cut where it leaps."""
+def _unbroken(frames: np.ndarray, path: np.ndarray, leaps: np.ndarray, rate: float) -> list[np.ndarray]:
+    """-> the `frames` (N,) at which a path (T, 3) on a segment is seen, cut where it leaps.
+
+    In sight the marker itself must leap there, too (T,): else it is the body that does.
+    """
     if not len(frames):
         return []
     lag, step = np.diff(frames) / rate, np.linalg.norm(np.diff(path[frames], axis=0), axis=1)
-    return np.split(frames, np.flatnonzero(step > STEP + DRIFT * np.minimum(lag, SETTLED)) + 1)
+    hidden = np.diff(frames) > 1
+    cuts = (step > STEP + DRIFT * np.minimum(lag, SETTLED)) & (leaps[frames[1:]] | hidden)
+    return np.split(frames, np.flatnonzero(cuts) + 1)
 
 
 def meet(one: Piece | Fault, other: Piece | Fault) -> bool:
