@@ -68,9 +68,8 @@ def _closed(carried: list[Carried], take: Take) -> list[tuple[Carried, ...]]:
                 continue
             if two.marker == one.piece.marker:
                 closed.append((one, two))
-            for three in carried:
-                if three.piece.marker == two.marker and three.marker == one.piece.marker and _together(one.piece, three.piece):
-                    closed.append((one, two, three))
+            ends = [each for each in carried if each.piece.marker == two.marker and each.marker == one.piece.marker]
+            closed += [(one, two, three) for three in ends if _together(one.piece, three.piece)]
     return closed
 
 
@@ -97,8 +96,8 @@ def _swap(ring: tuple[Carried, ...], smooth: np.ndarray, take: Take) -> Fault:
 def _stretched(first: int, last: int, seen: np.ndarray, smooth: np.ndarray) -> tuple[int, int]:
     """-> the frames around first..last over which none of the labels (T, N) leaps or comes out of a gap."""
     goes_on = seen[1:] & seen[:-1] & smooth[1:]
-    backward = (goes_on | ~seen[:-1]).all(1) & seen[:-1].any(1)
-    forward = (goes_on | ~seen[1:]).all(1) & seen[1:].any(1)
+    backward = np.all(goes_on | ~seen[:-1], axis=1) & seen[:-1].any(1)
+    forward = np.all(goes_on | ~seen[1:], axis=1) & seen[1:].any(1)
     while first > 0 and backward[first - 1]:
         first -= 1
     while last < len(seen) - 1 and forward[last]:
