@@ -17,6 +17,8 @@ Kind = Literal[
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
 REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "straight", "ghost")
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
+PLACES: tuple[Kind, ...] = ("moved", "drift")
+MENDED = ("gap", *REPLACED, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing
 SURE = 0.6  # confidence from which on labels are changed
 
 
