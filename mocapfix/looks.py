@@ -5,7 +5,7 @@ search sees, so they go on until nothing new is found.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,8 +84,8 @@ def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
 
 def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:
     """-> the take after a look at the solved body; None where that shows nothing new."""
-    more: list[Fault] = []
-    new = [fault for fault in more if stands(fault) and not any(_same(fault, old) for old in looked.faults.items)]
+    known = looked.faults.items
+    new = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, old) for old in known)]
     if not new:
         return None
     swaps = [fault for fault in new if fault.kind in LABELS]
@@ -94,6 +94,23 @@ def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stand
         return Looked(looked.take, looked.labels, looked.samples.with_more(strays))
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
     return Looked(take, labels, judged(take, worn_set, stands).with_more(strays))
+
+
+def off_body(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
+    """-> what does not fit the solved body, by the take's own markers; of exchanged labels only what is sure, and of a burst
+    of jitter nothing, for that is known."""
+    believed, heard = (parts.take.worn(body.columns, parts.split(mask)) for mask in (looked.believed.seen, looked.heard))
+    found = detect.second_look.found(believed, heard.seen, body.worn, body.motion)
+    whose = [parts.marker[column] if column >= 0 else -1 for column in body.columns]
+    more = [replace(f, marker=int(whose[f.marker]), others=tuple(int(whose[m]) for m in f.others)) for f in found]
+    known = looked.samples.of("jitter")
+    return [
+        fault
+        for fault in more
+        if -1 not in fault.markers
+        and not (fault.kind in LABELS and fault.confidence < SURE)
+        and not any(fault.meets(burst) for burst in known)
+    ]
 
 
 def _idle(fault: Fault) -> bool:

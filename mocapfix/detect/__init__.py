@@ -2,13 +2,27 @@
 
 from dataclasses import dataclass
 
-from mocapfix.detect import fragments, gaps, ghosts, jitter, mislabelled, moved, noise, segments, spikes, straight, stuck, swaps
+from mocapfix.detect import (
+    fragments,
+    gaps,
+    ghosts,
+    jitter,
+    mislabelled,
+    moved,
+    noise,
+    second_look,
+    segments,
+    spikes,
+    straight,
+    stuck,
+    swaps,
+)
 from mocapfix.detect.pieces import namesakes
 from mocapfix.faults import Faults, over
 from mocapfix.marker_set import MarkerSet
 from mocapfix.take import Take
 
-__all__ = ["DetectOptions", "faults", "fragments", "mislabelled", "namesakes", "swaps"]
+__all__ = ["DetectOptions", "faults", "fragments", "mislabelled", "namesakes", "second_look", "swaps"]
 
 
 @dataclass(frozen=True)
