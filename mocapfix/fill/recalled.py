@@ -19,6 +19,7 @@ WORTH = 0.01  # metres: a gap that is known better all through is no matter for 
 TELLS = 0.03  # metres: what another way has filled so surely tells of others as though it were seen
 RARE = 0.05  # a marker seen in a smaller part of the frames is hardly known
 FEWEST, ASKED = 8, 4  # moments to learn from, and markers told, without which there is nothing to go by
+ENOUGH = 0.5  # of the moments that show what is lost: with fewer left to learn from, a marker told is no help
 EACH = 36  # markers that say together what the units below are made for
 MOMENT = 0.067  # seconds before and after, over which speeds are measured
 PLACED, MOVING = 0.9, 20.0  # metres, metres a second: the differences that count as one, all markers taken together
@@ -26,7 +27,6 @@ UPRIGHT, HEIGHT = 0.5, 0.5  # likewise of the up vector; metres
 SPEED, SPIN = 5.0, 20.0  # metres a second, radians a second, of the trunk
 LIKENESS = Likeness(smooth=0.25, like=1.2, time=0.02, again=2.0, together=1.2, noise=3e-5)
 TREMBLE = 0.001  # metres: what a single sample cannot tell
-DOUBT = 1.3  # by how much it errs more than it has tried: where markers are lost, people do what they do not do elsewhere
 
 
 def recalled(markers: np.ndarray, others: np.ndarray, sure: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -47,8 +47,9 @@ def recalled(markers: np.ndarray, others: np.ndarray, sure: np.ndarray, rate: fl
     turn, origin, placed = aligned(np.where(known[..., None], np.where(seen[..., None], markers, others), np.nan))
     own = inside(np.where(seen[..., None], markers, others), origin, turn)
     for (first, last), lost in gaps.items():
-        told = np.setdiff1d(np.flatnonzero(known[first : last + 1].all(0)), lost)
-        learn = chosen(placed & known[:, told].all(1) & seen[:, lost].all(1), first, last, rate)
+        shown = placed & seen[:, lost].all(1)
+        told = heard(known[shown], np.setdiff1d(np.flatnonzero(known[first : last + 1].all(0)), lost))
+        learn = chosen(shown & known[:, told].all(1), first, last, rate)
         gap = np.flatnonzero(placed[first : last + 1]) + first
         if len(learn) < FEWEST or len(told) < ASKED or not len(gap):
             continue
@@ -57,13 +58,20 @@ def recalled(markers: np.ndarray, others: np.ndarray, sure: np.ndarray, rate: fl
         power = np.fmax(course.missed((last - first + 1) / rate), course.power).reshape(-1, 3).mean(1)
         at = np.ix_(gap, lost)
         filled[at] = np.einsum("tab,tmb->tma", turn[gap], place.reshape(len(gap), -1, 3)) + origin[gap, None]
-        deviation[at] = np.hypot(DOUBT * np.sqrt(left[:, None] * power), TREMBLE)
+        deviation[at] = np.sqrt(left[:, None] * power + TREMBLE**2)
     return filled, deviation
 
 
 def unsure(sure: np.ndarray, first: int, last: int, lost: np.ndarray) -> np.ndarray:
     """-> of the markers `lost` over first..last, those that are not known well enough (T, M) all through."""
     return lost[~(sure[first : last + 1, lost] < WORTH).all(0)]
+
+
+def heard(known: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """-> as many of the markers `told` as are known (N, M) all together in ENOUGH of the frames, those known most often first."""
+    often = told[np.argsort(-known[:, told].sum(0), kind="stable")]
+    together = np.logical_and.accumulate(known[:, often], axis=1).sum(0)
+    return np.sort(often[together >= ENOUGH * len(known)])
 
 
 def process(

@@ -14,7 +14,7 @@ LONGEST = 0.5  # seconds: longer gaps are no matter for splines
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
-ALIKE = 0.3  # correlation of the errors of two estimates of one sample
+ALIKE = 0.5  # correlation of the errors of two estimates of one sample
 SAME = 0.9  # likewise of the widest view and all others, for where it is asked, they guess from the same markers
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
@@ -33,8 +33,8 @@ def trajectories(take: Take, believed: np.ndarray, body: Estimate | None = None)
     if believed.all():
         return np.full(markers.shape, np.nan), np.full(believed.shape, np.nan)
     near = weighed(estimates(markers, take.rate, body))
-    wide = grounded(recalled(markers, *near, take.rate), markers, take.rate)
-    return weighed([near, wide], SAME)
+    place, sure = grounded(recalled(markers, *near, take.rate), markers, take.rate)
+    return weighed([near, (place, sure * share_unseen(believed))], SAME)
 
 
 def estimates(markers: np.ndarray, rate: float, body: Estimate | None) -> Iterator[Estimate]:

@@ -50,7 +50,8 @@ def lost_joints(
         turns = np.concatenate([2 * quaternions.of_joint(solved, j, ~gone[:, j])[learn] for j in lost], axis=1)
         course = learnt(turns, *given)
         expected, left = course.expected(asked, gap / rate)
-        lively = (len(learn) * course.power.reshape(-1, 4).sum(axis=1) / 3 + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
+        power = np.fmax(course.missed((last - first + 1) / rate), course.power).reshape(-1, 4).sum(axis=1) / 3
+        lively = (len(learn) * power + BELIEVED * LIVELY) / (len(learn) + BELIEVED)
         leaves_open = DOUBT * left[:, None] * lively
         if people and leaves_open.max() > SURE**2:
             said = people.turns(solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
