@@ -19,6 +19,7 @@ from mocapfix.scenes import PRIOR, START, STARTS
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
 MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
+SubjectFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 
 
@@ -57,29 +58,33 @@ def demo(
 
 def inspect(
     take: OneTake,
+    marker_set: MarkerSetName = None,
+    subject: SubjectFile = None,
     as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
 ) -> int:
-    """Say what is wrong with a take: gaps, spikes, jitter. Nothing is written."""
-    from mocapfix import detect, marker_set, read, record
+    """Say what is wrong with a take: all that clean would find. Nothing is written."""
+    from mocapfix import marker_set as sets
+    from mocapfix import pipeline, record
 
-    found = read.take(take)
-    faults, choice = detect.faults(found), marker_set.choose(found.labels)
+    with staged(take.name) as progress:
+        found, looked, worn = pipeline.inspected(take, marker_set, subject, progress)
     said = {
-        "take": record.of_take(found, choice.marker_set.name if choice.marker_set else None),
-        "faults": record.of_faults(found, faults),
-        "notes": [choice.reason],
+        "take": record.of_take(found, worn.name if worn else None),
+        "faults": record.of_faults(found, looked.faults),
+        "notes": [sets.fit(worn, found.labels) if worn else sets.choose(found.labels).reason],
     }
     if as_json:
         sys.stdout.write(json.dumps(said, indent=1) + "\n")
         return DONE
     first, last = found.first_frame, found.frame_number(found.frames - 1)
     size = f"{len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz"
-    out.print(f"{escape(found.name)}: {size}. {escape(choice.reason)}", soft_wrap=True)
-    table = Table("marker", "kind", "frames", "severity, mm", "reason")
+    out.print(f"{escape(found.name)}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
+    table = Table("marker", "kind", "frames", "severity, mm", "sure", "reason")
     for fault in said["faults"]:
         severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
         where = f"{fault['first']}-{fault['last']}"
-        table.add_row(escape(fault["marker"]), fault["kind"], where, severity, escape(fault["reason"]))
+        sure = f"{fault['confidence']:.0%}"
+        table.add_row(escape(fault["marker"]), fault["kind"], where, severity, sure, escape(fault["reason"]))
     if said["faults"]:
         out.print(table)
     else:
@@ -118,9 +123,7 @@ def clean(
         Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")
     ] = None,
     marker_set: MarkerSetName = None,
-    subject: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")
-    ] = None,
+    subject: SubjectFile = None,
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = PRIOR,
     prior_scale: Annotated[
         float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
@@ -135,9 +138,16 @@ def clean(
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
     ] = ":",
+    only: Annotated[
+        str, tyro.conf.arg(metavar="KIND,...", help="the only kinds of fault that are mended: gap, spike, swap, ...")
+    ] = "",
+    changes: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions")
+    ] = None,
 ) -> int:
-    """Clean takes: faults found, gaps filled, spikes mended; a C3D, a BVH, a report and a recording written."""
+    """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
     from mocapfix import pipeline
+    from mocapfix.faults import MENDED
     from mocapfix.fill import FillOptions
     from mocapfix.result import check_free
 
@@ -147,8 +157,11 @@ def clean(
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
     if not 0 < prior_scale < float("inf"):
         raise SystemExit(usage(f"--prior-scale must be more than 0 and finite, not {prior_scale:g}."))
-    labels = tuple(label.strip() for label in keep.split(",") if label.strip())
-    options = FillOptions(max_gap=max_gap, keep=labels, frames=between(frames))
+    if changes and len(takes) > 1:
+        raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
+    if strange := [kind for kind in listed(only) if kind not in MENDED]:
+        raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
+    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames))
     reports, written = [], set()
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")
@@ -158,7 +171,8 @@ def clean(
             check_free(where, take.stem, overwrite, take)
             with staged(take.name) as progress:
                 given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
-                result = pipeline.clean(take, **given, init=init, options=options, progress=progress)
+                given |= {"init": init, "only": listed(only), "changes": changes}
+                result = pipeline.clean(take, **given, options=options, progress=progress)
                 outputs = result.write(where, overwrite, progress)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
@@ -217,9 +231,10 @@ def main(arguments: list[str] | None = None) -> None:
 def tell(report: dict, outputs: dict[str, Path]) -> None:
     """Print what a cleaning did, in a few lines."""
     fill, take = report["fill"], report["take"]
+    relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
     out.print(
         f"[bold]{escape(take['file'])}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
-        f"{fill['mended']} faulty ones mended; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
+        f"{fill['mended']} faulty ones mended{relabelled}; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
         soft_wrap=True,
     )
     if report["solve"]:
@@ -235,6 +250,11 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
         out.print(f"  {escape(note)}", soft_wrap=True)
     folder = outputs["c3d"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
+
+
+def listed(names: str) -> tuple[str, ...]:
+    """-> the names in a list with commas."""
+    return tuple(name.strip() for name in names.split(",") if name.strip())
 
 
 def between(frames: str) -> tuple[int, int] | None:

@@ -10,7 +10,7 @@ Progress = Callable[[str], None]
 
 @dataclass
 class Clock:
-    """Seconds per stage, with their total, told as the stages go by."""
+    """Seconds per stage, with their total, told as the stages go by; a stage that comes again is counted on."""
 
     seconds: dict[str, float] = field(default_factory=dict)
     progress: Progress | None = None
@@ -21,5 +21,5 @@ class Clock:
             self.progress(stage)
         start = perf_counter()
         yield
-        self.seconds[stage] = round(perf_counter() - start, 3)
+        self.seconds[stage] = round(self.seconds.get(stage, 0.0) + perf_counter() - start, 3)
         self.seconds["total"] = round(sum(v for k, v in self.seconds.items() if k != "total"), 3)

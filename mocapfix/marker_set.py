@@ -105,13 +105,18 @@ def choose(labels: Sequence[str]) -> Choice:
     sets = {each.name: (each, each.match(labels)) for each in shipped()}
     fitting = [(each, found) for each, found in sets.values() if not each.lack(found)]
     if fitting:
-        best, found = max(fitting, key=lambda pair: len(pair[1]))
-        return Choice(best, f"{best.title}: {len(found)} of its {len(best.labels)} markers were found.")
+        best, _ = max(fitting, key=lambda pair: len(pair[1]))
+        return Choice(best, fit(best, labels))
     nearest, found = max(sets.values(), key=lambda pair: len(pair[1]))
     why = f"nearest came {nearest.name} with {len(found)} of its {len(nearest.labels)} markers, but {nearest.lack(found)}"
     if not found:
         why = f"none of them is in any set ({', '.join(sets)})"
     return Choice(None, f"No marker set fits the labels {_listed(labels)}: {why}.")
+
+
+def fit(worn: MarkerSet, labels: Sequence[str]) -> str:
+    """-> a sentence on how many of a set's markers are among a take's labels."""
+    return f"{worn.title}: {len(worn.match(labels))} of its {len(worn.labels)} markers were found."
 
 
 def _listed(names: Sequence[str], most: int = 12) -> str:

@@ -2,17 +2,20 @@
 
 take     file, frames, first_frame, rate_hz, markers, marker_set (null where none fits), labels
 faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
-         no second edge), reason
+         no second edge), confidence, reason
+changes  a list, as the changes file holds it (see mocapfix.changes): what was done, interval by interval
 subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
 solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
          deviation per axis), start (the way to each frame's first pose), prior (null, or name, scale: what could be asked of
          lost limbs), iterations_mean, status (sentence: frames)
-fill     missing_before, filled, mended (doubted samples replaced), left_empty, left (a list: marker, first, last, reason)
+fill     missing_before, filled, mended (doubted samples replaced), relabelled (samples that were another label's),
+         left_empty, left (a list: marker, first, last, reason)
 seconds  per stage, and total
 notes    sentences on anything else a technician should know
 """
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -41,10 +44,11 @@ def of_faults(take: Take, faults: Faults) -> list[dict]:
     return [
         {
             "kind": fault.kind,
-            "marker": take.labels[fault.marker],
+            "marker": take.label(fault.marker),
             "first": take.frame_number(fault.first),
             "last": take.frame_number(fault.last),
             "severity_m": None if np.isnan(fault.severity) else round(fault.severity, 5),
+            "confidence": round(fault.confidence, 3),
             "reason": fault.reason,
         }
         for fault in faults.items
@@ -93,14 +97,18 @@ def _spread(error: np.ndarray) -> dict:
     return {"mean": round(float(known.mean()), 3), "p95": round(float(np.percentile(known, 95)), 3)}
 
 
-def of_fill(before: Take, after: Take, left: tuple[Left, ...]) -> dict:
-    """-> the record's `fill`."""
+def of_fill(before: Take, after: Take, left: tuple[Left, ...], donors: Sequence[int] = ()) -> dict:
+    """-> the record's `fill`; `donors` are markers whose labels only name pieces of others, and which do not count."""
+    counts = np.ones(len(before.labels), bool)
+    counts[list(donors)] = False
     changed = after.seen & before.seen & (after.markers != before.markers).any(-1)
+    estimated = np.zeros(before.seen.shape, bool) if after.deviation is None else ~np.isnan(after.deviation)
     return {
-        "missing_before": int((~before.seen).sum()),
-        "filled": int((after.seen & ~before.seen).sum()),
-        "mended": int(changed.sum()),
-        "left_empty": int((~after.seen).sum()),
+        "missing_before": int((~before.seen & counts).sum()),
+        "filled": int((after.seen & ~before.seen & counts).sum()),
+        "mended": int((changed & estimated & counts).sum()),
+        "relabelled": int((changed & ~estimated & counts).sum()),
+        "left_empty": int((~after.seen & counts).sum()),
         "left": [
             {
                 "marker": before.labels[each.marker],
@@ -109,5 +117,6 @@ def of_fill(before: Take, after: Take, left: tuple[Left, ...]) -> dict:
                 "reason": each.reason,
             }
             for each in left
+            if counts[each.marker]
         ],
     }

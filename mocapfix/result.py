@@ -8,7 +8,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from mocapfix import record, subject_file
+from mocapfix import change_file, record, subject_file
+from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
@@ -17,7 +18,7 @@ from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-KINDS = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+KINDS = ("c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd")
 OF_BODY = ("bvh", "subject.yaml")
 
 
@@ -25,16 +26,18 @@ OF_BODY = ("bvh", "subject.yaml")
 class Result:
     """A cleaned take and everything known of it.
 
-    before   the take as it was read;  take  as it was mended
-    faults   what was wrong;  left  what stays empty, and why
+    before   the take as it was read;  labelled  the same with its labels put right;  take  as it was mended
+    faults   what was wrong;  changes  what was done about it;  left  what stays empty, and why
     subject  the person, motion their poses: None where no marker set fits
     joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
     report   the record, as the JSON report holds it (see mocapfix.record)
     """
 
     before: Take
+    labelled: Take
     take: Take
     faults: Faults
+    changes: tuple[Change, ...]
     left: tuple[Left, ...]
     subject: Subject | None
     motion: Motion | None
@@ -84,6 +87,7 @@ class Result:
         with clock("show"):
             show.comparison(outputs["rrd"], *shown)
             show.report(outputs["report.html"], report, *shown)
+        change_file.save(outputs["changes.yaml"], self.before, self.changes)
         outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 

@@ -20,6 +20,8 @@ class Take:
     others     labels of the file's points that are no markers: model outputs and unlabelled points
     unlabelled  the unlabelled points' trajectories as a take of their own, None where there are none
     deviation  (T, M) metres: predicted standard deviation of the samples that mocapfix put there, NaN elsewhere
+    computed   (T, M) bool: samples that no camera saw: by their residual words a program like this one put them there
+    source     (T, M) the file's point that each sample came from, where labels were changed; None: each from its own
     """
 
     markers: np.ndarray
@@ -32,6 +34,8 @@ class Take:
     others: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
     deviation: np.ndarray | None = None
+    computed: np.ndarray | None = None
+    source: np.ndarray | None = None
 
     @property
     def frames(self) -> int:
@@ -51,6 +55,17 @@ class Take:
         """The labels without subject prefixes: "Jim:LFHD" is LFHD."""
         return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
 
+    @property
+    def measured(self) -> np.ndarray:
+        """(T, M) bool: is the sample there, and did cameras see it?"""
+        return self.seen if self.computed is None else self.seen & ~self.computed
+
+    def label(self, index: int) -> str:
+        """A marker's label or, from their number on, that of an unlabelled trajectory."""
+        if index < len(self.labels) or self.unlabelled is None:
+            return self.labels[index]
+        return self.unlabelled.labels[index - len(self.labels)]
+
     def frame_number(self, index: int) -> int:
         """The file's own number of the frame at `index`."""
         return self.first_frame + int(index)
@@ -63,6 +78,28 @@ class Take:
         markers[:, there] = kept[:, columns[there]]
         labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
         return Take(markers, labels, self.rate, self.first_frame, self.path)
+
+    def only(self, believed: np.ndarray) -> "Take":
+        """The same take with the samples `believed` (T, M) alone, NaN elsewhere."""
+        return replace(self, markers=np.where(believed[..., None], self.markers, np.nan))
+
+    def exchanged(self, ring: tuple[int, ...], first: int, last: int) -> "Take":
+        """-> over first..last the samples that are under each next marker's label of the ring (of the first, for the last)
+        put under its own; they change places and nothing else. For two, twice is not at all, bit for bit."""
+        frames, own, carrier = slice(first, last + 1), list(ring), list(ring[1:] + ring[:1])
+        given = {"markers": self.markers, "deviation": self.deviation, "computed": self.computed, "source": self.sources}
+        changed = {name: each.copy() for name, each in given.items() if each is not None}
+        for each in changed.values():
+            each[frames, own] = each[frames, carrier]
+        return replace(self, **changed)
+
+    @property
+    def sources(self) -> np.ndarray:
+        """(T, M) the file's point that each sample came from."""
+        if self.source is not None:
+            return self.source
+        own = self.columns if len(self.columns) else np.arange(len(self.labels))
+        return np.tile(own, (self.frames, 1))
 
     def with_markers(self, markers: np.ndarray, deviation: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""

@@ -13,7 +13,7 @@ from mocapfix.cli import between
 from tests.c3d_files import c3d_bytes
 from tests.conftest import as_c3d
 
-KINDS = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
+KINDS = ("c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd")
 
 
 def flat(text):

@@ -41,11 +41,15 @@ def test_the_take(worn):
     }
 
 
+def sure(reason):
+    return {"confidence": 1.0, "reason": reason}
+
+
 def test_faults_in_the_files_own_frame_numbers():
     items = (Fault("gap", 0, 1, 2, 0.0123456, "Hidden."), Fault("absent", 2, 0, 5, NAN, "Never seen."))
     assert plain(record.of_faults(take(), Faults(items))) == [
-        {"kind": "gap", "marker": "Jim:LFHD", "first": 102, "last": 103, "severity_m": 0.01235, "reason": "Hidden."},
-        {"kind": "absent", "marker": "C7", "first": 101, "last": 106, "severity_m": None, "reason": "Never seen."},
+        {"kind": "gap", "marker": "Jim:LFHD", "first": 102, "last": 103, "severity_m": 0.01235} | sure("Hidden."),
+        {"kind": "absent", "marker": "C7", "first": 101, "last": 106, "severity_m": None} | sure("Never seen."),
     ]
 
 
@@ -108,11 +112,15 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
     markers[0, 1] = 3.0  # mended
     markers[5, 1] = NAN  # a doubted sample that nothing could replace
     left = (Left(0, 2, 2, "too far"), Left(1, 5, 5, "unsure"), Left(2, 0, 5, "never seen"))
-    said = plain(record.of_fill(before, before.with_markers(markers), left))
+    deviation = np.full((6, 3), NAN)
+    deviation[[1, 0], [0, 1]] = 0.001
+    markers[3, 1] = 4.0  # another label's sample
+    said = plain(record.of_fill(before, before.with_markers(markers, deviation), left))
     assert said == {
         "missing_before": 8,
         "filled": 1,
         "mended": 1,
+        "relabelled": 1,
         "left_empty": 8,
         "left": [
             {"marker": "Jim:LFHD", "first": 103, "last": 103, "reason": "too far"},

@@ -65,3 +65,46 @@ def test_runs_make_up_the_mask_and_none_touches_the_next(drawn):
         again[first : last + 1] = True
     np.testing.assert_array_equal(again, mask)
     assert all(after[0] > before[1] + 1 for before, after in pairwise(found))
+
+
+rings = st.tuples(st.permutations(range(5)), st.sampled_from([2, 3]), st.integers(0, 40), st.integers(0, 40))
+
+
+@given(st.lists(rings, max_size=4))
+def test_what_is_exchanged_back_is_the_take_bit_for_bit(drawn):
+    rng = np.random.default_rng(0)
+    markers, deviation, computed = rng.normal(size=(41, 5, 3)), rng.random((41, 5)), rng.random((41, 5)) < 0.1
+    markers[rng.random((41, 5)) < 0.3] = np.nan
+    take = Take(markers, tuple("ABCDE"), 100.0, columns=np.array([3, 1, 8, 9, 0]), deviation=deviation, computed=computed)
+    done, again = [(tuple(order[:size]), min(a, b), max(a, b)) for order, size, a, b in drawn], take
+    for ring, first, last in done:
+        again = again.exchanged(ring, first, last)
+    for ring, first, last in reversed(done):
+        again = again.exchanged(ring[::-1], first, last)
+    for name in ("markers", "deviation", "computed", "sources"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(take, name))
+    for ring, first, last in [each for each in done if len(each[0]) == 2][:1]:
+        twice = take.exchanged(ring, first, last).exchanged(ring, first, last)
+        np.testing.assert_array_equal(twice.markers, markers)
+
+
+def test_a_ring_puts_each_sample_under_its_own_label(take):
+    three = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, columns=np.array([4, 5, 6]))
+    back = three.exchanged((0, 2, 1), 0, 0)  # the sample of a is under c's label, c's under b's, b's under a's
+    np.testing.assert_array_equal(back.markers[0], three.markers[0, [2, 0, 1]])
+    np.testing.assert_array_equal(back.sources[0], [6, 4, 5])
+    assert three.source is None
+
+
+def test_what_a_program_put_there_was_not_measured(take):
+    computed = np.zeros((4, 2), bool)
+    computed[0, 0] = computed[1, 0] = True  # the latter is not there at all
+    np.testing.assert_array_equal(
+        Take(take.markers, take.labels, 1.0, computed=computed).measured[:2], [[False, True], [False, True]]
+    )
+
+
+def test_unlabelled_trajectories_are_counted_on_from_the_labels(take):
+    loose = Take(take.markers, ("*1", "*2"), 1.0)
+    both = Take(take.markers, take.labels, 1.0, unlabelled=loose)
+    assert [both.label(i) for i in range(4)] == [*take.labels, "*1", "*2"]

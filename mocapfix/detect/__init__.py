@@ -1,10 +1,13 @@
-"""What is wrong with a take, told from each marker's trajectory alone."""
+"""What is wrong with a take, told from its trajectories alone: first whose they are, then what is wrong with each."""
 
 from dataclasses import dataclass
 
-from mocapfix.detect import gaps, jitter, spikes
-from mocapfix.faults import Faults
+from mocapfix.detect import fragments, gaps, ghosts, jitter, moved, spikes, straight, stuck, swaps
+from mocapfix.detect.pieces import namesakes
+from mocapfix.faults import Faults, over
 from mocapfix.take import Take
+
+__all__ = ["DetectOptions", "faults", "fragments", "namesakes", "swaps"]
 
 
 @dataclass(frozen=True)
@@ -24,10 +27,17 @@ class DetectOptions:
 
 
 def faults(take: Take, options: DetectOptions = DetectOptions()) -> Faults:
-    """-> gaps, spikes and bursts of jitter, ordered by marker and first frame; a spike within a burst is part of the burst."""
-    off = spikes.found(take, options.smallest_spike, options.longest_spike)
-    smooth = Faults(tuple(off)).believed(take)
-    bursts = jitter.found(take, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
-    trembling = Faults(tuple(bursts)).doubted(take)
-    lone = [spike for spike in off if not trembling[spike.first : spike.last + 1, spike.marker].all()]
-    return Faults(tuple(sorted(gaps.found(take) + lone + bursts, key=lambda fault: (fault.marker, fault.first))))
+    """-> what is wrong with the samples under each label, ordered by marker and first frame; labels must be right by then.
+
+    What a program put there was not measured and is not judged; a spike within a burst of jitter is part of the burst.
+    """
+    measured = take.only(take.measured)
+    off = spikes.found(measured, options.smallest_spike, options.longest_spike)
+    held = stuck.found(measured) + straight.found(measured)
+    smooth = Faults((*off, *held)).believed(measured)
+    bursts = jitter.found(measured, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
+    trembling = over(bursts, take.seen.shape)
+    lone = [spike for spike in off if not trembling[spike.frames, spike.marker].all()]
+    found = Faults((*gaps.found(take), *lone, *held, *bursts))
+    found = found.with_more(ghosts.found(measured.only(found.believed(measured))))
+    return found.with_more(moved.found(measured.only(found.believed(measured))))

@@ -11,7 +11,8 @@ import numpy as np
 from mocapfix.detect.courses import AGREES, course
 from mocapfix.detect.fingerprints import Fingerprints
 from mocapfix.detect.pieces import Piece, meet, pieces
-from mocapfix.detect.verdicts import Fragment, Match, continues, double, other, short, summed_up
+from mocapfix.detect.verdicts import Match, continues, double, other, short, summed_up
+from mocapfix.faults import Fragment
 from mocapfix.take import Take
 
 NONE = 20.0  # the cost at which a piece may as well be none of the markers

@@ -6,14 +6,13 @@ nothing. What lasts no longer than a spike is one. A place that moves with the s
 for there the marker itself may have been moved. Swaps are to be undone first, or both labels look like ghosts.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocapfix.detect import continuity, distances
 from mocapfix.detect.continuity import own_leaps
 from mocapfix.detect.distances import Distances, own_contradictions
 from mocapfix.detect.exchanges import NEVER, SMOOTH, TELLING, cheapest
+from mocapfix.faults import Fault
 from mocapfix.take import Take, runs
 
 MOST = 0.8  # of the take in which a marker is where it should: more than for swaps, for a pose that is rare is no ghost
@@ -23,24 +22,7 @@ LEAST_GAIN = 1.0  # leaps: what explains less is none
 JUDGES = 3  # steadiest partners, the median of whose distances says how far off it is
 
 
-@dataclass(frozen=True)
-class Ghost:
-    """One label's samples over first..last (indices into the take, inclusive) that are not its marker's, nor any other's.
-
-    severity    metres by which the distances to its segment are wrong, the median
-    confidence  0..1
-    reason      one sentence for a technician
-    """
-
-    marker: int
-    first: int
-    last: int
-    severity: float
-    confidence: float
-    reason: str
-
-
-def found(take: Take, smallest: float = 0.03, longest_spike: float = 0.05) -> list[Ghost]:
+def found(take: Take, smallest: float = 0.03, longest_spike: float = 0.05) -> list[Fault]:
     """-> the ghosts, by marker and first frame: off by at least `smallest` metres and longer than `longest_spike` seconds."""
     if take.frames < 2 or not take.labels:
         return []
@@ -81,8 +63,8 @@ def _misplaced(markers: np.ndarray, known: Distances, marker: int) -> tuple[floa
     return float(np.median(np.abs(error).max(1))), float(error.std(0).max())
 
 
-def _ghost(take: Take, marker: int, first: int, last: int, error: float, gain: float, stays: bool) -> Ghost:
+def _ghost(take: Take, marker: int, first: int, last: int, error: float, gain: float, stays: bool) -> Fault:
     label, frames = take.bare_labels[marker], last - first + 1
     where = f"{label} is {error * 1e3:.0f} mm off its segment for {frames / take.rate:.2f} s ({frames} frames)"
     reason = f"{where}, where no marker is{'' if stays else ', and comes back'}."
-    return Ghost(marker, first, last, error, float(1 - np.exp(-gain)), reason)
+    return Fault("ghost", marker, first, last, error, reason, float(1 - np.exp(-gain)))

@@ -14,6 +14,7 @@ from mocapfix.detect import changes
 from mocapfix.detect.changes import Change
 from mocapfix.detect.neighbours import looseness
 from mocapfix.detect.places import Place, near, path_among, place
+from mocapfix.faults import Moved
 from mocapfix.take import Take
 
 PACE = 10.0  # Hz: so many frames a second are looked at
@@ -26,25 +27,6 @@ SLOW = 5.0  # seconds: how long a marker slides at least, and half of what must 
 TOGETHER = 1.0  # seconds: what goes to and fro faster is no matter for slides
 SLOWLY_SURE = 5.5  # times what else is left, in means over that: how large a slide is at least
 MOST = 12  # changes in a take: with more, what was taken for segments is not rigid, and nothing is sure
-
-
-@dataclass(frozen=True)
-class Moved:
-    """One marker that from `first` on is elsewhere on its segment (indices, inclusive), to the end of the take.
-
-    settled     the frame from which it is at its new place: `first` where it was knocked, later where it slides
-    severity    metres: how far the new place is from the old one
-    confidence  0..1
-    reason      one sentence for a technician
-    """
-
-    marker: int
-    first: int
-    last: int
-    settled: int
-    severity: float
-    confidence: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -139,4 +121,6 @@ def _fault(take: Take, marker: int, seen: _Seen, neighbours: np.ndarray) -> Move
     how = f"slides {size * 1e3:.0f} mm in {seconds:.0f} s" if seconds else f"is knocked by {size * 1e3:.0f} mm"
     others = ", ".join(take.bare_labels[m] for m in neighbours)
     reason = f"{label} {how} and stays there, as {others} tell, which keep their distances."
-    return Moved(marker, seen.first, take.frames - 1, seen.settled, size, seen.sure / (1 + seen.sure), reason)
+    sure = seen.sure / (1 + seen.sure)
+    kind = "drift" if seconds else "moved"
+    return Moved(kind, marker, seen.first, take.frames - 1, size, reason, sure, settled=seen.settled)

@@ -55,7 +55,7 @@ def namesakes(take: Take) -> dict[int, int]:
     for m in np.argsort(-seen, kind="stable"):
         first.setdefault(take.labels[m], int(m))
     bases = [take.labels[m] if first[take.labels[m]] != m else _base(take.labels[m]) for m in range(len(take.labels))]
-    return {m: first[base] for m, base in enumerate(bases) if base in first and seen[m]}
+    return {m: first[base] for m, base in enumerate(bases) if base in first}
 
 
 def _base(label: str) -> str | None:

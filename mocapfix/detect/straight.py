@@ -6,11 +6,11 @@ longer stretch to tell, and of a marker at rest nothing can be told.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from mocapfix.detect.exactness import between, last_digit, misses, stretches
+from mocapfix.faults import Fault
 from mocapfix.take import Take
 
 NAMES = {1: "line", 2: "parabola", 3: "cubic"}
@@ -24,26 +24,7 @@ SURER = 8.0  # times the last digit: what the polynomial misses the others there
 WAY = 100.0  # times the last digit: what a marker goes at least, or it stands rather than goes straight
 
 
-@dataclass(frozen=True)
-class Straight:
-    """One marker's samples first..last (indices, inclusive) that were computed, not measured.
-
-    degree      of the polynomial they lie on: 1 a line, 2 a parabola, 3 a cubic
-    severity    metres: by how much such a polynomial misses the marker's measured samples thereabouts, over a stretch as long
-    confidence  0..1
-    reason      one sentence for a technician
-    """
-
-    marker: int
-    first: int
-    last: int
-    degree: int
-    severity: float
-    confidence: float
-    reason: str
-
-
-def found(take: Take, shortest: float = 0.1) -> list[Straight]:
+def found(take: Take, shortest: float = 0.1) -> list[Fault]:
     """-> exactly straight stretches of `shortest` seconds or longer, without the samples that they join, by marker and frame."""
     digit = last_digit(take.markers)
     faults = []
@@ -55,7 +36,7 @@ def found(take: Take, shortest: float = 0.1) -> list[Straight]:
     return _apart(faults)
 
 
-def _of_marker(take: Take, marker: int, degree: int, length: int, digit: float) -> Iterator[Straight]:
+def _of_marker(take: Take, marker: int, degree: int, length: int, digit: float) -> Iterator[Fault]:
     path = take.markers[:, marker]
     for first, last in stretches(path, degree, length, digit):
         if np.ptp(path[first : last + 1], axis=0).max() > WAY * digit:
@@ -65,7 +46,7 @@ def _of_marker(take: Take, marker: int, degree: int, length: int, digit: float) 
                 seconds, name = (last - first + 1) / take.rate, take.bare_labels[marker]
                 why = f"{name} lies on an exact {NAMES[degree]} for {seconds:.2f} s, as other programs fill gaps"
                 reason = f"{why}; what was measured thereabouts is {usual * 1e3:.2g} mm off one."
-                yield Straight(marker, first, last, degree, usual, 1 - digit / usual, reason)
+                yield Fault("straight", marker, first, last, usual, reason, 1 - digit / usual)
 
 
 def _telling(markers: np.ndarray, degree: int, digit: float, length: int) -> int:
@@ -91,11 +72,11 @@ def _usual(path: np.ndarray, degree: int, first: int, last: int, about: int) -> 
     return float(np.quantile(missed, BESIDE)) if len(missed) else np.inf
 
 
-def _apart(faults: list[Straight]) -> list[Straight]:
+def _apart(faults: list[Fault]) -> list[Fault]:
     """-> the longest of those that overlap, by marker and first frame; of two as long, the one of the lower degree."""
     told: dict[int, set[int]] = {}
     kept = []
-    for fault in sorted(faults, key=lambda fault: (fault.first - fault.last, fault.degree)):
+    for fault in sorted(faults, key=lambda fault: fault.first - fault.last):
         frames = range(fault.first, fault.last + 1)
         known = told.setdefault(fault.marker, set())
         if 2 * len(known.intersection(frames)) < len(frames):

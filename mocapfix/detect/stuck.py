@@ -4,12 +4,11 @@ Held means to the last digit of a 32-bit float. In a file of coarse integers a b
 the markers that keep their distance to it rest with it, to a few of these integers.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocapfix.detect.exactness import float_digit, last_digit, stretches
 from mocapfix.detect.neighbours import looseness
+from mocapfix.faults import Fault
 from mocapfix.take import Take
 
 ASKED = 3  # of the neighbours seen meanwhile, those that keep their distance to the marker best
@@ -17,24 +16,7 @@ FEWEST = 4  # samples
 REST = 50.0  # times the last digit of what the file shows: what the neighbours of a marker at rest may go
 
 
-@dataclass(frozen=True)
-class Stuck:
-    """One marker's samples first..last (indices, inclusive) that hold one value.
-
-    severity    metres: how far its neighbours have gone meanwhile
-    confidence  0..1
-    reason      one sentence for a technician
-    """
-
-    marker: int
-    first: int
-    last: int
-    severity: float
-    confidence: float
-    reason: str
-
-
-def found(take: Take, shortest: float = 0.1, smallest: float = 0.002) -> list[Stuck]:
+def found(take: Take, shortest: float = 0.1, smallest: float = 0.002) -> list[Fault]:
     """-> every stretch of `shortest` seconds or longer in which a marker is held while its neighbours go `smallest` metres or
     farther, by marker and first frame."""
     digit, length = float_digit(take.markers), max(FEWEST, round(shortest * take.rate))
@@ -58,9 +40,9 @@ def _gone(markers: np.ndarray) -> np.ndarray:
     return np.nanmax(np.linalg.norm(near - began, axis=-1), axis=0)
 
 
-def _fault(take: Take, marker: int, first: int, last: int, gone: np.ndarray, smallest: float) -> Stuck:
+def _fault(take: Take, marker: int, first: int, last: int, gone: np.ndarray, smallest: float) -> Fault:
     first += int(first > 0 and take.seen[first - 1, marker])  # the value that is held was measured
     severity, seconds = float(np.median(gone)), (last - first + 1) / take.rate
     meanwhile = f"while the markers about it go {severity * 1e3:.0f} mm"
     reason = f"{take.bare_labels[marker]} is held at one value for {seconds:.2f} s {meanwhile}."
-    return Stuck(marker, first, last, severity, 1 - smallest / (smallest + float(gone.min())), reason)
+    return Fault("stuck", marker, first, last, severity, reason, 1 - smallest / (smallest + float(gone.min())))

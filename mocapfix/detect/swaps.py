@@ -6,66 +6,31 @@ leap to see, or the take ends before the labels are put right. Whichever part th
 else the shorter is the likelier: what cannot be told is found with little confidence and is left as it is.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from mocapfix.detect import continuity, distances
 from mocapfix.detect.candidates import groups
 from mocapfix.detect.exchanges import Exchange, within
+from mocapfix.faults import SURE, Fault
 from mocapfix.take import Take
 
 LOOKS = 5  # at the take: what one look puts right lets the next learn the distances better
-SURE = 0.6  # confidence from which on a swap is undone
 LEAST_GAIN = 0.7  # leaps: an exchange that explains less is none
 
 
-@dataclass(frozen=True)
-class Swap:
-    """Labels exchanged over the frames first..last (indices into the take, inclusive).
-
-    markers     two or three: the samples of each marker are under the label of the next, the last's under that of the first
-    severity    metres: how far the labels' samples lie from where they should, the median
-    confidence  0..1
-    reason      one sentence for a technician
-    """
-
-    markers: tuple[int, ...]
-    first: int
-    last: int
-    severity: float
-    confidence: float
-    reason: str
-
-
-def found(take: Take) -> list[Swap]:
+def found(take: Take) -> list[Fault]:
     """-> the swaps of a take, in the order in which they are to be undone."""
-    swaps: list[Swap] = []
+    swaps: list[Fault] = []
     for _ in range(LOOKS):
-        rest = undone(take, swaps)
-        new = [_swap(rest, exchange) for exchange in _exchanges(rest)]
-        new = [swap for swap in new if not any(_overlap(swap, old) and set(swap.markers) & set(old.markers) for old in swaps)]
+        new = [_swap(take, exchange) for exchange in _exchanges(take)]
+        new = [swap for swap in new if not any(swap.meets(old) for old in swaps)]
         swaps += new
+        for swap in new:
+            if swap.confidence >= SURE:
+                take = take.exchanged(swap.markers, swap.first, swap.last)
         if not any(swap.confidence >= SURE for swap in new):
             break
     return swaps
-
-
-def undone(take: Take, swaps: list[Swap]) -> Take:
-    """-> the take with every swap that is sure put right, one after the other; samples change places and nothing else.
-
-    Undoing a swap of two twice is undoing nothing, bit for bit; a ring of three is put back by the ring in reverse.
-    """
-    markers = take.markers.copy()
-    deviation = None if take.deviation is None else take.deviation.copy()
-    for swap in swaps:
-        if swap.confidence < SURE:
-            continue
-        frames, own, carrier = slice(swap.first, swap.last + 1), list(swap.markers), list(swap.markers[1:] + swap.markers[:1])
-        markers[frames, own] = markers[frames, carrier]
-        if deviation is not None:
-            deviation[frames, own] = deviation[frames, carrier]
-    return replace(take, markers=markers, deviation=deviation)
 
 
 def _exchanges(take: Take) -> list[Exchange]:
@@ -81,11 +46,11 @@ def _exchanges(take: Take) -> list[Exchange]:
     return sorted(chosen, key=lambda each: each.first)
 
 
-def _overlap(one: Exchange | Swap, other: Exchange | Swap) -> bool:
+def _overlap(one: Exchange, other: Exchange) -> bool:
     return one.first <= other.last and other.first <= one.last
 
 
-def _swap(take: Take, exchange: Exchange) -> Swap:
+def _swap(take: Take, exchange: Exchange) -> Fault:
     ring, (first, last) = exchange.ring, (exchange.first, exchange.last)
     apart = _apart(take.markers[first : last + 1], ring)
     share = (last - first + 1) / (take.frames + 1)
@@ -98,7 +63,7 @@ def _swap(take: Take, exchange: Exchange) -> Swap:
         reason = f"{labels[0]} and {labels[1]} have exchanged their labels {time}: their samples lie {far}."
     else:
         reason = f"{', '.join(labels)} and again {labels[0]} each follow the one before {time}: their samples lie {far}."
-    return Swap(ring, first, last, apart, confidence, reason)
+    return Fault("swap", ring[0], first, last, apart, reason, confidence, ring[1:])
 
 
 def _apart(points: np.ndarray, ring: tuple[int, ...]) -> float:

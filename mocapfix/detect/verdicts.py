@@ -9,38 +9,14 @@ import numpy as np
 
 from mocapfix.detect.courses import AGREES, smoother
 from mocapfix.detect.pieces import Piece
+from mocapfix.faults import Fragment
 from mocapfix.take import Take
 
 STILL = 0.005  # metres: what does not move at all moves no more
 RIDES = 0.015  # metres: by which the distances of what rides on the body to its nearest markers vary
 LONG = 0.25  # seconds: what is seen for less shows too little of how it moves
 
-Kind = Literal["continues", "replaces", "doubles", "other"]
-
-
-@dataclass(frozen=True)
-class Fragment:
-    """What one piece of a trajectory is.
-
-    kind        "continues" a marker that is missing then; "doubles" one that is seen as well; "replaces" one, being its
-                double and the smoother of both; "other": none of the markers
-    donor       index into the take's labels or, from their number on, into those of its unlabelled trajectories
-    marker      index of the marker it belongs to; -1 for none
-    first, last indices into the take, inclusive; several pieces in a row that are none of the markers are told as one
-    severity    metres: how far its distances to the marker's neighbours are from the usual, or how far it lies from its
-                double; NaN where that is not known
-    confidence  0..1
-    reason      one sentence
-    """
-
-    kind: Kind
-    donor: int
-    marker: int
-    first: int
-    last: int
-    severity: float
-    confidence: float
-    reason: str
+Relation = Literal["continues", "replaces", "doubles", "other"]
 
 
 @dataclass(frozen=True)
@@ -84,29 +60,29 @@ def other(piece: Piece, weighed: Sequence[Match], odds: float, take: Take) -> Fr
     else:
         why = f"none is missing meanwhile; {_nature(piece, take)}"
     reason = f"{_donor(piece, take)} continues no marker in its {_long(piece, take)}: {why}."
-    return _fragment("other", piece, -1, np.nan, confidence, reason)
+    return _fragment("other", piece, piece.donor, np.nan, confidence, reason)
 
 
 def double(piece: Piece, marker: int, off: float, take: Take) -> Fragment:
     """-> a piece that lies, by the median, `off` metres beside a marker that is seen as well."""
     reason = f"{_donor(piece, take)} is {take.bare_labels[marker]} a second time for {_long(piece, take)}, {_mm(off)} beside it"
     better = smoother(piece, take.markers[:, marker], take.rate)
-    kind, end = ("replaces", ", and leads on more smoothly before and after.") if better else ("doubles", ".")
-    return _fragment(kind, piece, marker, off, 1 - 0.5 * off / AGREES, reason + end)
+    relation, end = ("replaces", ", and leads on more smoothly before and after.") if better else ("doubles", ".")
+    return _fragment(relation, piece, marker, off, 1 - 0.5 * off / AGREES, reason + end)
 
 
 def short(piece: Piece, take: Take) -> Fragment:
     """-> a piece that shows too little."""
     reason = f"{_donor(piece, take)} is seen for {_long(piece, take)}, too short to tell of what."
-    return _fragment("other", piece, -1, np.nan, 0.5, reason)
+    return _fragment("other", piece, piece.donor, np.nan, 0.5, reason)
 
 
 def summed_up(fragments: Sequence[Fragment]) -> list[Fragment]:
     """-> the fragments, those of one donor in a row that are none of the markers as one, by the longest one's reason."""
     told = []
-    for (kind, _), group in groupby(fragments, key=lambda fragment: (fragment.kind, fragment.donor)):
+    for (relation, _), group in groupby(fragments, key=lambda fragment: (fragment.relation, fragment.donor)):
         each = list(group)
-        if kind == "other" and len(each) > 1:
+        if relation == "other" and len(each) > 1:
             longest = max(each, key=lambda fragment: fragment.last - fragment.first)
             reason = f"{longest.reason[:-1]}; so with its {len(each)} pieces in a row."
             each = [replace(longest, first=each[0].first, last=each[-1].last, reason=reason)]
@@ -127,8 +103,9 @@ def _nature(piece: Piece, take: Take) -> str:
     return "it moves by itself"
 
 
-def _fragment(kind: Kind, piece: Piece, marker: int, severity: float, confidence: float, reason: str) -> Fragment:
-    return Fragment(kind, piece.donor, marker, int(piece.frames[0]), int(piece.frames[-1]), severity, confidence, reason)
+def _fragment(relation: Relation, piece: Piece, marker: int, severity: float, confidence: float, reason: str) -> Fragment:
+    first, last = int(piece.frames[0]), int(piece.frames[-1])
+    return Fragment("fragment", marker, first, last, severity, reason, confidence, donor=piece.donor, relation=relation)
 
 
 def _donor(piece: Piece, take: Take) -> str:

@@ -10,13 +10,15 @@ from mocapfix.files import replacing
 from mocapfix.take import Take
 
 # The largest coordinate that a 16-bit word holds, and that a float word holds without reading as Cortex's 9999999.
+GONE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual of what is not there
 LARGEST_COUNT, LARGEST_FLOAT = 32_767, 8_999_999
 
 
 def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
     """Write `before`'s file to `target` with the markers of `after`; -> (frame, marker) indices that could not be stored.
 
-    A sample that differs gets its new coordinates and its predicted standard deviation (`after.deviation`; 1 where it
+    A sample that came from another label, or from an unlabelled point, brings all of its words with it, bit for bit. Any other
+    that differs gets its new coordinates and its predicted standard deviation (`after.deviation`; 1 where it
     has none) as residual, in counts clamped to 1..255, camera mask 0. One that is gone gets coordinates 0 and residual -1;
     so does one that an integer file cannot hold, for the file is never rescaled. Every other byte stays as it is
     (C3D User Guide, "The 3D Data Section").
@@ -26,9 +28,16 @@ def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
     """
     target = Path(target)
     layout, data = _original(target, before)
-    frames, markers = np.nonzero(_changed(before.markers, after.markers))
+    own, words = before.sources, layout.words(data)
+    came = after.seen & (after.sources != own) & (np.isnan(after.deviation) if after.deviation is not None else True)
+    frames, markers = np.nonzero(_changed(before.markers, after.markers) & ~came)
     samples, stored = _samples(layout, after, frames, markers)
-    layout.words(data)[frames, before.columns[markers]] = _encoded(layout, samples)
+    brought = words[np.nonzero(came)[0], after.sources[came]]
+    words[frames, before.columns[markers]] = _encoded(layout, samples)
+    words[np.nonzero(came)[0], before.columns[np.nonzero(came)[1]]] = brought
+    if before.unlabelled is not None and after.unlabelled is not None:
+        given, points = np.nonzero(before.unlabelled.seen & ~after.unlabelled.seen)
+        words[given, before.unlabelled.columns[points]] = _encoded(layout, np.tile(GONE, (len(given), 1)))
     with replacing(target) as part:
         part.write_bytes(data)
     lost = ~stored & ~np.isnan(after.markers[frames, markers]).any(-1)
@@ -64,7 +73,7 @@ def _samples(layout: C3DLayout, after: Take, frames: np.ndarray, markers: np.nda
     deviation = np.full(len(frames), np.nan) if after.deviation is None else after.deviation[frames, markers]
     residual = np.clip(np.nan_to_num(np.rint(deviation / layout.unit / layout.scale), nan=1.0), 1, 255)
     samples = np.c_[counts, residual]
-    samples[~stored] = (0, 0, 0, -1)
+    samples[~stored] = GONE
     return samples, stored
 
 

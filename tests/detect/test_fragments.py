@@ -40,14 +40,14 @@ def cut(take, *intervals):
 
 def told(take):
     """-> kind, marker's label ("" for none), first and last frame of every fragment."""
-    return [(f.kind, take.labels[f.marker] if f.marker >= 0 else "", f.first, f.last) for f in fragments.found(take)]
+    return [(f.relation, take.labels[f.marker] if f.marker != f.donor else "", f.first, f.last) for f in fragments.found(take)]
 
 
 @given(marker=st.integers(0, 40), first=st.integers(0, 300), length=st.integers(6, 150))
 def test_a_marker_that_goes_on_unlabelled_is_found_again(marker, first, length):
     take, last = whole(), first + length - 1
     (fragment,) = fragments.found(cut(take, (take.labels[marker], first, last)))
-    assert (fragment.kind, fragment.marker, fragment.first, fragment.last) == ("continues", marker, first, last)
+    assert (fragment.relation, fragment.marker, fragment.first, fragment.last) == ("continues", marker, first, last)
     assert fragment.donor == len(take.labels)
     assert fragment.confidence > 0.9
 
@@ -94,7 +94,7 @@ def test_a_marker_seen_twice_is_no_fragment():
     take, path = whole(), np.full((720, 3), np.nan)
     path[100:200] = take.markers[100:200, take.labels.index("LTOE")] + [0.004, 0.0, 0.0]
     (fragment,) = fragments.found(take_of(take, [path]))
-    assert (fragment.kind, take.labels[fragment.marker]) == ("doubles", "LTOE")
+    assert (fragment.relation, take.labels[fragment.marker]) == ("doubles", "LTOE")
     assert fragment.severity == pytest.approx(0.004)
     assert fragment.reason == "*0 is LTOE a second time for 0.83 s, 4 mm beside it."
 
@@ -115,7 +115,7 @@ def test_what_continues_nothing_is_told_apart():
     glint = np.full((720, 3), np.nan)
     glint[[50, 90, 130]] = 1.0
     found = fragments.found(take_of(take, [still, head, alone, glint]))
-    assert [(f.kind, f.donor - len(take.labels)) for f in found] == [("other", i) for i in range(4)]
+    assert [(f.relation, f.donor - len(take.labels)) for f in found] == [("other", i) for i in range(4)]
     told = ["it stands still.", "it rides on the body with ", "it moves by itself.", "so with its 3 pieces in a row."]
     assert [f.reason for f, words in zip(found, told, strict=True) if words not in f.reason] == []
     assert (found[3].first, found[3].last) == (50, 130)
@@ -126,7 +126,7 @@ def test_a_ghost_is_not_joined_to_what_is_missing():
     lost = cut(take, ("RFIN", 200, 400))
     ghost = lost.unlabelled.markers[:, 0] + [0.0, 0.1, 0.0]
     (fragment,) = fragments.found(take_of(lost, [ghost]))
-    assert fragment.kind == "other"
+    assert fragment.relation == "other"
     assert "the likeliest of those missing meanwhile is RFIN, and it is " in fragment.reason
 
 
@@ -137,7 +137,7 @@ def test_of_two_who_fit_alike_neither_is_chosen():
     take = Take(place + np.sin(t * [1.0, 2.0, 3.0]) + rng.normal(0, 0.0005, (600, 5, 3)), tuple("ABCDE"), 120.0)
     lost = cut(take, ("D", 200, 400), ("E", 200, 400))
     (fragment,) = fragments.found(take_of(lost, [lost.unlabelled.markers[:, 0]]))
-    assert fragment.kind == "other"
+    assert fragment.relation == "other"
     assert fragment.reason.endswith(": D and E are missing meanwhile, and it may be either.")
 
 
@@ -180,7 +180,7 @@ def test_a_captures_fragment_is_its_markers():
     take = read.take(CAPTURES / "cmu" / "01_01.c3d")
     (fragment,) = fragments.found(take)
     assert take.labels[fragment.donor] == "RBAC-1"
-    assert (fragment.kind, take.labels[fragment.marker], fragment.first, fragment.last) == ("replaces", "RBAC", 120, 127)
+    assert (fragment.relation, take.labels[fragment.marker], fragment.first, fragment.last) == ("replaces", "RBAC", 120, 127)
 
 
 @with_captures
@@ -188,5 +188,5 @@ def test_a_captures_other_markers_continue_none():
     take = read.take(CAPTURES / "c3d" / "Movement_trial.c3d")
     found = fragments.found(take)
     assert {f.donor for f in found} == set(range(39, 81))  # each of the 42 is accounted for
-    assert {f.kind for f in found} == {"other", "doubles"}
+    assert {f.relation for f in found} == {"other", "doubles"}
     assert sum("rides on the body" in f.reason for f in found) >= 36

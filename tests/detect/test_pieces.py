@@ -50,7 +50,7 @@ def test_whose_name_a_label_bears():
 
 def test_of_one_label_twice_the_longer_is_the_marker():
     take = take_of("LELB", "LELB", "LELB", seen={0: 20, 2: 0})
-    assert namesakes(take) == {0: 1}
+    assert namesakes(take) == {0: 1, 2: 1}
     assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in pieces(take)] == [(0, 1, 20)]
 
 

@@ -1,0 +1,143 @@
+"""The changes file: every change to a take as YAML, for somebody to decide on and give back."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, Field
+
+from mocapfix.changes import Change, Decision, State, concerned
+from mocapfix.errors import SceneError
+from mocapfix.faults import MISSING, PLACES, Fault
+from mocapfix.files import replacing
+from mocapfix.marker_set import checked
+from mocapfix.take import Take
+
+HEADER = """\
+# What mocapfix changed in a take, interval by interval; frames are the file's own, inclusive.
+# To take something back, set its decision and clean the take again with --changes and this file:
+#   accept  it is made
+#   reject  it is not made: its samples stay as they were, and nothing else differs
+#   keep    it is not made, and what was measured there is believed: the body follows it
+"""
+
+
+@dataclass(frozen=True)
+class Decided:
+    """A change that somebody decided not to accept: what it was, and the decision; indices into the take."""
+
+    change: dict
+    markers: tuple[int, ...]
+    first: int
+    last: int
+    decision: Decision
+
+    def about(self, fault: Fault) -> bool:
+        """Is it this fault that was decided upon?"""
+        return fault.kind == self.change["kind"] and fault.marker == self.markers[0] and self._meets(fault)
+
+    def as_change(self) -> Change:
+        """-> the change as it was, with the decision, for the record of a cleaning that did not make it."""
+        before = State(**self.change["before"])
+        return Change(
+            **{**self.change, "markers": tuple(self.change["markers"]), "before": before, "after": before, "samples": 0}
+        )
+
+    def _meets(self, fault: Fault) -> bool:
+        return fault.first <= self.last and self.first <= fault.last
+
+
+def save(path: str | Path, take: Take, changes: Sequence[Change]) -> None:
+    """Write the changes of a take. Raises WriteError where the folder cannot be written, and then leaves what was there."""
+    said = {"take": take.name, "frames": [take.first_frame, take.frame_number(take.frames - 1)], "changes": plain(changes)}
+    text = yaml.dump(said, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+    with replacing(Path(path)) as part:
+        part.write_text(HEADER + text, encoding="utf-8", newline="\n")
+
+
+def plain(changes: Sequence[Change]) -> list[dict]:
+    """-> the changes as plain data, as the record and the file hold them."""
+    return [{**asdict(change), "markers": list(change.markers)} for change in changes]
+
+
+def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
+    """-> what of the changes in a file that `save` wrote somebody decided not to accept.
+
+    Raises SceneError with the file and the path of the wrong key, also where the file is about another take.
+    """
+    form = checked(_Form, Path(path))
+    first, last = take.first_frame, take.frame_number(take.frames - 1)
+    if list(form.frames) != [first, last]:
+        raise SceneError(
+            f"{path}: frames: is about frames {form.frames[0]} to {form.frames[1]}; {take.name} has {first} to {last}."
+        )
+    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    known = {}
+    for index in reversed(range(count)):
+        known[take.label(index)] = index
+    decided = []
+    for n, each in enumerate(form.changes):
+        if strange := [label for label in each.markers if label not in known]:
+            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {', '.join(strange)}.")
+        if not first <= each.first <= each.last <= last:
+            raise SceneError(f"{path}: changes.{n}: frames {each.first} to {each.last} are not in {take.name}.")
+        if each.decision != "accept":
+            markers = tuple(known[label] for label in each.markers)
+            decided.append(Decided(each.model_dump(), markers, each.first - first, each.last - first, each.decision))
+    return tuple(decided)
+
+
+def vouched(take: Take, decided: tuple[Decided, ...]) -> Callable[[Fault], bool]:
+    """-> whether a fault may be one, for all that somebody decided: none that touches what is kept as measured, and no
+    marker has moved that is said not to have."""
+    count = len(take.labels)
+    kept = np.zeros((take.frames, count), bool)
+    for each in decided:
+        if each.decision == "keep" and each.change["kind"] not in (*MISSING, *PLACES):
+            kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
+
+    def stands(fault: Fault) -> bool:
+        if fault.kind in PLACES:
+            return not any(each.about(fault) for each in decided)
+        return not kept[fault.frames][:, concerned(fault, count)].any()
+
+    return stands
+
+
+class _Dumper(yaml.SafeDumper):
+    """Short lists in one line."""
+
+
+def _listed(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not any(isinstance(each, dict) for each in data))
+
+
+_Dumper.add_representer(list, _listed)
+
+
+class _StateForm(BaseModel, extra="forbid"):
+    missing: int
+    off_body_mm: float | None
+
+
+class _ChangeForm(BaseModel, extra="forbid"):
+    id: str
+    kind: str
+    markers: list[str] = Field(min_length=1)
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: _StateForm
+    after: _StateForm
+    predicted_mm: float | None
+    decision: Decision
+
+
+class _Form(BaseModel, extra="forbid"):
+    take: str
+    frames: list[int]
+    changes: list[_ChangeForm]

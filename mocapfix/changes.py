@@ -1,0 +1,120 @@
+"""Changes: what was done to a take, interval by interval, and what somebody decides of it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from mocapfix.faults import LABELS, Fault, Fragment, Moved
+from mocapfix.take import Take
+
+Decision = Literal["accept", "reject", "keep"]
+
+
+@dataclass(frozen=True)
+class State:
+    """An interval's samples at one time: how many are missing, and how far, by the median, the others lie from where the solved
+    body has the marker, in millimetres (None where nobody knows)."""
+
+    missing: int
+    off_body_mm: float | None
+
+
+@dataclass(frozen=True)
+class Change:
+    """One interval of one marker, or of several whose labels it is about, and what was done there.
+
+    id         names it in the record, the same whenever the take is cleaned
+    markers    labels: the marker's, then the others' concerned, and the donor's of a fragment
+    first, last  the file's own frame numbers, inclusive
+    why        what was wrong, one sentence
+    samples    how many samples are other than they were
+    method     how it was mended
+    predicted_mm  root mean square of the predicted error, a distance; None where nothing was estimated
+    decision   "accept": it is made; "reject": it is not; "keep": it is not, and what was measured is believed
+    """
+
+    id: str
+    kind: str
+    markers: tuple[str, ...]
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: State
+    after: State
+    predicted_mm: float | None
+    decision: Decision = "accept"
+
+
+def concerned(fault: Fault, count: int) -> list[int]:
+    """-> of a take's `count` markers those whose samples a fault is about."""
+    donor = (fault.donor,) if isinstance(fault, Fragment) else ()
+    return list(dict.fromkeys(m for m in (*fault.markers, *donor) if m < count))
+
+
+def differs(before: Take, after: Take) -> np.ndarray:
+    """-> (T, M) bool: is the sample another one, or gone, or there, or did it come from elsewhere?"""
+    same = (before.markers == after.markers).all(-1) | ~before.seen & ~after.seen
+    return ~same | (before.sources != after.sources) & (before.seen | after.seen)
+
+
+def made(before: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None) -> list[tuple[Change, Fault]]:
+    """-> an entry for every fault of which something was made, in the order of the faults.
+
+    body  (T, M, 3) metres: where the solved body has the markers, NaN where it has none; None without one
+    """
+    changed, found, count, names = differs(before, after), [], len(before.labels), {}
+    for fault in faults:
+        frames, markers = np.arange(fault.first, fault.last + 1), concerned(fault, count)
+        where = np.ix_(frames, np.array(markers, int))
+        samples = int(changed[where].sum())
+        if not samples and not isinstance(fault, Moved):
+            continue
+        label, first = before.label(fault.marker), before.frame_number(fault.first)
+        name = f"{fault.kind}-{label}-{first}".replace(" ", "-")
+        names[name] = names.get(name, 0) + 1
+        change = Change(
+            id=name if names[name] == 1 else f"{name}-{names[name]}",
+            kind=fault.kind,
+            markers=tuple(before.label(m) for m in _named(fault)),
+            first=first,
+            last=before.frame_number(fault.last),
+            samples=samples,
+            why=fault.reason,
+            method=_method(fault, before),
+            before=_state(before, where, body),
+            after=_state(after, where, body),
+            predicted_mm=_predicted(after, where),
+        )
+        found.append((change, fault))
+    return found
+
+
+def _named(fault: Fault) -> tuple[int, ...]:
+    donor = (fault.donor,) if isinstance(fault, Fragment) else ()
+    return tuple(dict.fromkeys((*fault.markers, *donor)))
+
+
+def _method(fault: Fault, take: Take) -> str:
+    if fault.kind in LABELS:
+        return "labels exchanged back"
+    if isinstance(fault, Fragment):
+        return f"samples of {take.label(fault.donor)} taken over"
+    if isinstance(fault, Moved):
+        return "given its new place on the body; its samples stay as measured"
+    return "estimated"
+
+
+def _state(take: Take, where: tuple[np.ndarray, ...], body: np.ndarray | None) -> State:
+    off = np.full(1, np.nan) if body is None else np.linalg.norm(take.markers[where] - body[where], axis=-1)
+    known = off[~np.isnan(off)]
+    return State(int((~take.seen[where]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
+
+
+def _predicted(take: Take, where: tuple[np.ndarray, ...]) -> float | None:
+    deviation = np.zeros(0) if take.deviation is None else take.deviation[where]
+    known = deviation[~np.isnan(deviation)]
+    return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None

@@ -1,0 +1,97 @@
+"""Looking for what is wrong, and putting labels right as it is found: swaps before spikes, spikes before gaps.
+
+The first look is at the trajectories alone, the next ones at the body that was solved. What one repair uncovers the next
+search sees, so they go on until nothing new is found.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocapfix import detect, mend
+from mocapfix.faults import LABELS, SURE, Fault, Faults, Fragment
+from mocapfix.marker_set import MarkerSet
+from mocapfix.mend import Parts
+from mocapfix.solved import Solved
+from mocapfix.take import Take
+
+ROUNDS = 3  # at most
+Stands = Callable[[Fault], bool]  # may it be a fault, or does somebody vouch for the samples?
+
+
+@dataclass(frozen=True)
+class Looked:
+    """A take with its labels put right, and what was and is wrong with it.
+
+    labels   what was wrong with the labels, in the order in which it was put right
+    samples  what is wrong with what is under the right labels now
+    """
+
+    take: Take
+    labels: tuple[Fault, ...]
+    samples: Faults
+
+    @property
+    def faults(self) -> Faults:
+        return self.samples.with_more(self.labels)
+
+    @property
+    def believed(self) -> Take:
+        """The samples that were measured and are not judged faulty."""
+        return self.take.only(self.samples.believed(self.take) & self.take.measured)
+
+    @property
+    def donors(self) -> list[int]:
+        """The markers whose labels only name pieces of other markers: they are neither judged nor filled."""
+        return sorted(detect.namesakes(self.take))
+
+    @property
+    def heard(self) -> np.ndarray:
+        """(T, M) bool: the samples that the body listens to (see faults.Faults.heard)."""
+        return self.samples.heard(self.take) & self.take.measured
+
+
+def first(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Looked:
+    """-> the take after the first look. `stands` says whether a fault may be one."""
+    labels: list[Fault] = []
+    for _ in range(ROUNDS):
+        pieces = [fault for fault in detect.fragments.found(take) if stands(fault)]
+        joined = mend.fragments(take, pieces)
+        swaps = [
+            fault for fault in detect.swaps.found(joined.only(joined.measured)) if stands(fault) and fault.confidence >= SURE
+        ]
+        labels = [*(fault for fault in labels if not _idle(fault)), *pieces, *swaps]
+        take = mend.labels(joined, swaps)
+        if not swaps:
+            break
+    return Looked(take, tuple(labels), judged(take, stands))
+
+
+def judged(take: Take, stands: Stands) -> Faults:
+    """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged."""
+    donors, found = detect.namesakes(take), detect.faults(take).items
+    return Faults(tuple(fault for fault in found if fault.marker not in donors and stands(fault)))
+
+
+def again(looked: Looked, parts: Parts, body: Solved, stands: Stands) -> Looked | None:
+    """-> the take after a look at the solved body; None where that shows nothing new."""
+    more: list[Fault] = []
+    new = [fault for fault in more if stands(fault) and not any(_same(fault, old) for old in looked.faults.items)]
+    if not new:
+        return None
+    swaps = [fault for fault in new if fault.kind in LABELS]
+    strays = [fault for fault in new if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
+    if not swaps:
+        return Looked(looked.take, looked.labels, looked.samples.with_more(strays))
+    take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
+    return Looked(take, labels, judged(take, stands).with_more(strays))
+
+
+def _idle(fault: Fault) -> bool:
+    """Is it a piece of a trajectory that nothing came of, to be told of again?"""
+    return isinstance(fault, Fragment) and fault.relation in ("other", "doubles")
+
+
+def _same(one: Fault, other: Fault) -> bool:
+    return one.kind == other.kind and one.markers == other.markers and (one.first, one.last) == (other.first, other.last)
