@@ -20,6 +20,7 @@ TELLS = 0.03  # metres: what another way has filled so surely tells of others as
 RARE = 0.05  # a marker seen in a smaller part of the frames is hardly known
 FEWEST, ASKED = 8, 4  # moments to learn from, and markers told, without which there is nothing to go by
 ENOUGH = 0.5  # of the moments that show what is lost: with fewer left to learn from, a marker told is no help
+PIECE = 0.1  # seconds: no shorter piece of a gap is asked by itself
 EACH = 36  # markers that say together what the units below are made for
 MOMENT = 0.067  # seconds before and after, over which speeds are measured
 PLACED, MOVING = 0.9, 20.0  # metres, metres a second: the differences that count as one, all markers taken together
@@ -46,11 +47,17 @@ def recalled(markers: np.ndarray, others: np.ndarray, sure: np.ndarray, rate: fl
     known = common & (seen | (sure < TELLS))
     turn, origin, placed = aligned(np.where(known[..., None], np.where(seen[..., None], markers, others), np.nan))
     own = inside(np.where(seen[..., None], markers, others), origin, turn)
-    for (first, last), lost in gaps.items():
+    asked = list(gaps.items())
+    while asked:
+        (first, last), lost = asked.pop()
         shown = placed & seen[:, lost].all(1)
         told = heard(known[shown], np.setdiff1d(np.flatnonzero(known[first : last + 1].all(0)), lost))
         learn = chosen(shown & known[:, told].all(1), first, last, rate)
         gap = np.flatnonzero(placed[first : last + 1]) + first
+        if len(told) < ASKED and last - first > PIECE * rate:  # too many are lost at some time of a long gap
+            half = (first + last) // 2
+            asked += [((first, half), lost), ((half + 1, last), lost)]
+            continue
         if len(learn) < FEWEST or len(told) < ASKED or not len(gap):
             continue
         course = process(own, told, lost, turn, origin, learn, rate)

@@ -139,6 +139,15 @@ def test_turning_the_stage_turns_the_fill(turned):
     np.testing.assert_allclose(other_deviation, one_deviation, rtol=1e-6)
 
 
+def test_a_gap_through_which_no_three_others_are_seen_is_asked_piece_by_piece():
+    truth = walking()
+    damaged = truth.copy()
+    damaged[300:400, 13] = damaged[290:348, :6] = damaged[352:410, 6:12] = np.nan
+    filled, _ = given_nothing_else(damaged, RATE)
+    assert error(filled, truth, slice(300, 345), [13]) < 0.06
+    assert error(filled, truth, slice(355, 400), [13]) < 0.06
+
+
 def test_markers_are_told_as_long_as_half_the_moments_show_them_all():
     known = np.ones((100, 5), bool)
     known[:30, 1] = known[60:, 3] = known[20:25, 4] = False
