@@ -106,6 +106,8 @@ def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_
     assert status == 0
     assert {path.name for path in (tmp_path / "walk.1.mocapfix").iterdir()} == {f"walk.1.{kind}" for kind in KINDS}
     assert "walk.1.c3d: 40 samples were missing, 40 are filled; 1 faulty ones mended; 0 left empty." in flat(out)
+    assert "changed: 2 gaps and 1 spike." in flat(out)
+    assert "clean again: --changes" in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
     assert "walk.1.c3d: is there already; give --overwrite to replace it, or choose another place." in err

@@ -1,7 +1,7 @@
 """What the picture of a change shows: the markers' paths over the change's frames and half a second beside them.
 
 Paths are seen from the markers nearest by, which takes the body's own motion out of the picture; for a marker that moved on
-its segment there are its distances from them instead, which do not heed how the segment turns.
+its segment there are its distances from those that show it best instead, which do not heed how the segment turns.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from mocapfix.take import Take
 BESIDE = 0.5  # seconds before and after the change
 POINTS = 150  # of a path over the whole picture, and as many over the change alone, at most
 NEAR, FAR = 3, 0.6  # markers from which a picture is seen, and metres from them at most
+AMONG = 10  # near markers, of which those that show best that one moved are taken
 AGAIN = 2  # standard deviations to either side of a path: 95 in 100 lie between
 
 
@@ -47,10 +48,11 @@ class Curves:
 def of(cleaning: Cleaning, fault: Fault) -> Curves:
     """-> the paths of the markers that a fault is about, before and after."""
     frames, about = _frames(fault, cleaning.after), cleaning.concerned(fault)
-    beside = _beside(cleaning.after, about, frames)
+    near = _near(cleaning.after, about, frames)
+    if isinstance(fault, Moved) and near:
+        return _distances(cleaning.after, fault, frames, near[:AMONG])
+    beside = near[:NEAR]
     labels = tuple(cleaning.after.labels[m] for m in beside)
-    if isinstance(fault, Moved) and beside:
-        return _distances(cleaning.after, fault, frames, beside, labels)
     origin = cleaning.after.markers[frames][:, beside].mean(axis=1) if beside else np.zeros((len(frames), 3))
     paths: list[Curve] = []
     for rank, m in enumerate(about):
@@ -71,14 +73,15 @@ def _frames(fault: Fault, take: Take) -> np.ndarray:
     return np.unique(np.concatenate([np.linspace(begin, end, POINTS), inside]).round().astype(int))
 
 
-def _beside(take: Take, about: Sequence[int], frames: np.ndarray) -> list[int]:
-    """-> the markers nearest to the first one of `about` that are there in all of the frames; not those concerned."""
-    distance = np.linalg.norm(take.markers[frames] - _path(take, about[0])[frames][:, None], axis=-1)
-    distance[:, [m for m in about if m < len(take.labels)]] = np.inf
-    distance[:, ~take.seen[frames].all(axis=0)] = np.inf
-    known = distance[~np.isnan(distance).any(axis=1)]
-    middle = np.median(known, axis=0) if len(known) else np.full(len(take.labels), np.inf)
-    return [int(m) for m in np.argsort(middle)[:NEAR] if middle[m] < FAR]
+def _near(take: Take, about: Sequence[int], frames: np.ndarray) -> list[int]:
+    """-> the markers near the first one of `about` that are there whenever it is, the nearest first; none of `about`."""
+    path = _path(take, about[0])[frames]
+    there = ~np.isnan(path[:, 0])
+    if not there.any():
+        return []
+    middle = np.median(np.linalg.norm(take.markers[frames[there]] - path[there, None], axis=-1), axis=0)  # NaN where one is not
+    middle[[m for m in about if m < len(take.labels)]] = np.nan
+    return [int(m) for m in np.argsort(middle) if middle[m] < FAR]
 
 
 def _path(take: Take, index: int) -> np.ndarray:
@@ -112,9 +115,15 @@ def _where(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.where(mask[:, None], values, np.nan)
 
 
-def _distances(take: Take, fault: Moved, frames: np.ndarray, beside: Sequence[int], labels: tuple[str, ...]) -> Curves:
-    """-> how far a marker that moved is from its neighbours: at its old place, on the way, and at its new place."""
-    apart = 1e3 * np.linalg.norm(take.markers[frames][:, beside] - take.markers[frames, fault.marker][:, None], axis=-1)
+def _distances(take: Take, fault: Moved, frames: np.ndarray, near: Sequence[int]) -> Curves:
+    """-> how far a marker that moved is from the neighbours that show it best: at its old place, on the way, at its new one."""
+    apart = 1e3 * np.linalg.norm(take.markers[frames][:, near] - take.markers[frames, fault.marker][:, None], axis=-1)
     old, new = frames < fault.first, frames >= fault.settled
+    clear = np.zeros(len(near))
+    if (seen := ~np.isnan(apart[:, 0]))[old].any() and seen[new].any():
+        (was, scatter), (now, rest) = ((each.mean(axis=0), each.std(axis=0)) for each in (apart[old & seen], apart[new & seen]))
+        clear = abs(now - was) / (scatter + rest + 1e-9)
+    best = np.argsort(-clear, kind="stable")[:NEAR]
+    apart, strips = apart[:, best], tuple(take.bare_labels[near[n]] for n in best)
     paths = (Curve("was", _where(old, apart)), Curve("kept", _where(~old & ~new, apart)), Curve("now", _where(new, apart)))
-    return Curves(frames, labels, (), paths, np.full((*apart.shape, 2), np.nan))
+    return Curves(frames, strips, (), paths, np.full((*apart.shape, 2), np.nan))

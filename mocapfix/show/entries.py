@@ -7,7 +7,6 @@ from mocapfix.changes import Change
 from mocapfix.faults import Fault
 from mocapfix.show import curves
 from mocapfix.show.cleaning import Cleaning
-from mocapfix.show.curves import Curves
 from mocapfix.show.markup import LISTED, fold, frames, legend, more, table
 from mocapfix.show.pictures import picture
 from mocapfix.show.summary import number
@@ -21,7 +20,7 @@ COLOURS = (
     ("band", "where 95 in 100 are predicted to lie"),
     ("when", "the change"),
 )
-HEAD = ("Change", "Markers", "Frames", "Why", "Missing", "From the body, mm", "How", "Predicted error, mm", "Decision")
+HEAD = ("Change", "Markers", "Frames", "Why, and what was done", "Missing", "From body, mm", "Predicted, mm", "Decision")
 
 
 def pictures(cleaning: Cleaning) -> str:
@@ -40,8 +39,9 @@ def _figure(cleaning: Cleaning, change: Change, fault: Fault) -> str:
     shown = curves.of(cleaning, fault)
     drawn = picture(shown, fault.first, fault.last, cleaning.before.first_frame)
     name = f"{change.kind}: {', '.join(change.markers)}, {_frames(change)}."
-    words = [change.why, f"{change.method[:1].upper()}{change.method[1:]}{_surely(change)}.", _seen_from(shown)]
-    text = escape(" ".join(word for word in words if word))
+    surely = "" if change.predicted_mm is None else f" Predicted error {number(change.predicted_mm)} mm."
+    seen_from = f" Seen from {', '.join(shown.seen_from)}." if shown.seen_from else ""
+    text = escape(f"{_told(change)}{surely}{seen_from}")
     return f"<figure>{drawn}<figcaption><b>{escape(name)}</b> {text}</figcaption></figure>"
 
 
@@ -49,12 +49,9 @@ def _frames(change: Change) -> str:
     return f"frame{'s' if change.last > change.first else ''} {frames(change.first, change.last)}"
 
 
-def _surely(change: Change) -> str:
-    return "" if change.predicted_mm is None else f", predicted error {number(change.predicted_mm)} mm"
-
-
-def _seen_from(shown: Curves) -> str:
-    return f"Seen from {', '.join(shown.seen_from)}." if shown.seen_from else ""
+def _told(change: Change) -> str:
+    """-> why it was made, and how."""
+    return f"{change.why} {change.method[:1].upper()}{change.method[1:]}."
 
 
 def change_list(cleaning: Cleaning) -> str:
@@ -66,17 +63,16 @@ def change_list(cleaning: Cleaning) -> str:
             change.id,
             ", ".join(change.markers),
             frames(change.first, change.last),
-            change.why,
+            _told(change),
             _turned(change.before.missing, change.after.missing, 0),
             _turned(change.before.off_body_mm, change.after.off_body_mm, 1),
-            change.method,
-            number(change.predicted_mm),
+            number(change.predicted_mm) if change.predicted_mm is not None else "",
             change.decision,
         )
         for change in cleaning.changes[:LISTED]
     ]
     listed = fold("change", len(cleaning.changes), table(HEAD, rows) + more(len(cleaning.changes)))
-    return f"<h2>All changes</h2>{listed}{_taking_back(cleaning)}"
+    return f'<h2>All changes</h2><div class="entries">{listed}</div>{_taking_back(cleaning)}'
 
 
 def _turned(before: float | None, after: float | None, digits: int) -> str:

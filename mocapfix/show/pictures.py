@@ -10,8 +10,9 @@ from mocapfix.show.timeline import step
 from mocapfix.take import runs
 
 WIDTH, HEIGHT = 300, 180  # of the paths, in the picture's own units
-LEFT, RIGHT, BELOW = 26, 20, 14  # beside them, for what they are, how large, and frame numbers
+LEFT, RIGHT, BELOW = 40, 20, 14  # beside them, for what they are, how large, and frame numbers
 APART = 8  # between two strips
+LONGEST = 7  # letters of a strip's name, for which there is room
 LEAST = 10.0  # millimetres: a strip is at least so high, that stillness looks still
 
 
@@ -33,7 +34,7 @@ def picture(curves: Curves, first: int, last: int, start: int) -> str:
     order = sorted(curves.paths, key=lambda curve: ("was", "kept", "now").index(curve.kind))
     content += "".join(_path(curve, x, place(curve.values)) for curve in order)
     content += "".join(
-        f'<text x="-6" y="{top + (h - w) * scale / 2 + 3:.1f}" text-anchor="end">{escape(name)}</text>'
+        f'<text x="-6" y="{top + (h - w) * scale / 2 + 3:.1f}" text-anchor="end">{escape(name[:LONGEST])}</text>'
         for name, top, w, h in zip(curves.strips, tops, low, high, strict=True)
     )
     content += _scale_bar(scale) + _numbers(a, b, start + first, start + last)

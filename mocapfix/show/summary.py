@@ -26,13 +26,10 @@ def wrong(cleaning: Cleaning) -> str:
         text += _longest_gap(cleaning, faults)
     if none:
         donors = len({fault.donor for fault in none})
-        text += f" Of what bears no marker’s name, {_pieces(none)} {donors} trajector{'y' if donors == 1 else 'ies'}"
-        text += " continue no marker and stay as they are."
+        text += (
+            f" {donors:,} trajector{'y' if donors == 1 else 'ies'} without a marker’s name continue{'s' * (donors == 1)} none."
+        )
     return text
-
-
-def _pieces(faults: list[Fragment]) -> str:
-    return f"{len(faults):,} piece{'s' * (len(faults) > 1)} of"
 
 
 def _longest_gap(cleaning: Cleaning, faults: list[Fault]) -> str:
@@ -78,7 +75,7 @@ def _against(record: dict) -> str:
     against = Counter(change["decision"] for change in record["changes"])
     said = {"reject": "rejected", "keep": "kept as measured"}
     words = [f"{against[decision]:,} {word}" for decision, word in said.items() if against[decision]]
-    return f" By decision {listed(words)}." if words else ""
+    return f" Not made, by decision: {listed(words)}." if words else ""
 
 
 def left(record: dict, unchanged: list[Fault]) -> str:

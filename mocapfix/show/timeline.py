@@ -33,11 +33,12 @@ class _Bar(NamedTuple):
 def rows(cleaning: Cleaning) -> str:
     """-> HTML of the rows of bars, coloured by the group of the fault, outlined where it was left as it was.
 
-    A trajectory of which something was taken over has a row that says so; other unlabelled ones have none.
+    A trajectory of which something was taken over has a row that says so; of one that continues no marker there is none.
     """
     take, made = cleaning.before, {id(fault) for _, fault in cleaning.made}
+    idle = {id(fault) for fault in cleaning.unchanged if fault.kind == "fragment"}
     lanes: dict[int, list[_Bar]] = defaultdict(list)
-    for fault in cleaning.faults.items:
+    for fault in (fault for fault in cleaning.faults.items if id(fault) not in idle):
         for m in (m for m in fault.markers if m < len(take.labels)):
             lanes[m] += _bars(fault, cleaning.state[fault.frames, m], id(fault) in made)
     for donor, fragments in cleaning.donors.items():

@@ -65,13 +65,15 @@ def test_it_says_what_was_wrong_done_and_left(scene, tmp_path):
 def test_every_change_is_listed_with_the_files_frames_and_what_was_done(scene, tmp_path):
     text = page_of(scene, tmp_path).text.partition("All changes")[2]
     assert text.startswith(" 6 changes ")
-    assert "gap-M03-151 M03 151–200 M03 is not seen for 0.42 s. 50 → 0 – → 0.0 estimated 17.3 accept" in text
-    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. 300.0 → 0.0 estimated 17.3 accept" in text
-    assert "161–180 <b> is not seen. 20 → 10 – → 0.0 estimated 17.3 accept" in text
+    assert "gap-M03-151 M03 151–200 M03 is not seen for 0.42 s. Estimated. 50 → 0 – → 0.0 17.3 accept" in text
+    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. Estimated. 300.0 → 0.0 17.3 accept" in text
+    assert "161–180 <b> is not seen. Estimated. 20 → 10 – → 0.0 17.3 accept" in text
     assert "swap-M10-251 M10, M11 251–270 M10 and M11 have exchanged their labels." in text
-    assert "labels exchanged back – accept" in text
-    assert "M12, *1<i> 121–140 *1<i> goes on as M12. 20 → 0 – → 0.0 samples of *1<i> taken over – accept" in text
-    assert "moved-M20-311 M20 311–340 M20 is knocked by 30 mm. 30.0 → 30.0 given its new place" in text
+    apart = 1e3 * np.linalg.norm(scene.cleaning.after.markers[150, 10] - scene.cleaning.after.markers[150, 11])
+    assert f"Labels exchanged back. {apart:,.1f} → 0.0 accept" in text
+    assert "M12, *1<i> 121–140 *1<i> goes on as M12. Samples of *1<i> taken over. 20 → 0 – → 0.0 accept" in text
+    place = "Given its new place on the body; its samples stay as measured."
+    assert f"moved-M20-311 M20 311–340 M20 is knocked by 30 mm. {place} 30.0 → 30.0 accept" in text
 
 
 def test_how_somebody_takes_a_change_back_is_said(scene, tmp_path):
@@ -90,10 +92,10 @@ def test_a_change_that_somebody_rejected_has_neither_picture_nor_effect(scene, t
     decided = tuple(replace(each, decision="reject" if each.kind == "spike" else "accept") for each in scene.cleaning.changes)
     record = scene.record | {"changes": change_file.plain(decided)}
     page = page_of(scene, tmp_path, changes=decided, record=record)
-    assert "By decision 1 rejected." in page.text
+    assert "Not made, by decision: 1 rejected." in page.text
     assert len(page.of_class("svg", "change")) == 5
     assert "spike: M05" not in page.text
-    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. 300.0 → 0.0 estimated 17.3 reject" in page.text
+    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. Estimated. 300.0 → 0.0 17.3 reject" in page.text
 
 
 def test_bars_lie_where_the_faults_are(scene, tmp_path):
