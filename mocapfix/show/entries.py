@@ -1,10 +1,9 @@
 """The lists of the report page: every change with pictures of the worst ones, what was left as it was, what is empty."""
 
-from collections.abc import Iterable
 from html import escape
 
 from mocapfix.changes import Change
-from mocapfix.faults import Fault
+from mocapfix.faults import MISSING, Fault
 from mocapfix.show import curves
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.show.markup import LISTED, fold, frames, legend, more, table
@@ -51,7 +50,8 @@ def _frames(change: Change) -> str:
 
 def _told(change: Change) -> str:
     """-> why it was made, and how."""
-    return f"{change.why} {change.method[:1].upper()}{change.method[1:]}."
+    method = f"{change.method[:1].upper()}{change.method[1:]}" if change.decision == "accept" else "Not made"
+    return f"{change.why} {method}."
 
 
 def change_list(cleaning: Cleaning) -> str:
@@ -89,9 +89,9 @@ def _taking_back(cleaning: Cleaning) -> str:
     )
 
 
-def unchanged(cleaning: Cleaning, record: dict) -> str:
-    """What was found and left as it was."""
-    take, found = cleaning.before, cleaning.unchanged
+def unchanged(cleaning: Cleaning) -> str:
+    """What was found and kept as it was measured."""
+    take, found = cleaning.before, [fault for fault in cleaning.unchanged if fault.kind not in MISSING]
     if not found:
         return ""
     rows = [
@@ -101,22 +101,11 @@ def unchanged(cleaning: Cleaning, record: dict) -> str:
             frames(take.frame_number(fault.first), take.frame_number(fault.last)),
             number(1e3 * fault.severity, 0),
             fault.reason,
-            _why(fault, cleaning, record["fill"]["left"]),
         )
         for fault in found[:LISTED]
     ]
-    listed = table(("Kind", "Marker", "Frames", "mm", "What is wrong", "What became of it"), rows)
-    return f"<h2>Found, and left as it was</h2>{fold('fault', len(found), listed + more(len(found)))}"
-
-
-def _why(fault: Fault, cleaning: Cleaning, left: Iterable[dict]) -> str:
-    """-> what is there now: nothing, and why, or what was measured."""
-    take = cleaning.before
-    if fault.marker < len(take.labels) and not cleaning.after.seen[fault.frames, fault.marker].any():
-        first, last, label = take.frame_number(fault.first), take.frame_number(fault.last), take.labels[fault.marker]
-        why = [each["reason"] for each in left if each["marker"] == label and each["first"] <= last and each["last"] >= first]
-        return f"left empty: {why[0]}" if why and why[0] else "left empty"
-    return "kept as it was"
+    listed = table(("Kind", "Marker", "Frames", "mm", "What was found"), rows)
+    return f"<h2>Found, and kept as it was</h2>{fold('fault', len(found), listed + more(len(found)))}"
 
 
 def left_empty(record: dict) -> str:

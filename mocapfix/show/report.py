@@ -25,7 +25,7 @@ def report(target: Path, record: dict, cleaning: Cleaning) -> None:
         entries.pictures(cleaning),
         sections.time_line(cleaning),
         entries.left_empty(record),
-        entries.unchanged(cleaning, record),
+        entries.unchanged(cleaning),
         entries.change_list(cleaning),
         sections.residuals(record),
         sections.subject(record),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocapfix.changes import Change
-from mocapfix.faults import Fault
+from mocapfix.faults import MISSING, Fault
 from mocapfix.show.cleaning import Cleaning
 
 PICTURES = 12
@@ -21,6 +21,6 @@ def worst(cleaning: Cleaning) -> list[tuple[Change, Fault]]:
 
 def _weight(change: Change, fault: Fault, rate: float) -> float:
     """-> metre-seconds: for how long it lasts, how far off the samples were and how unsure they are now."""
-    off = 0.0 if np.isnan(fault.severity) else fault.severity
+    off = 0.0 if fault.kind in MISSING or np.isnan(fault.severity) else fault.severity
     unsure = (change.predicted_mm or 0.0) / 1e3
     return (fault.last - fault.first + 1) / rate * (off + unsure)
