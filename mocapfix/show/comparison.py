@@ -2,6 +2,7 @@
 
     world                 Y up, metres; the markers' names
       before              as the file labels them: grey, red where judged faulty, violet where under another's label
+      unlabelled          what bears no name in the file: grey, violet where it was put under a label
       after               grey where measured, green where mended, violet where put under their own label
       skeleton            one line from each joint to its parent
     state/LABEL           what became of the marker, for those with the most faults
@@ -12,6 +13,7 @@ Everything goes in as whole columns (a list of strips, or a call per frame, take
 a marker is a row without points, or rerun would go on showing the frame before.
 """
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -64,10 +66,9 @@ class _Columns:
         self.recording = recording
         self.seconds = np.arange(take.frames) / take.rate
         self.numbers = take.first_frame + np.arange(take.frames)
-        self.names = [
-            label if take.labels.count(label) == 1 else f"{label} ({m + 1})"  # a file may say one label twice
-            for m, label in enumerate(take.labels)
-        ]
+        labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
+        counts = Counter(labels)  # a file may say one label twice
+        self.names = [label if counts[label] == 1 else f"{label} ({m + 1})" for m, label in enumerate(labels)]
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.names))), static=True)
 
@@ -81,13 +82,17 @@ class _Columns:
         before, after, state = cleaning.before, cleaning.after, cleaning.state
         was = former(before.seen, state)
         self._points("world/before", before, _coloured(BEFORE, {FAULTY: was == DOUBTED, OTHER: was == RELABELLED}), 0.011)
+        if before.unlabelled and after.unlabelled:
+            given = before.unlabelled.seen & ~after.unlabelled.seen
+            colours = _coloured(BEFORE, {OTHER: given})
+            self._points("world/unlabelled", before.unlabelled, colours, 0.008, first_id=len(before.labels))
         self._points("world/after", after, _coloured(AFTER, {MENDED: mended(state), OTHER: state == RELABELLED}), 0.013)
 
-    def _points(self, path: str, take: Take, colours: np.ndarray, radius: float) -> None:
+    def _points(self, path: str, take: Take, colours: np.ndarray, radius: float, first_id: int = 0) -> None:
         import rerun as rr
 
         seen = take.seen
-        marker = np.broadcast_to(np.arange(seen.shape[1], dtype=np.uint16), seen.shape)
+        marker = np.broadcast_to(np.arange(first_id, first_id + seen.shape[1], dtype=np.uint16), seen.shape)
         places = take.markers[seen].astype(np.float32)
         columns = rr.Points3D.columns(positions=places, colors=colours[seen], class_ids=marker[seen])
         self.recording.log(path, rr.Points3D.from_fields(radii=radius, show_labels=False), static=True)

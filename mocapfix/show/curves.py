@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mocapfix.faults import Fault, Moved
+from mocapfix.faults import LABELS, Fault, Moved
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.take import Take
 
@@ -18,6 +18,8 @@ BESIDE = 0.5  # seconds before and after the change
 POINTS = 150  # of a path over the whole picture, and as many over the change alone, at most
 NEAR, FAR = 3, 0.6  # markers from which a picture is seen, and metres from them at most
 AMONG = 10  # near markers, of which those that show best that one moved are taken
+MOST = 3  # paths in a picture
+LONG = 5.0  # seconds of an exchange of labels: what follows looks the same
 AGAIN = 2  # standard deviations to either side of a path: 95 in 100 lie between
 
 
@@ -55,7 +57,7 @@ def of(cleaning: Cleaning, fault: Fault) -> Curves:
     labels = tuple(cleaning.after.labels[m] for m in beside)
     origin = cleaning.after.markers[frames][:, beside].mean(axis=1) if beside else np.zeros((len(frames), 3))
     paths: list[Curve] = []
-    for rank, m in enumerate(about):
+    for rank, m in enumerate(about[:MOST]):
         was, now = (1e3 * (_path(take, m)[frames] - origin) for take in (cleaning.before, cleaning.after))
         paths += _told_apart(was, now, rank)
     now, sure = 1e3 * (_path(cleaning.after, about[0])[frames] - origin), _deviation(cleaning.after, about[0])[frames, None]
@@ -66,10 +68,9 @@ def of(cleaning: Cleaning, fault: Fault) -> Curves:
 def _frames(fault: Fault, take: Take) -> np.ndarray:
     """-> the frames of a picture: those of a short change all, those of a long one now and then."""
     margin = max(2, round(BESIDE * take.rate))
-    begin, end = max(0, fault.first - margin), min(take.frames - 1, fault.last + margin)
-    if isinstance(fault, Moved):
-        begin = 0
-    inside = np.linspace(max(begin, fault.first - 1), min(end, fault.last + 1), POINTS)
+    last = min(fault.last, fault.first + round(LONG * take.rate)) if fault.kind in LABELS else fault.last
+    begin, end = 0 if isinstance(fault, Moved) else max(0, fault.first - margin), min(take.frames - 1, last + margin)
+    inside = np.linspace(max(begin, fault.first - 1), min(end, last + 1), POINTS)
     return np.unique(np.concatenate([np.linspace(begin, end, POINTS), inside]).round().astype(int))
 
 

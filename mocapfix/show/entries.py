@@ -40,7 +40,8 @@ def _figure(cleaning: Cleaning, change: Change, fault: Fault) -> str:
     name = f"{change.kind}: {', '.join(change.markers)}, {_frames(change)}."
     surely = "" if change.predicted_mm is None else f" Predicted error {number(change.predicted_mm)} mm."
     seen_from = f" Seen from {', '.join(shown.seen_from)}." if shown.seen_from else ""
-    text = escape(f"{_told(change)}{surely}{seen_from}")
+    cut = " Only its beginning is shown." if shown.frames[-1] < fault.last else ""
+    text = escape(f"{_told(change)}{surely}{seen_from}{cut}")
     return f"<figure>{drawn}<figcaption><b>{escape(name)}</b> {text}</figcaption></figure>"
 
 

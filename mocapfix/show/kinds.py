@@ -14,7 +14,7 @@ GROUPS = (
     ("missing left", "outlined: left as it was"),
 )
 WORDS = {
-    "mislabelled": ("marker labelled wrongly throughout", "markers labelled wrongly throughout"),
+    "mislabelled": ("exchange of labels throughout", "exchanges of labels throughout"),
     "swap": ("exchange of labels", "exchanges of labels"),
     "fragment": ("piece under another label", "pieces under another label"),
     "moved": ("marker knocked to another place", "markers knocked to another place"),

@@ -28,7 +28,8 @@ def picture(curves: Curves, first: int, last: int, start: int) -> str:
         return tops + (high - values) * scale
 
     x = WIDTH * (curves.frames - curves.frames[0]) / span
-    a, b = (WIDTH * (t - curves.frames[0]) / span for t in (max(first, curves.frames[0]), min(last, curves.frames[-1])))
+    last = min(last, int(curves.frames[-1]))
+    a, b = (WIDTH * (t - curves.frames[0]) / span for t in (first, last))
     content = f'<rect class="when" x="{a - 1:.1f}" y="-4" width="{b - a + 2:.1f}" height="{HEIGHT + 8}"/>'
     content += _band(x, place(curves.band[..., 0]), place(curves.band[..., 1]))
     order = sorted(curves.paths, key=lambda curve: ("was", "kept", "now").index(curve.kind))

@@ -56,19 +56,19 @@ def _bars(fault: Fault, state: np.ndarray, made: bool) -> Iterator[_Bar]:
     """One bar for each stretch of the fault that was mended, or was left; state (N,) of its samples."""
     name = group(fault.kind)
     of_samples = name in ("missing", "faulty")
-    left = np.isin(state, (EMPTY, DOUBTED)) if of_samples else np.full(len(state), not made)
+    left = np.isin(state, (EMPTY, DOUBTED)) if made and of_samples else np.full(len(state), not made)
     for kind, mask in ((name, ~left), (f"{name} left", left)):
         for a, b in runs(mask):
             yield _Bar(kind, fault.first + a, fault.first + b, fault.reason)
 
 
 def _thinned(bars: list[_Bar], take: Take) -> Iterator[_Bar]:
-    """-> the bars of each kind, those that nearly touch as one; what lasts to the end of the take below the others."""
+    """-> the bars of each kind, those that nearly touch as one; the kind of the longest comes first, below the others."""
     kinds: dict[str, list[_Bar]] = defaultdict(list)
-    for bar in sorted(bars, key=lambda bar: (not bar.name.startswith("place"), bar.first)):
+    for bar in sorted(bars, key=lambda bar: bar.first):
         kinds[bar.name].append(bar)
-    for name, each in kinds.items():
-        starts = [n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last > take.frames / THIN]
+    for name, each in sorted(kinds.items(), key=lambda kind: -max(bar.last - bar.first for bar in kind[1])):
+        starts = [n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last - 1 > take.frames / THIN]
         for a, b in zip(starts, [*starts[1:], len(each)], strict=True):
             more = f" And {b - a - 1} more thereabouts." if b - a > 1 else ""
             yield _Bar(name, each[a].first, max(bar.last for bar in each[a:b]), each[a].title + more)

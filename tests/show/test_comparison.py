@@ -69,11 +69,17 @@ def test_exchanged_labels_are_seen_before_and_after(scene, recording):
     assert recording.column("/state/M10", "state")[1] == ["relabelled"]
 
 
+def test_what_had_no_name_is_there_under_its_own_and_as_taken_over(scene, recording):
+    path = "/world/unlabelled"
+    assert [len(row) for row in recording.column(path, "positions")] == [20 <= t < 40 for t in range(240)]
+    assert (recording.column(path, "class_ids")[30], recording.column(path, "colors")[30]) == ([31], [colour(OTHER)])
+
+
 def test_points_keep_their_markers_names(scene, recording):
     classes = recording.static["/world"]["AnnotationContext:context"][0][0]
     names = [each["class_description"]["info"]["label"] for each in classes]
     ids = recording.column("/world/before", "class_ids")
-    assert tuple(names) == scene.cleaning.before.labels
+    assert tuple(names) == (*scene.cleaning.before.labels, "*1<i>")
     assert ids[60] == [m for m in range(31) if scene.cleaning.before.seen[60, m]]
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.faults import Moved
+from mocapfix.faults import Fault, Moved
 from mocapfix.show import curves
 
 
@@ -91,6 +91,14 @@ def test_a_picture_is_not_seen_from_a_marker_that_is_lost_meanwhile(scene):
     markers[70, nearest] = np.nan
     scene = scene.with_(after=scene.cleaning.after.with_markers(markers, scene.cleaning.after.deviation))
     assert scene.cleaning.after.labels[nearest] not in curves.of(scene.cleaning, fault_of(scene, "gap", 3)).seen_from
+
+
+def test_of_a_long_exchange_the_beginning_is_shown_and_of_many_markers_three(scene):
+    long = scene.cleaning.after.with_markers(np.zeros((40_000, 31, 3)))
+    frames = curves._frames(Fault("mislabelled", 1, 0, 39_999, 0.1, "", others=(2,)), long)
+    assert frames[-1] / long.rate == curves.LONG + curves.BESIDE
+    shown = curves.of(scene.cleaning, Fault("segment lost", 1, 60, 80, 0.1, "", others=(2, 3, 4, 6)))
+    assert {path.rank for path in shown.paths} == {0, 1, 2}
 
 
 def test_without_markers_nearby_paths_are_those_in_the_room(scene):

@@ -113,6 +113,23 @@ def test_bars_lie_where_the_faults_are(scene, tmp_path):
     assert "*1<i>" in page.text.partition("Faults over time")[2].partition("Distance of")[0]
 
 
+def test_what_lasts_is_drawn_below_what_happens_meanwhile_and_outlined_where_nothing_was_done(scene, tmp_path):
+    noise = Fault("noise", 5, 0, 239, 0.01, "M05 trembles all along.")
+    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([noise]))
+    row = page.source.partition("<b>M05</b>")[2].partition("</div>")[0]
+    assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty"]
+
+
+def test_bars_that_could_not_be_told_apart_are_one(scene, tmp_path):
+    many = tuple(Fault("jitter", 9, t, t, 0.01, f"At {t}.") for t in (10, 11, 100))
+    page = page_of(scene, tmp_path, faults=Faults(many), changes=())
+    bars = [bar for bar in page.of_class("i", "faulty left") if "title" in bar]
+    assert [(bar["title"], bar["style"]) for bar in bars] == [
+        ("At 10. And 1 more thereabouts.", "left:4.167%;width:0.833%"),
+        ("At 100.", "left:41.667%;width:0.417%"),
+    ]
+
+
 def test_what_comes_from_the_file_is_escaped_and_nothing_comes_from_elsewhere(scene, tmp_path):
     page = page_of(scene, tmp_path)
     assert "walk <1>.c3d" in page.text
