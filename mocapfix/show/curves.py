@@ -20,7 +20,7 @@ NEAR, FAR = 3, 0.6  # markers from which a picture is seen, and metres from them
 AMONG = 10  # near markers, of which those that show best that one moved are taken
 MOST = 3  # paths in a picture
 LONG = 5.0  # seconds of an exchange of labels: what follows looks the same
-AGAIN = 2  # standard deviations to either side of a path: 95 in 100 lie between
+WIDE = 2  # standard deviations to either side of a path: 95 in 100 lie between
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def of(cleaning: Cleaning, fault: Fault) -> Curves:
         was, now = (1e3 * (_path(take, m)[frames] - origin) for take in (cleaning.before, cleaning.after))
         paths += _told_apart(was, now, rank)
     now, sure = 1e3 * (_path(cleaning.after, about[0])[frames] - origin), _deviation(cleaning.after, about[0])[frames, None]
-    band = np.stack([now - AGAIN * 1e3 * sure, now + AGAIN * 1e3 * sure], axis=-1)
+    band = np.stack([now - WIDE * 1e3 * sure, now + WIDE * 1e3 * sure], axis=-1)
     return Curves(frames, ("x", "y", "z"), labels, tuple(paths), band)
 
 

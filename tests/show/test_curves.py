@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -60,7 +62,7 @@ def test_a_piece_is_shown_where_it_was_under_the_other_name(scene):
 def test_a_spike_of_one_sample_is_in_the_picture_of_a_fast_take(scene):
     frames = curves._frames(fault_of(scene, "spike"), scene.cleaning.after)
     assert {69, 70, 71} <= set(frames)
-    many = scene.cleaning.after.with_markers(np.zeros((40_000, 31, 3)))
+    many = replace(scene.cleaning.after.with_markers(np.zeros((40_000, 31, 3))), rate=2000.0)
     assert {69, 70, 71} <= set(curves._frames(fault_of(scene, "spike"), many))
     assert len(curves._frames(fault_of(scene, "absent"), many)) <= 2 * curves.POINTS
 

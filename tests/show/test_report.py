@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix import change_file, changes
 from mocapfix.errors import WriteError
-from mocapfix.faults import Fault, Faults
+from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.show import report
 
 VOID = {"meta", "br", "img", "link", "input"}
@@ -118,6 +118,23 @@ def test_what_lasts_is_drawn_below_what_happens_meanwhile_and_outlined_where_not
     page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([noise]))
     row = page.source.partition("<b>M05</b>")[2].partition("</div>")[0]
     assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty"]
+
+
+def test_what_bears_no_name_and_is_no_markers_is_told_of_but_is_no_markers_fault(scene, tmp_path):
+    other = Fragment("fragment", 31, 90, 99, np.nan, "*1<i> stands still.", donor=31)
+    double = Fragment("fragment", 8, 100, 119, 0.01, "*1<i> is M08 a second time.", donor=31, relation="doubles")
+    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([other, double]))
+    assert "9 of 31 markers have faults" in page.text
+    assert "1 trajectory without a marker’s name continues none." in page.text
+    assert "fragment *1<i> 191–200 – *1<i> stands still." in page.text
+    assert "M08" not in page.text.partition("Faults over time")[2].partition("Distance of")[0]
+    assert page.text.partition("Faults over time")[2].partition("Distance of")[0].count("*1<i>") == 1
+
+
+def test_a_picture_says_where_it_ends_before_the_change_does(scene, tmp_path):
+    assert "Only its beginning is shown." not in page_of(scene, tmp_path).text
+    slow = replace(scene.cleaning.before, rate=2.0), replace(scene.cleaning.after, rate=2.0)
+    assert page_of(scene, tmp_path, before=slow[0], after=slow[1]).text.count("Only its beginning is shown.") == 1  # the swap
 
 
 def test_bars_that_could_not_be_told_apart_are_one(scene, tmp_path):
