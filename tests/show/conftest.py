@@ -65,7 +65,8 @@ def scene() -> Scene:
         mended[where], sure[where] = truth[where], 0.01
     after = labelled.with_markers(mended, sure)
     faults = Faults().with_more(items)
-    made = tuple(change for change, _ in changes.made(before, after, faults.items, truth))
+    ways = np.where(np.isnan(sure), "", "the body").astype(object)
+    made = tuple(change for change, _ in changes.made(before, after, faults.items, truth, ways))
     error = np.linalg.norm(after.markers - truth, axis=-1) + 0.002
     shown = Cleaning(before, labelled, after, faults, made, skeleton, joints, error)
     return Scene(shown, record(shown))
