@@ -25,6 +25,7 @@ WORDS = {
     "jitter": ("burst of jitter", "bursts of jitter"),
     "stuck": ("stretch held at one value", "stretches held at one value"),
     "straight": ("straight-line fill", "straight-line fills"),
+    "computed": ("fill of another program", "fills of another program"),
     "ghost": ("jump to a ghost", "jumps to a ghost"),
     "noise": ("noisy marker", "noisy markers"),
 }

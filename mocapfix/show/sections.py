@@ -34,7 +34,7 @@ def overview(record: dict, cleaning: Cleaning) -> str:
     if solve is not None:
         values.append((f"{number(solve['marker_residual_mm']['mean'])} mm", "from markers to body, mean"))
     facts = "".join(f"<div><b>{value}</b><small>{what}</small></div>" for value, what in values)
-    answers = [("What was wrong", summary.wrong(cleaning)), ("What was done", summary.done(record))]
+    answers = [("What was wrong", summary.wrong(record, cleaning)), ("What was done", summary.done(record))]
     answers += [("What was left", summary.left(record, cleaning.unchanged)), *(("To know", note) for note in record["notes"])]
     sentences = "".join(f"<dt>{question}</dt><dd>{escape(answer)}</dd>" for question, answer in answers)
     return f'<div class="facts">{facts}</div><dl class="summary">{sentences}</dl>'

@@ -11,7 +11,7 @@ from mocapfix.show.kinds import counted, listed
 NAMED = 12  # markers in one sentence at most
 
 
-def wrong(cleaning: Cleaning) -> str:
+def wrong(record: dict, cleaning: Cleaning) -> str:
     """-> a few sentences on the faults: how many, of which kinds, the longest gap, and what belongs to no marker."""
     take, count = cleaning.before, len(cleaning.before.labels)
     none = [fault for fault in cleaning.faults.items if isinstance(fault, Fragment) and fault.relation in ("other", "doubles")]
@@ -21,7 +21,7 @@ def wrong(cleaning: Cleaning) -> str:
         marked = len({m for fault in faults for m in fault.markers})
         kinds = counted(fault.kind for fault in faults)
         text = f"{marked} of {count} markers {'has' if marked == 1 else 'have'} faults: {kinds}."
-    if missing := int((~take.seen).sum()):
+    if missing := record["fill"]["missing_before"]:
         text += f" {missing:,} of {take.seen.size:,} samples ({missing / take.seen.size:.1%}) were missing."
         text += _longest_gap(cleaning, faults)
     if none:

@@ -7,6 +7,7 @@ from mocapfix.faults import MISSING, Fault
 from mocapfix.show.cleaning import Cleaning
 
 PICTURES = 12
+TRAVELLED = (*MISSING, "segment lost", "computed")  # whose severity is how far the marker went, not how far off it was
 
 
 def worst(cleaning: Cleaning) -> list[tuple[Change, Fault]]:
@@ -21,6 +22,6 @@ def worst(cleaning: Cleaning) -> list[tuple[Change, Fault]]:
 
 def _weight(change: Change, fault: Fault, rate: float) -> float:
     """-> metre-seconds: for how long it lasts, how far off the samples were and how unsure they are now."""
-    off = 0.0 if fault.kind in MISSING or np.isnan(fault.severity) else fault.severity
+    off = 0.0 if fault.kind in TRAVELLED or np.isnan(fault.severity) else fault.severity
     unsure = (change.predicted_mm or 0.0) / 1e3
     return (fault.last - fault.first + 1) / rate * (off + unsure)
