@@ -54,8 +54,9 @@ def faults(take: Take, worn_set: MarkerSet | None = None, options: DetectOptions
     smooth = Faults((*off, *held)).believed(measured)
     bursts = jitter.found(measured, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
     trembling = over(bursts, take.seen.shape)
+    loud = [fault for fault in noise.found(measured) if not trembling[:, fault.marker].any()]  # what trembles is told as that
     lone = [spike for spike in off if not trembling[spike.frames, spike.marker].all()]
     lost = segments.found(take, worn_set) if worn_set else []
-    found = Faults((*gaps.found(take), *blind, *lost, *noise.found(measured), *lone, *held, *bursts))
+    found = Faults((*gaps.found(take), *blind, *lost, *loud, *lone, *held, *bursts))
     found = found.with_more(ghosts.found(measured.only(found.believed(measured))))
     return found.with_more(moved.found(measured.only(found.believed(measured))))
