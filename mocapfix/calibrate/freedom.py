@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocapfix.kernels.shared import Deformations
-from mocapfix.skeleton import Body
+from mocapfix.skeleton import Body, Skeleton
 from mocapfix.subject import Subject
 
 SIZE_SD = 1e3  # part of the size: free, since the take tells it better than anything
-GROUP_SD = 0.08  # part of a bone group's length
-PLACE_SD = 0.020  # metres: a person's marker about the average body's place
+LENGTH_SD = 0.03  # part of a bone's length that it has for itself, left and right apart: CMU's subjects are that crooked
+SHORT = 0.02  # metres: what is shorter is no bone
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,27 @@ class Freedom:
 
 
 def of(start: Subject, body: Body) -> Freedom:
-    """-> the size, the scales of bone groups, the shape and the marker places of `start`, free to change.
+    """-> the size, the shape, each bone's own length and the marker places of `start`, free to change.
 
-    start  `body` at some size
+    start  `body` at some size; its spread is by how far people's markers lie from its places
     """
     offsets, places = start.skeleton.offsets, start.places
-    groups = np.zeros((len(body.groups), *offsets.shape))
-    for g, joints in enumerate(map(list, body.groups.values())):
-        groups[g, joints] = offsets[joints]
     shapes = body.shapes * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
-    along = np.concatenate([offsets[None], groups, shapes])
+    lengths = bones(start.skeleton)
+    along = np.concatenate([offsets[None], shapes, lengths])
     with_size = np.concatenate([places[None], np.zeros((len(along) - 1, *places.shape))])
-    deviations = (SIZE_SD, *[GROUP_SD] * len(groups), *[1.0] * len(shapes), *[PLACE_SD] * places.size)
+    deviations = (SIZE_SD, *[1.0] * len(shapes), *[LENGTH_SD] * len(lengths), *np.repeat(start.spread, 3))
     return Freedom(offsets, places, Deformations(along, with_size), 1 / np.square(deviations))
+
+
+def bones(skeleton: Skeleton) -> np.ndarray:
+    """-> (B, J, 3) metres: the offsets of one bone each, as long as it is.
+
+    Joints at the same offset from one parent hang on one bone: the thorax carries the neck and both shoulders.
+    """
+    offsets, found = skeleton.offsets, []
+    for j in np.flatnonzero(np.linalg.norm(offsets, axis=1) > SHORT):
+        same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
+        if np.flatnonzero(same)[0] == j:
+            found.append(np.where(same[:, None], offsets, 0.0))
+    return np.array(found)

@@ -21,7 +21,7 @@ from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
 from mocapfix.subject import Subject
 
-MARKER_SD = 0.020  # metres: skin and place together, and not independent from frame to frame
+MARKER_SD = 0.010  # metres: skin slides less, but neighbouring frames tell the same of it
 ROBUST = 0.050  # metres: Geman-McClure scale
 PRIOR_WEIGHT = 0.01  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
 ROUNDS = 25

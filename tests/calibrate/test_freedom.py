@@ -12,19 +12,20 @@ from mocapfix.subject import Subject
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 START = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
 FREE = freedom.of(START, BODY)
-GROUPS = list(BODY.groups)
+BONES = freedom.bones(BODY.skeleton)
 
 
 def unknowns(**parts):
-    """-> all zero but the size, a group's scale (by its name), the shape (P,) or the places' shifts (K, 3)"""
-    x = np.zeros(len(FREE.information))
+    """-> all zero but the size, the shape (P,), bones' lengths by their joints' names, or the places' shifts (K, 3)"""
+    x, shapes = np.zeros(len(FREE.information)), len(BODY.shapes)
     for name, value in parts.items():
         if name == "places":
             x[-WORN.places.size :] = np.ravel(value)
         elif name == "shape":
-            x[1 + len(GROUPS) : -WORN.places.size] = value
+            x[1 : 1 + shapes] = value
         else:
-            x[0 if name == "size" else 1 + GROUPS.index(name)] = value
+            bone = BONES[:, BODY.skeleton.index(name)].any(1) if name != "size" else None
+            x[0 if bone is None else 1 + shapes + int(np.flatnonzero(bone)[0])] = value
     return x
 
 
@@ -34,11 +35,11 @@ def test_nothing_changed_is_the_body_itself():
     np.testing.assert_array_equal(places, WORN.places)
 
 
-def test_size_takes_all_along_and_a_group_its_bones_alone():
-    offsets, places = FREE.body(unknowns(size=0.1, thigh=-0.2))
+def test_size_takes_all_along_and_a_bone_changes_alone():
+    offsets, places = FREE.body(unknowns(size=0.1, LeftLeg=-0.2))
     expected = 1.1 * BODY.skeleton.offsets
-    thighs = list(BODY.groups["thigh"])
-    expected[thighs] = 0.9 * BODY.skeleton.offsets[thighs]
+    thigh = BODY.skeleton.index("LeftLeg")
+    expected[thigh] = 0.9 * BODY.skeleton.offsets[thigh]
     np.testing.assert_allclose(offsets, expected)
     np.testing.assert_allclose(places, 1.1 * WORN.places)
 
@@ -50,11 +51,19 @@ def test_places_shift_in_their_joints_axes():
     np.testing.assert_allclose(places, WORN.places + shifts)
 
 
-def test_a_group_is_a_part_of_the_body_it_starts_from():
+def test_a_bone_is_a_part_of_the_body_it_starts_from():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
-    offsets, _ = freedom.of(tall, BODY).body(unknowns(shin=0.05))
-    shins = list(BODY.groups["shin"])
-    np.testing.assert_allclose(offsets[shins], 1.05 * 1.2 * BODY.skeleton.offsets[shins])
+    offsets, _ = freedom.of(tall, BODY).body(unknowns(RightFoot=0.05))
+    shin = BODY.skeleton.index("RightFoot")
+    np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
+
+
+def test_every_bone_is_there_once_and_the_thorax_carries_three_joints():
+    np.testing.assert_array_equal((BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > freedom.SHORT)
+    assert ((BONES != 0).any(2).sum(0) <= 1).all()
+    thorax = BONES[BONES[:, BODY.skeleton.index("Neck")].any(1)][0]
+    carried = [BODY.skeleton.names[j] for j in np.flatnonzero(thorax.any(1))]
+    assert carried == ["Neck", "LeftShoulder", "RightShoulder"]
 
 
 def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
@@ -68,6 +77,6 @@ def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
 
 def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
     assert FREE.information[0] < 1e-5
-    np.testing.assert_allclose(FREE.information[unknowns(thigh=1.0) > 0], freedom.GROUP_SD**-2.0)
+    np.testing.assert_allclose(FREE.information[unknowns(LeftLeg=1.0) > 0], freedom.LENGTH_SD**-2.0)
     np.testing.assert_allclose(FREE.information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
-    np.testing.assert_allclose(FREE.information[-WORN.places.size :], freedom.PLACE_SD**-2.0)
+    np.testing.assert_allclose(FREE.information[-WORN.places.size :], np.repeat(WORN.spread**-2.0, 3))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix import marker_set, prior
-from mocapfix.calibrate import freedom, refine
+from mocapfix.calibrate import refine
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.shared import Responses
 from mocapfix.skeleton import cmu31
@@ -105,8 +105,8 @@ def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
     found = fitted(markers)
-    assert freedom.PLACE_SD < found.marker_sd[k] < 1.5 * freedom.PLACE_SD  # and a little of the forearm's
-    assert (np.delete(found.marker_sd, k) < 0.2 * freedom.PLACE_SD).all()
+    assert WORN.spread[k] < found.marker_sd[k] < 1.5 * WORN.spread[k]  # and a little of the forearm's
+    assert (np.delete(found.marker_sd, k) < 0.2 * WORN.spread[k]).all()
     assert (found.joint_sd > 0).all()
 
 
