@@ -93,7 +93,8 @@ def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
     moved, carried = np.zeros((2, 3, 1, 3)), np.zeros((2, 2, 1, 3))
     carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
     moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
-    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, carried)
+    bent, pull = np.zeros((2, 3, 0, 3)), np.zeros((0, 3, 3))
+    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
     covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
     joints, markers = refine.doubt(found, np.linalg.inv(covariance))
     np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
