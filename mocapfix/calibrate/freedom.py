@@ -11,6 +11,7 @@ from mocapfix.skeleton import Body, Skeleton
 from mocapfix.subject import Subject
 
 SIZE_SD = 1e3  # part of the size: free, since the take tells it better than anything
+GROUP_SD = 0.05  # part of a bone group's length, left and right together: likeliest of each CMU subject, given the others
 LENGTH_SD = 0.03  # part of a bone's length that it has for itself, left and right apart: CMU's subjects are that crooked
 HABIT_SD = 0.02  # radians: so far a take's mean pose strays from people's about axes where none is known to
 SHORT = 0.02  # metres: what is shorter is no bone
@@ -44,18 +45,22 @@ class Freedom:
 
 
 def of(start: Subject, body: Body, prior: Prior) -> Freedom:
-    """-> the size, the shape, each bone's own length and the marker places of `start`, and the mean pose, free to change.
+    """-> size, shape, scales of bone groups, each bone's own length and marker places of `start`, and the mean pose, free.
 
     start  `body` at some size; its spread is by how far people's markers lie from its places
     """
     offsets, places = start.skeleton.offsets, start.places
     shapes = body.shapes * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
+    groups = np.zeros((len(body.groups), *offsets.shape))
+    for g, joints in enumerate(map(list, body.groups.values())):
+        groups[g, joints] = offsets[joints]
     lengths = bones(start.skeleton)
-    along = np.concatenate([offsets[None], shapes, lengths])
+    along = np.concatenate([offsets[None], shapes, groups, lengths])
     with_size = np.concatenate([places[None], np.zeros((len(along) - 1, *places.shape))])
-    deviations = (SIZE_SD, *[1.0] * len(shapes), *[LENGTH_SD] * len(lengths), *np.repeat(start.spread, 3))
+    own = *[GROUP_SD] * len(groups), *[LENGTH_SD] * len(lengths)
+    deviations = (SIZE_SD, *[1.0] * len(shapes), *own, *np.repeat(start.spread, 3))
     habits = np.linalg.inv(prior.between[np.flatnonzero(body.free)[1:]] + HABIT_SD**2 * np.eye(3))
-    information = block_diag(np.diag(1 / np.square(deviations)), *habits)
+    information = np.asarray(block_diag(np.diag(1 / np.square(deviations)), *habits))
     return Freedom(offsets, places, body.free, Deformations(along, with_size), information)
 
 

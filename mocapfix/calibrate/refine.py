@@ -86,8 +86,13 @@ def refined(start: Subject, body: Body, prior: Prior, markers: np.ndarray, motio
 
 def fitted(free: Freedom, problem: Problem, unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> Fit:
     """-> the frames solved anew from the poses given, which are spoilt, and what they and the priors say together."""
+    problem.solve(root, local, no_pull(local.shape[1]), (ROBUST,), 6)
+    return linearised(free, problem, unknowns, root, local)
+
+
+def linearised(free: Freedom, problem: Problem, unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> Fit:
+    """-> what frames and priors say together at these poses, as they are."""
     still = no_pull(local.shape[1])
-    problem.solve(root, local, still, (ROBUST,), 6)
     found = responses(problem, free.deformations, still, ROBUST, root, local)
     curvature, gradient = reduced(found)
     habit = free.information @ unknowns

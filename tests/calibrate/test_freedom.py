@@ -19,8 +19,9 @@ BONES = freedom.bones(BODY.skeleton)
 
 
 def unknowns(**parts):
-    """-> all zero but the size, the shape (P,), bones' lengths by joints' names, the places' shifts (K, 3), turns (F, 3)"""
-    x, shapes = np.zeros(len(FREE.information)), len(BODY.shapes)
+    """-> all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
+    shifts (K, 3), turns (F, 3)"""
+    x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shapes), list(BODY.groups)
     for name, value in parts.items():
         if name == "places":
             x[SHIFTS] = np.ravel(value)
@@ -29,8 +30,8 @@ def unknowns(**parts):
         elif name == "shape":
             x[1 : 1 + shapes] = value
         else:
-            bone = BONES[:, BODY.skeleton.index(name)].any(1) if name != "size" else None
-            x[0 if bone is None else 1 + shapes + int(np.flatnonzero(bone)[0])] = value
+            named = ["size", *[None] * shapes, *groups, *(BODY.skeleton.names[np.argmax(bone.any(1))] for bone in BONES)]
+            x[named.index(name)] = value
     return x
 
 
@@ -40,9 +41,11 @@ def test_nothing_changed_is_the_body_itself():
     np.testing.assert_array_equal(places, WORN.places)
 
 
-def test_size_takes_all_along_and_a_bone_changes_alone():
-    offsets, places, _ = FREE.body(unknowns(size=0.1, LeftLeg=-0.2))
+def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
+    offsets, places, _ = FREE.body(unknowns(size=0.1, shin=0.2, LeftLeg=-0.2))
     expected = 1.1 * BODY.skeleton.offsets
+    shins = list(BODY.groups["shin"])
+    expected[shins] = 1.3 * BODY.skeleton.offsets[shins]
     thigh = BODY.skeleton.index("LeftLeg")
     expected[thigh] = 0.9 * BODY.skeleton.offsets[thigh]
     np.testing.assert_allclose(offsets, expected)
@@ -83,6 +86,7 @@ def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
 def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
     information = np.diag(FREE.information)
     assert information[0] < 1e-5
+    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], freedom.GROUP_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], freedom.LENGTH_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
     np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.spread**-2.0, 3))
