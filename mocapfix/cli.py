@@ -134,6 +134,9 @@ def clean(
         Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
     ] = False,
     max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
+    limit: Annotated[
+        float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
+    ] = 250.0,
     keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
@@ -155,13 +158,15 @@ def clean(
         raise SystemExit(usage("clean: name at least one take (a C3D file)."))
     if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
+    if not limit > 0:
+        raise SystemExit(usage(f"--limit must be more than 0 millimetres, not {limit:g}."))
     if not 0 < prior_scale < float("inf"):
         raise SystemExit(usage(f"--prior-scale must be more than 0 and finite, not {prior_scale:g}."))
     if changes and len(takes) > 1:
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
-    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames))
+    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3)
     reports, written = [], set()
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")
@@ -230,6 +235,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 def tell(report: dict, outputs: dict[str, Path]) -> None:
     """Print what a cleaning did, in a few lines."""
+    from mocapfix.show.kinds import counted
+
     fill, take = report["fill"], report["take"]
     relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
     out.print(
@@ -240,6 +247,10 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
     if report["solve"]:
         residual = report["solve"]["marker_residual_mm"]
         out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.", soft_wrap=True)
+    if changes := [change for change in report["changes"] if change["decision"] == "accept"]:
+        against = len(report["changes"]) - len(changes)
+        decided = f"; {against} not made, by decision" if against else ""
+        out.print(f"  changed: {counted(change['kind'] for change in changes)}{decided}.", soft_wrap=True)
     for each in fill["left"][:5]:
         out.print(
             f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.", soft_wrap=True
@@ -250,6 +261,9 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
         out.print(f"  {escape(note)}", soft_wrap=True)
     folder = outputs["c3d"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
+    if report["changes"]:
+        again = f"--changes {escape(str(outputs['changes.yaml']))} --overwrite"
+        out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
 
 
 def listed(names: str) -> tuple[str, ...]:

@@ -7,12 +7,12 @@ import numpy as np
 
 from mocapfix.change_file import Decided
 from mocapfix.changes import Change, concerned, made
-from mocapfix.faults import LABELS, MISSING, PLACES, Fault, Fragment
+from mocapfix.faults import LABELS, MISSING, OTHERS_FILLS, PLACES, Fault, Fragment
 from mocapfix.looks import Looked
 from mocapfix.mend import put_back
 from mocapfix.take import Take
 
-AGREES = 3.0  # standard deviations: a fill by another program that lies so near to the estimate stays as it is
+AGREES, NEAR = 3.0, 0.010  # standard deviations, metres: another program's fill that lies so near to the estimate stays as it is
 
 
 def taken(
@@ -20,6 +20,7 @@ def taken(
     looked: Looked,
     whole: Take,
     body: np.ndarray | None,
+    ways: np.ndarray,
     touch: np.ndarray,
     only: Sequence[str],
     decided: Sequence[Decided],
@@ -28,12 +29,15 @@ def taken(
 
     before, looked, whole  the take as it was read, with its labels right, and with everything mended
     body     (T, M, 3) metres: where the solved body has the markers; None without one
+    ways     (T, M) how each sample was found that was filled, "" for others
     touch    (T, M) bool: what may be touched; a change of labels all of whose samples may not is not made
     only     the kinds that are mended, a gap's for all that is missing; none: all
     """
-    asked = [f for f in looked.faults.items if _asked(f, only) and _free(f, touch) and not _agrees(f, looked, whole)]
-    refused, told = [fault for fault in looked.faults.items if fault not in asked], []
-    for change, fault in made(before, whole, asked, body):
+    asked, refused, told = [], [], []
+    for fault in looked.faults.items:
+        wanted = _asked(fault, only) and _free(fault, touch) and not _agrees(fault, looked, whole)
+        (asked if wanted else refused).append(fault)
+    for change, fault in made(before, whole, asked, body, ways):
         decision = next((each.decision for each in decided if each.about(fault)), "accept")
         if decision != "accept":
             refused.append(fault)
@@ -64,9 +68,10 @@ def _of_labels(fault: Fault) -> bool:
 
 def _agrees(fault: Fault, looked: Looked, whole: Take) -> bool:
     """Is it another program's fill that is as good as ours?"""
-    if fault.kind != "straight" or whole.deviation is None:
+    if fault.kind not in OTHERS_FILLS or whole.deviation is None:
         return False
     frames, m = fault.frames, fault.marker
     apart, sure = whole.markers[frames, m] - looked.take.markers[frames, m], whole.deviation[frames, m]
     known = ~np.isnan(sure)
-    return not known.any() or bool((apart[known] ** 2).sum() < 3 * AGREES**2 * (sure[known] ** 2).sum())
+    allowed = np.maximum(3 * (AGREES * sure[known]) ** 2, NEAR**2)
+    return not known.any() or bool((apart[known] ** 2).sum() < allowed.sum())

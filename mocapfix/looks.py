@@ -5,18 +5,20 @@ search sees, so they go on until nothing new is found.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocapfix import detect, mend
-from mocapfix.faults import LABELS, SURE, Fault, Faults, Fragment
+from mocapfix.faults import LABELS, PLACES, SURE, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 ROUNDS = 3  # at most
+BORNE_OUT = 0.6  # of how far a marker moved: what its new place lies from the old one on the body at least
 Stands = Callable[[Fault], bool]  # may it be a fault, or does somebody vouch for the samples?
 
 
@@ -26,11 +28,13 @@ class Looked:
 
     labels   what was wrong with the labels, in the order in which it was put right
     samples  what is wrong with what is under the right labels now
+    dismissed  moves that the body did not bear out
     """
 
     take: Take
     labels: tuple[Fault, ...]
     samples: Faults
+    dismissed: tuple[Fault, ...] = ()
 
     @property
     def faults(self) -> Faults:
@@ -52,9 +56,16 @@ class Looked:
         return self.samples.heard(self.take) & self.take.measured
 
 
-def first(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Looked:
-    """-> the take after the first look. `stands` says whether a fault may be one."""
+def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stands: Stands) -> Looked:
+    """-> the take after the first look.
+
+    worn_set  what the labels say that it wears, None where they say nothing; subject  who wears it, where that is known
+    stands    says whether a fault may be one
+    """
     labels: list[Fault] = []
+    if worn_set:
+        labels += [fault for fault in detect.mislabelled.found(take, worn_set, subject) if stands(fault)]
+        take = mend.labels(take, labels)
     for _ in range(ROUNDS):
         pieces = [fault for fault in detect.fragments.found(take) if stands(fault)]
         joined = mend.fragments(take, pieces)
@@ -65,27 +76,57 @@ def first(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Looked:
         take = mend.labels(joined, swaps)
         if not swaps:
             break
-    return Looked(take, tuple(labels), judged(take, stands))
+    return Looked(take, tuple(labels), judged(take, worn_set, stands))
 
 
-def judged(take: Take, stands: Stands) -> Faults:
+def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
     """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged."""
-    donors, found = detect.namesakes(take), detect.faults(take).items
+    donors, found = detect.namesakes(take), detect.faults(take, worn_set).items
     return Faults(tuple(fault for fault in found if fault.marker not in donors and stands(fault)))
 
 
-def again(looked: Looked, parts: Parts, body: Solved, stands: Stands) -> Looked | None:
+def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:
     """-> the take after a look at the solved body; None where that shows nothing new."""
-    more: list[Fault] = []
-    new = [fault for fault in more if stands(fault) and not any(_same(fault, old) for old in looked.faults.items)]
-    if not new:
+    old, dismissed = looked.faults.items, (*looked.dismissed, *hardly_moved(looked, parts, body))
+    more = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, each) for each in old)]
+    swaps = [fault for fault in more if fault.kind in LABELS]
+    strays = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
+    if not swaps and not strays and len(dismissed) == len(looked.dismissed):
         return None
-    swaps = [fault for fault in new if fault.kind in LABELS]
-    strays = [fault for fault in new if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
-    if not swaps:
-        return Looked(looked.take, looked.labels, looked.samples.with_more(strays))
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
-    return Looked(take, labels, judged(take, stands).with_more(strays))
+    samples = judged(take, worn_set, stands) if swaps else looked.samples
+    left = [fault for fault in samples.with_more(strays).items if not any(_same(fault, each) for each in dismissed)]
+    return Looked(take, labels, Faults(tuple(left)), dismissed)
+
+
+def hardly_moved(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
+    """-> the moves after which the body has the marker where it was before: a joint or skin, not the marker."""
+    place = {int(column): body.worn.places[k] for k, column in enumerate(body.columns) if column >= 0}
+    found = []
+    for fault in looked.samples.of(*PLACES):
+        before, after = (parts.column(fault.marker, frame) for frame in (fault.first - 1, fault.last))
+        if fault.marker in place and (
+            after not in place or np.linalg.norm(place[after] - place.get(before, np.inf)) < BORNE_OUT * fault.severity
+        ):
+            found.append(fault)
+    return found
+
+
+def off_body(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
+    """-> what does not fit the solved body, by the take's own markers; of exchanged labels only what is sure, and of a burst
+    of jitter nothing, for that is known."""
+    believed, heard = (parts.take.worn(body.columns, parts.split(mask)) for mask in (looked.believed.seen, looked.heard))
+    found = detect.second_look.found(believed, heard.seen, body.worn, body.motion)
+    whose = [parts.marker[column] if column >= 0 else -1 for column in body.columns]
+    more = [replace(f, marker=int(whose[f.marker]), others=tuple(int(whose[m]) for m in f.others)) for f in found]
+    known = looked.samples.of("jitter")
+    return [
+        fault
+        for fault in more
+        if -1 not in fault.markers
+        and not (fault.kind in LABELS and fault.confidence < SURE)
+        and not any(fault.meets(burst) for burst in known)
+    ]
 
 
 def _idle(fault: Fault) -> bool:

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mocapfix import calibrate, change_file, decisions, fill, looks, mend, notes, read, record, solved
 from mocapfix import prior as priors
@@ -27,9 +28,12 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 ANYTHING = FillOptions()  # may be touched
+# The matrices are small and the kernels have threads of their own: BLAS's only stand in the way where cores are busy.
+ONE_THREAD = threadpool_limits.wrap(limits=1, user_api="blas")
 SOLVES = 3  # at most, with a look at the body after each but the last
 
 
+@ONE_THREAD
 def clean(
     path: str | Path,
     *,
@@ -65,9 +69,9 @@ def clean(
     known, worn_set, said = wearing(take, marker_set, subject)
     looked, parts, body = understood(take, worn_set, known, how, change_file.vouched(take, decided), clock)
     with clock("fill"):
-        whole, why = filled(looked, parts, body, options)
+        whole, why, ways = filled(looked, parts, body, options)
         placed, touch = body.of_take(parts) if body else None, fill.touchable(take, options)
-        after, made = decisions.taken(take, looked, whole, placed, touch, only, decided)
+        after, made = decisions.taken(take, looked, whole, placed, ways, touch, only, decided)
         left = named(after, np.where(whole.seen, "its change was not to be made", why))
     error = None if placed is None else np.linalg.norm(looked.believed.markers - placed, axis=-1)
     report = {
@@ -87,6 +91,7 @@ def clean(
     return Result(take, looked.take, after, looked.faults, made, left, *found, error, report)
 
 
+@ONE_THREAD
 def inspected(
     path: str | Path,
     marker_set: str | Path | None = None,
@@ -130,7 +135,7 @@ def understood(
     The first look is at the trajectories, each other at the body that was solved from what was believed until then.
     """
     with clock("detect"):
-        looked = looks.first(take, worn_set, stands)
+        looked = looks.first(take, worn_set, subject, stands)
     if not looked.believed.seen.sum(1).max() >= 3:
         raise TakeError(f"{take.name}: no frame shows three markers, so nothing can be placed; check the labels and the export.")
     parts = mend.parted(looked.take, looked.faults.items)
@@ -141,30 +146,33 @@ def understood(
         if solves == SOLVES:
             break
         with clock("detect"):
-            more = looks.again(looked, parts, body, stands)
+            more = looks.again(looked, parts, body, worn_set, stands)
         if more is None:
             break
         looked, parts = more, mend.parted(more.take, more.faults.items)
     return looked, parts, body
 
 
-def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptions) -> tuple[Take, np.ndarray]:
-    """-> the take with all that is missing or doubted filled or emptied, and (T, M) why what is empty is so.
+def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptions) -> tuple[Take, np.ndarray, np.ndarray]:
+    """-> the take with all that is missing or doubted filled or emptied, and (T, M) sentences: why what is empty is so, and how
+    what was filled was found.
 
     What a program filled before stays as it is, and a label that only names pieces of another marker is not filled.
     """
     take, believed = looked.take, looked.believed.seen
     given = (body.columns, body.worn, body.motion) if body else (np.zeros(0, int), None, None)
-    after, left = fill.take(parts.take, parts.split(believed), *given, options)
+    after, left, way = fill.take(parts.take, parts.split(believed), *given, options)
     stays = take.seen & ~take.measured
     stays[:, looked.donors] = True
     stays |= believed  # also while a marker slides from place to place
     sure = np.full(after.seen.shape, np.nan) if after.deviation is None else after.deviation
     markers = np.where(stays[..., None], take.markers, parts.joined(after.markers))
     why = parts.joined(reasons(left, after.seen.shape))
-    return take.with_markers(markers, np.where(stays, np.nan, parts.joined(sure))), why
+    ways = np.where(stays, "", parts.joined(np.array([*fill.WAYS, ""], object)[way]))
+    return take.with_markers(markers, np.where(stays, np.nan, parts.joined(sure))), why, ways
 
 
+@ONE_THREAD
 def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose_prior: str = "mean-pose") -> Subject:
     """-> one person's subject from one or several takes of them, together.
 
@@ -177,7 +185,7 @@ def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose
         if worn_set is None:
             raise TakeError(f"{take.name}: {notes[0]} There is no body to calibrate.")
         sets.append(worn_set)
-        looked = looks.first(take, worn_set, lambda fault: True)
+        looked = looks.first(take, worn_set, None, lambda fault: True)
         worn.append(looked.take.worn(worn_set.columns(take.labels), looked.believed.seen))
     if len({each.name for each in sets}) > 1:
         names = ", ".join(f"{take.name} ({each.name})" for take, each in zip(takes, sets, strict=True))

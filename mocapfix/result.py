@@ -83,10 +83,10 @@ class Result:
                 write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
                 subject_file.save(outputs["subject.yaml"], self.subject)
         skeleton = self.subject.skeleton if self.subject else None
-        shown = (self.before, after, self.faults, skeleton, self.joints, self.error)
+        shown = show.Cleaning(self.before, self.labelled, after, self.faults, self.changes, skeleton, self.joints, self.error)
         with clock("show"):
-            show.comparison(outputs["rrd"], *shown)
-            show.report(outputs["report.html"], report, *shown)
+            show.comparison(outputs["rrd"], shown)
+            show.report(outputs["report.html"], report, shown)
         change_file.save(outputs["changes.yaml"], self.before, self.changes)
         outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
