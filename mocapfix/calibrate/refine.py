@@ -21,9 +21,9 @@ from mocapfix.prior import Prior
 from mocapfix.skeleton import Body
 from mocapfix.subject import Subject
 
-MARKER_SD = 0.020  # metres: skin and place together, and not independent from frame to frame
+MARKER_SD = 0.010  # metres: skin slides less, but neighbouring frames tell the same of it
 ROBUST = 0.050  # metres: Geman-McClure scale
-PRIOR_WEIGHT = 0.01  # a take's mean pose is not people's mean pose: full weight would bend bones and places to it
+POSE_WEIGHT = 0.02  # of how poses stray from their take's mean: with more, longer bones win, for on them all turns are smaller
 ROUNDS = 25
 ENOUGH = 1e-3  # relative fall of the cost under which calibration ends
 
@@ -46,24 +46,25 @@ class Fit:
     gradient: np.ndarray
 
 
-def problem_of(start: Subject, body: Body, prior: Prior, markers: np.ndarray, offsets, places) -> Problem:
-    """-> the pose problem of frames (N, K, 3) on a body with these offsets (J, 3) and marker places (K, 3)."""
-    tree, pull = Tree(start.skeleton.parents, offsets, body.free), pull_to(prior.weakened(PRIOR_WEIGHT))
+def problem_of(start: Subject, body: Body, prior: Prior, markers: np.ndarray, offsets, places, turns) -> Problem:
+    """-> the pose problem of frames (N, K, 3) on a body with these offsets (J, 3) and marker places (K, 3), their mean pose
+    turned from people's by (J, 3) radians."""
+    tree, pull = Tree(start.skeleton.parents, offsets, body.free), pull_to(prior.within().weakened(POSE_WEIGHT))
     listened, limits = ~np.isnan(markers[..., 0]), no_limits(len(offsets))
-    return Problem(tree, Attached(start.joints, places), markers, listened, MARKER_SD, pull, limits)
+    return Problem(tree, Attached(start.joints, places), markers, listened, MARKER_SD, pull._replace(vectors=turns), limits)
 
 
 def posed(start: Subject, body: Body, prior: Prior, markers: np.ndarray) -> Motion:
     """-> poses of frames (N, K, 3) on a body not yet calibrated, robustly, so that spikes do not pass for variety."""
     motion = poses(start, body.free, prior, markers)
-    problem = problem_of(start, body, prior, markers, start.skeleton.offsets, start.places)
+    problem = problem_of(start, body, prior, markers, start.skeleton.offsets, start.places, np.zeros((len(body.free), 3)))
     problem.solve(motion.root, motion.rotations, no_pull(len(body.free)), (0.4, 0.2, 0.1), 8)
     return motion
 
 
 def refined(start: Subject, body: Body, prior: Prior, markers: np.ndarray, motion: Motion) -> Subject:
     """-> `start` with the bones and places that fit the frames `markers` (N, K, 3), posed by `motion`, best."""
-    free = freedom.of(start, body)
+    free = freedom.of(start, body, prior)
 
     def fit(unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> Fit:
         return fitted(free, problem_of(start, body, prior, markers, *free.body(unknowns)), unknowns, root.copy(), local.copy())
@@ -85,15 +86,18 @@ def refined(start: Subject, body: Body, prior: Prior, markers: np.ndarray, motio
 
 def fitted(free: Freedom, problem: Problem, unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> Fit:
     """-> the frames solved anew from the poses given, which are spoilt, and what they and the priors say together."""
+    problem.solve(root, local, no_pull(local.shape[1]), (ROBUST,), 6)
+    return linearised(free, problem, unknowns, root, local)
+
+
+def linearised(free: Freedom, problem: Problem, unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> Fit:
+    """-> what frames and priors say together at these poses, as they are."""
     still = no_pull(local.shape[1])
-    problem.solve(root, local, still, (ROBUST,), 6)
     found = responses(problem, free.deformations, still, ROBUST, root, local)
     curvature, gradient = reduced(found)
-    cost = found.cost.sum() + 0.5 * (free.information * unknowns**2).sum()
-    return Fit(
-        unknowns, problem, root, local, found, cost,
-        curvature + np.diag(free.information), gradient + free.information * unknowns,
-    )  # fmt: skip
+    habit = free.information @ unknowns
+    cost = float(found.cost.sum() + 0.5 * unknowns @ habit)
+    return Fit(unknowns, problem, root, local, found, cost, curvature + free.information, gradient + habit)
 
 
 def step(curvature: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:

@@ -1,7 +1,8 @@
 """What many frames say together of the unknowns they share, their poses eliminated (Schur complement by the sweep).
 
-SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K unknowns. The first P change joints' offsets and
-markers' places along given deformations, linearly; the rest are the K markers' places themselves, in their joints' axes.
+SCOPE's shape parameters (Eqs. 1 and 60-64), for markers: Q = P + 3 K + 3 F unknowns. The first P change joints' offsets and
+markers' places along given deformations, linearly; then come the K markers' places themselves, in their joints' axes; the last
+are the middle pose of the frames: by how much each of F joints is to be turned from its target, in its parent's axes.
 """
 
 from typing import NamedTuple
@@ -12,6 +13,8 @@ from numba import njit
 from mocapfix.kernels import sweep
 from mocapfix.kernels.pose import copy, forward
 from mocapfix.kernels.problem import Problem
+from mocapfix.kernels.rotation import left_jacobian_inverse, logarithm
+from mocapfix.kernels.small import matrix, product, put, times, transposed
 from mocapfix.kernels.system import linearise
 from mocapfix.kernels.terms import Courses
 from mocapfix.kernels.terms.robust import robust
@@ -29,13 +32,15 @@ class Deformations(NamedTuple):
 class Responses(NamedTuple):
     """What the frames do when the shared unknowns change and each frame's pose gives way, in metres per unit.
 
-    The last row of `moved` is what is left of the markers' errors after the pose's own next step, in metres.
+    The last rows of `moved` and `bent` are what is left of the errors after the pose's own next step, in metres and radians.
     """
 
     cost: np.ndarray  # (T,) half the sum of squares, pulls included
     trusted: np.ndarray  # (T, K) 1/m^2, the markers' robust weights
     away: np.ndarray  # (T, P, K, 3) the markers, in their joints' axes, the pose held
     moved: np.ndarray  # (T, Q + 1, K, 3) the markers, in their joints' axes
+    bent: np.ndarray  # (T, Q + 1, F, 3) radians, how far the joints are from the middle pose
+    pull: np.ndarray  # (F, 3, 3) 1/rad^2, how strongly they are pulled there
     carried: np.ndarray  # (T, Q, J, 3) the joints, in world axes
 
 
@@ -47,16 +52,19 @@ def responses(problem: Problem, deformations: Deformations, target: Courses, sca
     """
     frames, joints = local.shape[:2]
     dense, markers = deformations.places.shape[:2]
-    unknowns = dense + 3 * markers
+    turning = np.flatnonzero(problem.tree.free)[1:]
+    unknowns = dense + 3 * markers + 3 * len(turning)
     found = Responses(
         np.empty(frames),
         np.zeros((frames, markers)),
         np.empty((frames, dense, markers, 3)),
         np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns + 1, len(turning), 3)),
+        problem.prior.information[0, turning],
         np.empty((frames, unknowns, joints, 3)),
     )
     over_frames(
-        respond_frames, frames, problem.tree, problem.terms(target), deformations,
+        respond_frames, frames, problem.tree, problem.terms(target), deformations, turning,
         problem.scales2((scale,))[0], root, local, *found,
     )  # fmt: skip
     return found
@@ -65,9 +73,11 @@ def responses(problem: Problem, deformations: Deformations, target: Courses, sca
 def reduced(found: Responses) -> tuple[np.ndarray, np.ndarray]:
     """-> curvature (Q, Q) and gradient (Q,) of the shared unknowns, all frames together."""
     dense, unknowns = found.away.shape[1], found.moved.shape[1] - 1
+    own = dense + found.moved[0, 0].size
     weighed = found.moved * found.trusted[:, None, :, None]
     whole = np.empty((unknowns + 1, unknowns))
-    whole[:, dense:] = weighed.sum(0).reshape(unknowns + 1, -1)
+    whole[:, dense:own] = weighed.sum(0).reshape(unknowns + 1, -1)
+    whole[:, own:] = -np.einsum("qfa,fab->qfb", found.bent.sum(0), found.pull).reshape(unknowns + 1, -1)
     for rows in (slice(0, dense), slice(unknowns, None)):
         whole[rows, :dense] = np.tensordot(weighed[:, rows], found.away, axes=([0, 2, 3], [0, 2, 3]))
     whole[dense:unknowns, :dense] = whole[:dense, dense:].T
@@ -138,50 +148,84 @@ def errors(points, t, scale2, arm, pose, lever, error, trusted):
         trusted[k] = weight * robust(points.loss, weight * square, scale2)[1]
 
 
+@njit(cache=True)
+def strained(targets, turning, tree, pose, strain, through):
+    """Write how far joints (F,) are from where they are pulled, (F, 3), and how that changes with their turns (F, 3, 3)."""
+    for f in range(len(turning)):
+        j = turning[f]
+        x, y, z, c = logarithm(product(matrix(pose.local, j), transposed(matrix(targets.rotations[0], j))))
+        put(product(left_jacobian_inverse(x, y, z, c), transposed(matrix(pose.rotation, tree.parents[j]))), through, f)
+        strain[f, 0], strain[f, 1], strain[f, 2] = x, y, z
+        for a in range(3 if len(targets.vectors) else 0):
+            strain[f, a] -= targets.vectors[j, a]
+
+
+@njit(cache=True)
+def slacken(information, through, a, out):
+    """Write the gradient on a joint's turn, `out` (3,), of a unit along axis `a` of the vector that it is pulled to."""
+    x, y, z = times(transposed(through), information[0, a], information[1, a], information[2, a])
+    out[0], out[1], out[2] = -x, -y, -z
+
+
 @njit(inline="always")
-def respond(tree, terms, t, deformations, scale2, work, trusted, away, moved, carried):
-    """Write one frame's `Responses` at the work's pose, the markers being the first term. -> its cost"""
+def respond(tree, terms, t, deformations, turning, scale2, work, trusted, away, moved, bent, pull, carried):
+    """Write one frame's `Responses` at the work's pose, markers being the first term and targets the third. -> its cost"""
     points, system, step, rotation, arm = terms[0], work.system, work.step, work.pose.rotation, work.system.arm
-    joints, markers, dense = len(arm), len(trusted), len(away)
+    joints, markers, dense, last = len(arm), len(trusted), len(away), len(carried)
+    strain, through = np.empty((len(turning), 3)), np.empty((len(turning), 3, 3))
     lever, error, at = np.empty((markers, 3)), np.empty((markers, 3)), np.empty(3)
     stretch, shift = np.zeros((joints, 3)), np.zeros((markers, 3))
     forward(tree, work.pose)
     cost = linearise(tree, terms, t, scale2, work.pose, system)
     errors(points, t, scale2, arm, work.pose, lever, error, trusted)
+    strained(terms[2], turning, tree, work.pose, strain, through)
     sweep.factor(tree, system, sweep.HARDLY, work.factors)
     for q in range(len(moved)):
-        k = (q - dense) // 3
+        k, f = (q - dense) // 3, (q - dense) // 3 - markers
+        stretch.fill(0)
+        shift.fill(0)
         if q < dense:
             along(deformations, q, points, tree.parents, rotation, stretch, shift)
             for m in range(markers):
                 inwards(rotation[points.joints[m]], shift[m], away[q, m])
-        else:
-            stretch.fill(0)
-            shift.fill(0)
-            for a in range(3 if k < markers else 0):
-                shift[k, a] = rotation[points.joints[k], a, (q - dense) % 3]
-        if k < markers:
+        for a in range(3 if q >= dense and k < markers else 0):
+            shift[k, a] = rotation[points.joints[k], a, (q - dense) % 3]
+        if q < last:
             press(points, lever, trusted, shift, work.g)
             work.b.fill(0)
+            if f >= 0:
+                slacken(pull[f], matrix(through, f), (q - dense) % 3, work.b[turning[f]])
         else:  # the errors themselves, and with them what the pulls say to the pose
             copy(error, shift)
             copy(system.g, work.g)
             copy(system.b, work.b)
         sweep.solve(tree, system, work.factors, work.g, work.b, step)
-        for j in range(joints if k < markers else 0):
+        for j in range(joints if q < last else 0):
             follow(step.twist[j], arm[j], stretch[j], carried[q, j])
         for m in range(markers):
             j = points.joints[m]
             follow(step.twist[j], lever[m], shift[m], at)
             inwards(rotation[j], at, moved[q, m])
+        for i in range(len(turning)):
+            turn = step.turn[turning[i]]
+            x, y, z = times(matrix(through, i), turn[0], turn[1], turn[2])
+            bent[q, i, 0], bent[q, i, 1], bent[q, i, 2] = x, y, z
+            for a in range(3 if q == last else 0):
+                bent[q, i, a] += strain[i, a]
+        if f >= 0 and q < last:
+            bent[q, f, (q - dense) % 3] -= 1.0
     return cost
 
 
 @njit(cache=True, nogil=True)
-def respond_frames(tree, terms, deformations, scale2, root, local, cost, trusted, away, moved, carried, first, stop):
+def respond_frames(
+    tree, terms, deformations, turning, scale2, root, local, cost, trusted, away, moved, bent, pull, carried, first, stop
+):
     """`respond` on first..stop, each into its own row."""
     none = np.zeros((len(root), 0))
     work = workspace(local.shape[1], none.shape[1], None)  # a plain 0 would be a type of its own, compiled anew
     for t in range(first, stop):
         load(root, local, none, t, work.pose)
-        cost[t] = respond(tree, terms, t, deformations, scale2, work, trusted[t], away[t], moved[t], carried[t])
+        cost[t] = respond(
+            tree, terms, t, deformations, turning, scale2, work, trusted[t], away[t], moved[t], bent[t], pull, carried[t]
+        )

@@ -1,6 +1,6 @@
 """What people's poses are like, where nothing else tells: the mean pose and the joint limits; trained models in `models`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -23,19 +23,27 @@ class Prior:
     information  (J, 3, 3) inverse covariance, in 1/rad^2, of the rotation vector from the mean pose to a pose, in the
                  axes of the joint's parent; zero for the root, of which the prior knows nothing
     held         (J, 3, 3) the part of it about axes that the skeleton itself holds: hinges and fixed joints
+    between      (J, 3, 3) rad^2: the covariance of a take's mean pose about people's, nothing about the held axes
     """
 
     name: str
     rotations: np.ndarray
     information: np.ndarray
     held: np.ndarray
+    between: np.ndarray
 
     def weakened(self, weight: float) -> "Prior":
         """-> the same mean pose, its information times `weight` but for the held axes.
 
         What the skeleton holds is true in every frame; the rest is people's habit, which a take need not share.
         """
-        return Prior(self.name, self.rotations, weight * (self.information - self.held) + self.held, self.held)
+        return replace(self, information=weight * (self.information - self.held) + self.held)
+
+    def within(self) -> "Prior":
+        """-> what a take's poses are like about their own mean, which strays from people's by `between`: variances add up."""
+        information = self.information.copy()
+        information[1:] = np.linalg.inv(np.linalg.inv(self.information[1:]) - self.between[1:])
+        return replace(self, information=information)
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,8 @@ def load(name: str, skeleton: Skeleton) -> Prior:
     if name == "none":
         weak = np.tile(np.eye(3) / 3.0**2, (joints, 1, 1))
         weak[0] = 0
-        return Prior(name, np.tile(np.eye(3), (joints, 1, 1)), weak, np.zeros_like(weak))
+        eye = np.tile(np.eye(3), (joints, 1, 1))
+        return Prior(name, eye, weak, np.zeros_like(weak), eye * 3.0**2 / 2)
     path = folder("priors") / f"{Path(name).name}.yaml"
     if not path.is_file() or path.stem in OTHERS:
         there = ", ".join(sorted(p.stem for p in folder("priors").glob("*.yaml") if p.stem not in OTHERS))
@@ -73,19 +82,26 @@ def load(name: str, skeleton: Skeleton) -> Prior:
 def read(path: Path, names: tuple[str, ...]) -> Prior:
     """-> the prior in a file, for joints of these names; read once. Raises SceneError where it does not say what it must."""
     data, joints = read_yaml(path), len(names)
-    rotations, information, held = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((joints, 3, 3)), np.zeros((joints, 3, 3))
+    rotations, (information, held, between) = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((3, joints, 3, 3))
     for j, joint in enumerate(names[1:], start=1):
         try:
             said = data["joints"][joint]
             rotations[j] = Rotation.from_quat(said["quaternion_xyzw"]).as_matrix()
-            xx, yy, zz, xy, xz, yz = (float(v) for v in said["covariance"])
-            information[j] = np.linalg.inv([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            covariance, between[j] = symmetric(said["covariance"]), symmetric(said["between"])
+            np.linalg.cholesky(covariance - between[j])  # there is no more between takes than there is altogether
+            information[j] = np.linalg.inv(covariance)
             for axis in np.array(said["held"], float).reshape(-1, 3):  # held axes are axes of the covariance
                 held[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            keys = "quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz) and held"
+            keys = "quaternion_xyzw, covariance and between (xx, yy, zz, xy, xz, yz) and held"
             raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
-    return Prior(path.stem, rotations, information, held)
+    return Prior(path.stem, rotations, information, held, between)
+
+
+def symmetric(said: list) -> np.ndarray:
+    """-> (3, 3) of its six numbers. Raises TypeError or ValueError where they are none."""
+    xx, yy, zz, xy, xz, yz = (float(v) for v in said)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def load_limits(skeleton: Skeleton) -> JointLimits:

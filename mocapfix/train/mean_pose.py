@@ -2,11 +2,12 @@
 
 MOTION_FOLDER holds skeletons.json and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, 32767 = 180 degrees.
 Each motion counts twice, as it is and mirrored, so the mean pose has no handedness. A joint's covariance is that of
-the rotation vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent.
+the rotation vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent. How much of it lies
+between takes, for each has its own mean pose, is said beside it: a take tells that one only once, however long it is.
 
 CMU's skeleton is a hinge at the knee and the elbow, turns the forearm only at the wrist and holds the clavicle still.
-People are not so stiff and markers see it: axes about which its joints never turn are `held`, with a deviation of HELD,
-and the elbow is given the forearm's turn.
+People are not so stiff and markers see it: axes about which its joints never turn are `held`, with a deviation of HELD, or
+HINGE where the joint turns about another; and the elbow is given the forearm's turn.
 """
 
 import json
@@ -20,11 +21,14 @@ from scipy.spatial.transform import Rotation
 from mocapfix.train.mirror import FLIP, mirrored_name
 
 NEVER = 0.02  # radians: an axis that turns less than this in all the data is one that the skeleton holds
-HELD = 0.2  # radians
+HELD = 0.2  # radians, of a joint that never turns at all: people do shrug
+HINGE = 0.1  # radians, across a joint's own axes: knees give way by a few degrees
 FOREARM_TURN = 0.5  # radians
+FOREARM_HABIT = 0.25  # radians: the part of it that lies between takes, as at the wrists
 CARD = """\
 # The mean pose of people in motion, and how each joint strays from it: covariance of its rotation vectors from the
-# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz). About the axes `held` the skeleton does not turn.
+# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz); and the part of it that lies between the takes' own
+# mean poses. About the axes `held` the skeleton does not turn.
 # Fitted by mocapfix.train.mean_pose to {frames} frames of {trials} trials of the CMU database, each also mirrored.
 #
 # The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
@@ -38,21 +42,42 @@ def mean_rotation(matrices: np.ndarray) -> np.ndarray:
     return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
 
 
-def fit(names: list[str], euler: np.ndarray) -> dict:
-    """-> the prior's mapping, from joint names and Euler angles (N, J, 3) in degrees, ZYX."""
+def fit(names: list[str], euler: np.ndarray, takes: np.ndarray) -> dict:
+    """-> the prior's mapping, from joint names, Euler angles (N, J, 3) in degrees, ZYX, and which take each is of (N,)."""
     matrices = {n: Rotation.from_euler("ZYX", euler[:, j], degrees=True).as_matrix() for j, n in enumerate(names)}
     joints = {}
     for name in names[1:]:
         both = np.concatenate([matrices[name], FLIP @ matrices[mirrored_name(name)] @ FLIP])
         mean = mean_rotation(both)
         quaternion = Rotation.from_matrix(mean).as_quat(canonical=True)
-        c, held = covariance(both @ mean.T, turns_along_x=name.endswith("ForeArm"))
+        away, forearm = both @ mean.T, name.endswith("ForeArm")
+        c, held = covariance(away, turns_along_x=forearm)
+        apart = between(away, np.r_[takes, takes + takes.max() + 1], held)
+        if forearm:
+            apart[0, 0] = min(FOREARM_HABIT**2, c[0, 0] / 2)
         joints[name] = {
             "quaternion_xyzw": [round(float(q), 5) for q in quaternion],
-            "covariance": [round(float(v), 5) for v in (c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2])],
+            "covariance": six(c),
+            "between": six(apart),
             "held": [[round(float(v), 5) for v in axis] for axis in held],
         }
     return joints
+
+
+def six(c: np.ndarray) -> list[float]:
+    """-> what a file says of a symmetric matrix (3, 3)."""
+    return [round(float(v), 5) for v in (c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2])]
+
+
+def between(away: np.ndarray, takes: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """-> (3, 3) covariance of the takes' mean rotation vectors, takes counting by their lengths; nothing about the axes `held`.
+
+    away  (N, 3, 3), takes (N,) the take that each is of
+    """
+    vectors = Rotation.from_matrix(away).as_rotvec() @ (np.eye(3) - held.T @ held)
+    count = np.bincount(takes)
+    means = np.stack([np.bincount(takes, vectors[:, a]) for a in range(3)], axis=1) / np.maximum(count, 1)[:, None]
+    return (means * count[:, None]).T @ means / len(away)
 
 
 def covariance(away: np.ndarray, turns_along_x: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -66,8 +91,8 @@ def covariance(away: np.ndarray, turns_along_x: bool) -> tuple[np.ndarray, np.nd
     if turns_along_x and stiff.sum() == 2:
         third = np.cross(axes[:, 2], [1.0, 0.0, 0.0])
         axes = np.stack([third / np.linalg.norm(third), np.cross(axes[:, 2], third / np.linalg.norm(third)), axes[:, 2]], 1)
-        value, stiff = np.array([HELD**2, FOREARM_TURN**2, value[2]]), np.array([True, False, False])
-    value = np.where(stiff, HELD**2, value)
+        value, stiff = np.array([HINGE**2, FOREARM_TURN**2, value[2]]), np.array([True, False, False])
+    value = np.where(stiff, HELD**2 if stiff.all() else HINGE**2, value)
     return (axes * value) @ axes.T, axes[:, stiff].T
 
 
@@ -75,9 +100,10 @@ def main(folder: str, target: str) -> None:
     names = json.loads((Path(folder) / "skeletons.json").read_text())["joints"]
     shards = [np.load(path) for path in sorted(Path(folder).glob("train-*.npz")) if "approx" not in path.name]
     euler = np.concatenate([shard["euler"] for shard in shards]) / 32767 * 180
-    trials = sum(len(shard["trial"]) for shard in shards)
-    text = yaml.safe_dump({"joints": fit(names, euler)}, sort_keys=False, default_flow_style=None, width=120)
-    Path(target).write_text(CARD.format(frames=len(euler), trials=trials) + text)
+    lengths = np.concatenate([shard["length"] for shard in shards])
+    joints = fit(names, euler, np.repeat(np.arange(len(lengths)), lengths))
+    text = yaml.safe_dump({"joints": joints}, sort_keys=False, default_flow_style=None, width=120)
+    Path(target).write_text(CARD.format(frames=len(euler), trials=len(lengths)) + text)
 
 
 if __name__ == "__main__":

@@ -47,7 +47,25 @@ def test_bones_too_long_are_measured_in_length_and_stubs_are_no_bones():
 def test_there_is_a_row_for_everybody_and_one_of_means_and_calibration_helps():
     rows = calibration.measured(seeds=(3, 4), seconds=5.0)
     assert [row["person"] for row in rows] == ["seed 3", "seed 4", "mean"]
-    for key in ("bones_mm", "places_mm", "joints_mm"):
+    for key in ("bones_mm", "places_mm", "joints_mm", "carrying_mm"):
         one, other, mean = (float(row[key]) for row in rows)
         assert mean == pytest.approx((one + other) / 2)
         assert 0 < mean < float(rows[-1]["average_" + key])
+    for key in ("joints_mm", "carrying_mm"):
+        mean, true, allowed = (float(rows[-1][prefix + key]) for prefix in ("", "true_", "allowed_"))
+        assert true < allowed < 2 * mean  # of two people, one may be luckier than is to be hoped for
+
+
+def test_what_is_left_open_shrinks_with_the_take_and_with_what_is_known(truth):
+    worn = Take(truth.markers, truth.labels, truth.rate)
+    short = calibration.left_open(truth, worn, BODY, MEAN)
+    long = synthetic.take(2, 6.0, 30.0, crooked=True)
+    longer = calibration.left_open(long, Take(long.markers, long.labels, long.rate), BODY, MEAN)
+    firm = replace(MEAN, information=MEAN.information * 4, held=MEAN.held * 4, between=MEAN.between / 4)
+    assert longer.mean() < short.mean()
+    assert (calibration.left_open(truth, worn, BODY, firm) < short).all()
+
+
+def test_the_mean_length_of_an_error_is_that_of_a_normal_one():
+    drawn = np.random.default_rng(0).normal(size=(100_000, 3))
+    assert np.linalg.norm(drawn, axis=1).mean() == pytest.approx(calibration.MEAN_LENGTH, rel=0.01)

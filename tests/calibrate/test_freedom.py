@@ -4,70 +4,101 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix import marker_set
+from mocapfix import marker_set, prior
 from mocapfix.calibrate import freedom
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
 
 BODY, WORN = cmu31(), marker_set.load("cmu41")
 START = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
-FREE = freedom.of(START, BODY)
-GROUPS = list(BODY.groups)
+MEAN = prior.load("mean-pose", BODY.skeleton)
+FREE = freedom.of(START, BODY, MEAN)
+TURNING = np.flatnonzero(BODY.free)[1:]
+SHIFTS = slice(-WORN.places.size - 3 * len(TURNING), -3 * len(TURNING))
+BONES = freedom.bones(BODY.skeleton)
 
 
 def unknowns(**parts):
-    """-> all zero but the size, a group's scale (by its name), the shape (P,) or the places' shifts (K, 3)"""
-    x = np.zeros(len(FREE.information))
+    """-> all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
+    shifts (K, 3), turns (F, 3)"""
+    x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shapes), list(BODY.groups)
     for name, value in parts.items():
         if name == "places":
-            x[-WORN.places.size :] = np.ravel(value)
+            x[SHIFTS] = np.ravel(value)
+        elif name == "turns":
+            x[SHIFTS.stop :] = np.ravel(value)
         elif name == "shape":
-            x[1 + len(GROUPS) : -WORN.places.size] = value
+            x[1 : 1 + shapes] = value
         else:
-            x[0 if name == "size" else 1 + GROUPS.index(name)] = value
+            named = ["size", *[None] * shapes, *groups, *(BODY.skeleton.names[np.argmax(bone.any(1))] for bone in BONES)]
+            x[named.index(name)] = value
     return x
 
 
 def test_nothing_changed_is_the_body_itself():
-    offsets, places = FREE.body(unknowns())
+    offsets, places, _ = FREE.body(unknowns())
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_array_equal(places, WORN.places)
 
 
-def test_size_takes_all_along_and_a_group_its_bones_alone():
-    offsets, places = FREE.body(unknowns(size=0.1, thigh=-0.2))
+def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
+    offsets, places, _ = FREE.body(unknowns(size=0.1, shin=0.2, LeftLeg=-0.2))
     expected = 1.1 * BODY.skeleton.offsets
-    thighs = list(BODY.groups["thigh"])
-    expected[thighs] = 0.9 * BODY.skeleton.offsets[thighs]
+    shins = list(BODY.groups["shin"])
+    expected[shins] = 1.3 * BODY.skeleton.offsets[shins]
+    thigh = BODY.skeleton.index("LeftLeg")
+    expected[thigh] = 0.9 * BODY.skeleton.offsets[thigh]
     np.testing.assert_allclose(offsets, expected)
     np.testing.assert_allclose(places, 1.1 * WORN.places)
 
 
 def test_places_shift_in_their_joints_axes():
     shifts = np.random.default_rng(0).normal(0, 0.02, WORN.places.shape)
-    offsets, places = FREE.body(unknowns(places=shifts))
+    offsets, places, _ = FREE.body(unknowns(places=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_allclose(places, WORN.places + shifts)
 
 
-def test_a_group_is_a_part_of_the_body_it_starts_from():
+def test_a_bone_is_a_part_of_the_body_it_starts_from():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
-    offsets, _ = freedom.of(tall, BODY).body(unknowns(shin=0.05))
-    shins = list(BODY.groups["shin"])
-    np.testing.assert_allclose(offsets[shins], 1.05 * 1.2 * BODY.skeleton.offsets[shins])
+    offsets, *_ = freedom.of(tall, BODY, MEAN).body(unknowns(RightFoot=0.05))
+    shin = BODY.skeleton.index("RightFoot")
+    np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
+
+
+def test_every_bone_is_there_once_and_the_thorax_carries_three_joints():
+    np.testing.assert_array_equal((BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > freedom.SHORT)
+    assert ((BONES != 0).any(2).sum(0) <= 1).all()
+    thorax = BONES[BONES[:, BODY.skeleton.index("Neck")].any(1)][0]
+    carried = [BODY.skeleton.names[j] for j in np.flatnonzero(thorax.any(1))]
+    assert carried == ["Neck", "LeftShoulder", "RightShoulder"]
 
 
 def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
     weights = np.random.default_rng(1).normal(size=len(BODY.shapes))
-    offsets, places = FREE.body(unknowns(shape=weights))
+    offsets, places, _ = FREE.body(unknowns(shape=weights))
     np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shapes, 1), atol=1e-15)
     np.testing.assert_array_equal(places, WORN.places)
-    tall = freedom.of(replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY)
+    tall = freedom.of(replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY, MEAN)
     np.testing.assert_allclose(tall.body(unknowns(shape=weights))[0], 1.2 * offsets)
 
 
 def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
-    assert FREE.information[0] < 1e-5
-    np.testing.assert_allclose(FREE.information[unknowns(thigh=1.0) > 0], freedom.GROUP_SD**-2.0)
-    np.testing.assert_allclose(FREE.information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
-    np.testing.assert_allclose(FREE.information[-WORN.places.size :], freedom.PLACE_SD**-2.0)
+    information = np.diag(FREE.information)
+    assert information[0] < 1e-5
+    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], freedom.GROUP_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], freedom.LENGTH_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
+    np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.spread**-2.0, 3))
+
+
+def test_a_take_has_a_mean_pose_of_its_own_and_what_never_turns_does_not_stray():
+    turns = np.random.default_rng(2).normal(0, 0.1, (len(TURNING), 3))
+    *_, found = FREE.body(unknowns(turns=turns))
+    np.testing.assert_array_equal(found[TURNING], turns)
+    assert not np.delete(found, TURNING, 0).any()
+    habits = np.linalg.inv(FREE.information[SHIFTS.stop :, SHIFTS.stop :])
+    np.testing.assert_allclose(habits[:3, :3], MEAN.between[TURNING[0]] + freedom.HABIT_SD**2 * np.eye(3), atol=1e-9)
+    clavicle = 3 * list(TURNING).index(BODY.skeleton.index("LeftShoulder"))
+    its = slice(clavicle, clavicle + 3)
+    np.testing.assert_allclose(habits[its, its], freedom.HABIT_SD**2 * np.eye(3), atol=1e-9)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix import marker_set, prior
-from mocapfix.calibrate import freedom, refine
+from mocapfix.calibrate import refine
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.shared import Responses
 from mocapfix.skeleton import cmu31
@@ -93,7 +93,8 @@ def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
     moved, carried = np.zeros((2, 3, 1, 3)), np.zeros((2, 2, 1, 3))
     carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
     moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
-    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, carried)
+    bent, pull = np.zeros((2, 3, 0, 3)), np.zeros((0, 3, 3))
+    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
     covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
     joints, markers = refine.doubt(found, np.linalg.inv(covariance))
     np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
@@ -105,8 +106,8 @@ def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
     found = fitted(markers)
-    assert freedom.PLACE_SD < found.marker_sd[k] < 1.5 * freedom.PLACE_SD  # and a little of the forearm's
-    assert (np.delete(found.marker_sd, k) < 0.2 * freedom.PLACE_SD).all()
+    assert WORN.spread[k] < found.marker_sd[k] < 1.5 * WORN.spread[k]  # and a little of the forearm's
+    assert (np.delete(found.marker_sd, k) < 0.2 * WORN.spread[k]).all()
     assert (found.joint_sd > 0).all()
 
 

@@ -114,7 +114,8 @@ def of_courses(term: Courses, at: World) -> np.ndarray:
 
 
 def of_targets(term: Targets, at: World) -> np.ndarray:
-    return whitened(term.information[0], from_middle(term.rotations[0], at))
+    wanted = term.vectors * at.tree.free[:, None] if len(term.vectors) else 0.0
+    return whitened(term.information[0], from_middle(term.rotations[0], at) - wanted)
 
 
 def of_limits(term: Limits, at: World) -> np.ndarray:

@@ -20,7 +20,7 @@ def problem(seed=0):
     root, local = rng.normal(size=(FRAMES, 3)), np.tile(drawn.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
     joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
     markers = np.stack([dense.placed(joints, places, dense.world(tree, *pose)) for pose in zip(root, local, strict=True)])
-    silent, listened = pull_to(Prior("none", local[0], *np.zeros((2, JOINTS, 3, 3)))), np.ones(markers.shape[:2], bool)
+    silent, listened = pull_to(Prior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))), np.ones(markers.shape[:2], bool)
     return Problem(tree, Attached(joints, places), markers, listened, SD, silent, no_limits(JOINTS)), root, local
 
 

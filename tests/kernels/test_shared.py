@@ -24,16 +24,26 @@ def shared(seed, joints, hidden=()):
     weight = np.full((1, MARKERS), SD**-2)
     weight[:, list(hidden)] = 0.0
     alike = points._replace(weight=weight, loss=drawn.GEMAN_MCCLURE)
+    pulls[1] = pulls[1]._replace(vectors=rng.normal(0, 0.2, (joints, 3)))
     deformations = Deformations(rng.normal(0, 0.3, (COUNT, joints, 3)), rng.normal(0, 0.1, (COUNT, MARKERS, 3)))
     return frame._replace(terms=(alike, *pulls)), deformations
 
 
 def changed(frame, deformations, unknowns):
     """-> the frame on a body whose shared unknowns (Q,) are moved"""
-    points, *pulls = frame.terms
+    points, course, targets, limits = frame.terms
     offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], deformations.offsets, 1)
-    places = points.places + np.tensordot(unknowns[:COUNT], deformations.places, 1) + unknowns[COUNT:].reshape(-1, 3)
-    return frame._replace(tree=frame.tree._replace(offsets=offsets), terms=(points._replace(places=places), *pulls))
+    own = COUNT + 3 * MARKERS
+    places = points.places + np.tensordot(unknowns[:COUNT], deformations.places, 1) + unknowns[COUNT:own].reshape(-1, 3)
+    vectors = targets.vectors.copy()
+    vectors[np.flatnonzero(frame.tree.free)[1:]] += unknowns[own:].reshape(-1, 3)
+    terms = points._replace(places=places), course, targets._replace(vectors=vectors), limits
+    return frame._replace(tree=frame.tree._replace(offsets=offsets), terms=terms)
+
+
+def count(frame):
+    """-> Q"""
+    return COUNT + 3 * MARKERS + 3 * (int(frame.tree.free.sum()) - 1)
 
 
 def problem_of(frame, frames=1):
@@ -62,7 +72,7 @@ def at(frame):
 
 def jacobian(frame, deformations):
     """-> (rows, Q + N) of all residuals, shared unknowns first, then the pose's; and the residuals (rows,)"""
-    unknowns, pose = COUNT + 3 * MARKERS, dense.unknowns(frame)
+    unknowns, pose = count(frame), dense.unknowns(frame)
 
     def residual(x):
         after = dense.moved(changed(frame, deformations, x[:unknowns]), x[unknowns:])
@@ -118,7 +128,7 @@ def test_the_gradient_is_that_of_the_cost_at_the_best_pose():
         problem_of(trial).solve(root, local, frame.terms[1], (PLAIN, PLAIN, PLAIN), 100)
         return respond(trial._replace(root=root[0], local=local[0]), deformations, PLAIN)
 
-    unknowns = COUNT + 3 * MARKERS
+    unknowns = count(frame)
     slope = dense.jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
     gradient = reduced(solved(np.zeros(unknowns)))[1]
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=0.02 * np.abs(slope).max())

@@ -90,7 +90,7 @@ def test_a_prior_that_does_not_say_what_it_must_is_told_by_file_and_joint(shelf,
     path = shelf(change)
     with pytest.raises(SceneError) as told:
         prior.load("mine", SKELETON)
-    assert str(told.value).startswith(f"{path}: joints.LeftArm must hold quaternion_xyzw, covariance (xx, yy, zz, xy, xz, yz)")
+    assert str(told.value).startswith(f"{path}: joints.LeftArm must hold quaternion_xyzw, covariance and between (xx, yy")
     assert str(told.value).endswith("held.")
 
 
@@ -103,11 +103,21 @@ def test_a_prior_without_joints_is_told(shelf):
 def test_weakening_spares_the_axes_that_the_skeleton_itself_holds():
     axes = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
     hinge = np.outer(axes[:, 0], axes[:, 0])
-    loaded = Prior("", np.eye(3)[None], (axes * np.array([25.0, 8.0, 2.0]) @ axes.T)[None], 25.0 * hinge[None])
+    information = axes * np.array([25.0, 8.0, 2.0]) @ axes.T
+    loaded = Prior("", np.eye(3)[None], information[None], 25.0 * hinge[None], np.zeros((1, 3, 3)))
     for weight in (0.1, 1.0):
         weak = loaded.weakened(weight)
         np.testing.assert_allclose(weak.information[0], axes * np.array([25, 8 * weight, 2 * weight]) @ axes.T, atol=1e-12)
         np.testing.assert_allclose(weak.held[0], 25 * hinge, atol=1e-12)
+
+
+def test_what_a_take_varies_by_and_what_takes_vary_by_add_up():
+    loaded = prior.load("mean-pose", SKELETON)
+    whole = np.linalg.inv(loaded.information[1:])
+    within = np.linalg.inv(loaded.within().information[1:])
+    np.testing.assert_allclose(within + loaded.between[1:], whole, atol=1e-9)
+    assert np.linalg.eigvalsh(loaded.within().information[1:]).min() > 0
+    assert not loaded.between[SKELETON.index("LHipJoint")].any()  # which is held
 
 
 def test_knees_and_hip_stubs_are_held_and_hips_are_not():

@@ -30,7 +30,7 @@ def swinging(low, high, frames=2001):
 
 
 def measured(trials, people, held=0.0):
-    return joint_limits.measure(NAMES, trials, people, Prior("", STILL, STILL, held * STILL))
+    return joint_limits.measure(NAMES, trials, people, Prior("", STILL, STILL, held * STILL, 0 * STILL))
 
 
 def test_the_range_of_one_person_is_found_again_and_mirrored():

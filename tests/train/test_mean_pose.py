@@ -19,8 +19,7 @@ NAMES = ["Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head", "
 
 
 def covariance_of(joint):
-    xx, yy, zz, xy, xz, yz = joint["covariance"]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return prior.symmetric(joint["covariance"])
 
 
 def rotation_of(joint):
@@ -37,7 +36,7 @@ def fitted():
         turns[f"{side}Arm"] = mirror @ away @ MEAN @ mirror
     turns["Head"] = Rotation.from_rotvec(rng.normal(0, 0.4, (count, 1)) * [1.0, 0, 0] + [0, 0.2, 0]).as_matrix()
     euler = np.stack([Rotation.from_matrix(turns[name]).as_euler("ZYX", degrees=True) for name in NAMES], axis=1)
-    return mean_pose.fit(NAMES, euler)
+    return mean_pose.fit(NAMES, euler, np.arange(count) // 100)
 
 
 def test_mean_and_covariance_are_found_again(fitted):
@@ -73,7 +72,7 @@ def test_a_hinge_is_held_across_its_axis_and_keeps_its_own_spread(seed):
     assert held.shape == (2, 3)
     np.testing.assert_allclose(held @ axis, 0, atol=1e-6)
     assert axis @ found @ axis == pytest.approx((angles**2).mean(), rel=1e-6)
-    np.testing.assert_allclose(held @ found @ held.T, np.eye(2) * mean_pose.HELD**2, atol=1e-9)
+    np.testing.assert_allclose(held @ found @ held.T, np.eye(2) * mean_pose.HINGE**2, atol=1e-9)
 
 
 def test_an_elbow_is_given_the_forearms_turn():
@@ -90,6 +89,21 @@ def test_a_joint_that_turns_every_way_has_the_moment_of_its_turns(seed):
     found, held = mean_pose.covariance(Rotation.from_rotvec(vectors).as_matrix(), turns_along_x=True)
     assert held.shape == (0, 3)
     np.testing.assert_allclose(found, vectors.T @ vectors / 50, atol=1e-9)
+
+
+def test_what_lies_between_takes_is_told_from_what_lies_within_them():
+    rng, takes = np.random.default_rng(3), np.repeat(np.arange(400), 50)
+    own, poses = rng.normal(0, 0.1, (400, 3)) * [1.0, 2.0, 0.0], rng.normal(0, 0.2, (len(takes), 3))
+    away = Rotation.from_rotvec(own[takes] + poses).as_matrix()
+    found = mean_pose.between(away, takes, np.zeros((0, 3)))
+    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.hypot([0.1, 0.2, 0.0], 0.2 / np.sqrt(50)), rtol=0.1)
+    np.testing.assert_allclose(mean_pose.between(away, takes, np.array([[0.0, 1.0, 0.0]]))[1], 0, atol=1e-12)
+
+
+def test_no_more_lies_between_takes_than_there_is(fitted):
+    for name in ("LeftArm", "RightForeArm", "LThumb"):
+        c, apart = (prior.symmetric(fitted[name][key]) for key in ("covariance", "between"))
+        assert np.linalg.eigvalsh(c - apart).min() > 0
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -111,13 +125,13 @@ def test_a_fitted_file_is_a_prior_that_loads(tmp_path, monkeypatch):
     names, count = list(cmu31().skeleton.names), 40
     angles = np.random.default_rng(1).uniform(-20, 20, (count, len(names), 3))
     (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
-    np.savez(tmp_path / "train-0.npz", euler=np.round(angles / 180 * 32767).astype(np.int16), trial=np.arange(2))
+    np.savez(tmp_path / "train-0.npz", euler=np.round(angles / 180 * 32767).astype(np.int16), length=[30, 10])
     mean_pose.main(str(tmp_path), str(tmp_path / "mine.yaml"))
     text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")
     assert "40 frames of 2 trials" in text
     monkeypatch.setattr(prior, "folder", lambda _: tmp_path)
     loaded = prior.load("mine", cmu31().skeleton)
-    expected = mean_pose.fit(names, angles)["LeftArm"]
+    expected = mean_pose.fit(names, angles, np.repeat([0, 1], [30, 10]))["LeftArm"]
     np.testing.assert_allclose(loaded.rotations[names.index("LeftArm")], rotation_of(expected), atol=1e-3)
     shipped = yaml.safe_load((folder("priors") / "mean-pose.yaml").read_text(encoding="utf-8"))
     assert yaml.safe_load(text)["joints"].keys() == shipped["joints"].keys()

@@ -10,13 +10,14 @@ from mocapfix.kernels.terms.contract import adds, of_frame
 
 
 class Targets(NamedTuple):
-    """Residual: the rotation vector from each target to the joint, in the parent's axes.
+    """Residual: the rotation vector from each target to the joint, in the parent's axes, less the one it is to be.
 
     One pose for all frames, or one per frame, and likewise how strongly it pulls: not at all where the information is zero.
     """
 
     rotations: np.ndarray  # (1 or T, J, 3, 3)
     information: np.ndarray  # (1 or T, J, 3, 3) 1/rad^2, symmetric
+    vectors: np.ndarray = np.zeros((0, 3))  # (J, 3) radians, the same for all frames; (0, 3) for zero
 
 
 @adds(Targets)
@@ -36,6 +37,8 @@ def add(term, t, scale2, tree, pose, system):
         through = left_jacobian_inverse(x, y, z, c)
         if j:
             through = product(through, transposed(matrix(rotation, parents[j])))
+        if len(term.vectors):
+            x, y, z = x - term.vectors[j, 0], y - term.vectors[j, 1], z - term.vectors[j, 2]
         back = transposed(through)
         stiff = product(back, product(information, through))
         px, py, pz = times(information, x, y, z)
