@@ -31,8 +31,10 @@ def taken(
     touch    (T, M) bool: what may be touched; a change of labels all of whose samples may not is not made
     only     the kinds that are mended, a gap's for all that is missing; none: all
     """
-    asked = [f for f in looked.faults.items if _asked(f, only) and _free(f, touch) and not _agrees(f, looked, whole)]
-    refused, told = [fault for fault in looked.faults.items if fault not in asked], []
+    asked, refused, told = [], [], []
+    for fault in looked.faults.items:
+        wanted = _asked(fault, only) and _free(fault, touch) and not _agrees(fault, looked, whole)
+        (asked if wanted else refused).append(fault)
     for change, fault in made(before, whole, asked, body):
         decision = next((each.decision for each in decided if each.about(fault)), "accept")
         if decision != "accept":

@@ -5,7 +5,7 @@ search sees, so they go on until nothing new is found.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from mocapfix.faults import LABELS, SURE, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 ROUNDS = 3  # at most
@@ -52,9 +53,16 @@ class Looked:
         return self.samples.heard(self.take) & self.take.measured
 
 
-def first(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Looked:
-    """-> the take after the first look. `stands` says whether a fault may be one."""
+def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stands: Stands) -> Looked:
+    """-> the take after the first look.
+
+    worn_set  what the labels say that it wears, None where they say nothing; subject  who wears it, where that is known
+    stands    says whether a fault may be one
+    """
     labels: list[Fault] = []
+    if worn_set:
+        labels += [fault for fault in detect.mislabelled.found(take, worn_set, subject) if stands(fault)]
+        take = mend.labels(take, labels)
     for _ in range(ROUNDS):
         pieces = [fault for fault in detect.fragments.found(take) if stands(fault)]
         joined = mend.fragments(take, pieces)
@@ -65,19 +73,19 @@ def first(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Looked:
         take = mend.labels(joined, swaps)
         if not swaps:
             break
-    return Looked(take, tuple(labels), judged(take, stands))
+    return Looked(take, tuple(labels), judged(take, worn_set, stands))
 
 
-def judged(take: Take, stands: Stands) -> Faults:
+def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
     """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged."""
-    donors, found = detect.namesakes(take), detect.faults(take).items
+    donors, found = detect.namesakes(take), detect.faults(take, worn_set).items
     return Faults(tuple(fault for fault in found if fault.marker not in donors and stands(fault)))
 
 
-def again(looked: Looked, parts: Parts, body: Solved, stands: Stands) -> Looked | None:
+def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:
     """-> the take after a look at the solved body; None where that shows nothing new."""
-    more: list[Fault] = []
-    new = [fault for fault in more if stands(fault) and not any(_same(fault, old) for old in looked.faults.items)]
+    known = looked.faults.items
+    new = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, old) for old in known)]
     if not new:
         return None
     swaps = [fault for fault in new if fault.kind in LABELS]
@@ -85,7 +93,24 @@ def again(looked: Looked, parts: Parts, body: Solved, stands: Stands) -> Looked 
     if not swaps:
         return Looked(looked.take, looked.labels, looked.samples.with_more(strays))
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
-    return Looked(take, labels, judged(take, stands).with_more(strays))
+    return Looked(take, labels, judged(take, worn_set, stands).with_more(strays))
+
+
+def off_body(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
+    """-> what does not fit the solved body, by the take's own markers; of exchanged labels only what is sure, and of a burst
+    of jitter nothing, for that is known."""
+    believed, heard = (parts.take.worn(body.columns, parts.split(mask)) for mask in (looked.believed.seen, looked.heard))
+    found = detect.second_look.found(believed, heard.seen, body.worn, body.motion)
+    whose = [parts.marker[column] if column >= 0 else -1 for column in body.columns]
+    more = [replace(f, marker=int(whose[f.marker]), others=tuple(int(whose[m]) for m in f.others)) for f in found]
+    known = looked.samples.of("jitter")
+    return [
+        fault
+        for fault in more
+        if -1 not in fault.markers
+        and not (fault.kind in LABELS and fault.confidence < SURE)
+        and not any(fault.meets(burst) for burst in known)
+    ]
 
 
 def _idle(fault: Fault) -> bool:

@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mocapfix import calibrate, change_file, decisions, fill, looks, mend, notes, read, record, solved
 from mocapfix import prior as priors
@@ -27,9 +28,12 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 ANYTHING = FillOptions()  # may be touched
+# The matrices are small and the kernels have threads of their own: BLAS's only stand in the way where cores are busy.
+ONE_THREAD = threadpool_limits.wrap(limits=1, user_api="blas")
 SOLVES = 3  # at most, with a look at the body after each but the last
 
 
+@ONE_THREAD
 def clean(
     path: str | Path,
     *,
@@ -87,6 +91,7 @@ def clean(
     return Result(take, looked.take, after, looked.faults, made, left, *found, error, report)
 
 
+@ONE_THREAD
 def inspected(
     path: str | Path,
     marker_set: str | Path | None = None,
@@ -130,7 +135,7 @@ def understood(
     The first look is at the trajectories, each other at the body that was solved from what was believed until then.
     """
     with clock("detect"):
-        looked = looks.first(take, worn_set, stands)
+        looked = looks.first(take, worn_set, subject, stands)
     if not looked.believed.seen.sum(1).max() >= 3:
         raise TakeError(f"{take.name}: no frame shows three markers, so nothing can be placed; check the labels and the export.")
     parts = mend.parted(looked.take, looked.faults.items)
@@ -141,7 +146,7 @@ def understood(
         if solves == SOLVES:
             break
         with clock("detect"):
-            more = looks.again(looked, parts, body, stands)
+            more = looks.again(looked, parts, body, worn_set, stands)
         if more is None:
             break
         looked, parts = more, mend.parted(more.take, more.faults.items)
@@ -165,6 +170,7 @@ def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptio
     return take.with_markers(markers, np.where(stays, np.nan, parts.joined(sure))), why
 
 
+@ONE_THREAD
 def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose_prior: str = "mean-pose") -> Subject:
     """-> one person's subject from one or several takes of them, together.
 
@@ -177,7 +183,7 @@ def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose
         if worn_set is None:
             raise TakeError(f"{take.name}: {notes[0]} There is no body to calibrate.")
         sets.append(worn_set)
-        looked = looks.first(take, worn_set, lambda fault: True)
+        looked = looks.first(take, worn_set, None, lambda fault: True)
         worn.append(looked.take.worn(worn_set.columns(take.labels), looked.believed.seen))
     if len({each.name for each in sets}) > 1:
         names = ", ".join(f"{take.name} ({each.name})" for take, each in zip(takes, sets, strict=True))

@@ -2,12 +2,27 @@
 
 from dataclasses import dataclass
 
-from mocapfix.detect import fragments, gaps, ghosts, jitter, moved, spikes, straight, stuck, swaps
+from mocapfix.detect import (
+    fragments,
+    gaps,
+    ghosts,
+    jitter,
+    mislabelled,
+    moved,
+    noise,
+    second_look,
+    segments,
+    spikes,
+    straight,
+    stuck,
+    swaps,
+)
 from mocapfix.detect.pieces import namesakes
 from mocapfix.faults import Faults, over
+from mocapfix.marker_set import MarkerSet
 from mocapfix.take import Take
 
-__all__ = ["DetectOptions", "faults", "fragments", "namesakes", "swaps"]
+__all__ = ["DetectOptions", "faults", "fragments", "mislabelled", "namesakes", "second_look", "swaps"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +41,7 @@ class DetectOptions:
     """How long a burst of jitter lasts at least, seconds."""
 
 
-def faults(take: Take, options: DetectOptions = DetectOptions()) -> Faults:
+def faults(take: Take, worn_set: MarkerSet | None = None, options: DetectOptions = DetectOptions()) -> Faults:
     """-> what is wrong with the samples under each label, ordered by marker and first frame; labels must be right by then.
 
     What a program put there was not measured and is not judged; a spike within a burst of jitter is part of the burst.
@@ -38,6 +53,7 @@ def faults(take: Take, options: DetectOptions = DetectOptions()) -> Faults:
     bursts = jitter.found(measured, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
     trembling = over(bursts, take.seen.shape)
     lone = [spike for spike in off if not trembling[spike.frames, spike.marker].all()]
-    found = Faults((*gaps.found(take), *lone, *held, *bursts))
+    lost = segments.found(take, worn_set) if worn_set else []
+    found = Faults((*gaps.found(take), *lost, *noise.found(measured), *lone, *held, *bursts))
     found = found.with_more(ghosts.found(measured.only(found.believed(measured))))
     return found.with_more(moved.found(measured.only(found.believed(measured))))

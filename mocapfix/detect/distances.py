@@ -17,7 +17,7 @@ LOOSE = 0.03  # metres: a distance that varies by more tells little of which mar
 STEADY = 0.003  # metres: by which even a distance on one rigid segment varies
 BROKEN = 3.0  # standard deviations from which on a distance is wholly broken
 LEARNING = 300  # frames at most, evenly spread, from which the distances are learnt
-FEWEST = 10  # of these in which both were seen
+FEWEST = 20  # of these in which both were seen; all of fewer
 MOST = 0.55  # of these frames must be right, whatever the rest
 
 
@@ -37,7 +37,7 @@ class Distances(NamedTuple):
 def learnt(markers: np.ndarray, most: float = MOST) -> Distances:
     """-> the distances that markers (T, M, 3), in metres, NaN where not seen, keep over `most` (0..1) of the take."""
     count = markers.shape[1]
-    middle, spread = _usual(markers, most)
+    middle, spread = usual(markers, most)
     order = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
     rows = np.arange(count)[:, None]
     steady = spread[rows, order] < LOOSE
@@ -45,8 +45,8 @@ def learnt(markers: np.ndarray, most: float = MOST) -> Distances:
     return Distances(np.where(steady, order, -1), np.where(steady, middle[rows, order], 0), tolerance)
 
 
-def _usual(markers: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> centre and robust standard deviation (M, M) of each distance, in metres; infinite where hardly ever seen.
+def usual(markers: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> centre and robust standard deviation (M, M) of the distances of markers (T, M, 3), metres; infinite where hardly seen.
 
     Those of the shortest interval that holds `most` of the frames, so that it does not matter how far off the others are.
     """
@@ -56,7 +56,7 @@ def _usual(markers: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
     for i in range(1, count):
         distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, :i], axis=-1), axis=0)  # NaN comes last
         seen = (~np.isnan(distance)).sum(0)
-        for j in np.flatnonzero(seen >= FEWEST):
+        for j in np.flatnonzero(seen >= max(2, min(FEWEST, len(some)))):
             held = int(np.ceil(most * seen[j]))
             width = distance[held - 1 : seen[j], j] - distance[: seen[j] - held + 1, j]
             start = int(np.argmin(width))

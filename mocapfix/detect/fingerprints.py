@@ -10,15 +10,18 @@ from itertools import combinations
 
 import numpy as np
 
+from mocapfix.detect.distances import usual
+
 LEARNING = 300  # frames at most, evenly spread, from which fingerprints are learnt
-FEWEST = 20  # of these in which the markers must be seen
+FEWEST = 20  # of these in which the corners and the marker must be seen
 STEADY = 0.004  # metres: by which even a distance on one rigid thing varies
 UNTRIED = 0.04  # of a distance: by which it may vary in what the take does not show often, so that near markers count for more
 LOOSE = 0.04  # metres: a distance that varies by more tells nothing
 PARTNERS, CORNERS = 4, 5  # whose distances are asked, and among which three make a plane
 HOPELESS = 10.0  # standard deviations of the distances, from which on the side is no matter
 PRESENT = 0.8  # part of a piece's frames in which a partner must be seen
-LOW, HIGH, WIDTH = 0.05, 0.95, 3.29  # quantiles, and the standard deviations between them: limbs bend in a part of a take only
+HELD = 0.9  # of the frames, over which a distance's spread is taken: limbs bend in a part of a take only
+LOW, HIGH, WIDTH = 0.05, 0.95, 3.29  # quantiles of heights, and the standard deviations between them
 SAMPLES = 60  # of a piece that are looked at, at most
 
 
@@ -44,7 +47,8 @@ class Fingerprints:
     def __init__(self, markers: np.ndarray):
         self.markers = markers
         self.sample = markers[np.unique(np.linspace(0, len(markers) - 1, LEARNING).astype(int))]
-        self.middle, self.spread = usual(self.sample)
+        self.middle, spread = usual(self.sample, HELD)
+        self.spread = np.hypot(spread, UNTRIED * np.where(np.isfinite(self.middle), self.middle, 0.0))
 
     def likeness(self, frames: np.ndarray, points: np.ndarray, marker: int) -> Likeness | None:
         """-> how well points (N, 3) at `frames` (N,) would do as the marker; None where fewer than three others tell."""
@@ -73,17 +77,6 @@ class Fingerprints:
                 height = float(np.nanmedian(heights(points, there[:, corners])))
                 side = abs(height - usual_height) / deviation
         return float(side)
-
-
-def usual(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> median and robust standard deviation (M, M) in metres of the distances of markers (T, M, 3); infinite where unknown."""
-    count = sample.shape[1]
-    middle, spread = np.full((count, count), np.inf), np.full((count, count), np.inf)
-    for i in range(1, count):
-        low, half, high = _quantiles(np.linalg.norm(sample[:, i, None] - sample[:, :i], axis=-1))
-        middle[i, :i] = middle[:i, i] = half
-        spread[i, :i] = spread[:i, i] = (high - np.where(np.isfinite(high), low, 0.0)) / WIDTH
-    return middle, np.hypot(spread, UNTRIED * np.where(np.isfinite(middle), middle, 0.0))
 
 
 def heights(points: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocapfix.fill import body
-from mocapfix.fill.trajectories import trajectories, weighed
+from mocapfix.fill.trajectories import Estimate, trajectories
 from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
@@ -41,11 +41,8 @@ def take(
     """
     touch = touchable(before, options)
     wanted = ~believed & touch
-    filled, deviation = trajectories(before, believed, np.inf)
-    if subject is not None and motion is not None:
-        placed, sure = body_estimate(before, believed, columns, subject, motion)
-        learnt = deviation * share_unseen(believed)
-        filled, deviation = weighed([(filled, learnt), (placed, sure)])
+    said = body_estimate(before, believed, columns, subject, motion) if subject and motion else None
+    filled, deviation = trajectories(before, believed, said)
     reasons = why_not(before, believed, wanted, deviation, options)
     give = wanted & (reasons == "")
     markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
@@ -53,9 +50,7 @@ def take(
     return after, left(after, before, touch, reasons)
 
 
-def body_estimate(
-    before: Take, believed: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion
-) -> tuple[np.ndarray, np.ndarray]:
+def body_estimate(before: Take, believed: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion) -> Estimate:
     """-> what the solved body says of the take's missing samples (T, M, 3), and its deviation (T, M); NaN elsewhere."""
     place, deviation = np.full(before.markers.shape, np.nan), np.full(before.seen.shape, np.nan)
     there = columns >= 0
@@ -64,18 +59,6 @@ def body_estimate(
     placed, sure = body.markers(arranged.markers, missing, subject, motion, before.rate)
     place[:, columns[there]], deviation[:, columns[there]] = placed[:, there], sure[:, there]
     return place, deviation
-
-
-def share_unseen(believed: np.ndarray) -> np.ndarray:
-    """-> (T, M) how many times less sure than it says a fill learnt from the take is: it was learnt where the marker was
-    seen, and the longer a gap beside that, the more of it is unlike what was seen.
-    """
-    factor = np.ones(believed.shape)
-    for m in range(believed.shape[1]):
-        seen = max(believed[:, m].sum(), 1)
-        for first, last in runs(~believed[:, m]):
-            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / seen
-    return factor
 
 
 def touchable(before: Take, options: FillOptions) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Filling a take without a skeleton: what clusters, the whole marker set and the marker's own path say, by precision."""
+"""What the marker's own path, its cluster, the solved body and the whole marker set say of a missing sample, by precision."""
 
 from collections.abc import Iterable, Iterator
 
@@ -6,49 +6,68 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from mocapfix.fill.clusters import rigid
+from mocapfix.fill.recalled import recalled
 from mocapfix.fill.splines import splines
-from mocapfix.kernels.gaussian import gaussian
-from mocapfix.take import Take
+from mocapfix.take import Take, runs
 
-LIMIT = 0.120  # metres per axis
-LONGEST = 0.5  # seconds
+LONGEST = 0.5  # seconds: longer gaps are no matter for splines
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
-ALIKE = 0.3  # correlation of the errors of two estimates of one sample
+ALIKE = 0.5  # correlation of the errors of two estimates of one sample
+SAME = 0.9  # likewise of the widest view and all others, for where it is asked, they guess from the same markers
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
+Estimate = tuple[
+    np.ndarray, np.ndarray
+]  # places (T, M, 3) of missing samples and their deviation (T, M), NaN where there is none
 
-def trajectories(
-    take: Take, believed: np.ndarray, limit: float = LIMIT, longest: float = LONGEST
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> markers (T, M, 3) in metres with what was missing or not believed filled, and those samples' deviation (T, M).
 
-    A sample that none places, that is less sure than the limit, or near which the marker would have to fly, is NaN.
+def trajectories(take: Take, believed: np.ndarray, body: Estimate | None = None) -> Estimate:
+    """-> places (T, M, 3) in metres of what was missing or not believed, and their deviation (T, M), NaN where nothing tells.
 
-    believed  (T, M) bool: samples that are kept bit for bit
-    limit     metres: largest standard deviation per axis of a sample that is filled
-    longest   seconds: longer gaps are no matter for splines
+    believed  (T, M) bool: samples to go by
+    body      what the solved body says of the others, where one is solved
     """
     markers = np.where(believed[..., None], take.markers, np.nan)
     if believed.all():
-        return markers, np.full(believed.shape, np.nan)
-    place, deviation = weighed(estimates(markers, take.rate, longest))
-    place[believed] = markers[believed]
-    deviation[flying(place, believed, take.rate)] = np.nan
-    fill = ~believed & (deviation <= limit)
-    markers[fill] = place[fill]
-    return markers, np.where(fill, deviation, np.nan)
+        return np.full(markers.shape, np.nan), np.full(believed.shape, np.nan)
+    near = weighed(estimates(markers, take.rate, body))
+    place, sure = grounded(recalled(markers, *near, take.rate), markers, take.rate)
+    return weighed([near, (place, sure * share_unseen(believed))], SAME)
 
 
-def estimates(markers: np.ndarray, rate: float, longest: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """-> places (T, M, 3) of missing samples and their deviation (T, M), one way after the other: three are large."""
-    path, sure = splines(markers, rate, longest)
+def estimates(markers: np.ndarray, rate: float, body: Estimate | None) -> Iterator[Estimate]:
+    """-> one way after the other: each is large."""
+    path, sure = splines(markers, rate, LONGEST)
     whole = np.where((sure <= SURE)[..., None], path, markers)
     yield path, sure
     del path
-    yield gaussian(whole, rate)
-    yield rigid(whole, rate)
+    place, sure = grounded(rigid(whole, rate), markers, rate)
+    yield place, sure * share_unseen(~np.isnan(markers[..., 0]))
+    del place
+    if body:
+        yield body
+
+
+def grounded(estimate: Estimate, markers: np.ndarray, rate: float) -> Estimate:
+    """-> the estimate without the moments at which the marker would have to fly."""
+    place, sure = estimate
+    believed = ~np.isnan(markers[..., 0])
+    fly = flying(np.where(believed[..., None], markers, place), believed, rate)
+    return place, np.where(fly, np.nan, sure)
+
+
+def share_unseen(believed: np.ndarray) -> np.ndarray:
+    """-> (T, M) how many times less sure than it says a fill learnt from the take is: it was learnt where the marker was
+    seen, and the longer a gap beside that, the more of it is unlike what was seen.
+    """
+    factor = np.ones(believed.shape)
+    for m in range(believed.shape[1]):
+        seen = max(believed[:, m].sum(), 1)
+        for first, last in runs(~believed[:, m]):
+            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / seen
+    return factor
 
 
 def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
@@ -72,12 +91,12 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
     return maximum_filter1d(at, 2 * round(ABOUT * rate) + 1, axis=0) & ~believed
 
 
-def weighed(estimates: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def weighed(estimates: Iterable[Estimate], alike: float = ALIKE) -> Estimate:
     """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is.
 
     They err together, for all go by the same neighbours and edges, so the mean is less sure than independent ones would make
-    it. Where they lie farther apart than they say, they say too little: the deviation grows by as much (Birge 1932, "The
-    calculation of errors by the method of least squares").
+    it: `alike` is the correlation of their errors. Where they lie farther apart than they say, they say too little: the
+    deviation grows by as much (Birge 1932, "The calculation of errors by the method of least squares").
     """
     place = precision = root = count = square = np.zeros(())
     for there, sure in estimates:
@@ -96,4 +115,4 @@ def weighed(estimates: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndar
     place /= precision[..., None]
     apart = square - precision * (place**2).sum(-1)
     birge = np.maximum(apart / np.maximum(3 * (count - 1), 1), 1)
-    return place, np.sqrt((ALIKE * root**2 + (1 - ALIKE) * precision) * birge) / precision
+    return place, np.sqrt((alike * root**2 + (1 - alike) * precision) * birge) / precision

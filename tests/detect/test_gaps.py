@@ -39,3 +39,33 @@ def test_reasons_are_sentences_with_the_bare_label_and_seconds(take):
         "RFHD is not seen for the take's last 0.02 s.",
         "C7 is never seen in this take.",
     ]
+
+
+def flickering(rate, *gaps):
+    """One marker over 200 frames that is not seen in the gaps (first, last)."""
+    markers = np.zeros((200, 1, 3))
+    for first, last in gaps:
+        markers[first : last + 1] = np.nan
+    return Take(markers, ("LFIN",), rate)
+
+
+@pytest.mark.parametrize(("rate", "longest"), [(30.0, 1), (50.0, 1), (100.0, 2), (120.0, 2), (250.0, 5)])
+def test_a_flicker_lasts_a_fiftieth_of_a_second_or_one_frame(rate, longest):
+    for length, kind in ((longest, "flicker"), (longest + 1, "gap")):
+        (fault,) = gaps.found(flickering(rate, (50, 50 + length - 1)))
+        assert (fault.kind, fault.first, fault.last) == (kind, 50, 50 + length - 1)
+
+
+def test_short_gaps_at_the_ends_are_no_flickers():
+    assert [f.kind for f in gaps.found(flickering(100.0, (0, 0), (199, 199)))] == ["leading gap", "trailing gap"]
+
+
+def test_each_flicker_says_how_many_there_are():
+    found = gaps.found(flickering(100.0, (10, 10), (50, 80), (100, 101)))
+    assert [f.reason for f in found] == [
+        "LFIN is not seen for 1 frame and moves 0 mm meanwhile, one of its 2 flickers.",
+        "LFIN is not seen for 0.31 s and moves 0 mm meanwhile.",
+        "LFIN is not seen for 2 frames and moves 0 mm meanwhile, one of its 2 flickers.",
+    ]
+    (only,) = gaps.found(flickering(100.0, (10, 10)))
+    assert only.reason == "LFIN is not seen for 1 frame and moves 0 mm meanwhile, its only flicker."

@@ -1,0 +1,38 @@
+"""A composed take as the solve leaves it: the true person, the true motion, and samples to be made faulty."""
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from mocapfix import synthetic
+from mocapfix.motion import Motion
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+RATE = 120.0
+FAR = 0.004  # metres: how sure the solver says it is of every marker
+
+
+class Solved(NamedTuple):
+    take: Take
+    subject: Subject
+    motion: Motion
+
+
+@cache
+def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
+    """-> undamaged markers that slide with the skin, and the body that carries them."""
+    truth = synthetic.take(seed, seconds, RATE)
+    motion = truth.motion
+    sure = np.full(truth.struck.shape, FAR)
+    known = replace(motion, deviation=sure)
+    return Solved(Take(truth.markers, truth.labels, RATE), truth.subject, known)
+
+
+def displaced(take: Take, marker: int, first: int, last: int, shift) -> Take:
+    """-> the marker's samples over first..last lie `shift` (3,) metres from where they were."""
+    markers = take.markers.copy()
+    markers[first : last + 1, marker] += np.array(shift)
+    return take.with_markers(markers)

@@ -1,0 +1,78 @@
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.detect import continuity, distances
+from mocapfix.detect.exchanges import cheapest, within
+from tests.detect.bodies import exchanged, hidden, turning
+
+
+def among(take, group):
+    return within(group, continuity.of(take.markers, take.rate), distances.learnt(take.markers))
+
+
+def cost(course, step, stay):
+    moves = sum(step[t, course[t - 1], course[t]] for t in range(1, len(course)))
+    return moves + sum(stay[t, s] for t, s in enumerate(course))
+
+
+@given(seed=st.integers(0, 10_000), frames=st.integers(1, 5), states=st.integers(1, 3))
+def test_the_cheapest_course_is_cheaper_than_every_other(seed, frames, states):
+    rng = np.random.default_rng(seed)
+    step, stay = rng.uniform(0, 1, (frames, states, states)), rng.uniform(0, 1, (frames, states))
+    best = min(cost(course, step, stay) for course in product(range(states), repeat=frames))
+    assert cost(cheapest(step, stay), step, stay) == pytest.approx(best)
+
+
+def test_a_course_changes_where_that_is_paid_back():
+    stay = np.tile([0.0, 1.0], (10, 1))
+    stay[3:7] = [1.0, 0.0]  # a change there and back saves 4
+    for price, course in ((1.9, [0, 0, 0, 1, 1, 1, 1, 0, 0, 0]), (2.1, [0] * 10)):
+        assert cheapest(np.tile(price * (1 - np.eye(2)), (10, 1, 1)), stay).tolist() == course
+
+
+def test_right_labels_are_left_alone():
+    take = turning()
+    assert among(take, (0, 1)) == among(take, (0, 1, 2)) == []
+
+
+@pytest.mark.parametrize(
+    ("ring", "group"), [((0, 3), (0, 3)), ((0, 3), (0, 1, 3)), ((0, 1, 2), (0, 1, 2)), ((0, 2, 1), (0, 1, 2))]
+)
+def test_an_exchange_is_found_among_its_group(ring, group):
+    (exchange,) = among(exchanged(turning(), ring, 100, 180), group)
+    assert (exchange.ring, exchange.first, exchange.last) == (ring, 100, 180)
+
+
+def test_two_exchanges_of_a_pair_are_two():
+    take = exchanged(exchanged(turning(), (0, 3), 50, 90), (0, 3), 300, 400)
+    assert [(each.first, each.last) for each in among(take, (0, 3))] == [(50, 90), (300, 400)]
+
+
+def test_what_leaps_less_gains_less():
+    near, far = turning(), turning()
+    for take, apart in ((near, 0.02), (far, 0.2)):
+        take.markers[:, 3] = take.markers[:, 0] + [apart, 0, 0]
+    (little,), (much,) = (among(exchanged(take, (0, 3), 100, 180), (0, 3)) for take in (near, far))
+    assert 0 < little.gain < much.gain
+
+
+def test_distances_tell_which_part_is_wrong():
+    take = exchanged(turning(), (0, 3), 300, 479)
+    (exchange,) = among(take, (0, 3))
+    assert (exchange.first, exchange.last) == (300, 479)
+    assert exchange.against > 10  # leaps: a dozen tenths of seconds would be contradicted if the rest were wrong
+    alone = exchanged(turning(segments=1, each=2), (0, 1), 300, 479)
+    (blind,) = among(alone, (0, 1))
+    assert abs(blind.against) < 1e-9
+
+
+def test_an_exchange_begins_and_ends_where_something_is_seen():
+    take = exchanged(turning(), (0, 3), 100, 180)
+    for marker in (0, 3):
+        take = hidden(hidden(take, marker, 90, 110), marker, 170, 190)
+    (exchange,) = among(take, (0, 3))
+    assert (exchange.first, exchange.last) == (111, 169)

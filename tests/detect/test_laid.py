@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from mocapfix.detect import laid
+from tests.detect.people import CMU41, somebody
+
+RESTING = laid.rest(CMU41)
+
+
+def test_the_body_rests_in_a_t_pose_left_and_right_alike():
+    at = dict(zip(CMU41.labels, RESTING, strict=True))
+    np.testing.assert_allclose(at["LTOE"] * [-1, 1, 1], at["RTOE"], atol=1e-12)
+    assert at["LFIN"][0] > 0.7
+    assert abs(at["LFIN"][1] - at["LSHO"][1]) < 0.1
+    assert at["LTOE"][2] > at["LHEE"][2] + 0.2  # it faces +Z
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 1.3])
+def test_size_is_told_by_the_distances_within_segments(scale):
+    markers = np.tile(RESTING * scale, (3, 1, 1))
+    assert laid.size(CMU41, markers) == pytest.approx(scale)
+    markers[0, 5] = markers[1, 7] = np.nan
+    assert laid.size(CMU41, markers) == pytest.approx(scale)
+
+
+def test_where_no_distance_is_seen_the_size_is_the_average_bodys():
+    assert laid.size(CMU41, np.full((2, 41, 3), np.nan)) == 1.0
+
+
+def test_a_body_lies_where_somebodys_markers_are():
+    markers = np.ascontiguousarray(somebody().markers[::30])
+    off = np.linalg.norm(laid.average(CMU41, markers).placed(markers) - markers, axis=-1)
+    assert np.median(off) < 0.03  # places strayed by 12 mm per axis, bones by some per cent
+    assert off.max() < 0.12
+
+
+def test_what_is_not_seen_is_placed_all_the_same():
+    markers = np.ascontiguousarray(somebody().markers[:1])
+    hidden = markers.copy()
+    hidden[0, CMU41.labels.index("LTOE")] = np.nan
+    placed = laid.average(CMU41, hidden).placed(hidden)
+    np.testing.assert_allclose(placed[0, CMU41.labels.index("LTOE")], markers[0, CMU41.labels.index("LTOE")], atol=0.06)
+
+
+def test_misfit_is_half_a_squared_standard_deviation_and_limited():
+    at = np.array([[0.003, 0, 0], [0, 0.1, 0], [1e3, 0, 0], [np.nan, np.nan, np.nan]])
+    worst = 0.5 * 0.1**2 / 0.03**2
+    np.testing.assert_allclose(laid.misfit(at, np.zeros(3)), [0.005, worst / 2, worst, 0], rtol=2e-3)

@@ -1,0 +1,150 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import marker_set, read, synthetic
+from mocapfix.detect import mislabelled
+from mocapfix.detect.mislabelled import rings, telling
+from mocapfix.faults import SURE
+from mocapfix.take import Take
+from tests.detect.people import CMU41, columns, mirrored, relabelled, somebody, without
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+PAIRED = tuple(label[1:] for label in CMU41.labels if label[0] == "L" and f"R{label[1:]}" in CMU41.labels)
+
+
+def undone(take, found):
+    for fault in found:
+        if fault.confidence >= SURE:
+            take = take.exchanged(fault.markers, fault.first, fault.last)
+    return take
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_people_who_are_not_average_are_labelled_right(seed):
+    assert mislabelled.found(somebody(seed), CMU41) == []
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [("LTOE", "LMT5"), ("RWRA", "RWRB"), ("LKNE", "LANK"), ("LWRA", "LFIN"), ("RANK", "RHEE"), ("LFHD", "RFHD"), ("LFHD", "LBHD"),
+     ("LBWT", "RBWT"), ("C7", "RBAC"), ("LFHD", "RTOE"), ("LTOE", "LMT5", "LHEE"), ("LMT5", "LTOE", "LHEE")],
+)  # fmt: skip
+def test_an_exchange_is_found_the_right_way_round(ring):
+    sound = somebody()
+    take = relabelled(sound, *ring)
+    (fault,) = mislabelled.found(take, CMU41)
+    assert set(fault.markers) == set(columns(take, *ring))
+    assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frames - 1)
+    np.testing.assert_array_equal(undone(take, [fault]).markers, sound.markers)
+
+
+@pytest.mark.parametrize(
+    "labels", [("FHD", "BHD"), ("UPA", "ELB", "FRM", "WRA", "WRB", "FIN"), ("HEE", "TOE", "MT5"), ("FWT", "BWT"), PAIRED]
+)
+def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(labels):
+    sound = somebody(1)
+    take = mirrored(sound, *labels)
+    found = mislabelled.found(take, CMU41)
+    assert sorted(fault.markers for fault in found) == sorted(columns(take, f"L{label}", f"R{label}") for label in labels)
+    np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
+    (reason,) = {fault.reason for fault in found}
+    assert reason.startswith("Left and right are exchanged over the whole take: ")
+    assert all(f"L{label}" in reason for label in labels)
+
+
+def test_what_is_not_in_the_take_is_not_exchanged():
+    take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
+    kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
+    take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
+    found = mislabelled.found(take, CMU41)
+    assert {fault.markers for fault in found} == {columns(take, f"L{b}", f"R{b}") for b in ("UPA", "ELB", "FRM", "WRA", "WRB")}
+
+
+def test_several_exchanges_are_found_among_gaps():
+    take = relabelled(relabelled(somebody(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
+    take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
+    found = mislabelled.found(take, CMU41)
+    assert {frozenset(fault.markers) for fault in found} == {
+        frozenset(columns(take, "LTOE", "LMT5")),
+        frozenset(columns(take, "RWRA", "RWRB", "RFIN")),
+    }
+
+
+def test_labels_that_are_wrong_for_most_of_the_take_are_taken_for_wrong_all_along():
+    sound = somebody()
+    markers = relabelled(sound, "LKNE", "LANK").markers.copy()
+    markers[70:] = sound.markers[70:]
+    (fault,) = mislabelled.found(sound.with_markers(markers), CMU41)
+    assert (fault.first, fault.last) == (0, sound.frames - 1)
+    markers[25:] = sound.markers[25:]
+    assert mislabelled.found(sound.with_markers(markers), CMU41) == []
+
+
+def test_a_reason_is_a_sentence_with_labels_and_millimetres():
+    take = relabelled(somebody(), "LKNE", "LANK")
+    (fault,) = mislabelled.found(take, CMU41)
+    start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"
+    assert fault.reason.startswith(f"{start} where the marker set has them on a body, the other way round ")
+    assert fault.severity > 0.15
+
+
+@pytest.mark.parametrize("scale", [0.6, 1.2])
+def test_children_and_giants_are_people(scale):
+    take = somebody(3)
+    take = take.with_markers(take.markers * scale)
+    assert mislabelled.found(take, CMU41) == []
+    assert len(mislabelled.found(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
+
+
+def test_a_person_who_is_known_is_asked_instead_of_the_average_one():
+    truth = synthetic.take(3, 2.0, 30.0, crooked=True)
+    small = replace(truth.subject.skeleton, offsets=truth.subject.skeleton.offsets * 0.6)
+    subject = replace(truth.subject, skeleton=small, places=truth.subject.places * 0.6)
+    child = Take(truth.markers * 0.6, truth.labels, 30.0)
+    worn = marker_set.of_subject(subject)
+    assert mislabelled.found(child, worn, subject) == []
+    (fault,) = mislabelled.found(relabelled(child, "LBWT", "RBWT"), worn, subject)
+    assert fault.markers == columns(child, "LBWT", "RBWT")
+    assert "mm from where the marker set has them" in fault.reason
+
+
+def test_markers_that_only_bear_the_names_are_left_alone():
+    take = somebody()
+    elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
+    assert mislabelled.found(take.with_markers(elsewhere), CMU41) == []
+
+
+def test_what_is_hardly_seen_is_not_judged():
+    take = relabelled(somebody(), "LTOE", "LMT5")
+    assert mislabelled.found(without(take, "LTOE", "LMT5", first=5), CMU41) == []
+    assert mislabelled.found(take.with_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
+    assert mislabelled.found(take.with_markers(take.markers[:0]), CMU41) == []
+
+
+def test_the_frames_that_show_most_are_looked_at():
+    markers = np.zeros((100, 20, 3)) + np.arange(100.0)[:, None, None]
+    markers[:50, :10] = np.nan
+    some = telling(markers)
+    assert some.shape == (16, 20, 3)
+    assert (some[0, 0, 0], some[-1, 0, 0]) == (50, 99)
+    assert telling(markers[:, :11]).shape == (0, 11, 3)
+
+
+def test_rings_are_followed_by_whose_label_they_are_under():
+    assert rings(np.array([0, 1, 2])) == []
+    assert rings(np.array([2, 1, 4, 3, 0])) == [(0, 2, 4)]
+    assert rings(np.array([1, 0, 3, 2])) == [(0, 1), (2, 3)]
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize(
+    "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
+)
+def test_captures_are_labelled_right(name):
+    take = read.take(CAPTURES / f"{name}.c3d")
+    worn_set = marker_set.choose(take.labels).marker_set
+    assert worn_set is not None
+    assert mislabelled.found(take, worn_set) == []

@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+
+from mocapfix import marker_set
+from mocapfix.detect import sides
+from tests.detect.people import CMU41
+
+SHIPPED = ("cmu41", "plug-in-gait39")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_twins_bear_each_others_names(name):
+    worn = marker_set.load(name)
+    twin = sides.twins(worn)
+    for label, other in zip(worn.labels, twin, strict=True):
+        named = {"L": "R", "R": "L"}.get(label[0], label[0]) + label[1:]
+        assert worn.labels[other] == (named if named in worn.labels else label)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_each_group_exchanges_twins_and_leaves_the_rest(name):
+    worn = marker_set.load(name)
+    own, twin = np.arange(len(worn.labels)), sides.twins(worn)
+    for exchange in sides.groups(worn):
+        assert ((exchange == own) | (exchange == twin)).all()
+        np.testing.assert_array_equal(exchange[exchange], own)
+
+
+def test_the_whole_body_its_limbs_and_its_segments_are_groups():
+    groups = {frozenset(CMU41.labels[k] for k in np.flatnonzero(each > np.arange(41))) for each in sides.groups(CMU41)}
+    assert {"LFHD", "LBHD"} in groups
+    assert {"LUPA", "LELB"} in groups
+    assert {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"} in groups
+    assert {"LSHN", "LANK", "LHEE", "LTOE", "LMT5"} in groups
+    assert {label for label in CMU41.labels if label[0] == "L"} in groups
+    assert {"LFIN"} not in groups  # a pair like any other
