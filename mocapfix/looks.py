@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix import detect, mend
-from mocapfix.faults import LABELS, SURE, Fault, Faults, Fragment
+from mocapfix.faults import LABELS, PLACES, SURE, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -18,6 +18,7 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 ROUNDS = 3  # at most
+BORNE_OUT = 0.6  # of how far a marker moved: what its new place lies from the old one on the body at least
 Stands = Callable[[Fault], bool]  # may it be a fault, or does somebody vouch for the samples?
 
 
@@ -27,11 +28,13 @@ class Looked:
 
     labels   what was wrong with the labels, in the order in which it was put right
     samples  what is wrong with what is under the right labels now
+    dismissed  moves that the body did not bear out
     """
 
     take: Take
     labels: tuple[Fault, ...]
     samples: Faults
+    dismissed: tuple[Fault, ...] = ()
 
     @property
     def faults(self) -> Faults:
@@ -84,16 +87,29 @@ def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
 
 def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:
     """-> the take after a look at the solved body; None where that shows nothing new."""
-    known = looked.faults.items
-    new = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, old) for old in known)]
-    if not new:
+    old, dismissed = looked.faults.items, (*looked.dismissed, *hardly_moved(looked, parts, body))
+    more = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, each) for each in old)]
+    swaps = [fault for fault in more if fault.kind in LABELS]
+    strays = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
+    if not swaps and not strays and len(dismissed) == len(looked.dismissed):
         return None
-    swaps = [fault for fault in new if fault.kind in LABELS]
-    strays = [fault for fault in new if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
-    if not swaps:
-        return Looked(looked.take, looked.labels, looked.samples.with_more(strays))
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
-    return Looked(take, labels, judged(take, worn_set, stands).with_more(strays))
+    samples = judged(take, worn_set, stands) if swaps else looked.samples
+    left = [fault for fault in samples.with_more(strays).items if not any(_same(fault, each) for each in dismissed)]
+    return Looked(take, labels, Faults(tuple(left)), dismissed)
+
+
+def hardly_moved(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
+    """-> the moves after which the body has the marker where it was before: a joint or skin, not the marker."""
+    place = {int(column): body.worn.places[k] for k, column in enumerate(body.columns) if column >= 0}
+    found = []
+    for fault in looked.samples.of(*PLACES):
+        before, after = (parts.column(fault.marker, frame) for frame in (fault.first - 1, fault.last))
+        if fault.marker in place and (
+            after not in place or np.linalg.norm(place[after] - place.get(before, np.inf)) < BORNE_OUT * fault.severity
+        ):
+            found.append(fault)
+    return found
 
 
 def off_body(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:

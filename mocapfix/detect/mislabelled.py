@@ -44,7 +44,8 @@ class Step:
 def found(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> list[Fault]:
     """-> the rings of labels that are exchanged all along; undone together they leave every marker under its own.
 
-    Of a mirrored limb, or a mirrored body, each pair of twins is a fault with one sentence in common.
+    Of a mirrored limb, or a mirrored body, each pair of twins is a fault with one sentence in common. What is exchanged in the
+    same way on both sides is no fault: so the studio names its markers.
 
     subject  who wears the set, where that is known from before; else the average body stands for everybody
     """
@@ -63,7 +64,8 @@ def found(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> 
     if misfit(right, placed).sum() > FITS * (~np.isnan(right[..., 0])).sum():
         return []
     was, is_now = (np.linalg.norm(one - other, axis=-1) for one, other in ((markers, as_is), (right, placed)))
-    return [_fault(take, columns, order, ring, steps, was, is_now) for ring in rings(order)]
+    wrong = sides.one_sided(rings(order), sides.twins(marker_set))
+    return [_fault(take, columns, order, ring, steps, was, is_now) for ring in wrong]
 
 
 def telling(markers: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Left and right of a marker set: which marker is which one's twin, and which twins would be exchanged together."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mocapfix.detect import laid
@@ -32,3 +34,9 @@ def groups(marker_set: MarkerSet) -> list[np.ndarray]:
             if (exchange != own).sum() > 2:  # of two alone they are a pair like any other
                 found[tuple(exchange)] = exchange
     return list(found.values())
+
+
+def one_sided(rings: Sequence[Sequence[int]], twin: np.ndarray) -> list[Sequence[int]]:
+    """-> the rings of markers but for those that the other side's twins (K,) make as well: a habit, not a mistake."""
+    there = [set(ring) for ring in rings]
+    return [ring for ring in rings if (other := set(twin[list(ring)].tolist())) == set(ring) or other not in there]

@@ -9,6 +9,8 @@ import numpy as np
 from mocapfix.faults import Fault, Moved
 from mocapfix.take import Take
 
+LEAST = 0.5  # seconds: what must be seen of a marker at a place for that to be one
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -27,6 +29,10 @@ class Parts:
     def more(self) -> np.ndarray:
         """(E,) the columns that were added."""
         return np.arange(len(np.unique(self.marker)), len(self.marker))
+
+    def column(self, marker: int, frame: int) -> int:
+        """The column that speaks for a marker in a frame."""
+        return int(np.flatnonzero((self.marker == marker) & self.own[frame])[0])
 
     def split(self, mask: np.ndarray) -> np.ndarray:
         """-> (T, C) what is so of each column, from what is so of each marker (T, M); False where another speaks."""
@@ -51,12 +57,12 @@ def parted(take: Take, faults: Iterable[Fault]) -> Parts:
     paths = [take.markers[:, m] for m in range(count)]
     moved = sorted((fault for fault in faults if isinstance(fault, Moved)), key=lambda fault: (fault.marker, fault.first))
     for m, each in groupby(moved, key=lambda fault: fault.marker):
-        moves = list(each)
+        moves = _lasting(list(each), take.seen[:, m], round(LEAST * take.rate))
         starts = [0, *(fault.settled for fault in moves)]
         stops = [*(fault.first for fault in moves), take.frames]
         middles = [(fault.first + fault.settled) // 2 for fault in moves]
         stays = list(zip(starts, stops, [0, *middles], [*middles, take.frames], strict=True))
-        stays.sort(key=lambda stay: stay[0] - stay[1])
+        stays.sort(key=lambda stay, m=m: -take.seen[stay[0] : stay[1], m].sum())
         whole = take.markers[:, m]
         for n, (start, stop, begin, end) in enumerate(stays):
             path = np.where(((frames >= start) & (frames < stop))[:, None], whole, np.nan)
@@ -74,3 +80,13 @@ def parted(take: Take, faults: Iterable[Fault]) -> Parts:
     computed = None if take.computed is None else take.computed[:, columns]
     parts = replace(take, markers=np.stack(paths, 1), labels=labels, computed=computed, columns=columns, source=None)
     return Parts(parts, columns, np.stack(own, 1))
+
+
+def _lasting(moves: list[Moved], seen: np.ndarray, least: int) -> list[Moved]:
+    """-> of a marker's moves, by first frame, those before and after which it is `seen` (T,) in so many frames."""
+    kept: list[Moved] = []
+    for move in moves:
+        since = kept[-1].settled if kept else 0
+        if seen[since : move.first].sum() >= least and seen[move.settled :].sum() >= least:
+            kept.append(move)
+    return kept

@@ -55,6 +55,14 @@ def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(l
     assert all(f"L{label}" in reason for label in labels)
 
 
+def test_what_is_named_so_on_both_sides_is_the_studios_habit():
+    sound = somebody(1)
+    habit = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
+    assert mislabelled.found(habit, CMU41) == []
+    (fault,) = mislabelled.found(relabelled(habit, "LWRA", "LFIN"), CMU41)
+    assert set(fault.markers) == set(columns(sound, "LWRA", "LFIN"))
+
+
 def test_what_is_not_in_the_take_is_not_exchanged():
     take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
     kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]

@@ -34,3 +34,9 @@ def test_the_whole_body_its_limbs_and_its_segments_are_groups():
     assert {"LSHN", "LANK", "LHEE", "LTOE", "LMT5"} in groups
     assert {label for label in CMU41.labels if label[0] == "L"} in groups
     assert {"LFIN"} not in groups  # a pair like any other
+
+
+def test_what_both_sides_twins_do_alike_is_a_habit():
+    twin = np.array([3, 4, 2, 0, 1, 6, 5])
+    assert sides.one_sided([(0, 1), (3, 4)], twin) == []
+    assert sides.one_sided([(0, 1), (5, 6), (0, 3)], twin) == [(0, 1), (5, 6), (0, 3)]
