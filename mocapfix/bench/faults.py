@@ -5,7 +5,8 @@ its kind, and of no other markers, meets it. What is missing is one kind, what i
 are called a ghost or a few spikes makes no difference to them. So do exchanges of labels, for a while or for the whole take.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,9 +18,10 @@ from mocapfix.bench.stage import Stage
 from mocapfix.bench.uncertainty import cleaned
 from mocapfix.changes import differs
 from mocapfix.clock import Progress
-from mocapfix.faults import LABELS, MISSING, REPLACED, Fault, Fragment, over
+from mocapfix.faults import LABELS, MISSING, REPLACED, Fault, Faults, Fragment, over
 from mocapfix.mend.fragments import JOINED
 from mocapfix.result import Result
+from mocapfix.take import runs
 
 TAKES = 4
 Row = dict[str, float | None]  # what the table says of a kind
@@ -69,7 +71,7 @@ def measure(data: Path | None = None, takes: int = TAKES, progress: Progress = l
 
 def scored(stage: Stage, result: Result) -> Score:
     """-> how what was found and mended compares with what happened."""
-    found, minutes = result.faults.items, stage.frames / stage.rate / 60
+    found, minutes = net(result.faults.items, stage.frames).items, stage.frames / stage.rate / 60
     struck = over([*stage.put, *stage.beside], stage.markers.shape[:2])
     struck[:, stage.count :] = True  # trajectories beside the markers' are there only because they were put in
     alarms = [fault for fault in found if not all(struck[fault.frames, m].any() for m in fault.markers)]
@@ -77,6 +79,22 @@ def scored(stage: Stage, result: Result) -> Score:
     overlap = np.array([overlapping(fault, found, seen) for fault in stage.put])
     predicted, true = errors(stage, result)
     return Score(overlap, alarms, minutes, predicted, true)
+
+
+def net(found: Sequence[Fault], frames: int) -> Faults:
+    """-> the faults found; of labels of two that were exchanged, and for a part of that time once more, what comes of both.
+
+    frames  of the take
+    """
+    pairs = [fault for fault in found if fault.kind in LABELS and len(fault.markers) == 2]
+    kept = [fault for fault in found if fault not in pairs]
+    for pair in {tuple(sorted(fault.markers)) for fault in pairs}:
+        same = [fault for fault in pairs if set(fault.markers) == set(pair)]
+        times = np.zeros(frames, int)
+        for fault in same:
+            times[fault.frames] += 1
+        kept += [replace(same[0], first=first, last=last) for first, last in runs(times % 2 == 1)]
+    return Faults().with_more(kept)
 
 
 def overlapping(fault: Fault, found: Iterable[Fault], seen: np.ndarray) -> float:

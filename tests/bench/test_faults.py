@@ -9,7 +9,7 @@ import pytest
 
 from mocapfix import synthetic
 from mocapfix.bench import faults
-from mocapfix.bench.faults import Score, alike, errors, overlapping, row, scored
+from mocapfix.bench.faults import Score, alike, errors, net, overlapping, row, scored
 from mocapfix.bench.stage import Stage
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.take import Take
@@ -54,6 +54,18 @@ def test_missing_samples_say_nothing_of_where_an_exchange_began():
     seen[5:10, 2:4] = False
     assert overlapping(put, [fault("swap", 5, 19, 2, 3)], seen) == 1.0
     assert overlapping(put, [fault("swap", 5, 19, 2, 3)], SEEN) == pytest.approx(2 / 3)
+
+
+def test_labels_exchanged_twice_are_not_at_all():
+    always, part, spike = fault("mislabelled", 0, 99, 2, 3), fault("swap", 0, 29, 3, 2), fault("spike", 5, 6, 1)
+    left = net([spike, always, part, fault("swap", 10, 19, 4, 5, 6)], 100)
+    assert [(each.kind, each.first, each.last) for each in left.items] == [
+        ("spike", 5, 6),
+        ("mislabelled", 30, 99),
+        ("swap", 10, 19),
+    ]
+    apart = net([fault("swap", 10, 19, 2, 3), fault("swap", 40, 49, 2, 3)], 100)
+    assert [(each.first, each.last) for each in apart.items] == [(10, 19), (40, 49)]
 
 
 def test_a_gap_is_about_what_is_missing():
@@ -105,7 +117,7 @@ def test_what_was_put_in_or_came_with_it_is_no_false_alarm(stage):
 
 
 def test_what_touches_another_marker_or_another_moment_is_one(stage):
-    wrong = (fault("spike", 60, 61, 4), fault("swap", 50, 59, 4, 5), fault("spike", 50, 51, 7))
+    wrong = (fault("swap", 50, 59, 4, 5), fault("spike", 60, 61, 4), fault("spike", 50, 51, 7))
     score = scored(stage, found(stage, *wrong))
     assert score.alarms == list(wrong)
     assert np.isnan(score.overlap).all()
