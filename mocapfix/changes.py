@@ -1,5 +1,6 @@
 """Changes: what was done to a take, interval by interval, and what somebody decides of it."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -61,10 +62,13 @@ def differs(before: Take, after: Take) -> np.ndarray:
     return ~same | (before.sources != after.sources) & (before.seen | after.seen)
 
 
-def made(before: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None) -> list[tuple[Change, Fault]]:
+def made(
+    before: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None, ways: np.ndarray
+) -> list[tuple[Change, Fault]]:
     """-> an entry for every fault of which something was made, in the order of the faults.
 
     body  (T, M, 3) metres: where the solved body has the markers, NaN where it has none; None without one
+    ways  (T, M) how each sample was found that was filled, "" for others
     """
     changed, found, count, names = differs(before, after), [], len(before.labels), {}
     for fault in faults:
@@ -84,7 +88,7 @@ def made(before: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | 
             last=before.frame_number(fault.last),
             samples=samples,
             why=fault.reason,
-            method=_method(fault, before),
+            method=_method(fault, before, ways[where]),
             before=_state(before, where, body),
             after=_state(after, where, body),
             predicted_mm=_predicted(after, where),
@@ -98,14 +102,15 @@ def _named(fault: Fault) -> tuple[int, ...]:
     return tuple(dict.fromkeys((*fault.markers, *donor)))
 
 
-def _method(fault: Fault, take: Take) -> str:
+def _method(fault: Fault, take: Take, ways: np.ndarray) -> str:
     if fault.kind in LABELS:
         return "labels exchanged back"
     if isinstance(fault, Fragment):
         return f"samples of {take.label(fault.donor)} taken over"
     if isinstance(fault, Moved):
         return "given its new place on the body; its samples stay as measured"
-    return "estimated"
+    found = Counter(way for way in ways.ravel() if way)
+    return f"estimated, mostly from {found.most_common(1)[0][0]}" if found else "taken out"
 
 
 def _state(take: Take, where: tuple[np.ndarray, ...], body: np.ndarray | None) -> State:

@@ -134,6 +134,9 @@ def clean(
         Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
     ] = False,
     max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
+    limit: Annotated[
+        float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
+    ] = 250.0,
     keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
@@ -155,13 +158,15 @@ def clean(
         raise SystemExit(usage("clean: name at least one take (a C3D file)."))
     if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
+    if not limit > 0:
+        raise SystemExit(usage(f"--limit must be more than 0 millimetres, not {limit:g}."))
     if not 0 < prior_scale < float("inf"):
         raise SystemExit(usage(f"--prior-scale must be more than 0 and finite, not {prior_scale:g}."))
     if changes and len(takes) > 1:
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
-    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames))
+    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3)
     reports, written = [], set()
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")

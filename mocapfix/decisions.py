@@ -20,6 +20,7 @@ def taken(
     looked: Looked,
     whole: Take,
     body: np.ndarray | None,
+    ways: np.ndarray,
     touch: np.ndarray,
     only: Sequence[str],
     decided: Sequence[Decided],
@@ -28,6 +29,7 @@ def taken(
 
     before, looked, whole  the take as it was read, with its labels right, and with everything mended
     body     (T, M, 3) metres: where the solved body has the markers; None without one
+    ways     (T, M) how each sample was found that was filled, "" for others
     touch    (T, M) bool: what may be touched; a change of labels all of whose samples may not is not made
     only     the kinds that are mended, a gap's for all that is missing; none: all
     """
@@ -35,7 +37,7 @@ def taken(
     for fault in looked.faults.items:
         wanted = _asked(fault, only) and _free(fault, touch) and not _agrees(fault, looked, whole)
         (asked if wanted else refused).append(fault)
-    for change, fault in made(before, whole, asked, body):
+    for change, fault in made(before, whole, asked, body, ways):
         decision = next((each.decision for each in decided if each.about(fault)), "accept")
         if decision != "accept":
             refused.append(fault)

@@ -69,9 +69,9 @@ def clean(
     known, worn_set, said = wearing(take, marker_set, subject)
     looked, parts, body = understood(take, worn_set, known, how, change_file.vouched(take, decided), clock)
     with clock("fill"):
-        whole, why = filled(looked, parts, body, options)
+        whole, why, ways = filled(looked, parts, body, options)
         placed, touch = body.of_take(parts) if body else None, fill.touchable(take, options)
-        after, made = decisions.taken(take, looked, whole, placed, touch, only, decided)
+        after, made = decisions.taken(take, looked, whole, placed, ways, touch, only, decided)
         left = named(after, np.where(whole.seen, "its change was not to be made", why))
     error = None if placed is None else np.linalg.norm(looked.believed.markers - placed, axis=-1)
     report = {
@@ -153,21 +153,23 @@ def understood(
     return looked, parts, body
 
 
-def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptions) -> tuple[Take, np.ndarray]:
-    """-> the take with all that is missing or doubted filled or emptied, and (T, M) why what is empty is so.
+def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptions) -> tuple[Take, np.ndarray, np.ndarray]:
+    """-> the take with all that is missing or doubted filled or emptied, and (T, M) sentences: why what is empty is so, and how
+    what was filled was found.
 
     What a program filled before stays as it is, and a label that only names pieces of another marker is not filled.
     """
     take, believed = looked.take, looked.believed.seen
     given = (body.columns, body.worn, body.motion) if body else (np.zeros(0, int), None, None)
-    after, left = fill.take(parts.take, parts.split(believed), *given, options)
+    after, left, way = fill.take(parts.take, parts.split(believed), *given, options)
     stays = take.seen & ~take.measured
     stays[:, looked.donors] = True
     stays |= believed  # also while a marker slides from place to place
     sure = np.full(after.seen.shape, np.nan) if after.deviation is None else after.deviation
     markers = np.where(stays[..., None], take.markers, parts.joined(after.markers))
     why = parts.joined(reasons(left, after.seen.shape))
-    return take.with_markers(markers, np.where(stays, np.nan, parts.joined(sure))), why
+    ways = np.where(stays, "", parts.joined(np.array([*fill.WAYS, ""], object)[way]))
+    return take.with_markers(markers, np.where(stays, np.nan, parts.joined(sure))), why, ways
 
 
 @ONE_THREAD

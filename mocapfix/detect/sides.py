@@ -1,7 +1,5 @@
 """Left and right of a marker set: which marker is which one's twin, and which twins would be exchanged together."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from mocapfix.detect import laid
@@ -36,7 +34,7 @@ def groups(marker_set: MarkerSet) -> list[np.ndarray]:
     return list(found.values())
 
 
-def one_sided(rings: Sequence[Sequence[int]], twin: np.ndarray) -> list[Sequence[int]]:
+def one_sided(rings: list[tuple[int, ...]], twin: np.ndarray) -> list[tuple[int, ...]]:
     """-> the rings of markers but for those that the other side's twins (K,) make as well: a habit, not a mistake."""
     there = [set(ring) for ring in rings]
     return [ring for ring in rings if (other := set(twin[list(ring)].tolist())) == set(ring) or other not in there]

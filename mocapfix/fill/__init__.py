@@ -1,15 +1,27 @@
 """The fill: every missing or doubted sample gets the surest estimate there is, or stays empty and is named."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mocapfix.fill import body
-from mocapfix.fill.trajectories import Estimate, trajectories
+from mocapfix.fill.estimate import BODY, WAYS, Estimate, one_way
+from mocapfix.fill.trajectories import trajectories
 from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
+
+__all__ = ["WAYS", "FillOptions", "Filled", "take", "touchable"]
+
+
+class Filled(NamedTuple):
+    """A filled take, what of it stays empty, and by which of WAYS each sample (T, M) was found, -1 where it was not filled."""
+
+    take: Take
+    left: tuple[Left, ...]
+    way: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -33,8 +45,8 @@ def take(
     subject: Subject | None,
     motion: Motion | None,
     options: FillOptions,
-) -> tuple[Take, tuple[Left, ...]]:
-    """-> the take with every sample that was missing or not believed filled or emptied, and what was left empty.
+) -> Filled:
+    """-> the take with every sample that was missing or not believed filled or emptied.
 
     believed  (T, M) bool: samples that are kept bit for bit
     columns   (K,) the take's column of each of the subject's markers, -1 where it has none; empty without a subject
@@ -42,23 +54,23 @@ def take(
     touch = touchable(before, options)
     wanted = ~believed & touch
     said = body_estimate(before, believed, columns, subject, motion) if subject and motion else None
-    filled, deviation = trajectories(before, believed, said)
+    filled, deviation, way = trajectories(before, believed, said)
     reasons = why_not(before, believed, wanted, deviation, options)
     give = wanted & (reasons == "")
     markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
     after = before.with_markers(markers, np.where(give, deviation, np.nan))
-    return after, left(after, before, touch, reasons)
+    return Filled(after, left(after, before, touch, reasons), np.where(give, way, -1))
 
 
 def body_estimate(before: Take, believed: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion) -> Estimate:
-    """-> what the solved body says of the take's missing samples (T, M, 3), and its deviation (T, M); NaN elsewhere."""
+    """-> what the solved body says of the take's missing samples."""
     place, deviation = np.full(before.markers.shape, np.nan), np.full(before.seen.shape, np.nan)
     there = columns >= 0
     arranged = before.worn(columns, believed)
     missing = ~believed[:, columns] & there
     placed, sure = body.markers(arranged.markers, missing, subject, motion, before.rate)
     place[:, columns[there]], deviation[:, columns[there]] = placed[:, there], sure[:, there]
-    return place, deviation
+    return one_way(place, deviation, BODY)
 
 
 def touchable(before: Take, options: FillOptions) -> np.ndarray:

@@ -1,11 +1,12 @@
 """What the marker's own path, its cluster, the solved body and the whole marker set say of a missing sample, by precision."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from mocapfix.fill.clusters import rigid
+from mocapfix.fill.estimate import CLUSTER, PATH, RECALLED, Estimate, one_way, weighed
 from mocapfix.fill.recalled import recalled
 from mocapfix.fill.splines import splines
 from mocapfix.take import Take, runs
@@ -14,44 +15,39 @@ LONGEST = 0.5  # seconds: longer gaps are no matter for splines
 FASTER = 3.0
 ABOUT = 0.25  # seconds
 SLOW = 2.0  # metres a second: speeds of a take that hardly moves
-ALIKE = 0.5  # correlation of the errors of two estimates of one sample
 SAME = 0.9  # likewise of the widest view and all others, for where it is asked, they guess from the same markers
 SURE = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
 
-Estimate = tuple[
-    np.ndarray, np.ndarray
-]  # places (T, M, 3) of missing samples and their deviation (T, M), NaN where there is none
-
 
 def trajectories(take: Take, believed: np.ndarray, body: Estimate | None = None) -> Estimate:
-    """-> places (T, M, 3) in metres of what was missing or not believed, and their deviation (T, M), NaN where nothing tells.
+    """-> the surest estimate there is of what was missing or not believed.
 
     believed  (T, M) bool: samples to go by
     body      what the solved body says of the others, where one is solved
     """
     markers = np.where(believed[..., None], take.markers, np.nan)
     if believed.all():
-        return np.full(markers.shape, np.nan), np.full(believed.shape, np.nan)
+        return one_way(np.full(markers.shape, np.nan), np.full(believed.shape, np.nan), PATH)
     near = weighed(estimates(markers, take.rate, body))
-    place, sure = grounded(recalled(markers, *near, take.rate), markers, take.rate)
-    return weighed([near, (place, sure * share_unseen(believed))], SAME)
+    place, sure = grounded(recalled(markers, near.place, near.deviation, take.rate), markers, take.rate)
+    return weighed([near, one_way(place, sure * share_unseen(believed), RECALLED)], SAME)
 
 
 def estimates(markers: np.ndarray, rate: float, body: Estimate | None) -> Iterator[Estimate]:
     """-> one way after the other: each is large."""
     path, sure = splines(markers, rate, LONGEST)
     whole = np.where((sure <= SURE)[..., None], path, markers)
-    yield path, sure
+    yield one_way(path, sure, PATH)
     del path
     place, sure = grounded(rigid(whole, rate), markers, rate)
-    yield place, sure * share_unseen(~np.isnan(markers[..., 0]))
+    yield one_way(place, sure * share_unseen(~np.isnan(markers[..., 0])), CLUSTER)
     del place
     if body:
         yield body
 
 
-def grounded(estimate: Estimate, markers: np.ndarray, rate: float) -> Estimate:
-    """-> the estimate without the moments at which the marker would have to fly."""
+def grounded(estimate: tuple[np.ndarray, np.ndarray], markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """-> the places and deviation of an estimate without the moments at which the marker would have to fly."""
     place, sure = estimate
     believed = ~np.isnan(markers[..., 0])
     fly = flying(np.where(believed[..., None], markers, place), believed, rate)
@@ -89,30 +85,3 @@ def flying(path: np.ndarray, believed: np.ndarray, rate: float) -> np.ndarray:
     at[1:] |= fast
     at[:-1] |= fast
     return maximum_filter1d(at, 2 * round(ABOUT * rate) + 1, axis=0) & ~believed
-
-
-def weighed(estimates: Iterable[Estimate], alike: float = ALIKE) -> Estimate:
-    """-> the mean place (T, M, 3) of several estimates by their precision, and its deviation (T, M); NaN where none is.
-
-    They err together, for all go by the same neighbours and edges, so the mean is less sure than independent ones would make
-    it: `alike` is the correlation of their errors. Where they lie farther apart than they say, they say too little: the
-    deviation grows by as much (Birge 1932, "The calculation of errors by the method of least squares").
-    """
-    place = precision = root = count = square = np.zeros(())
-    for there, sure in estimates:
-        if not count.shape:
-            place = np.zeros(there.shape)
-            precision, root, count, square = (np.zeros(sure.shape) for _ in range(4))
-        known = ~np.isnan(sure)
-        weight = 1 / sure[known] ** 2
-        place[known] += weight[:, None] * there[known]
-        precision[known] += weight
-        root[known] += 1 / sure[known]
-        count[known] += 1
-        square[known] += weight * (there[known] ** 2).sum(1)
-        del there  # before the next one is made
-    precision[count == 0] = np.nan
-    place /= precision[..., None]
-    apart = square - precision * (place**2).sum(-1)
-    birge = np.maximum(apart / np.maximum(3 * (count - 1), 1), 1)
-    return place, np.sqrt((alike * root**2 + (1 - alike) * precision) * birge) / precision

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix import read
-from mocapfix.fill.trajectories import ALIKE, flying, trajectories, weighed
+from mocapfix.fill.estimate import ALIKE, BODY, PATH, one_way, weighed
+from mocapfix.fill.trajectories import flying, trajectories
 from mocapfix.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
@@ -24,12 +25,12 @@ def prop(frames=400):
 
 def estimate(place, sure):
     """-> an estimate of one sample that lies at `place` on every axis"""
-    return np.full((1, 1, 3), place), np.array([[sure]])
+    return one_way(np.full((1, 1, 3), place), np.array([[sure]]), PATH)
 
 
 def test_two_estimates_meet_by_their_precision_and_are_half_alike():
     nothing = estimate(np.nan, np.nan)
-    mean, deviation = weighed([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
+    mean, deviation, _ = weighed([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
     np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
     alike = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ALIKE * 0.8 * 0.1 * 0.2 * 0.2
     np.testing.assert_allclose(deviation[0, 0] ** 2, alike)
@@ -38,14 +39,21 @@ def test_two_estimates_meet_by_their_precision_and_are_half_alike():
 
 
 def test_one_estimate_is_taken_as_it_is():
-    mean, deviation = weighed([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
+    mean, deviation, _ = weighed([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
     np.testing.assert_allclose(mean, 0.3)
     np.testing.assert_allclose(deviation, 0.02)
 
 
+def test_what_counts_most_is_named():
+    body = one_way(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), BODY)
+    path = one_way(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), PATH)
+    np.testing.assert_array_equal(weighed([path, body]).way, [[BODY, PATH]])
+    np.testing.assert_array_equal(weighed([body, path]).way, [[BODY, PATH]])
+
+
 def test_estimates_that_lie_farther_apart_than_they_say_are_less_sure_by_as_much():
     near = weighed([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
-    _, far = weighed([estimate(0.0, 0.01), estimate(0.1, 0.01)])
+    _, far, _ = weighed([estimate(0.0, 0.01), estimate(0.1, 0.01)])
     np.testing.assert_allclose(far / near, np.sqrt(2 * 0.05**2 / 0.01**2))  # Birge's ratio, per axis, of two estimates
 
 
@@ -57,7 +65,7 @@ def test_what_is_not_believed_is_placed_and_nothing_else(first, length, bad):
     markers[gap, 3] += bad
     believed = np.ones(markers.shape[:2], bool)
     believed[gap, 3] = False
-    filled, deviation = trajectories(truth.with_markers(markers), believed)
+    filled, deviation, _ = trajectories(truth.with_markers(markers), believed)
     assert np.abs(filled - truth.markers)[gap, 3].max() < 0.005
     assert np.isnan(filled[believed]).all()
     assert (~np.isnan(deviation) == ~believed).all()
@@ -69,13 +77,13 @@ def test_nothing_is_extrapolated_without_support(markers):
     truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
     believed = truth.seen.copy()
     believed[:30, 0] = believed[380:, 0] = False
-    filled, _ = trajectories(truth, believed)
+    filled, _, _ = trajectories(truth, believed)
     assert np.isnan(filled[~believed]).all()
 
 
 def test_nothing_believed_gives_nothing():
     truth = prop()
-    filled, deviation = trajectories(truth, np.zeros_like(truth.seen))
+    filled, deviation, _ = trajectories(truth, np.zeros_like(truth.seen))
     assert np.isnan(filled).all()
     assert np.isnan(deviation).all()
 
@@ -87,7 +95,7 @@ def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
     believed = truth.seen.copy()
     assert believed[gap, hand].all()
     believed[gap, hand] = False
-    filled, deviation = trajectories(truth, believed)
+    filled, deviation, _ = trajectories(truth, believed)
     step = np.linspace(0, 1, 122)[1:-1, None]
     line = (1 - step) * truth.markers[199, hand] + step * truth.markers[320, hand]
     error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
