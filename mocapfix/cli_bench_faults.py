@@ -24,7 +24,7 @@ def faults(
         Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, of whose test people the takes are made; by default "
                                    "takes are composed")
     ] = None,
-    takes: Annotated[int, tyro.conf.arg(metavar="N", help="how many takes each kind of fault is put into")] = 4,
+    takes: Annotated[int, tyro.conf.arg(metavar="N", help="how many takes each kind of fault is put into")] = 6,
     as_json: Json = False,
 ) -> int:  # fmt: skip
     """Put faults of every kind into sound takes with known truth, clean them, and say what was found and how it was mended."""

@@ -5,7 +5,7 @@ its kind, and of no other markers, meets it. What is missing is one kind, what i
 are called a ghost or a few spikes makes no difference to them. So do exchanges of labels, for a while or for the whole take.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +23,6 @@ from mocapfix.mend.fragments import JOINED
 from mocapfix.result import Result
 from mocapfix.take import runs
 
-TAKES = 4
 Row = dict[str, float | None]  # what the table says of a kind
 
 
@@ -43,7 +42,7 @@ class Score(NamedTuple):
     true: np.ndarray
 
 
-def measure(data: Path | None = None, takes: int = TAKES, progress: Progress = lambda _: None) -> dict[str, Row]:
+def measure(data: Path | None, takes: int, progress: Progress = lambda _: None) -> dict[str, Row]:
     """-> by kind of INJECTIONS: recall, overlap, false_alarms_per_minute, predicted_mm and true_mm; null where there is nothing
     to tell. Under "all", those of all kinds together, and the false alarms in the same takes when they are sound.
 
@@ -71,7 +70,7 @@ def measure(data: Path | None = None, takes: int = TAKES, progress: Progress = l
 
 def scored(stage: Stage, result: Result) -> Score:
     """-> how what was found and mended compares with what happened."""
-    found, minutes = net(result.faults.items, stage.frames).items, stage.frames / stage.rate / 60
+    found, minutes = net(result).items, stage.frames / stage.rate / 60
     struck = over([*stage.put, *stage.beside], stage.markers.shape[:2])
     struck[:, stage.count :] = True  # trajectories beside the markers' are there only because they were put in
     alarms = [fault for fault in found if not all(struck[fault.frames, m].any() for m in fault.markers)]
@@ -81,19 +80,15 @@ def scored(stage: Stage, result: Result) -> Score:
     return Score(overlap, alarms, minutes, predicted, true)
 
 
-def net(found: Sequence[Fault], frames: int) -> Faults:
-    """-> the faults found; of labels of two that were exchanged, and for a part of that time once more, what comes of both.
-
-    frames  of the take
-    """
-    pairs = [fault for fault in found if fault.kind in LABELS and len(fault.markers) == 2]
-    kept = [fault for fault in found if fault not in pairs]
-    for pair in {tuple(sorted(fault.markers)) for fault in pairs}:
-        same = [fault for fault in pairs if set(fault.markers) == set(pair)]
-        times = np.zeros(frames, int)
-        for fault in same:
-            times[fault.frames] += 1
-        kept += [replace(same[0], first=first, last=last) for first, last in runs(times % 2 == 1)]
+def net(result: Result) -> Faults:
+    """-> the faults found; of exchanges of the same labels, some of which undo others, what comes of them all."""
+    sources, own = result.labelled.sources, result.before.sources
+    rings = {tuple(sorted(fault.markers)): fault for fault in result.faults.of(*LABELS)}
+    kept = [fault for fault in result.faults.items if fault.kind not in LABELS]
+    for ring, fault in rings.items():
+        carried = sources[:, ring]
+        elsewhere = (carried != own[:, ring]) & np.isin(carried, own[0, list(ring)])
+        kept += [replace(fault, first=first, last=last) for first, last in runs(elsewhere.any(1))]
     return Faults().with_more(kept)
 
 
