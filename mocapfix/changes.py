@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from mocapfix.faults import LABELS, Fault, Fragment, Moved
+from mocapfix.faults import LABELS, Fault, Fragment, Kind, Moved
 from mocapfix.take import Take
 
+TOLD: tuple[Kind, ...] = ("segment lost", "noise")  # kinds for information
 Decision = Literal["accept", "reject", "keep"]
 
 
@@ -72,6 +73,8 @@ def made(
     """
     changed, found, count, names = differs(before, after), [], len(before.labels), {}
     for fault in faults:
+        if fault.kind in TOLD:  # its samples have faults of their own
+            continue
         frames, markers = np.arange(fault.first, fault.last + 1), concerned(fault, count)
         where = np.ix_(frames, np.array(markers, int))
         samples = int(changed[where].sum())

@@ -235,6 +235,8 @@ def main(arguments: list[str] | None = None) -> None:
 
 def tell(report: dict, outputs: dict[str, Path]) -> None:
     """Print what a cleaning did, in a few lines."""
+    from mocapfix.show.kinds import counted
+
     fill, take = report["fill"], report["take"]
     relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
     out.print(
@@ -245,6 +247,10 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
     if report["solve"]:
         residual = report["solve"]["marker_residual_mm"]
         out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.", soft_wrap=True)
+    if changes := [change for change in report["changes"] if change["decision"] == "accept"]:
+        against = len(report["changes"]) - len(changes)
+        decided = f"; {against} not made, by decision" if against else ""
+        out.print(f"  changed: {counted(change['kind'] for change in changes)}{decided}.", soft_wrap=True)
     for each in fill["left"][:5]:
         out.print(
             f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.", soft_wrap=True
@@ -255,6 +261,9 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
         out.print(f"  {escape(note)}", soft_wrap=True)
     folder = outputs["c3d"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
+    if report["changes"]:
+        again = f"--changes {escape(str(outputs['changes.yaml']))} --overwrite"
+        out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
 
 
 def listed(names: str) -> tuple[str, ...]:

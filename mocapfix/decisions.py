@@ -7,12 +7,12 @@ import numpy as np
 
 from mocapfix.change_file import Decided
 from mocapfix.changes import Change, concerned, made
-from mocapfix.faults import LABELS, MISSING, PLACES, Fault, Fragment
+from mocapfix.faults import LABELS, MISSING, OTHERS_FILLS, PLACES, Fault, Fragment
 from mocapfix.looks import Looked
 from mocapfix.mend import put_back
 from mocapfix.take import Take
 
-AGREES = 3.0  # standard deviations: a fill by another program that lies so near to the estimate stays as it is
+AGREES, NEAR = 3.0, 0.010  # standard deviations, metres: another program's fill that lies so near to the estimate stays as it is
 
 
 def taken(
@@ -68,9 +68,10 @@ def _of_labels(fault: Fault) -> bool:
 
 def _agrees(fault: Fault, looked: Looked, whole: Take) -> bool:
     """Is it another program's fill that is as good as ours?"""
-    if fault.kind != "straight" or whole.deviation is None:
+    if fault.kind not in OTHERS_FILLS or whole.deviation is None:
         return False
     frames, m = fault.frames, fault.marker
     apart, sure = whole.markers[frames, m] - looked.take.markers[frames, m], whole.deviation[frames, m]
     known = ~np.isnan(sure)
-    return not known.any() or bool((apart[known] ** 2).sum() < 3 * AGREES**2 * (sure[known] ** 2).sum())
+    allowed = np.maximum(3 * (AGREES * sure[known]) ** 2, NEAR**2)
+    return not known.any() or bool((apart[known] ** 2).sum() < allowed.sum())

@@ -11,11 +11,12 @@ from mocapfix.take import Take
 
 Kind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
-    "spike", "jitter", "noise", "stuck", "straight", "ghost",
+    "spike", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "straight", "ghost")
+REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "straight", "computed", "ghost")
+OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # replaced only where the estimate is another
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
 PLACES: tuple[Kind, ...] = ("moved", "drift")
 MENDED = ("gap", *REPLACED, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing

@@ -46,9 +46,9 @@ class Looked:
         return self.take.only(self.samples.believed(self.take) & self.take.measured)
 
     @property
-    def donors(self) -> list[int]:
+    def donors(self) -> tuple[int, ...]:
         """The markers whose labels only name pieces of other markers: they are neither judged nor filled."""
-        return sorted(detect.namesakes(self.take))
+        return tuple(sorted(detect.namesakes(self.take)))
 
     @property
     def heard(self) -> np.ndarray:

@@ -80,7 +80,7 @@ def clean(
         "changes": change_file.plain(made),
         "subject": record.of_subject(body.person) if body else None,
         "solve": None,
-        "fill": record.of_fill(take, after, left, looked.donors),
+        "fill": record.of_fill(take, looked.take, after, left, looked.donors),
         "seconds": clock.seconds,
         "notes": [*said, *notes.guesses(after)],
     }
@@ -88,7 +88,7 @@ def clean(
         report["solve"] = record.of_solve(take, body.person, body.motion, error, prior, prior_scale, init)
         report["notes"] = [*said, *notes.of_body(looked, parts, body, error), *notes.guesses(after)]
     found = (body.person, body.motion, body.joints) if body else (None, None, None)
-    return Result(take, looked.take, after, looked.faults, made, left, *found, error, report)
+    return Result(take, looked.take, after, looked.faults, made, left, looked.donors, *found, error, report)
 
 
 @ONE_THREAD
@@ -163,7 +163,7 @@ def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptio
     given = (body.columns, body.worn, body.motion) if body else (np.zeros(0, int), None, None)
     after, left, way = fill.take(parts.take, parts.split(believed), *given, options)
     stays = take.seen & ~take.measured
-    stays[:, looked.donors] = True
+    stays[:, list(looked.donors)] = True
     stays |= believed  # also while a marker slides from place to place
     sure = np.full(after.seen.shape, np.nan) if after.deviation is None else after.deviation
     markers = np.where(stays[..., None], take.markers, parts.joined(after.markers))

@@ -8,14 +8,14 @@ subject  null, or marker_set, frames (calibrated from), bones_m (joint: length t
 solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
          deviation per axis), start (the way to each frame's first pose), prior (null, or name, scale: what could be asked of
          lost limbs), iterations_mean, status (sentence: frames)
-fill     missing_before, filled, mended (doubted samples replaced), relabelled (samples that were another label's),
-         left_empty, left (a list: marker, first, last, reason)
+fill     missing_before, filled (estimated where nothing was under the right label), mended (faulty samples estimated),
+         relabelled (measured samples that were another label's), left_empty, left (a list: marker, first, last, reason)
 seconds  per stage, and total
 notes    sentences on anything else a technician should know
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection
 
 import numpy as np
 
@@ -97,17 +97,21 @@ def _spread(error: np.ndarray) -> dict:
     return {"mean": round(float(known.mean()), 3), "p95": round(float(np.percentile(known, 95)), 3)}
 
 
-def of_fill(before: Take, after: Take, left: tuple[Left, ...], donors: Sequence[int] = ()) -> dict:
-    """-> the record's `fill`; `donors` are markers whose labels only name pieces of others, and which do not count."""
+def of_fill(before: Take, labelled: Take, after: Take, left: tuple[Left, ...], donors: Collection[int] = ()) -> dict:
+    """-> the record's `fill`.
+
+    before, labelled, after  the take as it was read, with its labels right, and mended
+    donors  markers whose labels only name pieces of others, and which do not count
+    """
     counts = np.ones(len(before.labels), bool)
     counts[list(donors)] = False
-    changed = after.seen & before.seen & (after.markers != before.markers).any(-1)
     estimated = np.zeros(before.seen.shape, bool) if after.deviation is None else ~np.isnan(after.deviation)
+    there = labelled.seen
     return {
         "missing_before": int((~before.seen & counts).sum()),
-        "filled": int((after.seen & ~before.seen & counts).sum()),
-        "mended": int((changed & estimated & counts).sum()),
-        "relabelled": int((changed & ~estimated & counts).sum()),
+        "filled": int((estimated & ~there & counts).sum()),
+        "mended": int((estimated & there & counts).sum()),
+        "relabelled": int((after.seen & ~estimated & (after.sources != before.sources) & counts).sum()),
         "left_empty": int((~after.seen & counts).sum()),
         "left": [
             {

@@ -28,6 +28,7 @@ class Result:
 
     before   the take as it was read;  labelled  the same with its labels put right;  take  as it was mended
     faults   what was wrong;  changes  what was done about it;  left  what stays empty, and why
+    donors   markers whose labels only name pieces of others
     subject  the person, motion their poses: None where no marker set fits
     joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
     report   the record, as the JSON report holds it (see mocapfix.record)
@@ -39,6 +40,7 @@ class Result:
     faults: Faults
     changes: tuple[Change, ...]
     left: tuple[Left, ...]
+    donors: tuple[int, ...]
     subject: Subject | None
     motion: Motion | None
     joints: np.ndarray | None
@@ -78,15 +80,15 @@ class Result:
                 markers[tuple(np.array(beyond).T)] = np.nan
                 after = self.take.with_markers(markers, self.take.deviation)
                 left += tuple(Left(m, t, t, "its mended place is beyond what this integer file can hold") for t, m in beyond)
-                report["fill"] = record.of_fill(self.before, after, left)
+                report["fill"] = record.of_fill(self.before, self.labelled, after, left, self.donors)
             if self.subject and self.motion:
                 write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
                 subject_file.save(outputs["subject.yaml"], self.subject)
         skeleton = self.subject.skeleton if self.subject else None
-        shown = (self.before, after, self.faults, skeleton, self.joints, self.error)
+        shown = show.Cleaning(self.before, self.labelled, after, self.faults, self.changes, skeleton, self.joints, self.error)
         with clock("show"):
-            show.comparison(outputs["rrd"], *shown)
-            show.report(outputs["report.html"], report, *shown)
+            show.comparison(outputs["rrd"], shown)
+            show.report(outputs["report.html"], report, shown)
         change_file.save(outputs["changes.yaml"], self.before, self.changes)
         outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 

@@ -21,6 +21,7 @@ class Take:
     unlabelled  the unlabelled points' trajectories as a take of their own, None where there are none
     deviation  (T, M) metres: predicted standard deviation of the samples that mocapfix put there, NaN elsewhere
     computed   (T, M) bool: samples that no camera saw: by their residual words a program like this one put them there
+    blind      (T, M) bool: samples that no camera saw, whoever put them there, where the file keeps what cameras saw
     source     (T, M) the file's point that each sample came from, where labels were changed; None: each from its own
     """
 
@@ -35,6 +36,7 @@ class Take:
     unlabelled: "Take | None" = None
     deviation: np.ndarray | None = None
     computed: np.ndarray | None = None
+    blind: np.ndarray | None = None
     source: np.ndarray | None = None
 
     @property
@@ -87,8 +89,8 @@ class Take:
         """-> over first..last the samples that are under each next marker's label of the ring (of the first, for the last)
         put under its own; they change places and nothing else. For two, twice is not at all, bit for bit."""
         frames, own, carrier = slice(first, last + 1), list(ring), list(ring[1:] + ring[:1])
-        given = {"markers": self.markers, "deviation": self.deviation, "computed": self.computed, "source": self.sources}
-        changed = {name: each.copy() for name, each in given.items() if each is not None}
+        given = {name: getattr(self, name) for name in ("markers", "deviation", "computed", "blind")}
+        changed = {name: each.copy() for name, each in given.items() if each is not None} | {"source": self.sources.copy()}
         for each in changed.values():
             each[frames, own] = each[frames, carrier]
         return replace(self, **changed)

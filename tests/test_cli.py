@@ -55,8 +55,10 @@ def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):
     assert "10 s of 41 markers" in flat(out)
     heading = next(line for line in out.splitlines() if "linear" in line)
     assert re.search(r"linear.*cubic.*mocapfix", heading)
+    table = out.partition("From the known truth")[2].partition("demo.c3d:")[0]
     rows = {name: [float(x) for x in re.findall(r"\d+\.\d", line.split(name)[1])] for name in ("gaps under 0.5 s", "spikes")
-            for line in out.splitlines() if name in line}  # fmt: skip
+            for line in table.splitlines() if name in line}  # fmt: skip
+    assert len(rows) == 2
     for linear, cubic, ours in rows.values():
         assert ours < min(linear, cubic)
     assert "See it move: mocapfix view" in flat(out)
@@ -106,6 +108,8 @@ def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_
     assert status == 0
     assert {path.name for path in (tmp_path / "walk.1.mocapfix").iterdir()} == {f"walk.1.{kind}" for kind in KINDS}
     assert "walk.1.c3d: 40 samples were missing, 40 are filled; 1 faulty ones mended; 0 left empty." in flat(out)
+    assert "changed: 2 gaps and 1 spike." in flat(out)
+    assert "clean again: --changes" in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
     assert "walk.1.c3d: is there already; give --overwrite to replace it, or choose another place." in err

@@ -316,15 +316,18 @@ def test_a_set_that_was_named_must_fit(brief):
         pipeline.clean(brief.path, marker_set="plug-in-gait39")
 
 
-def test_a_mislabelled_marker_is_named(brief, known, tmp_path):
+def test_a_mislabelled_marker_is_put_right(brief, known, tmp_path):
     labels = list(brief.labels)
     a, b = labels.index("LKNE"), labels.index("RSHO")
     labels[a], labels[b] = labels[b], labels[a]
     source = tmp_path / "swapped.c3d"
     source.write_bytes(as_c3d(brief.markers, labels))
-    notes = " ".join(pipeline.clean(source, subject=known).report["notes"])
-    assert re.search(r"LKNE lies more than 60 mm from the body for half the take: is it labelled right\?", notes)
-    assert "RSHO" in notes
+    result = pipeline.clean(source, subject=known)
+    (fault,) = result.faults.of("mislabelled")
+    assert {labels[m] for m in fault.markers} == {"LKNE", "RSHO"}
+    seen = ~np.isnan(brief.markers[:, [b, a], 0])
+    np.testing.assert_allclose(result.take.markers[:, [a, b]][seen], brief.markers[:, [b, a]][seen], atol=1e-6)
+    assert result.report["fill"]["relabelled"] == seen.sum()
 
 
 def test_stages_are_told_in_order(brief):

@@ -1,6 +1,7 @@
 """The record's keys and numbers, on a take of six frames and three markers that can be counted by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,7 +116,10 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
     deviation = np.full((6, 3), NAN)
     deviation[[1, 0], [0, 1]] = 0.001
     markers[3, 1] = 4.0  # another label's sample
-    said = plain(record.of_fill(before, before.with_markers(markers, deviation), left))
+    source = before.sources.copy()
+    source[3, 1] = 7
+    after = replace(before.with_markers(markers, deviation), source=source)
+    said = plain(record.of_fill(before, before, after, left))
     assert said == {
         "missing_before": 8,
         "filled": 1,
@@ -132,7 +136,7 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
 
 def test_every_key_of_the_record_is_in_its_documentation():
     said = record.__doc__ or ""
-    for made in (record.of_take(take(), None), record.of_fill(take(), take(), ())):
+    for made in (record.of_take(take(), None), record.of_fill(take(), take(), take(), ())):
         assert all(key in said for key in made)
     assert all(
         key in said

@@ -87,8 +87,8 @@ def net(result: Result) -> Faults:
     kept = [fault for fault in result.faults.items if fault.kind not in LABELS]
     for ring, fault in rings.items():
         carried = sources[:, ring]
-        elsewhere = (carried != own[:, ring]) & np.isin(carried, own[0, list(ring)])
-        kept += [replace(fault, first=first, last=last) for first, last in runs(elsewhere.any(1))]
+        among = (np.sort(carried) == np.sort(own[:, ring])).all(1)
+        kept += [replace(fault, first=a, last=b) for a, b in runs(among & (carried != own[:, ring]).all(1))]
     return Faults().with_more(kept)
 
 

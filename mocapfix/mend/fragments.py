@@ -21,6 +21,7 @@ def fragments(take: Take, faults: Iterable[Fault]) -> Take:
         return take
     count, loose = len(take.labels), take.unlabelled
     markers, sources, computed = take.markers.copy(), take.sources.copy(), take.measured != take.seen
+    blind = np.zeros(take.seen.shape, bool) if take.blind is None else take.blind.copy()
     unlabelled = None if loose is None else loose.markers.copy()
     for fault in found:
         frames = np.arange(fault.first, fault.last + 1)
@@ -34,8 +35,8 @@ def fragments(take: Take, faults: Iterable[Fault]) -> Take:
         if fault.relation == "continues":
             given = given[np.isnan(markers[given, fault.marker, 0])]
         markers[given, fault.marker], sources[given, fault.marker] = path[given], point[given]
-        computed[given, fault.marker] = False
+        computed[given, fault.marker] = blind[given, fault.marker] = False
         path[frames] = np.nan
     if loose is not None and unlabelled is not None:
         loose = loose.with_markers(unlabelled)
-    return replace(take, markers=markers, source=sources, computed=computed, unlabelled=loose)
+    return replace(take, markers=markers, source=sources, computed=computed, blind=blind, unlabelled=loose)

@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
 from mocapfix.read.axes import to_y_up
-from mocapfix.read.computed import computed
+from mocapfix.read.computed import blind, computed
 from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
 from mocapfix.take import Take
@@ -57,6 +57,7 @@ def take(path: str | Path) -> Take:
         others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
         unlabelled=unlabelled if len(nameless) else None,
         computed=computed(values[..., 3], seen)[:, columns],
+        blind=blind(values[:, columns, 3], seen[:, columns]),
     )
 
 

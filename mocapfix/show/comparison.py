@@ -1,8 +1,9 @@
 """The recording: a take before and after, on one time line, to turn and play in rerun.
 
     world                 Y up, metres; the markers' names
-      before              grey, red where judged faulty
-      after               grey where measured, green where mended
+      before              as the file labels them: grey, red where judged faulty, violet where under another's label
+      unlabelled          what bears no name in the file: grey, violet where it was put under a label
+      after               grey where measured, green where mended, violet where put under their own label
       skeleton            one line from each joint to its parent
     state/LABEL           what became of the marker, for those with the most faults
     missing/before|after  how many markers are not there
@@ -12,50 +13,43 @@ Everything goes in as whole columns (a list of strips, or a call per frame, take
 a marker is a row without points, or rerun would go on showing the frame before.
 """
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from mocapfix.faults import Faults
 from mocapfix.files import replacing
 from mocapfix.show import view
-from mocapfix.show.states import AMBER, GREEN, MEASURED, RED, STATES, mended, states
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.states import AMBER, DOUBTED, GREEN, MEASURED, RED, RELABELLED, STATES, VIOLET, former, mended
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
 LANES = 20  # markers in the time line of states
 # On rerun's dark ground: what was there before recedes behind what is there after.
-BEFORE, FAULTY, AFTER, MENDED, BONE = "#6b7480", "#ff4f4f", "#c9d0d8", "#2fd07a", "#4f8fd6"
-STATE_COLOURS = ("#333a43", GREEN, AMBER, RED, RED)
+BEFORE, FAULTY, AFTER, MENDED, OTHER, BONE = "#6b7480", "#ff4f4f", "#c9d0d8", "#2fd07a", "#a98bff", "#4f8fd6"
+STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)
 CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # of the markers farthest off
 
 
-def comparison(
-    target: Path,
-    before: Take,
-    after: Take,
-    faults: Faults,
-    skeleton: Skeleton | None,
-    joints: np.ndarray | None,
-    error: np.ndarray | None,
-) -> None:
+def comparison(target: Path, cleaning: Cleaning) -> None:
     """Write a rerun recording (.rrd) of a take before and after, with the view that shows it.
 
-    joints (T, J, 3) metres: the solved skeleton in the world. error (T, M) metres: each seen marker's distance from the body,
-    NaN where unknown. Raises WriteError where `target` cannot be written.
+    Raises WriteError where `target` cannot be written.
     """
     import rerun as rr
 
+    before, after, joints, error = cleaning.before, cleaning.after, cleaning.joints, cleaning.error
     with replacing(target) as part:
         recording = rr.RecordingStream("mocapfix")
         try:
             recording.save(part, default_blueprint=view.blueprint(before, after, joints, error))
             recording.send_recording_name(before.name)
             log = _Columns(recording, before)
-            log.markers(before, after, faults)
-            if skeleton is not None and joints is not None:
-                log.skeleton(skeleton, joints)
-            log.states(states(before, after, faults))
+            log.markers(cleaning)
+            if cleaning.skeleton is not None and joints is not None:
+                log.skeleton(cleaning.skeleton, joints)
+            log.states(cleaning.state)
             log.missing(before, after)
             if error is not None:
                 log.errors(error)
@@ -72,10 +66,9 @@ class _Columns:
         self.recording = recording
         self.seconds = np.arange(take.frames) / take.rate
         self.numbers = take.first_frame + np.arange(take.frames)
-        self.names = [
-            label if take.labels.count(label) == 1 else f"{label} ({m + 1})"  # a file may say one label twice
-            for m, label in enumerate(take.labels)
-        ]
+        labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
+        counts = Counter(labels)  # a file may say one label twice
+        self.names = [label if counts[label] == 1 else f"{label} ({m + 1})" for m, label in enumerate(labels)]
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.names))), static=True)
 
@@ -85,16 +78,21 @@ class _Columns:
         times = [rr.TimeColumn("time", duration=self.seconds[frames]), rr.TimeColumn("frame", sequence=self.numbers[frames])]
         rr.send_columns(path, times, columns, recording=self.recording)
 
-    def markers(self, before: Take, after: Take, faults: Faults) -> None:
-        put = mended(states(before, after, faults))
-        self._points("world/before", before, np.where(faults.doubted(before), _rgba(FAULTY), _rgba(BEFORE)), 0.011)
-        self._points("world/after", after, np.where(put, _rgba(MENDED), _rgba(AFTER)), 0.013)
+    def markers(self, cleaning: Cleaning) -> None:
+        before, after, state = cleaning.before, cleaning.after, cleaning.state
+        was = former(before.seen, state)
+        self._points("world/before", before, _coloured(BEFORE, {FAULTY: was == DOUBTED, OTHER: was == RELABELLED}), 0.011)
+        if before.unlabelled and after.unlabelled:
+            given = before.unlabelled.seen & ~after.unlabelled.seen
+            colours = _coloured(BEFORE, {OTHER: given})
+            self._points("world/unlabelled", before.unlabelled, colours, 0.008, first_id=len(before.labels))
+        self._points("world/after", after, _coloured(AFTER, {MENDED: mended(state), OTHER: state == RELABELLED}), 0.013)
 
-    def _points(self, path: str, take: Take, colours: np.ndarray, radius: float) -> None:
+    def _points(self, path: str, take: Take, colours: np.ndarray, radius: float, first_id: int = 0) -> None:
         import rerun as rr
 
         seen = take.seen
-        marker = np.broadcast_to(np.arange(seen.shape[1], dtype=np.uint16), seen.shape)
+        marker = np.broadcast_to(np.arange(first_id, first_id + seen.shape[1], dtype=np.uint16), seen.shape)
         places = take.markers[seen].astype(np.float32)
         columns = rr.Points3D.columns(positions=places, colors=colours[seen], class_ids=marker[seen])
         self.recording.log(path, rr.Points3D.from_fields(radii=radius, show_labels=False), static=True)
@@ -142,3 +140,8 @@ class _Columns:
 def _rgba(colour: str) -> np.uint32:
     """-> "#rrggbb" as rerun takes it, 0xRRGGBBAA."""
     return np.uint32(int(colour[1:] + "ff", 16))
+
+
+def _coloured(usual: str, colours: dict[str, np.ndarray]) -> np.ndarray:
+    """-> (T, M) colours as rerun takes them: each where its mask (T, M) is, else the usual one."""
+    return np.select(list(colours.values()), [_rgba(colour) for colour in colours], _rgba(usual))

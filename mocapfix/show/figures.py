@@ -5,9 +5,9 @@ from html import escape
 
 import numpy as np
 
-from mocapfix.show.states import DOUBTED, EMPTY, MEASURED, STATES, faulty, mended
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.states import EMPTY, RELABELLED, STATES, former, mended
 from mocapfix.skeleton import Skeleton
-from mocapfix.take import Take
 
 TURN, TILT = np.radians(25), np.radians(8)
 MARGIN = 0.12  # metres around the body
@@ -16,34 +16,34 @@ TILE, TILES = 0.5, 2  # metres: the floor's tiles, and how many on each side of 
 
 
 def worst_frame(state: np.ndarray, joints: np.ndarray | None) -> int:
-    """-> the index of the frame with most markers mended, or else most empty, of those in which there is a body.
+    """-> the index of the frame with most markers mended or relabelled, or else most empty, of those in which there is a body.
 
     state (T, M) as states.states gives it; joints (T, J, 3). Among equals it is the one in the middle.
     """
-    score = mended(state).sum(axis=1) * (state.shape[1] + 1) + (state == EMPTY).sum(axis=1)
+    score = (mended(state) | (state == RELABELLED)).sum(axis=1) * (state.shape[1] + 1) + (state == EMPTY).sum(axis=1)
     if joints is not None:
         score = np.where(np.isfinite(joints).all(axis=(1, 2)), score, -1)
     worst = np.flatnonzero(score == score.max())
     return int(worst[len(worst) // 2])
 
 
-def stick_figures(
-    before: Take, after: Take, state: np.ndarray, skeleton: Skeleton | None, joints: np.ndarray | None, frame: int
-) -> tuple[str, str]:
+def stick_figures(cleaning: Cleaning, frame: int) -> tuple[str, str]:
     """-> two SVG pictures on one scale: the markers as they were, and the body with the markers as they are.
 
     Without skeleton and joints, and where no joint is known in this frame, there are markers only.
     """
+    before, after, skeleton, joints = cleaning.before, cleaning.after, cleaning.skeleton, cleaning.joints
+    state = cleaning.state[frame]
+    was = former(before.seen[frame], state)
     body = joints[frame] if joints is not None else np.empty((0, 3))
     body = body if np.isfinite(body).all() else np.empty((0, 3))
     across = _left(skeleton, body) if skeleton is not None and len(body) else _widest(after.markers[frame])
     picture = _picture(before.markers[frame], after.markers[frame], body, across)
-    was = np.where(faulty(before.seen[frame], state[frame]), DOUBTED, MEASURED)
     floor = picture.floor()
     bones = picture.bones(skeleton, body) if skeleton is not None and len(body) else ""
     return (
         picture.svg(floor + picture.markers(before.markers[frame], was, before.labels), "before"),
-        picture.svg(floor + bones + picture.markers(after.markers[frame], state[frame], after.labels), "after"),
+        picture.svg(floor + bones + picture.markers(after.markers[frame], state, after.labels), "after"),
     )
 
 

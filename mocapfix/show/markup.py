@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 LISTED = 1000  # rows that a list shows at most; the JSON report has them all
+UNFOLDED = 40  # rows that are shown without unfolding the list
 
 
 def legend(kinds: Iterable[tuple[str, str]]) -> str:
@@ -37,3 +38,10 @@ def bars(rows: Iterable[tuple[str, Iterable[tuple[str, float]], str]]) -> str:
         for name, parts, value in rows
     )
     return f'<div class="bars">{"".join(lines)}</div>'
+
+
+def fold(name: str, count: int, content: str) -> str:
+    """A list of `count` things called so, shown at once unless it is long."""
+    plural = f"{name}es" if name.endswith("ch") else f"{name}s"
+    start = "" if count > UNFOLDED else " open"
+    return f"<details{start}><summary>{count:,} {plural if count > 1 else name}</summary>{content}</details>"

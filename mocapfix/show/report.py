@@ -5,46 +5,34 @@ from importlib import resources
 from pathlib import Path
 from string import Template
 
-import numpy as np
-
-from mocapfix.faults import Faults
 from mocapfix.files import replacing
-from mocapfix.show import sections
-from mocapfix.show.states import AMBER, GREEN, RED, VIOLET, states
-from mocapfix.skeleton import Skeleton
+from mocapfix.show import entries, sections
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.states import AMBER, BLUE, GREEN, RED, VIOLET
 from mocapfix.take import Take
 
-COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET}
+COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "blue": BLUE}
 
 
-def report(
-    target: Path,
-    record: dict,
-    before: Take,
-    after: Take,
-    faults: Faults,
-    skeleton: Skeleton | None,
-    joints: np.ndarray | None,
-    error: np.ndarray | None,
-) -> None:
+def report(target: Path, record: dict, cleaning: Cleaning) -> None:
     """Write the page on a take: what was wrong, what was done, what was left, with pictures.
 
-    record is the JSON report; joints (T, J, 3) metres, the solved skeleton in the world; error (T, M) metres, each seen
-    marker's distance from the body, NaN where unknown. Raises WriteError where `target` cannot be written.
+    record is the JSON report. Raises WriteError where `target` cannot be written.
     """
-    state = states(before, after, faults)
     body = (
-        sections.overview(record, before, faults),
-        sections.worst_moment(before, after, state, skeleton, joints),
-        sections.time_line(before, faults, state, error),
-        sections.left_empty(record),
+        sections.overview(record, cleaning),
+        sections.worst_moment(cleaning),
+        entries.pictures(cleaning),
+        sections.time_line(cleaning),
+        entries.left_empty(record),
+        entries.unchanged(cleaning),
+        entries.change_list(cleaning),
         sections.residuals(record),
         sections.subject(record),
-        sections.fault_list(record, before, faults, state),
         sections.seconds(record),
     )
     template = Template(resources.files("mocapfix.show").joinpath("report.html").read_text(encoding="utf-8"))
-    texts = {"title": escape(before.name), "subtitle": escape(_subtitle(record, before))}
+    texts = {"title": escape(cleaning.before.name), "subtitle": escape(_subtitle(record, cleaning.before))}
     page = template.substitute(texts, body="\n".join(body), **COLOURS)
     with replacing(target) as part:
         part.write_text(page, encoding="utf-8", newline="\n")

@@ -1,54 +1,60 @@
 """The sections of the report page, each as HTML, or "" where there is nothing to say; all text from outside is escaped."""
 
-from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
-from mocapfix.faults import MISSING, Fault, Faults
 from mocapfix.show import figures, summary, timeline
-from mocapfix.show.markup import LISTED, bars, frames, legend, more, table
-from mocapfix.show.states import DOUBTED, EMPTY, FILLED, faulty, mended
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.kinds import GROUPS
+from mocapfix.show.markup import bars, legend, table
+from mocapfix.show.states import DOUBTED, EMPTY, RELABELLED, former, mended
 from mocapfix.show.summary import number
-from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
-UNFOLDED = 40  # faults shown without unfolding the list
 NAMED = 12  # markers named below a picture
 
 # Classes of the page's style sheet, and what they mean.
-KINDS = (("gap", "gap, filled"), ("spike", "spike, replaced"), ("jitter", "jitter, replaced"), ("gap left", "outlined: left"))
 CURVES = (("middle", "median of the markers"), ("high", "95th percentile"))
 RESIDUALS = (("middle", "mean"), ("high", "95th percentile, mm"))
 DEVIATIONS = (("middle", "predicted error per axis, mean"), ("high", "95th percentile, mm"))
 
 
-def overview(record: dict, take: Take, faults: Faults) -> str:
+def overview(record: dict, cleaning: Cleaning) -> str:
     """What was wrong, what was done, what was left, in figures and in sentences."""
     fill, solve = record["fill"], record["solve"]
     values = [
-        (f"{fill['missing_before'] / max(1, take.seen.size):.1%}", "of the samples missing before"),
+        (f"{fill['missing_before'] / max(1, cleaning.before.seen.size):.1%}", "of the samples missing before"),
         (f"{fill['filled']:,}", "samples filled"),
         (f"{fill['mended']:,}", "faulty samples replaced"),
         (f"{fill['left_empty']:,}", "samples left empty"),
     ]
+    if fill["relabelled"]:
+        values.insert(1, (f"{fill['relabelled']:,}", "samples put under their own labels"))
     if solve is not None:
         values.append((f"{number(solve['marker_residual_mm']['mean'])} mm", "from markers to body, mean"))
     facts = "".join(f"<div><b>{value}</b><small>{what}</small></div>" for value, what in values)
-    answers = [("What was wrong", summary.wrong(take, faults)), ("What was done", summary.done(record))]
-    answers += [("What was left", summary.left(record)), *(("To know", note) for note in record["notes"])]
+    answers = [("What was wrong", summary.wrong(record, cleaning)), ("What was done", summary.done(record))]
+    answers += [("What was left", summary.left(record, cleaning.unchanged)), *(("To know", note) for note in record["notes"])]
     sentences = "".join(f"<dt>{question}</dt><dd>{escape(answer)}</dd>" for question, answer in answers)
     return f'<div class="facts">{facts}</div><dl class="summary">{sentences}</dl>'
 
 
-def worst_moment(before: Take, after: Take, state: np.ndarray, skeleton: Skeleton | None, joints: np.ndarray | None) -> str:
+def worst_moment(cleaning: Cleaning) -> str:
     """The frame in which most was mended, before and after."""
-    t = figures.worst_frame(state, joints)
-    pictures = figures.stick_figures(before, after, state, skeleton, joints, t)
-    missing, doubted = ~before.seen[t], faulty(before.seen[t], state[t])
+    before, after = cleaning.before, cleaning.after
+    t = figures.worst_frame(cleaning.state, cleaning.joints)
+    pictures = figures.stick_figures(cleaning, t)
+    state, was = cleaning.state[t], former(before.seen[t], cleaning.state[t])
     words = [
-        _named("missing", missing, before) + _named("judged faulty (red)", doubted, before) or "all markers are there",
-        _named("mended (green)", mended(state[t]), after) + _named("left empty", state[t] == EMPTY, after) or "nothing to mend",
+        _named("missing", was == EMPTY, before)
+        + _named("judged faulty (red)", was == DOUBTED, before)
+        + _named("under another label (violet)", was == RELABELLED, before)
+        or "all markers are there",
+        _named("mended (green)", mended(state), after)
+        + _named("under their own labels (violet)", state == RELABELLED, after)
+        + _named("left empty", state == EMPTY, after)
+        or "nothing to mend",
     ]
     parts = "".join(
         f"<figure>{picture}<figcaption><b>{name}</b> {escape(text)}</figcaption></figure>"
@@ -64,21 +70,15 @@ def _named(what: str, mask: np.ndarray, take: Take) -> str:
     return f"{len(labels)} {what}: {', '.join(labels[:NAMED])}{more}. " if labels else ""
 
 
-def time_line(take: Take, faults: Faults, state: np.ndarray, error: np.ndarray | None) -> str:
+def time_line(cleaning: Cleaning) -> str:
     """When which marker failed, and how far the markers were from the body meanwhile."""
-    rows, curves = timeline.rows(take, faults, state), timeline.curves(error) if error is not None else ""
-    text = ""
+    rows, error, text = timeline.rows(cleaning), cleaning.error, ""
     if rows:
-        text += f"<h2>Faults over time</h2>{legend(KINDS)}{rows}"
-    if curves:
-        text += f"<h2>Distance of the markers from the body</h2>{legend(CURVES)}{curves}{timeline.axis(take)}"
+        text += f"<h2>Faults over time</h2>{legend(GROUPS)}{rows}"
+    if error is not None and (curves := timeline.curves(error)):
+        axis = timeline.axis(cleaning.before)
+        text += f"<h2>Distance of the markers from the body</h2>{legend(CURVES)}{curves}{axis}"
     return text
-
-
-def left_empty(record: dict) -> str:
-    """What is still missing, and why."""
-    rows = [(item["marker"], frames(item["first"], item["last"]), item["reason"]) for item in record["fill"]["left"]]
-    return f"<h2>Left empty</h2>{table(('Marker', 'Frames', 'Why'), rows[:LISTED])}{more(len(rows))}" if rows else ""
 
 
 def residuals(record: dict) -> str:
@@ -123,41 +123,6 @@ def subject(record: dict) -> str:
     source = f"calibrated on {person['frames']:,} frames" if person["frames"] else "of a nominal body"
     words = f"Bone lengths, {source}; marker set {escape(person['marker_set'])}."
     return f'<h2>The person</h2><p class="soft">{words}</p>{bars(rows)}'
-
-
-def fault_list(record: dict, take: Take, faults: Faults, state: np.ndarray) -> str:
-    """Every fault and what became of it, folded where there are many."""
-    if not faults.items:
-        return ""
-    rows = [
-        (
-            fault.kind,
-            take.labels[fault.marker],
-            frames(take.frame_number(fault.first), take.frame_number(fault.last)),
-            number(1e3 * fault.severity, 0),
-            fault.reason,
-            _became(fault, state, record["fill"]["left"], take),
-        )
-        for fault in faults.items[:LISTED]
-    ]
-    listed = table(("Kind", "Marker", "Frames", "mm", "What is wrong", "What was done"), rows)
-    fold = "" if len(faults.items) > UNFOLDED else " open"
-    count = f"<summary>{len(faults.items):,} fault{'s' * (len(faults.items) > 1)}</summary>"
-    return f"<h2>All faults</h2><details{fold}>{count}{listed}{more(len(faults.items))}</details>"
-
-
-def _became(fault: Fault, state: np.ndarray, left: Sequence[dict], take: Take) -> str:
-    """-> what was done about the fault, with the reason where something of it was left."""
-    span = state[fault.first : fault.last + 1, fault.marker]
-    put, empty, kept = int(mended(span).sum()), int((span == EMPTY).sum()), int((span == DOUBTED).sum())
-    verb = "filled" if (span == FILLED).any() or fault.kind in MISSING else "replaced"
-    if put == len(span):
-        return verb
-    first, last = take.frame_number(fault.first), take.frame_number(fault.last)
-    why = [i["reason"] for i in left if i["marker"] == take.labels[fault.marker] and i["first"] <= last and i["last"] >= first]
-    counts = ((put, verb), (empty, "left empty"), (kept, "kept as measured"))
-    said = ", ".join(word if n == len(span) else f"{n:,} of {len(span):,} {word}" for n, word in counts if n)
-    return f"{said}: {why[0]}" if why else said or "none needed"
 
 
 def seconds(record: dict) -> str:

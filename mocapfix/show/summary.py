@@ -1,37 +1,43 @@
 """What a technician reads first: what was wrong with the take, what was done about it, and what was left."""
 
+from collections import Counter
+
 import numpy as np
 
-from mocapfix.faults import MISSING, Faults
-from mocapfix.take import Take
+from mocapfix.faults import MISSING, Fault, Fragment
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.kinds import counted, listed
 
-PLURALS = {"gap": "gaps", "spike": "spikes", "jitter": "bursts of jitter"}
-SINGULARS = {"gap": "gap", "spike": "spike", "jitter": "burst of jitter"}
+NAMED = 12  # markers in one sentence at most
 
 
-def wrong(take: Take, faults: Faults) -> str:
-    """-> a few sentences on the faults: how many, of which kinds, and the longest gap."""
-    count = len(take.labels)
-    if not faults.items:
-        return "Nothing: every marker is there in every frame, and none strays."
-    kinds = {"gap": sum(fault.kind in MISSING for fault in faults.items)}
-    kinds |= {kind: faults.counts().get(kind, 0) for kind in ("spike", "jitter")}
-    found = [f"{n:,} {(SINGULARS if n == 1 else PLURALS)[kind]}" for kind, n in kinds.items() if n]
-    marked = len({fault.marker for fault in faults.items})
-    text = f"{marked} of {count} markers {'has' if marked == 1 else 'have'} faults: {_and(found)}."
-    missing = int((~take.seen).sum())
-    if missing:
+def wrong(record: dict, cleaning: Cleaning) -> str:
+    """-> a few sentences on the faults: how many, of which kinds, the longest gap, and what belongs to no marker."""
+    take, count = cleaning.before, len(cleaning.before.labels)
+    none = [fault for fault in cleaning.faults.items if isinstance(fault, Fragment) and fault.relation in ("other", "doubles")]
+    faults = [fault for fault in cleaning.faults.items if fault not in none]
+    text = "Nothing: every marker is there in every frame, and none strays."
+    if faults:
+        marked = len({m for fault in faults for m in fault.markers})
+        kinds = counted(fault.kind for fault in faults)
+        text = f"{marked} of {count} markers {'has' if marked == 1 else 'have'} faults: {kinds}."
+    if missing := record["fill"]["missing_before"]:
         text += f" {missing:,} of {take.seen.size:,} samples ({missing / take.seen.size:.1%}) were missing."
-        text += _longest_gap(take, faults)
+        text += _longest_gap(cleaning, faults)
+    if none:
+        donors = len({fault.donor for fault in none})
+        text += (
+            f" {donors:,} trajector{'y' if donors == 1 else 'ies'} without a marker’s name continue{'s' * (donors == 1)} none."
+        )
     return text
 
 
-def _longest_gap(take: Take, faults: Faults) -> str:
-    gaps = [fault for fault in faults.items if fault.kind in MISSING]
+def _longest_gap(cleaning: Cleaning, faults: list[Fault]) -> str:
+    gaps, take = [fault for fault in faults if fault.kind in MISSING], cleaning.before
     if not gaps:
         return ""
     longest = max(gaps, key=lambda fault: fault.last - fault.first)
-    label, seconds = take.labels[longest.marker], (longest.last - longest.first + 1) / take.rate
+    label, seconds = take.label(longest.marker), (longest.last - longest.first + 1) / take.rate
     if longest.kind == "absent":
         return f" {label} is never seen."
     first, last = take.frame_number(longest.first), take.frame_number(longest.last)
@@ -39,16 +45,22 @@ def _longest_gap(take: Take, faults: Faults) -> str:
 
 
 def done(record: dict) -> str:
-    """-> sentences on what was filled and replaced, and from what."""
+    """-> sentences on what was relabelled, replaced and filled, from what, and what somebody decided against."""
     fill, solve, subject = record["fill"], record["solve"], record["subject"]
+    parts = [
+        f"{fill[key]:,} {one if fill[key] == 1 else many}"
+        for key, one, many in (
+            ("relabelled", "sample was put under its own label", "samples were put under their own labels"),
+            ("mended", "faulty one was replaced", "faulty ones were replaced"),
+            ("filled", "of the missing samples was filled", "of the missing samples were filled"),
+        )
+        if fill[key]
+    ]
+    if not parts:
+        return f"Nothing was changed: the samples are as they were measured.{_against(record)}"
+    text = f"{listed(parts)}; every other sample is as it was measured.{_against(record)}"
     if not fill["filled"] and not fill["mended"]:
-        return "Nothing was changed: the samples are as they were measured."
-    parts = []
-    if fill["filled"]:
-        parts.append(f"{fill['filled']:,} of the missing samples {'was' if fill['filled'] == 1 else 'were'} filled")
-    if fill["mended"]:
-        parts.append(f"{fill['mended']:,} faulty {'one was' if fill['mended'] == 1 else 'ones were'} replaced")
-    text = f"{_and(parts)}; every other sample is as it was measured."
+        return text
     if subject is None or solve is None:
         return f"{text} No body was used: the samples come from the other markers and from the markers’ own paths."
     residual = solve["marker_residual_mm"]
@@ -58,21 +70,27 @@ def done(record: dict) -> str:
     )
 
 
-def left(record: dict) -> str:
-    """-> a sentence on the samples that are still missing."""
+def _against(record: dict) -> str:
+    """What was not made since somebody decided so."""
+    against = Counter(change["decision"] for change in record["changes"])
+    said = {"reject": "rejected", "keep": "kept as measured"}
+    words = [f"{against[decision]:,} {word}" for decision, word in said.items() if against[decision]]
+    return f" Not made, by decision: {listed(words)}." if words else ""
+
+
+def left(record: dict, unchanged: list[Fault]) -> str:
+    """-> sentences on the samples that are still missing, and on the faults that were kept."""
     fill = record["fill"]
-    if not fill["left_empty"]:
-        return "Nothing: no sample is missing any more."
-    markers = list(dict.fromkeys(item["marker"] for item in fill["left"]))
-    text = f"{fill['left_empty']:,} {'sample is' if fill['left_empty'] == 1 else 'samples are'} still missing"
-    return f"{text}, on {_and(markers)}: see the reasons below." if markers else f"{text}."
+    text = "No sample is missing any more."
+    if fill["left_empty"]:
+        markers = list(dict.fromkeys(item["marker"] for item in fill["left"]))
+        text = f"{fill['left_empty']:,} {'sample is' if fill['left_empty'] == 1 else 'samples are'} still missing"
+        names = [*markers[:NAMED], *([f"{len(markers) - NAMED} more"] if len(markers) > NAMED else [])]
+        text = f"{text}, on {listed(names)}: see the reasons below." if markers else f"{text}."
+    kept = counted(fault.kind for fault in unchanged if fault.kind not in (*MISSING, "fragment"))
+    return f"{text} Found and kept: {kept}." if kept else text if fill["left_empty"] else f"Nothing: {text[0].lower()}{text[1:]}"
 
 
 def number(value: float | None, digits: int = 1) -> str:
     """-> a number as the page shows it, a dash where it is not known."""
     return "–" if value is None or not np.isfinite(value) else f"{value:,.{digits}f}"
-
-
-def _and(words: list[str]) -> str:
-    """-> "a, b and c"."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -3,50 +3,86 @@
 Places are shares of the take's length, so that the rows are as wide as whatever shows them.
 """
 
+from collections import defaultdict
+from collections.abc import Iterator
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.faults import MISSING, Fault, Faults
+from mocapfix.faults import Fault
+from mocapfix.show.cleaning import Cleaning
+from mocapfix.show.kinds import group
 from mocapfix.show.states import DOUBTED, EMPTY
 from mocapfix.take import Take, runs
 
 TICKS = 6  # at most
 BINS = 500  # of the curves at most
+THIN = 300  # of the take's length: bars that are no farther apart are drawn as one, for nobody could tell them apart
 
 
-def rows(take: Take, faults: Faults, state: np.ndarray) -> str:
-    """-> HTML of the rows of bars, coloured by the kind of fault, outlined where it was left; state (T, M) as in states."""
-    if not faults.items:
-        return ""
-    of_marker: dict[int, list[Fault]] = {}
-    for fault in faults.items:
-        of_marker.setdefault(fault.marker, []).append(fault)
-    lines = [_line(take.labels[m], "".join(_bars(take, fault, state[:, m]) for fault in of_marker[m])) for m in sorted(of_marker)]
-    return "".join(lines) + axis(take)
+class _Bar(NamedTuple):
+    """Over first..last, indices into the take; name: classes of the page's style sheet."""
+
+    name: str
+    first: int
+    last: int
+    title: str
+
+
+def rows(cleaning: Cleaning) -> str:
+    """-> HTML of the rows of bars, coloured by the group of the fault, outlined where it was left as it was.
+
+    A trajectory of which something was taken over has a row that says so; of one that continues no marker there is none.
+    """
+    take, made = cleaning.before, {id(fault) for _, fault in cleaning.made}
+    idle = {id(fault) for fault in cleaning.unchanged if fault.kind == "fragment"}
+    lanes: dict[int, list[_Bar]] = defaultdict(list)
+    for fault in (fault for fault in cleaning.faults.items if id(fault) not in idle):
+        for m in (m for m in fault.markers if m < len(take.labels)):
+            lanes[m] += _bars(fault, cleaning.state[fault.frames, m], id(fault) in made)
+    for donor, fragments in cleaning.donors.items():
+        for each in fragments:
+            lanes[donor].append(_Bar("label", each.first, each.last, f"Taken over by {take.label(each.marker)}."))
+    lines = [_line(take.label(m), "".join(_drawn(bar, take) for bar in _thinned(lanes[m], take))) for m in sorted(lanes)]
+    return "".join(lines) + axis(take) if lines else ""
 
 
 def _line(label: str, content: str) -> str:
     return f'<div class="row"><b>{escape(label)}</b><span class="lane">{content}</span></div>'
 
 
-def _bars(take: Take, fault: Fault, state: np.ndarray) -> str:
-    """One bar for each stretch of the fault that was mended, or was left."""
-    left = np.isin(state[fault.first : fault.last + 1], (EMPTY, DOUBTED))
-    kind = "gap" if fault.kind in MISSING else fault.kind
-    return "".join(
-        f'<i class="{kind}{name}" style="left:{(fault.first + a) / take.frames:.3%};width:{(b - a + 1) / take.frames:.3%}"'
-        f' title="{escape(fault.reason)}"></i>'
-        for name, mask in (("", ~left), (" left", left))
-        for a, b in runs(mask)
-    )
+def _bars(fault: Fault, state: np.ndarray, made: bool) -> Iterator[_Bar]:
+    """One bar for each stretch of the fault that was mended, or was left; state (N,) of its samples."""
+    name = group(fault.kind)
+    of_samples = name in ("missing", "faulty")
+    left = np.isin(state, (EMPTY, DOUBTED)) if made and of_samples else np.full(len(state), not made)
+    for kind, mask in ((name, ~left), (f"{name} left", left)):
+        for a, b in runs(mask):
+            yield _Bar(kind, fault.first + a, fault.first + b, fault.reason)
+
+
+def _thinned(bars: list[_Bar], take: Take) -> Iterator[_Bar]:
+    """-> the bars of each kind, those that nearly touch as one; the kind of the longest comes first, below the others."""
+    kinds: dict[str, list[_Bar]] = defaultdict(list)
+    for bar in sorted(bars, key=lambda bar: bar.first):
+        kinds[bar.name].append(bar)
+    for name, each in sorted(kinds.items(), key=lambda kind: -max(bar.last - bar.first for bar in kind[1])):
+        starts = [n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last - 1 > take.frames / THIN]
+        for a, b in zip(starts, [*starts[1:], len(each)], strict=True):
+            more = f" And {b - a - 1} more thereabouts." if b - a > 1 else ""
+            yield _Bar(name, each[a].first, max(bar.last for bar in each[a:b]), each[a].title + more)
+
+
+def _drawn(bar: _Bar, take: Take) -> str:
+    place = f"left:{bar.first / take.frames:.3%};width:{(bar.last - bar.first + 1) / take.frames:.3%}"
+    return f'<i class="{bar.name}" style="{place}" title="{escape(bar.title)}"></i>'
 
 
 def axis(take: Take) -> str:
     """-> HTML of the ticks: the file's frame numbers, and seconds from its first frame."""
     seconds = take.frames / take.rate
-    step = _step(seconds / TICKS)
-    times = np.arange(0, seconds, step)
+    times = np.arange(0, seconds, step(seconds / TICKS))
     ticks = "".join(
         f'<i style="left:{time / seconds:.3%}">{take.frame_number(round(time * take.rate))}<small>{time:g} s</small></i>'
         for time in times
@@ -54,8 +90,8 @@ def axis(take: Take) -> str:
     return f'<div class="row axis"><b>frame</b><span class="lane">{ticks}</span></div>'
 
 
-def _step(least: float) -> float:
-    """-> the next of ... 0.1, 0.2, 0.5, 1, 2, 5 ... seconds."""
+def step(least: float) -> float:
+    """-> the next of ... 0.1, 0.2, 0.5, 1, 2, 5 ..."""
     power = 10.0 ** np.floor(np.log10(least))
     return next(float(f"{step * power:.3g}") for step in (1, 2, 5, 10) if step * power >= least * (1 - 1e-9))
 
@@ -67,7 +103,7 @@ def curves(error: np.ndarray) -> str:
     high = np.array([np.percentile(part, 95) if part.size else np.nan for part in bins])
     if np.isnan(middle).all():
         return ""
-    top = _step(np.nanmax(high) or 1.0)
+    top = step(np.nanmax(high) or 1.0)
     paths = "".join(f'<path class="{name}" d="{_path(values / top)}"/>' for name, values in (("high", high), ("middle", middle)))
     svg = f'<svg viewBox="0 0 1 1" preserveAspectRatio="none" role="img" aria-label="distance from the body">{paths}</svg>'
     return f'<div class="row curve"><b>{top:g} mm<small>0</small></b><span class="lane">{svg}</span></div>'

@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.read.computed import computed
+from mocapfix.read.computed import blind, computed
 
 CAMERAS = 7 << 8
 
@@ -15,3 +15,14 @@ def test_fills_among_samples_with_cameras_and_without_are_told():
 def test_a_file_that_keeps_residuals_and_no_cameras_was_measured():
     words = np.array([[1, 2, 3, 0, -1]])
     assert not computed(words, words >= 0).any()
+
+
+def test_samples_without_cameras_tell_only_where_the_file_keeps_cameras():
+    words = np.full((10, 10), CAMERAS)
+    words[3:6, 2] = 0
+    words[6, 2] = 4
+    words[7, 2] = -1
+    found = np.argwhere(blind(words, words >= 0))
+    np.testing.assert_array_equal(found, [[3, 2], [4, 2], [5, 2], [6, 2]])
+    words[:, :2] = 0
+    assert not blind(words, words >= 0).any()

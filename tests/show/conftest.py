@@ -1,13 +1,15 @@
-"""A take whose truth is known to the sample: a body in its T-pose walks along Z, and four things go wrong with its markers."""
+"""A take whose truth is known to the sample: a body in its T-pose walks along Z, and all sorts go wrong with its markers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mocapfix.faults import Fault, Faults
-from mocapfix.skeleton import Skeleton, cmu31
+from mocapfix import change_file, changes, mend
+from mocapfix.faults import Fault, Faults, Fragment, Moved
+from mocapfix.show import Cleaning
+from mocapfix.skeleton import cmu31
 from mocapfix.take import Take
 
 FRAMES, RATE, FIRST = 240, 120.0, 101
@@ -16,17 +18,12 @@ LABELS = tuple(f"M{n:02d}" for n in range(29)) + ("<b>&\"'", "never")  # 31 mark
 
 @dataclass(frozen=True)
 class Scene:
-    before: Take
-    after: Take
-    faults: Faults
-    skeleton: Skeleton
-    joints: np.ndarray
-    error: np.ndarray
+    cleaning: Cleaning
     record: dict
 
-    @property
-    def shown(self):
-        return self.before, self.after, self.faults, self.skeleton, self.joints, self.error
+    def with_(self, **other) -> "Scene":
+        """The scene with another take, other faults, and so on."""
+        return replace(self, cleaning=replace(self.cleaning, **other))
 
 
 @pytest.fixture
@@ -45,23 +42,39 @@ def scene() -> Scene:
     markers[120:140, 7] += 0.01  # a burst of jitter that is kept
     markers[:, 30] = np.nan  # a marker that is never seen
     markers[200] = np.nan  # a frame without any marker, left so
-    before = Take(markers, LABELS, RATE, FIRST, Path("walk <1>.c3d"))
-    mended = markers.copy()
-    mended[50:100, 3], mended[60:70, 29], mended[70, 5] = truth[50:100, 3], truth[60:70, 29], truth[70, 5]
+    markers[150:170, [10, 11]] = markers[150:170, [11, 10]]  # two labels exchanged
+    markers[210:, 20] += [0.0, 0.03, 0.0]  # a marker knocked to another place
+    loose = np.full((FRAMES, 1, 3), np.nan)
+    loose[20:40, 0], markers[20:40, 12] = truth[20:40, 12], np.nan  # a marker that goes on under another name
+    unlabelled = Take(loose, ("*1<i>",), RATE, FIRST, columns=np.array([31]))
+    place = {"columns": np.arange(31), "unlabelled": unlabelled}
+    before = Take(markers, LABELS, RATE, FIRST, Path("walk <1>.c3d"), **place)
     items = (
         Fault("gap", 3, 50, 99, 0.5, "M03 is not seen for 0.42 s."),
         Fault("spike", 5, 70, 70, 0.3, "M05 lies 300 mm off its path."),
         Fault("jitter", 7, 120, 139, 0.01, "M07 trembles."),
         Fault("gap", 29, 60, 79, 0.2, "<b> is not seen."),
+        Fault("swap", 10, 150, 169, 0.3, "M10 and M11 have exchanged their labels.", others=(11,)),
+        Fragment("fragment", 12, 20, 39, 0.0, "*1<i> goes on as M12.", donor=31, relation="continues"),
+        Moved("moved", 20, 210, FRAMES - 1, 0.03, "M20 is knocked by 30 mm.", settled=210),
         Fault("absent", 30, 0, FRAMES - 1, np.nan, "never is never seen in this take."),
     )
-    error = np.linalg.norm(markers - truth, axis=-1) + 0.002
-    after = before.with_markers(mended)
-    return Scene(before, after, Faults(items), skeleton, joints, error, record(before, after, items))
+    labelled = mend.labels(mend.fragments(before, items), items)
+    mended, sure = labelled.markers.copy(), np.full((FRAMES, 31), np.nan)
+    for where in ((slice(50, 100), 3), (slice(60, 70), 29), (70, 5)):
+        mended[where], sure[where] = truth[where], 0.01
+    after = labelled.with_markers(mended, sure)
+    faults = Faults().with_more(items)
+    ways = np.where(np.isnan(sure), "", "the body").astype(object)
+    made = tuple(change for change, _ in changes.made(before, after, faults.items, truth, ways))
+    error = np.linalg.norm(after.markers - truth, axis=-1) + 0.002
+    shown = Cleaning(before, labelled, after, faults, made, skeleton, joints, error)
+    return Scene(shown, record(shown))
 
 
-def record(before: Take, after: Take, items: tuple[Fault, ...]) -> dict:
+def record(cleaning: Cleaning) -> dict:
     """The JSON report of such a take."""
+    before, after = cleaning.before, cleaning.after
     by_marker: dict = {label: {"mean": 2.0 + m, "p95": 3.0 + m} for m, label in enumerate(LABELS[:-1])}
     by_marker["never"] = {"mean": None, "p95": None}
     return {
@@ -74,7 +87,8 @@ def record(before: Take, after: Take, items: tuple[Fault, ...]) -> dict:
             "marker_set": "cmu41",
             "labels": list(LABELS),
         },
-        "faults": [{"kind": item.kind, "marker": LABELS[item.marker]} for item in items],
+        "faults": [{"kind": item.kind, "marker": before.label(item.marker)} for item in cleaning.faults.items],
+        "changes": change_file.plain(cleaning.changes),
         "subject": {"marker_set": "cmu41", "frames": 120, "bones_m": {"LeftLeg": 0.418, "LHipJoint": 0.0}, "spread_m": {}},
         "solve": {
             "prior": {"name": "gaussian", "scale": 1.0},
@@ -88,6 +102,7 @@ def record(before: Take, after: Take, items: tuple[Fault, ...]) -> dict:
             "missing_before": int((~before.seen).sum()),
             "filled": 60,
             "mended": 1,
+            "relabelled": 60,
             "left_empty": int((~after.seen).sum()),
             "left": [{"marker": LABELS[29], "first": 171, "last": 180, "reason": "The <hand> was hidden."}],
         },

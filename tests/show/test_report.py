@@ -5,8 +5,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from mocapfix import change_file, changes
 from mocapfix.errors import WriteError
-from mocapfix.faults import Fault, Faults
+from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.show import report
 
 VOID = {"meta", "br", "img", "link", "input"}
@@ -42,45 +43,110 @@ class Page(HTMLParser):
         return [attrs for each, attrs in self.tags if each == tag and attrs.get("class") == name]
 
 
-def page_of(scene, tmp_path, **changes):
-    given = {"target": tmp_path / "walk.html", "record": scene.record}
-    given |= dict(zip(("before", "after", "faults", "skeleton", "joints", "error"), scene.shown, strict=True))
-    report(**given | changes)
+def page_of(scene, tmp_path, record=None, target=None, **other):
+    report(target or tmp_path / "walk.html", record or scene.record, scene.with_(**other).cleaning)
     return Page(tmp_path / "walk.html")
 
 
 def test_it_says_what_was_wrong_done_and_left(scene, tmp_path):
     text = page_of(scene, tmp_path).text
-    assert "5 of 31 markers have faults: 3 gaps, 1 spike and 1 burst of jitter." in text
-    assert f"{(~scene.before.seen).sum()} of 7,440 samples" in text
-    assert "60 of the missing samples were filled and 1 faulty one was replaced" in text
+    kinds = "1 exchange of labels, 1 piece under another label, 1 marker knocked to another place, 3 gaps, 1 spike"
+    assert f"9 of 31 markers have faults: {kinds} and 1 burst of jitter." in text
+    assert f"{(~scene.cleaning.before.seen).sum()} of 7,440 samples" in text
+    did = "60 samples were put under their own labels, 1 faulty one was replaced and 60 of the missing samples were filled"
+    assert f"{did}; every other sample is as it was measured." in text
     assert "3.2 mm from it on average, 95% of them within 7.4 mm" in text
-    assert f"{(~scene.after.seen).sum()} samples are still missing, on <b>&\"'" in text
+    assert f"{(~scene.cleaning.after.seen).sum()} samples are still missing, on <b>&\"'" in text
+    assert "Found and kept: 1 burst of jitter." in text
     assert "The <hand> was hidden." in text
     assert "Look at M07 & its neighbours." in text
 
 
-def test_each_fault_is_listed_with_the_files_frames_and_what_became_of_it(scene, tmp_path):
+def test_every_change_is_listed_with_the_files_frames_and_what_was_done(scene, tmp_path):
+    text = page_of(scene, tmp_path).text.partition("All changes")[2]
+    assert text.startswith(" 6 changes ")
+    assert (
+        "gap-M03-151 M03 151–200 M03 is not seen for 0.42 s. Estimated, mostly from the body. 50 → 0 – → 0.0 17.3 accept" in text
+    )
+    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. Estimated, mostly from the body. 300.0 → 0.0 17.3 accept" in text
+    assert "161–180 <b> is not seen. Estimated, mostly from the body. 20 → 10 – → 0.0 17.3 accept" in text
+    assert "swap-M10-251 M10, M11 251–270 M10 and M11 have exchanged their labels." in text
+    apart = 1e3 * np.linalg.norm(scene.cleaning.after.markers[150, 10] - scene.cleaning.after.markers[150, 11])
+    assert f"Labels exchanged back. {apart:,.1f} → 0.0 accept" in text
+    assert "M12, *1<i> 121–140 *1<i> goes on as M12. Samples of *1<i> taken over. 20 → 0 – → 0.0 accept" in text
+    place = "Given its new place on the body; its samples stay as measured."
+    assert f"moved-M20-311 M20 311–340 M20 is knocked by 30 mm. {place} 30.0 → 30.0 accept" in text
+
+
+def test_how_somebody_takes_a_change_back_is_said(scene, tmp_path):
     text = page_of(scene, tmp_path).text
-    assert "gap M03 151–200 500 M03 is not seen for 0.42 s. filled" in text
-    assert "spike M05 171 300 M05 lies 300 mm off its path. replaced" in text
-    assert "jitter M07 221–240 10 M07 trembles. kept as measured" in text
-    assert "161–180 200 <b> is not seen. 10 of 20 filled, 10 of 20 left empty: The <hand> was hidden." in text
-    assert "absent never 101–340 – never is never seen in this take. left empty" in text
+    assert "mocapfix clean walk <1>.c3d --changes walk <1>.changes.yaml --overwrite" in text
+
+
+def test_what_was_found_and_kept_is_listed_apart(scene, tmp_path):
+    text = page_of(scene, tmp_path).text.partition("Found, and kept as it was")[2].partition("All changes")[0]
+    assert text.strip().startswith("1 fault ")
+    assert text.strip().endswith("jitter M07 221–240 10 M07 trembles.")
+
+
+def test_a_change_that_somebody_rejected_has_neither_picture_nor_effect(scene, tmp_path):
+    decided = tuple(replace(each, decision="reject" if each.kind == "spike" else "accept") for each in scene.cleaning.changes)
+    record = scene.record | {"changes": change_file.plain(decided)}
+    page = page_of(scene, tmp_path, changes=decided, record=record)
+    assert "Not made, by decision: 1 rejected." in page.text
+    assert len(page.of_class("svg", "change")) == 5
+    assert "spike: M05" not in page.text
+    assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. Not made. 300.0 → 0.0 17.3 reject" in page.text
 
 
 def test_bars_lie_where_the_faults_are(scene, tmp_path):
     page = page_of(scene, tmp_path)
-    assert [bar["style"] for bar in page.of_class("i", "gap") if "title" in bar] == [
-        "left:20.833%;width:20.833%",
-        "left:25.000%;width:4.167%",
+
+    def places(name):
+        return [bar["style"] for bar in page.of_class("i", name) if "title" in bar]
+
+    assert places("missing") == ["left:20.833%;width:20.833%", "left:25.000%;width:4.167%"]
+    assert places("faulty") == ["left:29.167%;width:0.417%"]
+    assert places("missing left") == ["left:29.167%;width:4.167%", "left:0.000%;width:100.000%"]
+    assert places("faulty left") == ["left:50.000%;width:8.333%"]
+    assert places("label") == 2 * ["left:62.500%;width:8.333%"] + 2 * ["left:8.333%;width:8.333%"]  # both swapped; M12, its donor
+    assert places("place") == ["left:87.500%;width:12.500%"]
+    assert "Taken over by M12." in [bar.get("title") for bar in page.of_class("i", "label")]
+    assert "*1<i>" in page.text.partition("Faults over time")[2].partition("Distance of")[0]
+
+
+def test_what_lasts_is_drawn_below_what_happens_meanwhile_and_outlined_where_nothing_was_done(scene, tmp_path):
+    noise = Fault("noise", 5, 0, 239, 0.01, "M05 trembles all along.")
+    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([noise]))
+    row = page.source.partition("<b>M05</b>")[2].partition("</div>")[0]
+    assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty"]
+
+
+def test_what_bears_no_name_and_is_no_markers_is_told_of_but_is_no_markers_fault(scene, tmp_path):
+    other = Fragment("fragment", 31, 90, 99, np.nan, "*1<i> stands still.", donor=31)
+    double = Fragment("fragment", 8, 100, 119, 0.01, "*1<i> is M08 a second time.", donor=31, relation="doubles")
+    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([other, double]))
+    assert "9 of 31 markers have faults" in page.text
+    assert "1 trajectory without a marker’s name continues none." in page.text
+    assert "fragment *1<i> 191–200 – *1<i> stands still." in page.text
+    assert "M08" not in page.text.partition("Faults over time")[2].partition("Distance of")[0]
+    assert page.text.partition("Faults over time")[2].partition("Distance of")[0].count("*1<i>") == 1
+
+
+def test_a_picture_says_where_it_ends_before_the_change_does(scene, tmp_path):
+    assert "Only its beginning is shown." not in page_of(scene, tmp_path).text
+    slow = replace(scene.cleaning.before, rate=2.0), replace(scene.cleaning.after, rate=2.0)
+    assert page_of(scene, tmp_path, before=slow[0], after=slow[1]).text.count("Only its beginning is shown.") == 1  # the swap
+
+
+def test_bars_that_could_not_be_told_apart_are_one(scene, tmp_path):
+    many = tuple(Fault("jitter", 9, t, t, 0.01, f"At {t}.") for t in (10, 11, 100))
+    page = page_of(scene, tmp_path, faults=Faults(many), changes=())
+    bars = [bar for bar in page.of_class("i", "faulty left") if "title" in bar]
+    assert [(bar["title"], bar["style"]) for bar in bars] == [
+        ("At 10. And 1 more thereabouts.", "left:4.167%;width:0.833%"),
+        ("At 100.", "left:41.667%;width:0.417%"),
     ]
-    assert [bar["style"] for bar in page.of_class("i", "spike") if "title" in bar] == ["left:29.167%;width:0.417%"]
-    assert [bar["style"] for bar in page.of_class("i", "gap left") if "title" in bar] == [
-        "left:29.167%;width:4.167%",
-        "left:0.000%;width:100.000%",
-    ]
-    assert len([bar for bar in page.of_class("i", "jitter left") if "title" in bar]) == 1
 
 
 def test_what_comes_from_the_file_is_escaped_and_nothing_comes_from_elsewhere(scene, tmp_path):
@@ -99,9 +165,9 @@ def test_the_worst_moment_is_the_one_with_most_mended_markers(scene, tmp_path):
     page = page_of(scene, tmp_path)  # only in frame 70 the spike falls together with a gap that is filled
     assert "Frame 171, 0.58 s from the first." in page.text
     before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
-    assert before.count("<circle") == scene.before.seen[70].sum()
+    assert before.count("<circle") == scene.cleaning.before.seen[70].sum()
     assert before.count('class="doubted"') == 1
-    assert after.count("<circle") == scene.after.seen[70].sum()
+    assert after.count("<circle") == scene.cleaning.after.seen[70].sum()
     assert after.count('class="filled"') == after.count('class="replaced"') == 1
     assert ('class="bones"' in after, 'class="bones"' in before) == (True, False)
 
@@ -111,8 +177,8 @@ def test_the_body_faces_the_viewer_in_the_middle_of_the_picture(scene, tmp_path)
     left, top, width, height = (float(number) for number in page.of_class("svg", "figure")[1]["viewbox"].split())
     circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[1])
     place = {label: (float(x), float(y)) for x, y, label in circles}
-    head, foot = scene.skeleton.index("Head"), scene.skeleton.index("LeftFoot")
-    hands = (place[f"M{scene.skeleton.index(side + 'Hand'):02d}"][0] for side in ("Right", "Left"))
+    head, foot = scene.cleaning.skeleton.index("Head"), scene.cleaning.skeleton.index("LeftFoot")
+    hands = (place[f"M{scene.cleaning.skeleton.index(side + 'Hand'):02d}"][0] for side in ("Right", "Left"))
     assert place[f"M{head:02d}"][1] < place[f"M{foot:02d}"][1]  # an SVG's y points down
     assert left < next(hands) < left + width / 2 < next(hands) < left + width
     assert all(top < y < top + height for _, y in place.values())
@@ -150,36 +216,46 @@ def test_a_take_without_a_body_reads_well(scene, tmp_path):
 
 
 def test_a_take_without_faults_says_so(scene, tmp_path):
-    fill = {"missing_before": 0, "filled": 0, "mended": 0, "left_empty": 0, "left": []}
-    whole = scene.before.with_markers(scene.joints)
-    page = page_of(scene, tmp_path, record=scene.record | {"fill": fill}, before=whole, after=whole, faults=Faults())
+    fill = {"missing_before": 0, "filled": 0, "mended": 0, "relabelled": 0, "left_empty": 0, "left": []}
+    whole, sound = scene.cleaning.before.with_markers(scene.cleaning.joints), {"fill": fill, "changes": []}
+    takes = {"before": whole, "labelled": whole, "after": whole}
+    page = page_of(scene, tmp_path, record=scene.record | sound, **takes, faults=Faults(), changes=())
     assert "Nothing: every marker is there in every frame, and none strays." in page.text
     assert "Nothing was changed" in page.text
     assert "Nothing: no sample is missing any more." in page.text
-    assert "All faults" not in page.text
+    assert "changes" not in page.text
+    assert "kept as it was" not in page.text
+    assert not page.of_class("svg", "change")
 
 
 def test_a_take_without_a_single_sample_has_a_page(scene, tmp_path):
-    nothing = scene.before.with_markers(np.full_like(scene.before.markers, np.nan))
-    page = page_of(scene, tmp_path, before=nothing, after=nothing, skeleton=None, joints=None, error=np.full((240, 31), np.nan))
+    nothing = scene.cleaning.before.with_markers(np.full_like(scene.cleaning.before.markers, np.nan))
+    takes = {"before": nothing, "labelled": nothing, "after": nothing}
+    page = page_of(scene, tmp_path, **takes, skeleton=None, joints=None, error=np.full((240, 31), np.nan))
     assert "31 left empty" in page.text
     assert not re.search(r"\bnan\b", page.source)
 
 
-@pytest.mark.parametrize("count", [300, 3000])
+@pytest.mark.parametrize("count", [300, 6000])
 def test_the_page_of_a_bad_take_stays_small(scene, tmp_path, count):
-    frames = 24_000
     items = tuple(
-        Fault("gap", n % 30, 8 * n, 8 * n + 3, 0.1, f"M{n % 30:02d} is not seen for 0.03 s and moves.") for n in range(count)
+        Fault("gap", m, 8 * n, 8 * n + 3, 0.1, f"M{m:02d} is not seen for 0.03 s and moves.")
+        for m in range(30)
+        for n in range(count // 30)
     )
-    markers = np.zeros((frames, 31, 3))
+    whole, markers = np.zeros((8 * count // 30, 31, 3)), np.zeros((8 * count // 30, 31, 3))
     for fault in items:
         markers[fault.first : fault.last + 1, fault.marker] = np.nan
-    before = replace(scene.before, markers=markers)
-    page = page_of(scene, tmp_path, before=before, after=before, faults=Faults(items), skeleton=None, joints=None, error=None)
-    assert len(page.source.encode()) < 2_000_000
-    assert f"{count:,} faults" in page.text
-    assert ("all in the JSON report" in page.text) == (count > 1000)
+    before = replace(scene.cleaning.before, markers=markers, unlabelled=None)
+    after = before.with_markers(whole, np.where(np.isnan(markers[..., 0]), 0.01, np.nan))
+    made = tuple(change for change, _ in changes.made(before, after, items, None, np.full((len(whole), 31), "the body", object)))
+    takes = {"before": before, "labelled": before, "after": after, "faults": Faults(items), "changes": made}
+    page = page_of(scene, tmp_path, **takes, skeleton=None, joints=None, error=None)
+    assert len(page.source.encode()) < 1_500_000
+    assert f"{count:,} changes" in page.text
+    assert ("And 5,000 more, all in the JSON report." in page.text) == (count > 1000)
+    assert len(page.of_class("svg", "change")) == 12
+    assert len([attrs for tag, attrs in page.tags if tag == "details" and "open" in attrs]) == 1  # only what is left is short
 
 
 def test_a_folder_that_is_not_there_is_named(scene, tmp_path):
