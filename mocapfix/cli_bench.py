@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from mocapfix.cli_bench_faults import faults
 from mocapfix.cli_bench_hybrik import hybrik
 from mocapfix.cli_bench_prior import PRIOR_BENCHES
 from mocapfix.console import DONE, Flag, Json, out, staged
@@ -84,4 +85,11 @@ def calibration(as_json: Json = False) -> int:
     return DONE
 
 
-BENCHES = {"solver": solver, "uncertainty": uncertainty, "calibration": calibration, "hybrik": hybrik, **PRIOR_BENCHES}
+BENCHES = {
+    "solver": solver,
+    "uncertainty": uncertainty,
+    "calibration": calibration,
+    "faults": faults,
+    "hybrik": hybrik,
+    **PRIOR_BENCHES,
+}
