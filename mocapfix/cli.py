@@ -141,6 +141,9 @@ def clean(
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
     ] = ":",
+    refill: Annotated[
+        Flag, tyro.conf.arg(help="replace what another program filled, where what was measured contradicts it")
+    ] = False,
     only: Annotated[
         str, tyro.conf.arg(metavar="KIND,...", help="the only kinds of fault that are mended: gap, spike, swap, ...")
     ] = "",
@@ -166,7 +169,7 @@ def clean(
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
-    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3)
+    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
     reports, written = [], set()
     for take in takes:
         where = folder or take.with_name(f"{take.stem}.mocapfix")

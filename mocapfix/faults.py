@@ -1,7 +1,7 @@
 """What is wrong with a take, where, and how sure."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,11 +15,11 @@ Kind = Literal[
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "straight", "computed", "ghost")
-OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # replaced only where the estimate is another
+REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "ghost")
+OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # no evidence; kept, or replaced where the rest contradicts them
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
 PLACES: tuple[Kind, ...] = ("moved", "drift")
-MENDED = ("gap", *REPLACED, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing
+MENDED = ("gap", *REPLACED, *OTHERS_FILLS, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing
 SURE = 0.6  # confidence from which on labels are changed
 
 
@@ -95,21 +95,21 @@ class Faults:
         """-> these and more, in order."""
         return Faults(tuple(sorted((*self.items, *more), key=lambda fault: (fault.marker, fault.first))))
 
-    def doubted(self, take: Take) -> np.ndarray:
-        """-> (T, M) bool: samples that are there but judged faulty, so neither believed nor kept."""
-        return over(self.of(*REPLACED), take.seen.shape) & take.seen
+    def doubted(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
+        """-> (T, M) bool: samples that are there but judged faulty, by faults of these kinds, so neither believed nor kept."""
+        return over(self.of(*kinds), take.seen.shape) & take.seen
 
-    def believed(self, take: Take) -> np.ndarray:
-        """-> (T, M) bool: samples that are there and not judged faulty."""
-        return take.seen & ~self.doubted(take)
+    def believed(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
+        """-> (T, M) bool: samples that are there and not judged faulty, by faults of these kinds."""
+        return take.seen & ~self.doubted(take, kinds)
 
     def heard(self, take: Take) -> np.ndarray:
         """-> (T, M) bool: samples that the body listens to: also those that tremble, for they do so about where the marker is.
 
-        They are replaced all the same; but a limb whose markers all tremble is not a limb that was lost.
+        These are replaced all the same; but a limb whose markers all tremble is not a limb that was lost. Other programs' fills
+        it does not listen to, though they be kept.
         """
-        calm = Faults(tuple(fault for fault in self.items if fault.kind != "jitter"))
-        return calm.believed(take)
+        return self.believed(take, [kind for kind in (*REPLACED, *OTHERS_FILLS) if kind != "jitter"])
 
     def counts(self) -> dict[str, int]:
         """-> how many faults of each kind."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix import detect, mend
-from mocapfix.faults import LABELS, PLACES, SURE, Fault, Faults, Fragment
+from mocapfix.faults import LABELS, OTHERS_FILLS, PLACES, REPLACED, SURE, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -28,12 +28,14 @@ class Looked:
 
     labels   what was wrong with the labels, in the order in which it was put right
     samples  what is wrong with what is under the right labels now
+    refill   other programs' fills are not believed either
     dismissed  moves that the body did not bear out
     """
 
     take: Take
     labels: tuple[Fault, ...]
     samples: Faults
+    refill: bool = False
     dismissed: tuple[Fault, ...] = ()
 
     @property
@@ -43,7 +45,8 @@ class Looked:
     @property
     def believed(self) -> Take:
         """The samples that were measured and are not judged faulty."""
-        return self.take.only(self.samples.believed(self.take) & self.take.measured)
+        kinds = (*REPLACED, *OTHERS_FILLS) if self.refill else REPLACED
+        return self.take.only(self.samples.believed(self.take, kinds) & self.take.measured)
 
     @property
     def donors(self) -> tuple[int, ...]:
@@ -56,11 +59,12 @@ class Looked:
         return self.samples.heard(self.take) & self.take.measured
 
 
-def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stands: Stands) -> Looked:
+def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stands: Stands, refill: bool = False) -> Looked:
     """-> the take after the first look.
 
     worn_set  what the labels say that it wears, None where they say nothing; subject  who wears it, where that is known
     stands    says whether a fault may be one
+    refill    other programs' fills are to be replaced where the rest contradicts them
     """
     labels: list[Fault] = []
     if worn_set:
@@ -76,7 +80,7 @@ def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stand
         take = mend.labels(joined, swaps)
         if not swaps:
             break
-    return Looked(take, tuple(labels), judged(take, worn_set, stands))
+    return Looked(take, tuple(labels), judged(take, worn_set, stands), refill)
 
 
 def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
@@ -96,7 +100,7 @@ def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stand
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
     samples = judged(take, worn_set, stands) if swaps else looked.samples
     left = [fault for fault in samples.with_more(strays).items if not any(_same(fault, each) for each in dismissed)]
-    return Looked(take, labels, Faults(tuple(left)), dismissed)
+    return Looked(take, labels, Faults(tuple(left)), looked.refill, dismissed)
 
 
 def hardly_moved(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:

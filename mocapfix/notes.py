@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocapfix.faults import OTHERS_FILLS
 from mocapfix.looks import Looked
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -10,6 +11,7 @@ from mocapfix.take import Take, runs
 
 GUESS = 0.06  # metres per axis: a fill less sure than this is named
 ASTRAY, STAYS = 0.1, 0.05  # metres and seconds: a marker so far from the body for so long is worth a look
+OFF = 0.02  # metres: another program's fill so far from the body is worth a look
 FAR = 0.06  # metres: a marker that lies farther from the body most of the time is hardly the marker it is labelled
 
 
@@ -20,6 +22,7 @@ def of_body(looked: Looked, parts: Parts, body: Solved, error: np.ndarray) -> li
         *unmarked(worn, body.worn),
         *other_markers(looked.take, parts.marker[body.columns[body.columns >= 0]]),
         *strays(looked.take, error),
+        *others_fills(looked, error),
     ]
 
 
@@ -53,6 +56,21 @@ def strays(take: Take, error: np.ndarray) -> list[str]:
                 off = f"{np.median(error[first : last + 1, m]) * 1e3:.0f} mm from the body"
                 notes.append(f"{take.labels[m]}, {frames}: lies {off} and was kept; look for swapped labels.")
     return notes
+
+
+def others_fills(looked: Looked, error: np.ndarray) -> list[str]:
+    """-> a note on other programs' fills that lie off the body and were kept."""
+    off = [(float(np.median(error[f.frames, f.marker])), f) for f in looked.samples.of(*OTHERS_FILLS)]
+    far = [(distance, fault) for distance, fault in off if distance > OFF]
+    if looked.refill or not far:
+        return []
+    distance, worst = max(far, key=lambda pair: pair[0])
+    first, last = (looked.take.frame_number(frame) for frame in (worst.first, worst.last))
+    farthest = f"{looked.take.labels[worst.marker]}, frames {first} to {last}, {distance * 1e3:.0f} mm"
+    return [
+        f"{len(far)} of {len(off)} stretches that another program filled lie more than {OFF * 1e3:.0f} mm from the body "
+        f"(the farthest: {farthest}) and were kept; --refill replaces such."
+    ]
 
 
 def guesses(after: Take) -> list[str]:

@@ -67,7 +67,7 @@ def clean(
     check_options(take, options)
     decided = change_file.load(changes, take) if changes else ()
     known, worn_set, said = wearing(take, marker_set, subject)
-    looked, parts, body = understood(take, worn_set, known, how, change_file.vouched(take, decided), clock)
+    looked, parts, body = understood(take, worn_set, known, how, change_file.vouched(take, decided), clock, options.refill)
     with clock("fill"):
         whole, why, ways = filled(looked, parts, body, options)
         placed, touch = body.of_take(parts) if body else None, fill.touchable(take, options)
@@ -128,14 +128,14 @@ def trained(name: str) -> Callable[[], PoseModel] | None:
 
 
 def understood(
-    take: Take, worn_set: MarkerSet | None, subject: Subject | None, how: How, stands: Stands, clock: Clock
+    take: Take, worn_set: MarkerSet | None, subject: Subject | None, how: How, stands: Stands, clock: Clock, refill: bool = False
 ) -> tuple[Looked, Parts, Solved | None]:
     """-> what is wrong with a take, its parts, and its body (None where no marker set fits).
 
     The first look is at the trajectories, each other at the body that was solved from what was believed until then.
     """
     with clock("detect"):
-        looked = looks.first(take, worn_set, subject, stands)
+        looked = looks.first(take, worn_set, subject, stands, refill)
     if not looked.believed.seen.sum(1).max() >= 3:
         raise TakeError(f"{take.name}: no frame shows three markers, so nothing can be placed; check the labels and the export.")
     parts = mend.parted(looked.take, looked.faults.items)

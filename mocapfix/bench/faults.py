@@ -18,11 +18,14 @@ from mocapfix.bench.stage import Stage
 from mocapfix.bench.uncertainty import cleaned
 from mocapfix.changes import differs
 from mocapfix.clock import Progress
-from mocapfix.faults import LABELS, MISSING, REPLACED, Fault, Faults, Fragment, over
+from mocapfix.faults import LABELS, MISSING, OTHERS_FILLS, REPLACED, Fault, Faults, Fragment, over
+from mocapfix.fill import FillOptions
 from mocapfix.mend.fragments import JOINED
 from mocapfix.result import Result
 from mocapfix.take import runs
 
+ESTIMATED = (*REPLACED, *OTHERS_FILLS)
+REFILL = FillOptions(refill=True)  # so that straight fills are estimated, too
 Row = dict[str, float | None]  # what the table says of a kind
 
 
@@ -57,12 +60,12 @@ def measure(data: Path | None, takes: int, progress: Progress = lambda _: None) 
             progress(f"{kind}, {name}")
             stage = Stage(truth, np.random.default_rng([number, n]))
             inject(stage)
-            scores.setdefault(kind, []).append(scored(stage, cleaned(stage.damaged)))
+            scores.setdefault(kind, []).append(scored(stage, cleaned(stage.damaged, REFILL)))
     quiet = []
     for name, truth in sounds:
         progress(f"nothing, {name}")
         stage = Stage(truth, np.random.default_rng(0))
-        quiet.append(scored(stage, cleaned(stage.damaged)))
+        quiet.append(scored(stage, cleaned(stage.damaged, REFILL)))
     said = {kind: row(each) for kind, each in scores.items()}
     together = row([score for each in scores.values() for score in each])
     return said | {"all": together | {"false_alarms_per_minute": row(quiet)["false_alarms_per_minute"]}}
@@ -111,7 +114,7 @@ def alike(found: Fault, put: Fault) -> bool:
     """Is what was found of the kind of what was put in?"""
     if isinstance(found, Fragment) and found.relation not in JOINED:
         return False
-    return found.kind == put.kind or any(found.kind in kinds and put.kind in kinds for kinds in (MISSING, REPLACED, LABELS))
+    return found.kind == put.kind or any(found.kind in kinds and put.kind in kinds for kinds in (MISSING, ESTIMATED, LABELS))
 
 
 def errors(stage: Stage, result: Result) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix import pipeline, synthetic
+from mocapfix.fill import FillOptions
+from mocapfix.pipeline import ANYTHING
 from mocapfix.result import Result
 from mocapfix.subject import Subject
 from mocapfix.synthetic import Truth
@@ -40,12 +42,12 @@ def measure(seeds: Iterable[int] = SEEDS) -> dict[str, dict]:
     return {"joints": rows(joints), "filled_markers": rows(filled)}
 
 
-def cleaned(truth: Truth) -> Result:
+def cleaned(truth: Truth, options: FillOptions = ANYTHING) -> Result:
     """-> what the pipeline makes of a composed take, read from a file like any other."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         synthetic.write(path, truth)
-        return pipeline.clean(path)
+        return pipeline.clean(path, options=options)
 
 
 def of_joints(truth: Truth, result: Result) -> dict[str, Samples]:

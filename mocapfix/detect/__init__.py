@@ -51,12 +51,12 @@ def faults(take: Take, worn_set: MarkerSet | None = None, options: DetectOptions
     measured = take.only(take.measured & ~over(blind, take.seen.shape))
     off = spikes.found(measured, options.smallest_spike, options.longest_spike)
     held = stuck.found(measured) + straight.found(measured)
-    smooth = Faults((*off, *held)).believed(measured)
+    smooth = measured.seen & ~over([*off, *held], take.seen.shape)
     bursts = jitter.found(measured, smooth, options.smallest_jitter, options.jitter_ratio, options.shortest_jitter)
     trembling = over(bursts, take.seen.shape)
     loud = [fault for fault in noise.found(measured) if not trembling[:, fault.marker].any()]  # what trembles is told as that
     lone = [spike for spike in off if not trembling[spike.frames, spike.marker].all()]
     lost = segments.found(take, worn_set) if worn_set else []
     found = Faults((*gaps.found(take), *blind, *lost, *loud, *lone, *held, *bursts))
-    found = found.with_more(ghosts.found(measured.only(found.believed(measured))))
-    return found.with_more(moved.found(measured.only(found.believed(measured))))
+    found = found.with_more(ghosts.found(measured.only(found.believed(measured) & ~over(held, take.seen.shape))))
+    return found.with_more(moved.found(measured.only(found.believed(measured) & ~over(held, take.seen.shape))))

@@ -36,6 +36,8 @@ class FillOptions:
     """the only frames that may be touched, first and last, the file's own numbers"""
     limit: float = 0.250
     """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
+    refill: bool = False
+    """other programs' fills are replaced where what was measured contradicts them"""
 
 
 def take(
