@@ -99,6 +99,8 @@ def vouched(take: Take, decided: tuple[Decided, ...]) -> Callable[[Fault], bool]
             kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
 
     def stands(fault: Fault) -> bool:
+        if fault.kind in MISSING:
+            return True  # nobody can vouch for what is not there
         if fault.kind in PLACES:
             return not any(each.about(fault) for each in decided)
         return not kept[fault.frames][:, concerned(fault, count)].any()
