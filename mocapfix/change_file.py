@@ -69,7 +69,7 @@ def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
     """
     form = checked(_Form, Path(path))
     if form.take != take.name:
-        raise SceneError(f"{path}: take: is about {form.take}, not {take.name}; give the file that the cleaning of that one wrote.")
+        raise SceneError(f"{path}: take: is about {form.take}, not {take.name}; give the file that its own cleaning wrote.")
     first, last = take.first_frame, take.frame_number(take.frames - 1)
     if form.frames != (first, last):
         raise SceneError(
