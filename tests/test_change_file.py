@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix import change_file
-from mocapfix.changes import Change, State
+from mocapfix.changes import Change, Decision, State
 from mocapfix.errors import SceneError
 from mocapfix.faults import Fault, Fragment, Moved
 from mocapfix.take import Take
@@ -23,7 +23,7 @@ def take(name="walk.c3d", first=FIRST) -> Take:
     return Take(np.ones((50, 3, 3)), ("Jim:LFHD", "C7", "RBAC"), 100.0, first, Path("folder") / name, unlabelled=loose)
 
 
-def change(kind="spike", markers=("C7",), first=110, last=112, decision="reject", **given) -> Change:
+def change(kind="spike", markers=("C7",), first=110, last=112, decision: Decision = "reject", **given) -> Change:
     said = {
         "samples": 3,
         "why": "It jumps: \u00e4 \U0001f600.",
