@@ -98,11 +98,11 @@ def muddled(tmp_path_factory) -> Muddled:
     return Muddled(path, truth.subject, truth.markers, result, output)
 
 
-def as_c3d(markers: np.ndarray, labels, first: int = 1) -> bytes:
-    """-> a C3D in millimetres, Z up, of markers (T, M, 3) in metres, Y up, NaN where missing; 120 Hz."""
+def as_c3d(markers: np.ndarray, labels, first: int = 1, rate: float = 120.0) -> bytes:
+    """-> a C3D in millimetres, Z up, of markers (T, M, 3) in metres, Y up, NaN where missing; without cameras."""
     missing = np.isnan(markers[..., 0])
     counts = np.where(missing[..., None], 0.0, markers[..., [2, 0, 1]] * 1000)
-    return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP)
+    return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP | {"POINT:RATE": rate})
 
 
 @pytest.fixture
