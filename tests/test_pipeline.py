@@ -282,7 +282,7 @@ def test_a_move_that_is_rejected_is_none(knocked, tmp_path):
     path = tmp_path / "decided.yaml"
     decided = [replace(each, decision="reject" if each.kind == "moved" else "accept") for each in result.changes]
     change_file.save(path, result.before, decided)
-    result, off = cleaned_without(knocked, changes=path)
+    result, _ = cleaned_without(knocked, changes=path)
     assert not result.faults.of("moved", "drift")
     assert {change.kind: change.decision for change in result.changes} == {"gap": "accept", "moved": "reject"}
 
