@@ -28,12 +28,14 @@ class Looked:
 
     labels   what was wrong with the labels, in the order in which it was put right
     samples  what is wrong with what is under the right labels now
+    strays   those of them that only the solved body showed
     dismissed  moves that the body did not bear out
     """
 
     take: Take
     labels: tuple[Fault, ...]
     samples: Faults
+    strays: tuple[Fault, ...] = ()
     dismissed: tuple[Fault, ...] = ()
 
     @property
@@ -90,13 +92,14 @@ def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stand
     old, dismissed = looked.faults.items, (*looked.dismissed, *hardly_moved(looked, parts, body))
     more = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, each) for each in old)]
     swaps = [fault for fault in more if fault.kind in LABELS]
-    strays = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
-    if not swaps and not strays and len(dismissed) == len(looked.dismissed):
+    new = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
+    if not swaps and not new and len(dismissed) == len(looked.dismissed):
         return None
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
-    samples = judged(take, worn_set, stands) if swaps else looked.samples
-    left = [fault for fault in samples.with_more(strays).items if not any(_same(fault, each) for each in dismissed)]
-    return Looked(take, labels, Faults(tuple(left)), dismissed)
+    strays = (*(fault for fault in looked.strays if not any(fault.meets(swap) for swap in swaps)), *new)
+    known = judged(take, worn_set, stands).with_more(strays) if swaps else looked.samples.with_more(new)
+    left = tuple(fault for fault in known.items if not any(_same(fault, each) for each in dismissed))
+    return Looked(take, labels, Faults(left), strays, dismissed)
 
 
 def hardly_moved(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
