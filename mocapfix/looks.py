@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix import detect, mend
-from mocapfix.faults import LABELS, PLACES, SURE, Fault, Faults, Fragment
+from mocapfix.faults import LABELS, PLACES, REPLACED, SURE, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -82,9 +82,20 @@ def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stand
 
 
 def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
-    """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged."""
-    donors, found = detect.namesakes(take), detect.faults(take, worn_set).items
-    return Faults(tuple(fault for fault in found if fault.marker not in donors and stands(fault)))
+    """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged.
+
+    What is judged faulty will be replaced, and beside it more may show: it is looked for until there is none, for else it would
+    be found when the cleaned take is cleaned again.
+    """
+    donors, known = detect.namesakes(take), Faults()
+    for _ in range(ROUNDS):
+        left = replace(take, computed=take.seen & ~take.measured | known.doubted(take))
+        found = [fault for fault in detect.faults(left, worn_set).items if fault.marker not in donors and stands(fault)]
+        worse = [fault for fault in found if fault.kind in REPLACED]
+        known = Faults(tuple(fault for fault in found if fault.kind not in REPLACED)).with_more((*known.of(*REPLACED), *worse))
+        if not worse:
+            break
+    return known
 
 
 def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:

@@ -150,3 +150,20 @@ def test_pieces_that_nothing_came_of_are_told_of_once(muddled):
     found = looks.first(take, None, None, anything)
     told = [(f.donor, f.first) for f in found.labels if isinstance(f, Fragment)]
     assert len(told) == len(set(told)) == 2
+
+
+def test_what_shows_only_beside_what_is_replaced_is_found_as_well(monkeypatch):
+    """Once the burst is not asked any more the spike beside it shows; then nothing more."""
+    burst, spike, gap = Fault("jitter", 0, 10, 19, 0.1, ""), Fault("spike", 0, 20, 20, 0.1, ""), Fault("gap", 1, 0, 3, 0.1, "")
+    asked = []
+
+    def found(take, worn_set):
+        asked.append(take.measured)
+        worse = [burst] if take.measured[10, 0] else [spike] if take.measured[20, 0] else []
+        return Faults((gap, *worse))
+
+    monkeypatch.setattr(looks.detect, "faults", found)
+    assert looks.judged(TAKE, None, anything).items == (burst, spike, gap)
+    assert len(asked) == 3
+    np.testing.assert_array_equal(np.flatnonzero(~asked[-1].all(1)), np.arange(10, 21))
+    assert TAKE.computed is None
