@@ -413,15 +413,22 @@ def test_a_set_that_was_named_must_fit(brief):
         pipeline.clean(brief.path, marker_set="plug-in-gait39")
 
 
-def test_a_mislabelled_marker_is_named(brief, known, tmp_path):
+def test_labels_exchanged_throughout_are_put_right_and_where_they_are_kept_the_markers_are_named(brief, known, tmp_path):
     labels = list(brief.labels)
     a, b = labels.index("LKNE"), labels.index("RSHO")
     labels[a], labels[b] = labels[b], labels[a]
-    source = tmp_path / "swapped.c3d"
+    source, path = tmp_path / "swapped.c3d", tmp_path / "decided.yaml"
     source.write_bytes(as_c3d(brief.markers, labels))
-    notes = " ".join(pipeline.clean(source, subject=known).report["notes"])
-    assert re.search(r"LKNE lies more than 60 mm from the body for half the take: is it labelled right\?", notes)
-    assert "RSHO" in notes
+    result = pipeline.clean(source, subject=known)
+    said = {change.kind: change for change in result.changes}["mislabelled"]
+    assert (set(said.markers), said.first, said.last) == ({"LKNE", "RSHO"}, 1, 120)
+    seen = ~np.isnan(brief.markers[:, a, 0])
+    np.testing.assert_allclose(result.take.markers[seen, b], brief.markers[seen, a], atol=1e-6)
+    assert result.report["notes"] == []
+    change_file.save(path, result.before, [replace(said, decision="keep")])
+    notes = " ".join(pipeline.clean(source, subject=known, changes=path).report["notes"])
+    for label in ("LKNE", "RSHO"):
+        assert f"{label} lies more than 60 mm from the body for half the take: is it labelled right?" in notes
 
 
 def test_stages_are_told_in_order(brief):
