@@ -10,7 +10,7 @@ from pydantic import BaseModel, Field
 
 from mocapfix.changes import Change, Decision, State, concerned
 from mocapfix.errors import SceneError
-from mocapfix.faults import MISSING, PLACES, Fault
+from mocapfix.faults import MISSING, PLACES, Fault, Kind
 from mocapfix.files import replacing
 from mocapfix.marker_set import checked
 from mocapfix.take import Take
@@ -68,8 +68,10 @@ def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
     Raises SceneError with the file and the path of the wrong key, also where the file is about another take.
     """
     form = checked(_Form, Path(path))
+    if form.take != take.name:
+        raise SceneError(f"{path}: take: is about {form.take}, not {take.name}; give the file that its own cleaning wrote.")
     first, last = take.first_frame, take.frame_number(take.frames - 1)
-    if list(form.frames) != [first, last]:
+    if form.frames != (first, last):
         raise SceneError(
             f"{path}: frames: is about frames {form.frames[0]} to {form.frames[1]}; {take.name} has {first} to {last}."
         )
@@ -99,6 +101,8 @@ def vouched(take: Take, decided: tuple[Decided, ...]) -> Callable[[Fault], bool]
             kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
 
     def stands(fault: Fault) -> bool:
+        if fault.kind in MISSING:
+            return True  # nobody can vouch for what is not there
         if fault.kind in PLACES:
             return not any(each.about(fault) for each in decided)
         return not kept[fault.frames][:, concerned(fault, count)].any()
@@ -124,7 +128,7 @@ class _StateForm(BaseModel, extra="forbid"):
 
 class _ChangeForm(BaseModel, extra="forbid"):
     id: str
-    kind: str
+    kind: Kind
     markers: list[str] = Field(min_length=1)
     first: int
     last: int
@@ -139,5 +143,5 @@ class _ChangeForm(BaseModel, extra="forbid"):
 
 class _Form(BaseModel, extra="forbid"):
     take: str
-    frames: list[int]
+    frames: tuple[int, int]
     changes: list[_ChangeForm]

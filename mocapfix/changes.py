@@ -7,10 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from mocapfix.faults import LABELS, Fault, Fragment, Kind, Moved
+from mocapfix.faults import LABELS, OTHERS_FILLS, REPLACED, Fault, Fragment, Moved
 from mocapfix.take import Take
 
-TOLD: tuple[Kind, ...] = ("segment lost", "noise")  # kinds for information
 Decision = Literal["accept", "reject", "keep"]
 
 
@@ -57,6 +56,14 @@ def concerned(fault: Fault, count: int) -> list[int]:
     return list(dict.fromkeys(m for m in (*fault.markers, *donor) if m < count))
 
 
+def samples(fault: Fault, labelled: Take) -> np.ndarray:
+    """-> (T, M) bool: the samples that a fault is about, in a take whose labels are right; what is missing among samples that
+    are judged faulty is a gap's matter."""
+    mask = np.zeros(labelled.seen.shape, bool)
+    mask[fault.frames, concerned(fault, len(labelled.labels))] = True
+    return mask & labelled.seen if fault.kind in (*REPLACED, *OTHERS_FILLS) else mask
+
+
 def differs(before: Take, after: Take) -> np.ndarray:
     """-> (T, M) bool: is the sample another one, or gone, or there, or did it come from elsewhere?"""
     same = (before.markers == after.markers).all(-1) | ~before.seen & ~after.seen
@@ -64,21 +71,19 @@ def differs(before: Take, after: Take) -> np.ndarray:
 
 
 def made(
-    before: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None, ways: np.ndarray
+    before: Take, labelled: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None, ways: np.ndarray
 ) -> list[tuple[Change, Fault]]:
     """-> an entry for every fault of which something was made, in the order of the faults.
 
+    before, labelled, after  the take as it was read, with its labels right, and as it was mended
     body  (T, M, 3) metres: where the solved body has the markers, NaN where it has none; None without one
     ways  (T, M) how each sample was found that was filled, "" for others
     """
-    changed, found, count, names = differs(before, after), [], len(before.labels), {}
+    changed, found, names = differs(before, after), [], {}
     for fault in faults:
-        if fault.kind in TOLD:  # its samples have faults of their own
-            continue
-        frames, markers = np.arange(fault.first, fault.last + 1), concerned(fault, count)
-        where = np.ix_(frames, np.array(markers, int))
-        samples = int(changed[where].sum())
-        if not samples and not isinstance(fault, Moved):
+        where = samples(fault, labelled)
+        count = 0 if isinstance(fault, Moved) else int(changed[where].sum())
+        if not count and not isinstance(fault, Moved):
             continue
         label, first = before.label(fault.marker), before.frame_number(fault.first)
         name = f"{fault.kind}-{label}-{first}".replace(" ", "-")
@@ -89,10 +94,10 @@ def made(
             markers=tuple(before.label(m) for m in _named(fault)),
             first=first,
             last=before.frame_number(fault.last),
-            samples=samples,
+            samples=count,
             why=fault.reason,
             method=_method(fault, before, ways[where]),
-            before=_state(before, where, body),
+            before=_state(before if of_labels(fault) else labelled, where, body),
             after=_state(after, where, body),
             predicted_mm=_predicted(after, where),
         )
@@ -103,6 +108,11 @@ def made(
 def _named(fault: Fault) -> tuple[int, ...]:
     donor = (fault.donor,) if isinstance(fault, Fragment) else ()
     return tuple(dict.fromkeys((*fault.markers, *donor)))
+
+
+def of_labels(fault: Fault) -> bool:
+    """Is it about whose the samples are?"""
+    return fault.kind in LABELS or isinstance(fault, Fragment)
 
 
 def _method(fault: Fault, take: Take, ways: np.ndarray) -> str:
@@ -116,13 +126,13 @@ def _method(fault: Fault, take: Take, ways: np.ndarray) -> str:
     return f"estimated, mostly from {found.most_common(1)[0][0]}" if found else "taken out"
 
 
-def _state(take: Take, where: tuple[np.ndarray, ...], body: np.ndarray | None) -> State:
+def _state(take: Take, where: np.ndarray, body: np.ndarray | None) -> State:
     off = np.full(1, np.nan) if body is None else np.linalg.norm(take.markers[where] - body[where], axis=-1)
     known = off[~np.isnan(off)]
     return State(int((~take.seen[where]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
 
 
-def _predicted(take: Take, where: tuple[np.ndarray, ...]) -> float | None:
+def _predicted(take: Take, where: np.ndarray) -> float | None:
     deviation = np.zeros(0) if take.deviation is None else take.deviation[where]
     known = deviation[~np.isnan(deviation)]
     return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None

@@ -16,7 +16,7 @@ Kind = Literal[
 ]  # fmt: skip
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
 REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "ghost")
-OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # no evidence; kept, or replaced where the rest contradicts them
+OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # told; replaced, where the rest contradicts them, on request
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
 PLACES: tuple[Kind, ...] = ("moved", "drift")
 MENDED = ("gap", *REPLACED, *OTHERS_FILLS, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing
@@ -103,13 +103,12 @@ class Faults:
         """-> (T, M) bool: samples that are there and not judged faulty, by faults of these kinds."""
         return take.seen & ~self.doubted(take, kinds)
 
-    def heard(self, take: Take) -> np.ndarray:
+    def heard(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
         """-> (T, M) bool: samples that the body listens to: also those that tremble, for they do so about where the marker is.
 
-        These are replaced all the same; but a limb whose markers all tremble is not a limb that was lost. Other programs' fills
-        it does not listen to, though they be kept.
+        They are replaced all the same; but a limb whose markers all tremble is not a limb that was lost.
         """
-        return self.believed(take, [kind for kind in (*REPLACED, *OTHERS_FILLS) if kind != "jitter"])
+        return self.believed(take, [kind for kind in kinds if kind != "jitter"])
 
     def counts(self) -> dict[str, int]:
         """-> how many faults of each kind."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocapfix import detect, mend
-from mocapfix.faults import LABELS, OTHERS_FILLS, PLACES, REPLACED, SURE, Fault, Faults, Fragment
+from mocapfix.faults import LABELS, OTHERS_FILLS, PLACES, REPLACED, SURE, Fault, Faults, Fragment, Kind
 from mocapfix.marker_set import MarkerSet
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -28,14 +28,16 @@ class Looked:
 
     labels   what was wrong with the labels, in the order in which it was put right
     samples  what is wrong with what is under the right labels now
-    refill   other programs' fills are not believed either
+    replaced  the kinds whose samples are not believed
+    strays   those of them that only the solved body showed
     dismissed  moves that the body did not bear out
     """
 
     take: Take
     labels: tuple[Fault, ...]
     samples: Faults
-    refill: bool = False
+    replaced: tuple[Kind, ...] = REPLACED
+    strays: tuple[Fault, ...] = ()
     dismissed: tuple[Fault, ...] = ()
 
     @property
@@ -45,8 +47,7 @@ class Looked:
     @property
     def believed(self) -> Take:
         """The samples that were measured and are not judged faulty."""
-        kinds = (*REPLACED, *OTHERS_FILLS) if self.refill else REPLACED
-        return self.take.only(self.samples.believed(self.take, kinds) & self.take.measured)
+        return self.take.only(self.samples.believed(self.take, self.replaced) & self.take.measured)
 
     @property
     def donors(self) -> tuple[int, ...]:
@@ -56,7 +57,7 @@ class Looked:
     @property
     def heard(self) -> np.ndarray:
         """(T, M) bool: the samples that the body listens to (see faults.Faults.heard)."""
-        return self.samples.heard(self.take) & self.take.measured
+        return self.samples.heard(self.take, self.replaced) & self.take.measured
 
 
 def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stands: Stands, refill: bool = False) -> Looked:
@@ -80,13 +81,24 @@ def first(take: Take, worn_set: MarkerSet | None, subject: Subject | None, stand
         take = mend.labels(joined, swaps)
         if not swaps:
             break
-    return Looked(take, tuple(labels), judged(take, worn_set, stands), refill)
+    return Looked(take, tuple(labels), judged(take, worn_set, stands), (*REPLACED, *OTHERS_FILLS) if refill else REPLACED)
 
 
 def judged(take: Take, worn_set: MarkerSet | None, stands: Stands) -> Faults:
-    """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged."""
-    donors, found = detect.namesakes(take), detect.faults(take, worn_set).items
-    return Faults(tuple(fault for fault in found if fault.marker not in donors and stands(fault)))
+    """-> what is wrong with the samples of a take whose labels are right; what is no marker's own label is not judged.
+
+    What is judged faulty will be replaced, and beside it more may show: it is looked for until there is none, for else it would
+    be found when the cleaned take is cleaned again.
+    """
+    donors, known = detect.namesakes(take), Faults()
+    for _ in range(ROUNDS):
+        left = replace(take, computed=take.seen & ~take.measured | known.doubted(take))
+        found = [fault for fault in detect.faults(left, worn_set).items if fault.marker not in donors and stands(fault)]
+        worse = [fault for fault in found if fault.kind in REPLACED]
+        known = Faults(tuple(fault for fault in found if fault.kind not in REPLACED)).with_more((*known.of(*REPLACED), *worse))
+        if not worse:
+            break
+    return known
 
 
 def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stands: Stands) -> Looked | None:
@@ -94,13 +106,14 @@ def again(looked: Looked, parts: Parts, body: Solved, worn_set: MarkerSet, stand
     old, dismissed = looked.faults.items, (*looked.dismissed, *hardly_moved(looked, parts, body))
     more = [fault for fault in off_body(looked, parts, body) if stands(fault) and not any(_same(fault, each) for each in old)]
     swaps = [fault for fault in more if fault.kind in LABELS]
-    strays = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
-    if not swaps and not strays and len(dismissed) == len(looked.dismissed):
+    new = [fault for fault in more if fault.kind not in LABELS and not any(fault.meets(swap) for swap in swaps)]
+    if not swaps and not new and len(dismissed) == len(looked.dismissed):
         return None
     take, labels = mend.labels(looked.take, swaps), (*looked.labels, *swaps)
-    samples = judged(take, worn_set, stands) if swaps else looked.samples
-    left = [fault for fault in samples.with_more(strays).items if not any(_same(fault, each) for each in dismissed)]
-    return Looked(take, labels, Faults(tuple(left)), looked.refill, dismissed)
+    strays = (*(fault for fault in looked.strays if not any(fault.meets(swap) for swap in swaps)), *new)
+    known = judged(take, worn_set, stands).with_more(strays) if swaps else looked.samples.with_more(new)
+    left = tuple(fault for fault in known.items if not any(_same(fault, each) for each in dismissed))
+    return Looked(take, labels, Faults(left), looked.replaced, strays, dismissed)
 
 
 def hardly_moved(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocapfix.faults import OTHERS_FILLS
+from mocapfix.faults import OTHERS_FILLS, REPLACED
 from mocapfix.looks import Looked
 from mocapfix.mend import Parts
 from mocapfix.solved import Solved
@@ -62,7 +62,7 @@ def others_fills(looked: Looked, error: np.ndarray) -> list[str]:
     """-> a note on other programs' fills that lie off the body and were kept."""
     off = [(float(np.median(error[f.frames, f.marker])), f) for f in looked.samples.of(*OTHERS_FILLS)]
     far = [(distance, fault) for distance, fault in off if distance > OFF]
-    if looked.refill or not far:
+    if looked.replaced != REPLACED or not far:
         return []
     distance, worst = max(far, key=lambda pair: pair[0])
     first, last = (looked.take.frame_number(frame) for frame in (worst.first, worst.last))

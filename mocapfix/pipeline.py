@@ -161,7 +161,8 @@ def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptio
     """
     take, believed = looked.take, looked.believed.seen
     given = (body.columns, body.worn, body.motion) if body else (np.zeros(0, int), None, None)
-    after, left, way = fill.take(parts.take, parts.split(believed), *given, options)
+    lasting = fill.lasting(believed, take.rate)[:, parts.marker]
+    after, left, way = fill.take(parts.take, parts.split(believed), lasting, *given, options)
     stays = take.seen & ~take.measured
     stays[:, list(looked.donors)] = True
     stays |= believed  # also while a marker slides from place to place

@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocapfix import cli, pipeline, subject_file, synthetic
+from mocapfix import cli, pipeline, subject_file, synthetic, write
 from mocapfix.pipeline import Result
 from mocapfix.synthetic import Truth
+from tests import muddled as muddling
 from tests.c3d_files import c3d_bytes
+from tests.muddled import FEET_UP, Muddled
 
 # few examples, no deadline (the first call of a kernel compiles it), the same ones every time in CI
 settings.register_profile("mocapfix", deadline=None, max_examples=30, derandomize="CI" in os.environ)
 settings.load_profile("mocapfix")
 
 FIRST = 301  # the file's number of the brief take's first frame
-FEET_UP = {"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": "+Z"}
 
 
 @dataclass(frozen=True)
@@ -87,11 +88,21 @@ def brief(cleaned, tmp_path_factory) -> Brief:
     return Brief(path, folder / "known.yaml", markers, labels)
 
 
-def as_c3d(markers: np.ndarray, labels, first: int = 1) -> bytes:
-    """-> a C3D in millimetres, Z up, of markers (T, M, 3) in metres, Y up, NaN where missing; 120 Hz."""
+@pytest.fixture(scope="session")
+def muddled(tmp_path_factory) -> Muddled:
+    folder = tmp_path_factory.mktemp("muddled")
+    truth, path, output = synthetic.take(seed=3, seconds=3.0), folder / "muddled.c3d", folder / "cleaned.c3d"
+    muddling.write(path, truth)
+    result = pipeline.clean(path, subject=truth.subject)
+    assert write.c3d(output, result.before, result.take) == []
+    return Muddled(path, truth.subject, truth.markers, result, output)
+
+
+def as_c3d(markers: np.ndarray, labels, first: int = 1, rate: float = 120.0) -> bytes:
+    """-> a C3D in millimetres, Z up, of markers (T, M, 3) in metres, Y up, NaN where missing; without cameras."""
     missing = np.isnan(markers[..., 0])
     counts = np.where(missing[..., None], 0.0, markers[..., [2, 0, 1]] * 1000)
-    return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP)
+    return c3d_bytes(counts, labels, np.where(missing, -1, 5), first=first, extra=FEET_UP | {"POINT:RATE": rate})
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, pipeline, read, subject_file, synthetic
+from mocapfix import change_file, marker_set, pipeline, read, subject_file, synthetic, write
 from mocapfix.bench.demo import errors
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.fill import FillOptions
@@ -190,6 +190,103 @@ def test_faults_and_gaps_left_carry_the_files_own_frame_numbers(brief, known):
     assert left == {("RELB", 341, 360, reason), ("LKNE", 371, 390, reason)}
 
 
+# nothing else, and not again
+
+
+def test_cleaning_an_output_again_changes_nothing(muddled, tmp_path):
+    result = pipeline.clean(muddled.output, subject=muddled.subject)
+    assert result.changes == ()
+    assert write.c3d(tmp_path / "again.c3d", result.before, result.take) == []
+    assert (tmp_path / "again.c3d").read_bytes() == muddled.output.read_bytes()
+
+
+def test_a_sound_take_comes_back_byte_by_byte(cleaned, tmp_path):
+    sound = tmp_path / "sound.c3d"
+    sound.write_bytes(as_c3d(cleaned.truth.markers[200:440], cleaned.truth.labels))
+    result = pipeline.clean(sound)
+    assert (result.faults.items, result.changes, result.left) == ((), (), ())
+    assert write.c3d(tmp_path / "again.c3d", result.before, result.take) == []
+    assert (tmp_path / "again.c3d").read_bytes() == sound.read_bytes()
+
+
+def test_whatever_differs_lies_in_the_intervals_of_the_record(cleaned):
+    before, after = (read.take(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
+    of = {label: m for m, label in enumerate(before.labels)}
+    told = np.zeros(before.seen.shape, int)
+    for change in cleaned.result.report["changes"]:
+        frames = slice(change["first"] - before.first_frame, change["last"] - before.first_frame + 1)
+        told[frames, [of[label] for label in change["markers"]]] += 1
+        assert change["samples"] == (change["last"] - change["first"] + 1) * len(change["markers"])
+    differs = ~((before.markers == after.markers) | np.isnan(before.markers) & np.isnan(after.markers)).all(-1)
+    np.testing.assert_array_equal(told, differs)
+
+
+# a marker that is knocked
+
+
+KNOCK, SHIFT = 240, (0.0, -0.04, 0.0)  # frame and metres, in the thorax's axes
+
+
+@pytest.fixture(scope="module")
+def knocked(tmp_path_factory):
+    """-> T10 is knocked 40 mm down in the middle of 8 s, hidden meanwhile, and once before and once after: path and truth"""
+    truth = synthetic.take(seed=3, seconds=8.0, rate=60.0)
+    path, marker = tmp_path_factory.mktemp("knocked") / "knocked.c3d", truth.labels.index("T10")
+    where, rotation = truth.markers.copy(), kinematics.world(truth.subject.skeleton, truth.motion)[1]
+    where[KNOCK:, marker] += rotation[KNOCK:, truth.subject.joints[marker]] @ np.array(SHIFT)
+    seen = where.copy()
+    for first, last in HIDDEN:
+        seen[first : last + 1, marker] = np.nan
+    path.write_bytes(as_c3d(seen, truth.labels, rate=60.0))
+    return path, truth, where
+
+
+HIDDEN = ((100, 119), (KNOCK - 6, KNOCK + 5), (330, 349))
+
+
+def cleaned_without(knocked, **asked):
+    path, truth, where = knocked
+    result = pipeline.clean(path, subject=truth.subject, **asked)
+    m = truth.labels.index("T10")
+    hidden = np.zeros(len(where), bool)
+    for first, last in HIDDEN:
+        hidden[first : last + 1] = True
+    np.testing.assert_array_equal(result.take.markers[~hidden], result.before.markers[~hidden])
+    return result, np.linalg.norm(result.take.markers[:, m] - where[:, m], axis=-1)
+
+
+def test_a_knocked_marker_is_found_and_its_gaps_are_filled_at_either_place(knocked):
+    result, off = cleaned_without(knocked)
+    said = {change.kind: change for change in result.changes}
+    assert abs(said["moved"].first - 1 - KNOCK) <= 6
+    assert (said["moved"].markers, said["moved"].last, said["moved"].samples) == (("T10",), 480, 0)
+    for first, last in (HIDDEN[0], HIDDEN[2]):
+        assert off[first : last + 1].max() < 0.01
+    assert result.left == ()
+    assert np.linalg.norm(result.joints - knocked[1].joints, axis=-1).mean() < 0.006
+
+
+def test_max_gap_is_held_against_the_gap_and_not_what_is_hidden_of_a_place(knocked):
+    result, off = cleaned_without(knocked, options=FillOptions(max_gap=0.25))
+    first, last = HIDDEN[1]
+    assert not np.isnan(off[first : last + 1]).any()
+    assert [(each.first, each.last, each.reason) for each in result.left] == [
+        (first, last, "the gap is longer than 0.25 s") for first, last in (HIDDEN[0], HIDDEN[2])
+    ]
+    left = [(each.first, each.last) for each in cleaned_without(knocked, options=FillOptions(max_gap=0.15))[0].left]
+    assert left == list(HIDDEN)
+
+
+def test_a_move_that_is_rejected_is_none(knocked, tmp_path):
+    result, _ = cleaned_without(knocked)
+    path = tmp_path / "decided.yaml"
+    decided = [replace(each, decision="reject" if each.kind == "moved" else "accept") for each in result.changes]
+    change_file.save(path, result.before, decided)
+    result, _ = cleaned_without(knocked, changes=path)
+    assert not result.faults.of("moved", "drift")
+    assert {change.kind: change.decision for change in result.changes} == {"gap": "accept", "moved": "reject"}
+
+
 # what may be touched
 
 
@@ -316,18 +413,22 @@ def test_a_set_that_was_named_must_fit(brief):
         pipeline.clean(brief.path, marker_set="plug-in-gait39")
 
 
-def test_a_mislabelled_marker_is_put_right(brief, known, tmp_path):
+def test_labels_exchanged_throughout_are_put_right_and_where_they_are_kept_the_markers_are_named(brief, known, tmp_path):
     labels = list(brief.labels)
     a, b = labels.index("LKNE"), labels.index("RSHO")
     labels[a], labels[b] = labels[b], labels[a]
-    source = tmp_path / "swapped.c3d"
+    source, path = tmp_path / "swapped.c3d", tmp_path / "decided.yaml"
     source.write_bytes(as_c3d(brief.markers, labels))
     result = pipeline.clean(source, subject=known)
-    (fault,) = result.faults.of("mislabelled")
-    assert {labels[m] for m in fault.markers} == {"LKNE", "RSHO"}
-    seen = ~np.isnan(brief.markers[:, [b, a], 0])
-    np.testing.assert_allclose(result.take.markers[:, [a, b]][seen], brief.markers[:, [b, a]][seen], atol=1e-6)
-    assert result.report["fill"]["relabelled"] == seen.sum()
+    said = {change.kind: change for change in result.changes}["mislabelled"]
+    assert (set(said.markers), said.first, said.last) == ({"LKNE", "RSHO"}, 1, 120)
+    seen = ~np.isnan(brief.markers[:, a, 0])
+    np.testing.assert_allclose(result.take.markers[seen, b], brief.markers[seen, a], atol=1e-6)
+    assert result.report["notes"] == []
+    change_file.save(path, result.before, [replace(said, decision="keep")])
+    notes = " ".join(pipeline.clean(source, subject=known, changes=path).report["notes"])
+    for label in ("LKNE", "RSHO"):
+        assert f"{label} lies more than 60 mm from the body for half the take: is it labelled right?" in notes
 
 
 def test_stages_are_told_in_order(brief):

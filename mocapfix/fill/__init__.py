@@ -13,7 +13,7 @@ from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
 
-__all__ = ["WAYS", "FillOptions", "Filled", "take", "touchable"]
+__all__ = ["WAYS", "FillOptions", "Filled", "lasting", "take", "touchable"]
 
 
 class Filled(NamedTuple):
@@ -43,6 +43,7 @@ class FillOptions:
 def take(
     before: Take,
     believed: np.ndarray,
+    lasting: np.ndarray,
     columns: np.ndarray,
     subject: Subject | None,
     motion: Motion | None,
@@ -51,13 +52,14 @@ def take(
     """-> the take with every sample that was missing or not believed filled or emptied.
 
     believed  (T, M) bool: samples that are kept bit for bit
+    lasting   (T, M) seconds, as `lasting`: of a moved marker, where only a part of the gap is seen here, of the whole gap
     columns   (K,) the take's column of each of the subject's markers, -1 where it has none; empty without a subject
     """
     touch = touchable(before, options)
     wanted = ~believed & touch
     said = body_estimate(before, believed, columns, subject, motion) if subject and motion else None
     filled, deviation, way = trajectories(before, believed, said)
-    reasons = why_not(before, believed, wanted, deviation, options)
+    reasons = why_not(before, wanted, lasting, deviation, options)
     give = wanted & (reasons == "")
     markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
     after = before.with_markers(markers, np.where(give, deviation, np.nan))
@@ -86,21 +88,24 @@ def touchable(before: Take, options: FillOptions) -> np.ndarray:
     return touch
 
 
-def why_not(before: Take, believed: np.ndarray, wanted: np.ndarray, deviation: np.ndarray, options: FillOptions) -> np.ndarray:
+def lasting(believed: np.ndarray, rate: float) -> np.ndarray:
+    """-> (T, M) seconds: how long the gap lasts in which a sample is not `believed` (T, M), 0 where it is."""
+    seconds = np.zeros(believed.shape)
+    for m in np.flatnonzero(~believed.all(0)):
+        for first, last in runs(~believed[:, m]):
+            seconds[first : last + 1, m] = (last - first + 1) / rate
+    return seconds
+
+
+def why_not(before: Take, wanted: np.ndarray, lasting: np.ndarray, deviation: np.ndarray, options: FillOptions) -> np.ndarray:
     """-> (T, M) object: why a wanted sample is not filled, "" where it is."""
     reasons = np.full(wanted.shape, "", object)
     unknown = wanted & np.isnan(deviation)
     reasons[unknown] = "nothing that moves with it was seen well enough to place it"
     unsure = wanted & (deviation > options.limit)
     reasons[unsure] = f"its place could only be guessed to worse than {options.limit * 1e3:.0f} mm"
-    for m in np.flatnonzero(wanted.any(0)):
-        if not before.seen[:, m].any():
-            reasons[wanted[:, m], m] = "the marker is never seen in this take"
-            continue
-        for first, last in runs(~believed[:, m]):
-            if (last - first + 1) / before.rate > options.max_gap:
-                span = slice(first, last + 1)
-                reasons[span, m][wanted[span, m]] = f"the gap is longer than {options.max_gap:g} s"
+    reasons[wanted & (lasting > options.max_gap)] = f"the gap is longer than {options.max_gap:g} s"
+    reasons[wanted & ~before.seen.any(0)] = "the marker is never seen in this take"
     return reasons
 
 

@@ -4,9 +4,9 @@ Labels first, for what bears a wrong one looks like every other fault; then move
 missing is left to the fill. Samples change places and nothing else.
 """
 
-from mocapfix.mend.fragments import fragments
-from mocapfix.mend.labels import labels
+from mocapfix.mend.fragments import JOINED, fragments
+from mocapfix.mend.labels import labels, relabelled
 from mocapfix.mend.moved import Parts, parted
 from mocapfix.mend.refused import put_back
 
-__all__ = ["Parts", "fragments", "labels", "parted", "put_back"]
+__all__ = ["JOINED", "Parts", "fragments", "labels", "parted", "put_back", "relabelled"]

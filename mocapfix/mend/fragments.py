@@ -36,7 +36,7 @@ def fragments(take: Take, faults: Iterable[Fault]) -> Take:
             given = given[np.isnan(markers[given, fault.marker, 0])]
         markers[given, fault.marker], sources[given, fault.marker] = path[given], point[given]
         computed[given, fault.marker] = blind[given, fault.marker] = False
-        path[frames] = np.nan
+        path[given] = np.nan
     if loose is not None and unlabelled is not None:
         loose = loose.with_markers(unlabelled)
     return replace(take, markers=markers, source=sources, computed=computed, blind=blind, unlabelled=loose)

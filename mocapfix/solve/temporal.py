@@ -55,12 +55,12 @@ def liveliness(path: np.ndarray, variance: np.ndarray, rate: float, well_known: 
         return np.ones(frames)
     second = ((path[2 * h :] - 2 * path[h:-h] + path[: -2 * h]) ** 2).mean(1) / (2 / 3 * (h / rate) ** 3)
     known = variance[2 * h :] + 4 * variance[h:-h] + variance[: -2 * h] < 6 * well_known**2
-    if known.sum() < 4 * h:
-        return np.ones(frames)
     window = max(1, round(WINDOW * rate))
     amount = uniform_filter1d(np.where(known, second, 0.0), window, mode="nearest")
     share = uniform_filter1d(known.astype(float), window, mode="nearest")
     told = np.flatnonzero(share > 0.1)
+    if known.sum() < 4 * h or not len(told):
+        return np.ones(frames)
     local = np.interp(np.arange(frames), told + h, amount[told] / share[told])
     return np.maximum(LIVELY * np.maximum(local, QUIET * second[known].mean()), LEAST)
 

@@ -143,7 +143,7 @@ def test_a_table_of_several_takes():
 
 
 def test_every_kind_has_its_row_and_sound_takes_have_their_alarms(monkeypatch):
-    def as_it_was(truth):
+    def as_it_was(truth, options):
         take = Take(truth.damaged, truth.labels, truth.rate)
         return Found(take, take, take, Faults(() if truth.struck.any() else (fault("spike", 1, 2, 0),)))
 

@@ -56,7 +56,7 @@ def test_a_sound_take_has_no_faults():
 
 def test_options_move_the_thresholds():
     options = detect.DetectOptions(smallest_spike=0.2, smallest_jitter=0.1)
-    faults = detect.faults(damaged(), options)
+    faults = detect.faults(damaged(), options=options)
     assert set(faults.counts()) == {"gap", "leading gap", "spike"}
     assert all(f.severity >= 0.2 for f in faults.items if f.kind == "spike")
 

@@ -37,7 +37,8 @@ def torn(markers, *gaps):
 
 
 def given(take, options=ANYTHING, believed=None):
-    return fill.take(take, take.seen if believed is None else believed, NO_COLUMNS, None, None, options)[:2]
+    kept = take.seen if believed is None else believed
+    return fill.take(take, kept, fill.lasting(kept, take.rate), NO_COLUMNS, None, None, options)[:2]
 
 
 def untouched(before, after, where):
@@ -137,7 +138,7 @@ def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbo
     markers[300:420, arm] = np.nan
     markers[500:520, 0] = np.nan
     take = Take(markers, labels, truth.rate)
-    after, left, _ = fill.take(take, take.seen, columns, subject, motion, FillOptions())
+    after, left, _ = fill.take(take, take.seen, fill.lasting(take.seen, take.rate), columns, subject, motion, FillOptions())
     assert left == ()
     assert np.linalg.norm(after.markers - truly, axis=-1)[300:420, arm].max() < 0.03
     assert np.linalg.norm(after.markers - truly, axis=-1)[500:520, 0].max() < 0.01
@@ -151,7 +152,7 @@ def test_a_marker_that_the_take_lacks_is_no_column(cleaned):
     motion = replace(truth.motion, **{name: getattr(truth.motion, name)[:100] for name in vars(truth.motion)})
     columns = np.r_[-1, np.arange(len(labels))]
     take = Take(markers, labels, truth.rate)
-    after, left, _ = fill.take(take, take.seen, columns, subject, motion, FillOptions())
+    after, left, _ = fill.take(take, take.seen, fill.lasting(take.seen, take.rate), columns, subject, motion, FillOptions())
     assert left == ()
     assert after.markers.shape == markers.shape
     np.testing.assert_allclose(after.markers[40:50, 3], truth.markers[40:50, 4], atol=0.01)

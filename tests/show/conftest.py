@@ -66,7 +66,7 @@ def scene() -> Scene:
     after = labelled.with_markers(mended, sure)
     faults = Faults().with_more(items)
     ways = np.where(np.isnan(sure), "", "the body").astype(object)
-    made = tuple(change for change, _ in changes.made(before, after, faults.items, truth, ways))
+    made = tuple(change for change, _ in changes.made(before, labelled, after, faults.items, truth, ways))
     error = np.linalg.norm(after.markers - truth, axis=-1) + 0.002
     shown = Cleaning(before, labelled, after, faults, made, skeleton, joints, error)
     return Scene(shown, record(shown))

@@ -248,7 +248,9 @@ def test_the_page_of_a_bad_take_stays_small(scene, tmp_path, count):
         markers[fault.first : fault.last + 1, fault.marker] = np.nan
     before = replace(scene.cleaning.before, markers=markers, unlabelled=None)
     after = before.with_markers(whole, np.where(np.isnan(markers[..., 0]), 0.01, np.nan))
-    made = tuple(change for change, _ in changes.made(before, after, items, None, np.full((len(whole), 31), "the body", object)))
+    made = tuple(
+        change for change, _ in changes.made(before, before, after, items, None, np.full((len(whole), 31), "the body", object))
+    )
     takes = {"before": before, "labelled": before, "after": after, "faults": Faults(items), "changes": made}
     page = page_of(scene, tmp_path, **takes, skeleton=None, joints=None, error=None)
     assert len(page.source.encode()) < 1_500_000

@@ -17,7 +17,10 @@ def test_every_kind_is_there_and_the_worst_come_first(scene):
     for fault in faults:
         seen[fault.frames, fault.marker] += 0.001
     after = cleaning.after.with_markers(seen, None)
-    made = tuple(change for change, _ in changes.made(cleaning.before, after, faults, None, np.full((240, 31), "", object)))
+    made = tuple(
+        change
+        for change, _ in changes.made(cleaning.before, cleaning.labelled, after, faults, None, np.full((240, 31), "", object))
+    )
     chosen = worst(scene.with_(after=after, faults=Faults(faults), changes=made).cleaning)
     assert len(chosen) == PICTURES
     assert [(c.kind, c.markers[0]) for c, _ in chosen[:3]] == [("jitter", "M27"), ("jitter", "M26"), ("jitter", "M25")]

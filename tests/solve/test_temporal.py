@@ -118,3 +118,13 @@ def test_the_root_moves_on_through_lost_frames():
     variance, torn = np.full(200, 1e-6), root.copy()
     variance[60:90], torn[60:90] = 1e4, 0.0
     np.testing.assert_allclose(temporal.smoothed_root(torn, variance, RATE)[0], root, atol=1e-3)
+
+
+def test_a_path_that_is_well_known_only_here_and_there_is_as_lively_as_any():
+    """Three frames of every 200 tell of one acceleration: too little of any moment to say how lively it is."""
+    frames, rate = 6000, 120.0
+    variance = np.ones(frames)
+    for lag in (0, 7, 14):
+        variance[100 + lag :: 200] = 1e-8
+    path = np.random.default_rng(0).normal(size=(frames, 3))
+    np.testing.assert_array_equal(temporal.liveliness(path, variance, rate, 0.01), np.ones(frames))

@@ -9,6 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from mocapfix import read, write
 from mocapfix.errors import WriteError
+from mocapfix.faults import Fragment
+from mocapfix.mend import fragments
 from mocapfix.take import Take
 from tests.c3d_files import ENCODINGS, c3d_bytes
 
@@ -155,6 +157,75 @@ def test_a_mended_file_has_the_markers_of_the_original(tmp_path):
     markers[0, 0] += 0.5
     write.c3d(tmp_path / "after.c3d", before, before.with_markers(markers))
     assert read.take(tmp_path / "after.c3d").labels == before.labels
+
+
+# samples that came from elsewhere: labels put right
+
+
+NAMED = ("*12", "A", "B", "A-1")  # nobody's, two markers, and one that goes on under another label
+OWN = 0x0103 + np.arange(4 * FRAMES).reshape(FRAMES, 4)  # every sample's residual word is its own
+GONE = (0, 0, 0, -1)
+
+
+def take_of_four(folder: Path, encoding) -> Take:
+    """-> A and B throughout; *12 seen in frames 0 and 1, A-1 in 2 and 3, and then not A"""
+    seen = np.ones((FRAMES, 4), bool)
+    seen[2:, 0] = seen[[0, 1, 4], 3] = seen[:4, 1] = False
+    path = folder / "before.c3d"
+    path.write_bytes(c3d_bytes(np.where(seen[..., None], XYZ, 0), NAMED, np.where(seen, OWN, -1), encoding))
+    take = read.take(path)
+    assert take.unlabelled is not None
+    assert (take.labels, take.unlabelled.labels) == (("A", "B", "A-1"), ("*12",))
+    return take
+
+
+def stored(path: Path, take: Take) -> np.ndarray:
+    """-> (T, P, bytes) each sample's own bytes, as the file holds them"""
+    layout = take.layout
+    assert layout is not None
+    return layout.words(path.read_bytes()).copy().view("u1").reshape(FRAMES, 4, -1)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_exchanged_samples_bring_their_words_along_bit_for_bit(tmp_path, encoding):
+    before = take_of_four(tmp_path, encoding)
+    write.c3d(tmp_path / "after.c3d", before, before.exchanged((0, 1), 3, 4))
+    old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
+    wanted = old.copy()
+    wanted[4, [1, 2]] = old[4, [2, 1]]
+    wanted[3, 1] = old[3, 2]  # of A there is nothing in frame 3
+    np.testing.assert_array_equal(new[:, :2], wanted[:, :2])
+    np.testing.assert_array_equal(new[[0, 1, 2, 4], 2:], wanted[[0, 1, 2, 4], 2:])
+    assert not read.take(tmp_path / "after.c3d").seen[3, 1]
+    assert new[3, 2].tobytes() == as_stored(GONE, encoding)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(("donor", "point", "frames"), [(2, 3, slice(2, 4)), (3, 0, slice(0, 2))], ids=["A-1", "*12"])
+def test_a_joined_fragment_keeps_its_words_and_its_donor_is_invalid_there(tmp_path, encoding, donor, point, frames):
+    before = take_of_four(tmp_path, encoding)
+    joined = fragments(
+        before, [Fragment("fragment", 0, frames.start, frames.stop - 1, 0.0, "", donor=donor, relation="continues")]
+    )
+    write.c3d(tmp_path / "after.c3d", before, joined)
+    old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
+    np.testing.assert_array_equal(new[frames, 1], old[frames, point])
+    assert {each.tobytes() for each in new[frames, point]} == {as_stored(GONE, encoding)}
+    new[frames, [1, point]] = old[frames, [1, point]]
+    np.testing.assert_array_equal(new, old)
+    again = read.take(tmp_path / "after.c3d")
+    np.testing.assert_array_equal(again.markers[:, :2], joined.markers[:, :2])
+
+
+def test_a_sample_that_was_exchanged_and_then_mended_is_an_estimate(tmp_path):
+    before = take_of_four(tmp_path, (84, True))
+    after = before.exchanged((0, 1), 4, 4)
+    after.markers[4, 0], deviation = 0.5, np.full(after.seen.shape, np.nan)
+    deviation[4, 0] = 0.0021
+    write.c3d(tmp_path / "after.c3d", before, replace(after, deviation=deviation))
+    data = (tmp_path / "after.c3d").read_bytes()
+    assert data[sample_bytes(before, 4, 0)] == as_stored((500, 500, 500, 21), (84, True))
+    assert data[sample_bytes(before, 4, 1)] == (tmp_path / "before.c3d").read_bytes()[sample_bytes(before, 4, 0)]
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
