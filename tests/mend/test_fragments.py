@@ -29,7 +29,8 @@ def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(t
     kept = np.r_[0:10, 20:30]
     np.testing.assert_array_equal(joined.markers[kept, 0], take.markers[kept, 0])
     np.testing.assert_array_equal(joined.markers[:, 1], take.markers[:, 1])
-    assert np.isnan(joined.markers[8:22, 2]).all()  # nobody sees the point twice
+    assert np.isnan(joined.markers[10:20, 2]).all()  # what was given is gone there; the rest stays where it was
+    np.testing.assert_array_equal(joined.markers[[8, 9, 20, 21], 2], take.markers[[8, 9, 20, 21], 2])
     np.testing.assert_array_equal(joined.sources[:, 0], np.where((np.arange(30) >= 10) & (np.arange(30) < 20), 3, 1))
     assert joined.measured[10:20, 0].all()
     assert not joined.measured[5, 0]
