@@ -1,7 +1,7 @@
-"""Shifted: markers that go elsewhere on their segment and stay there, by less than the solved body cannot follow.
+"""Shifted: markers that go elsewhere on their segment and stay there, by more than the solved body follows.
 
 A marker's path on its segment is what the body leaves of its motion. How far the joints about it turn explains a part of
-that, for no joint is quite where the body has it, and no skin quite fast. What they leave is fitted by one change, at any
+that, for no joint is quite where the body has it, and no skin keeps quite still. What they leave is fitted by one change, at any
 time: at once (knocked, stuck on again) or slowly (it slides). It is believed where it is large beside all else that is left.
 
 The body leans towards a marker that was moved, so that others about it seem to move, too: of those on joints next to each
