@@ -28,7 +28,7 @@ PACE = 10.0  # Hz: so many frames a second are looked at
 LEAST = 4.0  # seconds: for how long a marker is seen at least
 RIDGE = 0.1  # radians: a turn of a joint that means nothing
 SMALLEST = 0.008  # metres: of what the body leaves of a change
-EDGE = 1.0  # seconds: what must be seen before and after a knock, and after a slide
+EDGE = 1.0  # seconds: what must be seen before and after a change
 SURE = 1.8  # times what else is left: how large a knock is at least
 BESIDE, JUST = 1.0, 0.03  # seconds about a knock in which its frame is looked for, and just before and after that frame
 JUMP, CLEAR = 0.5, 8.0  # of the change, and times what it usually jumps about then: what the marker jumps there at least
@@ -113,10 +113,10 @@ def _knock(path: np.ndarray, there: Place, change: Change, marker: int, rate: fl
 
 
 def _slide(there: Place, change: Change, marker: int, pace: float, step: int) -> Shift | None:
-    """-> a slow change, None where it is not sure, or is not seen to stay, or would rather be quicker than slides are."""
+    """-> a slow change, None where it is not sure, or is not seen to begin and to end, or would rather be quicker."""
     sure = change.size / changes.rest(there, change, round(TOGETHER * pace)) / SLOWLY_SURE
-    stays, long = change.end <= len(there.left) - EDGE * pace, change.end - change.start > round(SLOW * pace)
-    if change.size < SMALLEST or sure < 1 or not (stays and long):
+    within = EDGE * pace <= change.start and change.end <= len(there.left) - EDGE * pace
+    if change.size < SMALLEST or sure < 1 or not within or change.end - change.start <= round(SLOW * pace):
         return None
     first, settled = (int(there.frames[at]) * step for at in (change.start, change.end))
     return Shift(marker, first, settled, change.size, change.gain, sure)
