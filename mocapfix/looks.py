@@ -142,7 +142,7 @@ def off_body(looked: Looked, parts: Parts, body: Solved) -> list[Fault]:
         for fault in more
         if -1 not in fault.markers
         and not (fault.kind in LABELS and fault.confidence < SURE)
-        and not any(fault.meets(burst) for burst in known)
+        and (fault.kind in PLACES or not any(fault.meets(burst) for burst in known))
     ]
 
 

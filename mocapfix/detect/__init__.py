@@ -9,7 +9,6 @@ from mocapfix.detect import (
     ghosts,
     jitter,
     mislabelled,
-    moved,
     noise,
     second_look,
     segments,
@@ -58,5 +57,4 @@ def faults(take: Take, worn_set: MarkerSet | None = None, options: DetectOptions
     lone = [spike for spike in off if not trembling[spike.frames, spike.marker].all()]
     lost = segments.found(take, worn_set) if worn_set else []
     found = Faults((*gaps.found(take), *blind, *lost, *loud, *lone, *held, *bursts))
-    found = found.with_more(ghosts.found(measured.only(found.believed(measured) & ~over(held, take.seen.shape))))
-    return found.with_more(moved.found(measured.only(found.believed(measured) & ~over(held, take.seen.shape))))
+    return found.with_more(ghosts.found(measured.only(found.believed(measured) & ~over(held, take.seen.shape))))

@@ -1,6 +1,6 @@
 """A place that changes once: the ramp, of any beginning and end, that explains most of what is left of a place.
 
-Least squares beside what the neighbours' own shape explains, so that a change which comes with a change of pose is neither
+Least squares beside what the joints about the marker explain, so that a change which comes with a change of pose is neither
 missed nor taken for more than it is. A ramp's product with a column is a difference of sums of sums: each ramp costs the same
 whatever its length, and all of them are tried.
 """
@@ -13,7 +13,7 @@ from mocapfix.detect.places import Place
 
 
 class Change(NamedTuple):
-    """A place that changes by `way` (3,) metres, in its neighbours' axes, from after sample `start` to sample `end`."""
+    """A place that changes by `way` (3,) metres, in its segment's axes, from after sample `start` to sample `end`."""
 
     start: int
     end: int

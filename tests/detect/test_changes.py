@@ -2,13 +2,12 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import changes
-from mocapfix.detect.places import Place, span
+from mocapfix.detect.places import beside
 
 
 def made(off, features):
     """-> a place that is `off` (N, 3) beside neighbours' shapes (N, F)."""
-    explained, frames = span(features), np.arange(len(off))
-    return Place(off, explained, off - explained @ (explained.T @ off), frames, np.tile(np.eye(3), (len(off), 1, 1)))
+    return beside(features, off, np.arange(len(off)), 0.003)
 
 
 @pytest.mark.parametrize(("start", "end"), [(99, 100), (60, 140), (0, 199), (150, 198)])

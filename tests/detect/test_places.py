@@ -1,39 +1,27 @@
 import numpy as np
+import pytest
 
-from mocapfix.detect.neighbours import looseness
-from mocapfix.detect.places import near, path_among, place
-from tests.detect.filled import walking
+from mocapfix.detect.places import beside
 
-
-def test_a_marker_of_a_rigid_segment_rests_among_the_others():
-    take = walking(noise=0.0)
-    loose = looseness(take.markers, take.rate)
-    assert sorted(near(loose, 0)) == [1, 2, 3]
-    path = path_among(take.markers, 0, loose)
-    np.testing.assert_allclose(path - path[0], 0, atol=1e-9)
-    there = place(take.markers, 0, loose)
-    assert there is not None
-    np.testing.assert_allclose(there.off, 0, atol=1e-9)
-    np.testing.assert_array_equal(there.frames, np.arange(take.frames))
+COUNT, RIDGE = 400, 0.1
 
 
-def test_the_turn_leads_back_to_the_world():
-    take = walking(noise=0.0)
-    loose = looseness(take.markers, take.rate)
-    markers, was = take.markers.copy(), place(take.markers, 0, loose)
-    assert was is not None
-    markers[:, 0] += np.einsum("tab,b->ta", was.turn, [0.01, 0.02, 0.03])
-    moved = path_among(markers, 0, loose) - path_among(take.markers, 0, loose)
-    np.testing.assert_allclose(moved, np.tile([0.01, 0.02, 0.03], (take.frames, 1)), atol=1e-9)
+def features(spread):
+    """-> two features (N, 2) that have nothing to do with each other, and `spread` so much."""
+    t = np.linspace(0, 2 * np.pi, COUNT, endpoint=False)
+    return spread * np.sqrt(2) * np.stack([np.sin(3 * t), np.cos(5 * t)], -1)
 
 
-def test_two_neighbours_tell_no_place_and_a_missing_one_leaves_its_frames_out():
-    take = walking(noise=0.0)
-    loose = looseness(take.markers, take.rate)
-    markers = take.markers.copy()
-    markers[100:200, 3] = np.nan
-    there = place(markers, 0, loose)
-    assert there is not None
-    np.testing.assert_array_equal(there.frames, np.r_[0:100, 200 : take.frames])
-    loose[0, 3] = np.inf
-    assert place(take.markers, 0, loose) is None
+@pytest.mark.parametrize("spread", [0.01, 0.1, 1.0])
+def test_what_goes_with_features_is_explained_as_far_as_they_mean_anything(spread):
+    path = features(spread) @ np.array([[0.02, 0.0, 0.01], [0.0, 0.03, 0.0]])
+    there = beside(features(spread), path + [1.0, 2.0, 3.0], np.arange(COUNT), RIDGE)
+    np.testing.assert_allclose(there.left, path * RIDGE**2 / (spread**2 + RIDGE**2), atol=1e-12)
+
+
+def test_what_has_nothing_to_do_with_them_is_left_but_for_its_mean():
+    path = np.random.default_rng(0).normal(size=(COUNT, 3))
+    still = beside(np.zeros((COUNT, 0)), path, np.arange(COUNT), RIDGE)
+    np.testing.assert_allclose(still.left, path - path.mean(0), atol=1e-12)
+    without = path - path.mean(0) - features(1) @ (features(1).T @ path) / COUNT
+    np.testing.assert_allclose(beside(features(1), without, np.arange(COUNT), RIDGE).left, without, atol=1e-12)
