@@ -1,5 +1,7 @@
 """Notes: sentences on what else a technician should know of a cleaned take."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 from mocapfix.faults import OTHERS_FILLS, REPLACED
@@ -20,7 +22,7 @@ def of_body(looked: Looked, parts: Parts, body: Solved, error: np.ndarray) -> li
     worn = parts.take.worn(body.columns, parts.split(looked.believed.seen))
     return [
         *unmarked(worn, body.worn),
-        *other_markers(looked.take, parts.marker[body.columns[body.columns >= 0]]),
+        *other_markers(looked.take, parts.marker[body.columns[body.columns >= 0]], looked.donors),
         *strays(looked.take, error),
         *others_fills(looked, error),
     ]
@@ -33,9 +35,9 @@ def unmarked(worn: Take, subject: Subject) -> list[str]:
     return [f"No marker of {', '.join(names)} is in the take: there the pose is people's mean pose."] if names else []
 
 
-def other_markers(take: Take, columns: np.ndarray) -> list[str]:
-    """-> a note on the markers that are not the solved person's, whose are at `columns` (K,)."""
-    others = [label for m, label in enumerate(take.labels) if m not in columns]
+def other_markers(take: Take, columns: np.ndarray, donors: Collection[int] = ()) -> list[str]:
+    """-> a note on the markers that are not the solved person's, whose are at `columns` (K,), nor pieces of others (donors)."""
+    others = [label for m, label in enumerate(take.labels) if m not in columns and m not in donors]
     whose = {take.labels[m].rpartition(":")[0] for m in columns} - {""}
     who = f"The body is {', '.join(sorted(whose))}'s. " if whose and others else ""
     return [f"{who}Not of its marker set, so filled only from how markers move together: {', '.join(others)}."] if others else []
