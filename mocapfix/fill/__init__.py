@@ -43,7 +43,7 @@ class FillOptions:
 def take(
     before: Take,
     believed: np.ndarray,
-    lasting: np.ndarray,
+    seconds: np.ndarray,
     columns: np.ndarray,
     subject: Subject | None,
     motion: Motion | None,
@@ -52,14 +52,14 @@ def take(
     """-> the take with every sample that was missing or not believed filled or emptied.
 
     believed  (T, M) bool: samples that are kept bit for bit
-    lasting   (T, M) seconds, as `lasting`: of a moved marker, where only a part of the gap is seen here, of the whole gap
+    seconds   (T, M) how long the gap of each sample lasts, as `lasting` says of the whole take
     columns   (K,) the take's column of each of the subject's markers, -1 where it has none; empty without a subject
     """
     touch = touchable(before, options)
     wanted = ~believed & touch
     said = body_estimate(before, believed, columns, subject, motion) if subject and motion else None
     filled, deviation, way = trajectories(before, believed, said)
-    reasons = why_not(before, wanted, lasting, deviation, options)
+    reasons = why_not(before, wanted, seconds, deviation, options)
     give = wanted & (reasons == "")
     markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, before.markers))
     after = before.with_markers(markers, np.where(give, deviation, np.nan))
@@ -97,14 +97,14 @@ def lasting(believed: np.ndarray, rate: float) -> np.ndarray:
     return seconds
 
 
-def why_not(before: Take, wanted: np.ndarray, lasting: np.ndarray, deviation: np.ndarray, options: FillOptions) -> np.ndarray:
+def why_not(before: Take, wanted: np.ndarray, seconds: np.ndarray, deviation: np.ndarray, options: FillOptions) -> np.ndarray:
     """-> (T, M) object: why a wanted sample is not filled, "" where it is."""
     reasons = np.full(wanted.shape, "", object)
     unknown = wanted & np.isnan(deviation)
     reasons[unknown] = "nothing that moves with it was seen well enough to place it"
     unsure = wanted & (deviation > options.limit)
     reasons[unsure] = f"its place could only be guessed to worse than {options.limit * 1e3:.0f} mm"
-    reasons[wanted & (lasting > options.max_gap)] = f"the gap is longer than {options.max_gap:g} s"
+    reasons[wanted & (seconds > options.max_gap)] = f"the gap is longer than {options.max_gap:g} s"
     reasons[wanted & ~before.seen.any(0)] = "the marker is never seen in this take"
     return reasons
 
