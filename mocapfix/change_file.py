@@ -62,6 +62,11 @@ def plain(changes: Sequence[Change]) -> list[dict]:
     return [{**asdict(change), "markers": list(change.markers)} for change in changes]
 
 
+def about(path: str | Path) -> str:
+    """-> the name of the take that a changes file is about. Raises SceneError as `load`."""
+    return checked(_Form, Path(path)).take
+
+
 def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
     """-> what of the changes in a file that `save` wrote somebody decided not to accept.
 

@@ -55,7 +55,7 @@ class Sheet:
     vertical: str = ""
     usual: str = "Z"
     outputs: AbstractSet[str] = frozenset()
-    remarks: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def take_of(sheet: Sheet) -> Take:
@@ -98,7 +98,7 @@ def take_of(sheet: Sheet) -> Take:
         columns=columns,
         others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
         unlabelled=unlabelled if len(nameless) else None,
-        remarks=(*sheet.remarks, *said),
+        notes=(*sheet.notes, *said),
     )
 
 

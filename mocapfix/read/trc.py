@@ -51,7 +51,7 @@ def take(path: Path, data: bytes) -> Take:
             labels=[*named, *(f"*{i}" for i in range(len(named), points))],
             unit=unit_of(text, keys + 1, facts.get("units") or "mm"),
             rate=rate_of(text, keys + 1, facts.get("datarate", ""), rows, between, time=1),
-            remarks=_counts(text, facts, len(rows), len(named), points),
+            notes=_counts(text, facts, len(rows), len(named), points),
         )
     )
 
