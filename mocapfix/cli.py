@@ -14,7 +14,7 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.scenes import PRIOR, START, STARTS
+from mocapfix.scenes import PRIOR, RIGS, START, STARTS
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -150,11 +150,19 @@ def clean(
     changes: Annotated[
         Path | None, tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions")
     ] = None,
+    bvh_for: Annotated[
+        str, tyro.conf.arg(metavar="PROGRAM,...", help=f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml")
+    ] = "",
+    also: Annotated[str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, npz")] = "",
+    fps: Annotated[
+        float | None, tyro.conf.arg(metavar="N", help="frames a second of what moves (BVH, glTF, ...); by default the take's")
+    ] = None,
 ) -> int:
     """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
     from mocapfix import pipeline
     from mocapfix.faults import MENDED
     from mocapfix.fill import FillOptions
+    from mocapfix.outputs import OutputOptions
     from mocapfix.result import check_free
 
     if not takes:
@@ -169,6 +177,10 @@ def clean(
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
+    try:
+        wanted = OutputOptions(also=listed(also), bvh_for=listed(bvh_for), fps=fps)
+    except MocapfixError as error:
+        raise SystemExit(usage(str(error))) from None
     options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
     reports, written = [], set()
     for take in takes:
@@ -176,12 +188,12 @@ def clean(
         try:
             if where / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
-            check_free(where, take.stem, overwrite, take)
+            check_free(where, take.stem, overwrite, take, wanted)
             with staged(take.name) as progress:
                 given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
                 given |= {"init": init, "only": listed(only), "changes": changes}
                 result = pipeline.clean(take, **given, options=options, progress=progress)
-                outputs = result.write(where, overwrite, progress)
+                outputs = result.write(where, overwrite, progress, wanted)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
             continue

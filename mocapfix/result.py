@@ -1,25 +1,30 @@
 """What cleaning a take gives, and how it is put into a folder."""
 
-import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocapfix import change_file, record, subject_file
+from mocapfix import record, write
 from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
 from mocapfix.left import Left
 from mocapfix.motion import Motion
+from mocapfix.outputs import OutputOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-KINDS = ("c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd")
-OF_BODY = ("bvh", "subject.yaml")
+if TYPE_CHECKING:
+    from mocapfix.show import Cleaning
+
+MENDED = "c3d"
+USUAL = OutputOptions()
 
 
 @dataclass(frozen=True)
@@ -47,63 +52,77 @@ class Result:
     error: np.ndarray | None
     report: dict
 
-    def write(self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None) -> dict[str, Path]:
-        """Write the mended C3D, BVH, subject, report and recording into a folder, made where it is not there.
+    def write(
+        self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None, options: OutputOptions = USUAL
+    ) -> dict[str, Path]:
+        """Write the mended C3D, BVH, subject, changes, report and recording, and what `options` name, into a folder, made
+        where it is not there.
 
         All are written beside their places first and put there together, so that none is missing or half-written.
         -> the files by kind. Raises WriteError where one is there already (and overwrite is False), or cannot be written.
         """
         folder, stem = Path(folder), self.before.path.stem if self.before.path else "take"
-        check_free(folder, stem, overwrite, self.before.path)
+        targets = check_free(folder, stem, overwrite, self.before.path, options)
         make_folder(folder)
         try:
             with TemporaryDirectory(dir=folder, prefix=f".{stem}.") as beside:
-                self._write_into(outputs_in(Path(beside), stem), Clock(dict(self.report["seconds"]), progress))
-                for kind, target in outputs_in(folder, stem).items():
-                    part = Path(beside) / target.name
-                    if part.exists():
-                        part.replace(target)
-                    elif kind in OF_BODY:  # of an earlier cleaning, with a body
+                parts = {kind: Path(beside) / path.name for kind, path in targets.items()}
+                self._write_into(parts, options, progress)
+                there = {kind for kind, part in parts.items() if part.exists()}
+                for kind, target in targets.items():
+                    if kind in there:
+                        parts[kind].replace(target)
+                    else:  # of an earlier cleaning, with a body
                         target.unlink(missing_ok=True)
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
-        return {kind: path for kind, path in outputs_in(folder, stem).items() if self.subject or kind not in OF_BODY}
+        return {kind: path for kind, path in targets.items() if kind in there}
 
-    def _write_into(self, outputs: dict[str, Path], clock: Clock) -> None:
-        from mocapfix import show, write
-
-        report = {**self.report, "seconds": clock.seconds}
-        after, left = self.take, self.left
+    def _write_into(self, targets: dict[str, Path], options: OutputOptions, progress: Progress | None) -> None:
+        clock = Clock(dict(self.report["seconds"]), progress)
         with clock("write"):
-            if beyond := write.c3d(outputs["c3d"], self.before, self.take):
-                markers = self.take.markers.copy()
-                markers[tuple(np.array(beyond).T)] = np.nan
-                after = self.take.with_markers(markers, self.take.deviation)
-                left += tuple(Left(m, t, t, "its mended place is beyond what this integer file can hold") for t, m in beyond)
-                report["fill"] = record.of_fill(self.before, self.labelled, after, left, self.donors)
-            if self.subject and self.motion:
-                write.bvh(outputs["bvh"], self.subject.skeleton, self.motion, self.before.rate)
-                subject_file.save(outputs["subject.yaml"], self.subject)
+            beyond = write.c3d(targets[MENDED], self.before, self.take)
+            moving = options.moving(self.subject, self.motion, self.before.rate)
+        notes = [*self.report["notes"], *options.notes(moving is not None, self.before.rate)]
+        report = {**self.report, "seconds": clock.seconds, "notes": notes}
+        final = replace(self, report=report)._without(beyond)
+        for kind in options.kinds:
+            if moving or not kind.body:
+                with clock(kind.stage):
+                    kind.write(targets[kind.suffix], final, moving)
+
+    def _without(self, beyond: list[tuple[int, int]]) -> "Result":
+        """-> the result with the samples (frame, marker) empty that the mended file cannot hold."""
+        if not beyond:
+            return self
+        markers = self.take.markers.copy()
+        markers[tuple(np.array(beyond).T)] = np.nan
+        after = self.take.with_markers(markers, self.take.deviation)
+        left = self.left + tuple(Left(m, t, t, "its mended place is beyond what this integer file can hold") for t, m in beyond)
+        fill = record.of_fill(self.before, self.labelled, after, left, self.donors)
+        return replace(self, take=after, left=left, report={**self.report, "fill": fill})
+
+    @cached_property
+    def shown(self) -> "Cleaning":
+        """-> what the page and the recording show."""
+        from mocapfix.show import Cleaning
+
         skeleton = self.subject.skeleton if self.subject else None
-        shown = show.Cleaning(self.before, self.labelled, after, self.faults, self.changes, skeleton, self.joints, self.error)
-        with clock("show"):
-            show.comparison(outputs["rrd"], shown)
-            show.report(outputs["report.html"], report, shown)
-        change_file.save(outputs["changes.yaml"], self.before, self.changes)
-        outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        return Cleaning(self.before, self.labelled, self.take, self.faults, self.changes, skeleton, self.joints, self.error)
 
 
-def outputs_in(folder: Path, stem: str) -> dict[str, Path]:
-    """-> what may be written into a folder, by kind, each named by the input's stem."""
-    return {kind: folder / f"{stem}.{kind}" for kind in KINDS}
+def check_free(
+    folder: Path, stem: str, overwrite: bool, source: Path | None = None, options: OutputOptions = USUAL
+) -> dict[str, Path]:
+    """-> what may be written into a folder, by kind, each named by the input's stem.
 
-
-def check_free(folder: Path, stem: str, overwrite: bool, source: Path | None = None) -> None:
-    """Raise WriteError where an output is there already and must not be replaced, or would replace the input."""
-    outputs = outputs_in(folder, stem)
-    if source and outputs["c3d"].exists() and outputs["c3d"].samefile(source):
+    Raises WriteError where an output is there already and must not be replaced, or would replace the input.
+    """
+    targets = {suffix: folder / f"{stem}.{suffix}" for suffix in (MENDED, *(kind.suffix for kind in options.kinds))}
+    if source and targets[MENDED].exists() and targets[MENDED].samefile(source):
         raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder than its own with --out.")
-    check_not_there(outputs.values(), overwrite)
+    check_not_there(targets.values(), overwrite)
+    return targets
 
 
 def check_not_there(outputs: Iterable[Path], overwrite: bool) -> None:

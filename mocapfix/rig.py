@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
 
 from mocapfix.errors import SceneError
-from mocapfix.scenes import folder, load_yaml, read_yaml
+from mocapfix.scenes import RIGS, folder, load_yaml, read_yaml
 
 
 class Joint(BaseModel):
@@ -39,7 +39,7 @@ class _Form(BaseModel):
     rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]
     rest: Literal["t-pose", "skeleton"]
     first_frame: Literal["t-pose", "motion"]
-    import_with: str
+    note: str
     joints: tuple[Joint, ...] = Field(min_length=1)
 
 
@@ -52,7 +52,7 @@ class Rig:
     rotations    the order of a joint's channels, first the one that turns last: "ZYX" is R = Rz Ry Rx
     straight     do all rotations zero mean the T-pose? Otherwise they mean the skeleton's own rest pose
     t_pose       does a T-pose facing +Z, standing on the floor where the motion begins, come before the motion?
-    import_with  what whoever opens it must know, for the report
+    note         what whoever opens it must know, for the report
     joints       parents before children
     """
 
@@ -62,7 +62,7 @@ class Rig:
     rotations: str
     straight: bool
     t_pose: bool
-    import_with: str
+    note: str
     joints: tuple[Joint, ...]
 
     @property
@@ -71,19 +71,14 @@ class Rig:
         return [names.index(joint.parent) if joint.parent else -1 for joint in self.joints]
 
 
-def names() -> tuple[str, ...]:
-    """-> the rigs that ship."""
-    return tuple(sorted(each.stem for each in (folder("scenes") / "rigs").glob("*.yaml") if each.stem != "t-pose"))
-
-
 def load(name: str | Path) -> Rig:
     """-> a shipped rig, by its name, or one from a YAML file.
 
     Raises SceneError where there is none of the name, or naming the key that is not as it must be.
     """
     path = Path(name) if str(name).endswith((".yaml", ".yml")) else folder("scenes") / "rigs" / f"{name}.yaml"
-    if path.parent == folder("scenes") / "rigs" and path.stem not in names():
-        raise SceneError(f"There is no rig {str(name)!r}; choose of: {', '.join(names())}; or give a .yaml file.")
+    if path.parent == folder("scenes") / "rigs" and path.stem not in RIGS:
+        raise SceneError(f"There is no rig {str(name)!r}; choose of: {', '.join(RIGS)}; or give a .yaml file.")
     try:
         form = _Form.model_validate(read_yaml(path))
     except ValidationError as error:
@@ -95,7 +90,7 @@ def load(name: str | Path) -> Rig:
             raise SceneError(f"{path}: joints: {joint.name}: must come once, after its parent; the first alone is the root.")
         seen.add(joint.name)
     straight, t_pose = form.rest == "t-pose", form.first_frame == "t-pose"
-    return Rig(path.stem, form.program, form.unit_m, form.rotations, straight, t_pose, form.import_with, form.joints)
+    return Rig(path.stem, form.program, form.unit_m, form.rotations, straight, t_pose, form.note, form.joints)
 
 
 def t_pose() -> dict[str, tuple[str, list[float]]]:

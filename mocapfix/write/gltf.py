@@ -58,11 +58,13 @@ class _Packed:
         self.g, self.data, self.views, self.accessors = g, bytearray(), [], []
 
     def add(self, values: np.ndarray, kind: str, target: int | None = None, bounds: bool = False) -> int:
-        """-> the accessor of `values`, one element a row; every type used here is four bytes wide or a multiple of it."""
-        g = self.g
-        code = {"f": g.FLOAT, "u": g.UNSIGNED_SHORT}[values.dtype.kind]
+        """-> the accessor of `values`, one element a row: whole numbers in two bytes (always four of them), others as floats,
+        so that every element lies at a multiple of four bytes, as it must."""
+        g, whole = self.g, values.dtype.kind == "i"
+        values = np.ascontiguousarray(values, np.uint16 if whole else np.float32)
+        code = g.UNSIGNED_SHORT if whole else g.FLOAT
         self.views.append(g.BufferView(buffer=0, byteOffset=len(self.data), byteLength=values.nbytes, target=target))
-        self.data += np.ascontiguousarray(values).tobytes()
+        self.data += values.tobytes()
         rows = values.reshape(len(values), -1)
         low, high = (rows.min(0).tolist(), rows.max(0).tolist()) if bounds else ([], [])
         where = len(self.views) - 1
@@ -72,22 +74,22 @@ class _Packed:
 
 def _animation(g, packed: _Packed, name: str, motion: Motion, rate: float):
     """-> the root's places, then every joint's rotations, one after the other in the times that all share."""
-    times = packed.add(np.float32(np.arange(motion.frames) / rate), g.SCALAR, bounds=True)
-    known = np.ones(motion.frames, bool)
-    courses = [(0, "translation", np.float32(motion.root), g.VEC3)]
-    for j in range(motion.rotations.shape[1]):
-        courses.append((j, "rotation", np.float32(quaternions.of_joint(motion.rotations, j, known)), g.VEC4))
-    made = g.Animation(name=name, samplers=[], channels=[])
-    for joint, path, values, kind in courses:
-        which = g.AnimationChannelTarget(node=joint, path=path)
-        made.channels.append(g.AnimationChannel(sampler=len(made.samplers), target=which))
-        made.samplers.append(g.AnimationSampler(input=times, output=packed.add(values, kind)))
-    return made
+    times = packed.add(np.arange(motion.frames) / rate, g.SCALAR, bounds=True)
+    known, joints = np.ones(motion.frames, bool), range(motion.rotations.shape[1])
+    outputs = [packed.add(motion.root, g.VEC3)]
+    outputs += [packed.add(quaternions.of_joint(motion.rotations, j, known), g.VEC4) for j in joints]
+    targets = [g.AnimationChannelTarget(node=0, path="translation")]
+    targets += [g.AnimationChannelTarget(node=j, path="rotation") for j in joints]
+    return g.Animation(
+        name=name,
+        samplers=[g.AnimationSampler(input=times, output=output) for output in outputs],
+        channels=[g.AnimationChannel(sampler=k, target=target) for k, target in enumerate(targets)],
+    )
 
 
 def _skin(g, packed: _Packed, places: np.ndarray, joints: list[int]):
     """-> the skin; at rest a joint's axes are the world's, so that only its place is to be taken back."""
-    inverse = np.tile(np.eye(4, dtype=np.float32), (len(places), 1, 1))
+    inverse = np.tile(np.eye(4), (len(places), 1, 1))
     inverse[:, 3, :3] = -places  # glTF's matrices lie column by column
     return g.Skin(inverseBindMatrices=packed.add(inverse, g.MAT4), skeleton=0, joints=joints)
 
@@ -98,16 +100,15 @@ def _mesh(g, packed: _Packed, skeleton: Skeleton, places: np.ndarray):
     bones += [(j, places[j] + end) for j, end in enumerate(skeleton.ends) if np.isfinite(end).all()]
     bones = [(j, end) for j, end in bones if np.linalg.norm(end - places[j]) > 0]
     corners = np.concatenate([_pyramids(places[j], end) for j, end in bones])
-    riding = np.zeros((len(corners), 4), np.uint16)
-    riding[:, 0] = np.repeat([j for j, _ in bones], FACES.size)
+    riding = np.repeat([[j, 0, 0, 0] for j, _ in bones], FACES.size, axis=0)
     faces = corners.reshape(-1, 3, 3)
     normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normals = np.repeat(normals / np.linalg.norm(normals, axis=-1, keepdims=True), 3, axis=0)
     attributes = g.Attributes(
-        POSITION=packed.add(np.float32(corners), g.VEC3, g.ARRAY_BUFFER, bounds=True),
-        NORMAL=packed.add(np.float32(normals), g.VEC3, g.ARRAY_BUFFER),
+        POSITION=packed.add(corners, g.VEC3, g.ARRAY_BUFFER, bounds=True),
+        NORMAL=packed.add(normals, g.VEC3, g.ARRAY_BUFFER),
         JOINTS_0=packed.add(riding, g.VEC4, g.ARRAY_BUFFER),
-        WEIGHTS_0=packed.add(np.tile(np.float32([1, 0, 0, 0]), (len(corners), 1)), g.VEC4, g.ARRAY_BUFFER),
+        WEIGHTS_0=packed.add(np.tile([1.0, 0, 0, 0], (len(corners), 1)), g.VEC4, g.ARRAY_BUFFER),
     )
     return g.Mesh(name="Bones", primitives=[g.Primitive(attributes=attributes)])
 
