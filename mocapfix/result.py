@@ -1,7 +1,7 @@
 """What cleaning a take gives, and how it is put into a folder."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,6 +32,8 @@ class Result:
     subject  the person, motion their poses: None where no marker set fits
     joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
     report   the record, as the JSON report holds it (see mocapfix.record)
+    people   of a take of several people each one's result, of their own markers (see mocapfix.people); this one is then of
+             the whole take, has no body, and its report holds theirs, by name
     """
 
     before: Take
@@ -46,36 +48,61 @@ class Result:
     joints: np.ndarray | None
     error: np.ndarray | None
     report: dict
+    people: tuple["Result", ...] = ()
 
     def write(self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None) -> dict[str, Path]:
         """Write the mended C3D, BVH, subject, report and recording into a folder, made where it is not there.
 
         All are written beside their places first and put there together, so that none is missing or half-written.
-        -> the files by kind. Raises WriteError where one is there already (and overwrite is False), or cannot be written.
+        -> the files by kind; of several people "Jim.bvh" and the like, and one "c3d". Raises WriteError where one is there
+        already (and overwrite is False), or cannot be written.
         """
-        folder, stem = Path(folder), self.before.path.stem if self.before.path else "take"
-        check_free(folder, stem, overwrite, self.before.path)
+        folder, stem, bodies = Path(folder), self._stem, self.people or (self,)
+        targets = check_free(folder, stem, overwrite, self.before.path, [each.before.stem for each in bodies])
         make_folder(folder)
         try:
             with TemporaryDirectory(dir=folder, prefix=f".{stem}.") as beside:
-                self._write_into(outputs_in(Path(beside), stem), Clock(dict(self.report["seconds"]), progress))
-                for kind, target in outputs_in(folder, stem).items():
+                self._write_into(Path(beside), progress)
+                for target in targets:
                     part = Path(beside) / target.name
                     if part.exists():
                         part.replace(target)
-                    elif kind in OF_BODY:  # of an earlier cleaning, with a body
+                    elif target.name.endswith(OF_BODY):  # of an earlier cleaning, with a body
                         target.unlink(missing_ok=True)
         except OSError as error:
             raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
-        return {kind: path for kind, path in outputs_in(folder, stem).items() if self.subject or kind not in OF_BODY}
+        return {path.name.removeprefix(f"{stem}."): path for each in bodies for path in each.outputs(folder).values()}
 
-    def _write_into(self, outputs: dict[str, Path], clock: Clock) -> None:
+    def outputs(self, folder: Path) -> dict[str, Path]:
+        """-> what `write` puts into a folder of one body or none, by kind."""
+        outputs = outputs_in(folder, self._stem, self.before.stem)
+        return {kind: path for kind, path in outputs.items() if self.subject or kind not in OF_BODY}
+
+    @property
+    def _stem(self) -> str:
+        return self.before.path.stem if self.before.path else "take"
+
+    def _write_into(self, folder: Path, progress: Progress | None) -> None:
+        """The file is written once, whoever is in it; then what is each one's own."""
+        from mocapfix import write
+
+        bodies = self.people or (self,)
+        clocks = [Clock(dict(each.report["seconds"]), progress) for each in bodies]
+        with clocks[0]("write"):
+            beyond = write.c3d(outputs_in(folder, self._stem)["c3d"], self.before, self.take)
+        for each, clock in zip(bodies, clocks, strict=True):
+            own = {int(m): k for k, m in enumerate(self.before.of_part(each.before))}
+            lost = [(t, own[m]) for t, m in beyond if m in own]
+            each._write_body(outputs_in(folder, self._stem, each.before.stem), clock, lost)
+
+    def _write_body(self, outputs: dict[str, Path], clock: Clock, beyond: list[tuple[int, int]]) -> None:
+        """Write all but the mended file, which could not hold the samples `beyond`, of one body or none."""
         from mocapfix import show, write
 
         report = {**self.report, "seconds": clock.seconds}
         after, left = self.take, self.left
         with clock("write"):
-            if beyond := write.c3d(outputs["c3d"], self.before, self.take):
+            if beyond:
                 markers = self.take.markers.copy()
                 markers[tuple(np.array(beyond).T)] = np.nan
                 after = self.take.with_markers(markers, self.take.deviation)
@@ -93,17 +120,25 @@ class Result:
         outputs["report.json"].write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
-def outputs_in(folder: Path, stem: str) -> dict[str, Path]:
-    """-> what may be written into a folder, by kind, each named by the input's stem."""
-    return {kind: folder / f"{stem}.{kind}" for kind in KINDS}
+def outputs_in(folder: Path, stem: str, own: str = "") -> dict[str, Path]:
+    """-> what may be written into a folder, by kind, each named by the input's stem; what is one person's of several by their
+    `own` stem, but the mended file is everybody's."""
+    return {kind: folder / f"{stem if kind == 'c3d' else own or stem}.{kind}" for kind in KINDS}
 
 
-def check_free(folder: Path, stem: str, overwrite: bool, source: Path | None = None) -> None:
-    """Raise WriteError where an output is there already and must not be replaced, or would replace the input."""
+def check_free(
+    folder: Path, stem: str, overwrite: bool, source: Path | None = None, own: Sequence[str] = ("",)
+) -> tuple[Path, ...]:
+    """-> the outputs, of each one's `own` stem. Raises WriteError where one is there already and must not be replaced, or would
+    replace the input, or another."""
     outputs = outputs_in(folder, stem)
     if source and outputs["c3d"].exists() and outputs["c3d"].samefile(source):
         raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder than its own with --out.")
-    check_not_there(outputs.values(), overwrite)
+    if len({each.casefold() for each in own}) < len(own):
+        raise WriteError(f"{source}: the files of two of its people would be called the same; give one of them another name.")
+    targets = tuple(dict.fromkeys(path for each in own for path in outputs_in(folder, stem, each).values()))
+    check_not_there(targets, overwrite)
+    return targets
 
 
 def check_not_there(outputs: Iterable[Path], overwrite: bool) -> None:

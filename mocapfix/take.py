@@ -63,8 +63,8 @@ class Take:
     @property
     def stem(self) -> str:
         """What is written of the take is named by this: "walk", or "walk.Jim" where it is one person's."""
-        stem = self.path.stem if self.path else "take"
-        return f"{stem}.{re.sub(r'[^\w. -]', '_', self.person)}" if self.person else stem
+        stem, whose = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.person)
+        return f"{stem}.{whose}" if whose else stem
 
     @property
     def bare_labels(self) -> tuple[str, ...]:
