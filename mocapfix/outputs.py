@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocapfix import change_file, rig, subject_file, write
+from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.motion import Motion
 from mocapfix.resample import resampled
 from mocapfix.rig import Rig
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
+from mocapfix.take import Take
 
 if TYPE_CHECKING:
     from mocapfix.result import Result
@@ -102,6 +104,8 @@ def _report(target: Path, result: "Result", moving: Moving | None) -> None:
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
 
 
+# By how the take's file is laid out, what writes it with only the changed samples replaced.
+OWN: dict[type, Callable[[Path, Take, Take], list[tuple[int, int]]]] = {C3DLayout: write.c3d}
 BVH = Kind("bvh", _bvh, body=True)
 USUAL = (
     Kind("subject.yaml", _subject, body=True),
@@ -114,6 +118,11 @@ ALSO = {
     "gltf": Kind("glb", _gltf, body=True, note="is binary glTF: metres, Y up."),
     "npz": Kind("npz", _npz),
 }
+
+
+def own_suffix(source: Path | None) -> str:
+    """-> the mended file's: the input's own."""
+    return (source.suffix[1:].lower() if source else "") or "c3d"
 
 
 @dataclass(frozen=True)

@@ -32,22 +32,23 @@ def take(path: str | Path) -> Take:
         said = parameters(data)
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
-    layout = _layout(path, said, len(data))
+    layout, notes = _layout(path, said, len(data))
     values = _values(layout, data)
     seen = _seen(values)
     labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
     columns = marker_columns(labels, said.outputs, seen, values[..., 3])
     if not len(columns):
         raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
-    positions = np.where(seen[..., None], values[..., :3] * layout.unit, np.nan)
+    values[..., :3] *= layout.unit
+    values[~seen, :3] = np.nan
     names = tuple(labels[i] for i in columns)
-    axes = to_y_up(said.vertical, names, positions[:, columns])
+    axes = to_y_up(said.vertical, names, values[:, columns, :3])
+    upright = axes.argmax(1)  # axes is a permutation, and taking numbers in another order is many times faster than a product
     nameless = unlabelled_columns(labels, said.outputs, seen)
-    unlabelled = Take(
-        positions[:, nameless] @ axes.T, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless
-    )
+    loose = values[:, nameless[:, None], upright]
+    unlabelled = Take(loose, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless)
     return Take(
-        markers=positions[:, columns] @ axes.T,
+        markers=values[:, columns[:, None], upright],
         labels=names,
         rate=said.rate,
         first_frame=said.first_frame,
@@ -58,6 +59,8 @@ def take(path: str | Path) -> Take:
         unlabelled=unlabelled if len(nameless) else None,
         computed=computed(values[..., 3], seen)[:, columns],
         blind=blind(values[:, columns, 3], seen[:, columns]),
+        subjects=said.subjects,
+        notes=notes,
     )
 
 
@@ -79,8 +82,8 @@ def _c3d_bytes(path: Path) -> bytes:
     return data
 
 
-def _layout(path: Path, said: Parameters, size: int) -> C3DLayout:
-    """Where the samples lie, held against the file's size in bytes; its axes are not known yet."""
+def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
+    """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
     unit = METRES.get(said.units.lower())
     if said.points == 0:
         raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
@@ -97,13 +100,17 @@ def _layout(path: Path, said: Parameters, size: int) -> C3DLayout:
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    return C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
+    fewer = f"Its header promises {said.promised} frames, and {frames} are there: whoever shortened the file left the header."
+    layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
+    return layout, () if frames == said.promised else (fewer,)
 
 
 def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
     """How many frames the file of `size` bytes has: what is promised, if it is there.
 
-    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more.
+    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
+    is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
+    may, with a block.
     """
     held = max(0, size - said.start) // frame_bytes
     if said.promised < 1:
@@ -112,6 +119,8 @@ def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
         return said.promised
     if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
         return said.header_frames
+    if held and not (size - said.start) % frame_bytes and size % BLOCK:
+        return held
     raise ReadError(f"{path}: is cut off: {said.promised} frames are promised, {held} are there; copy or export it again.")
 
 

@@ -17,6 +17,7 @@ class Parameters:
 
     labels       of all points, blanks stripped, as many as the file has (more or fewer than points)
     outputs      labels of the points that the file itself lists as model outputs
+    subjects     names of the people that the file lists, as Vicon's do
     vertical     "+Z" or the like, the file's axis that its makers show upwards; empty where not given
     units        POINT:UNITS; empty where not given
     start        offset in bytes of the first frame
@@ -35,6 +36,7 @@ class Parameters:
     vertical: str
     labels: tuple[str, ...]
     outputs: frozenset[str]
+    subjects: tuple[str, ...]
     first_frame: int
     header_frames: int
     promised: int
@@ -76,6 +78,7 @@ def _parameters(data: bytes) -> Parameters:
         vertical="".join(_texts(reader, "POINT:Y_SCREEN")).upper(),
         labels=tuple(_series(reader, "POINT:LABELS")),
         outputs=frozenset(_outputs(reader)),
+        subjects=tuple(name for name in _texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frames=header_frames,
         promised=max(n for n in counts if n is not None),
