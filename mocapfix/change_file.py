@@ -62,9 +62,18 @@ def plain(changes: Sequence[Change]) -> list[dict]:
     return [{**asdict(change), "markers": list(change.markers)} for change in changes]
 
 
-def about(path: str | Path) -> str:
-    """-> the name of the take that a changes file is about. Raises SceneError as `load`."""
-    return checked(_Form, Path(path)).take
+def of_each(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[Decided, ...]]:
+    """-> what somebody decided of each take, in the file that is about it, if there is one. Raises SceneError as `load`."""
+    names, about = [take.name for take in takes], {}
+    for path in paths:
+        name = checked(_Form, Path(path)).take
+        if name not in names:
+            whose = " or ".join(names)
+            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote.")
+        if name in about:
+            raise SceneError(f"{path}: take: is about {name}, as {about[name]} is; give one of them.")
+        about[name] = path
+    return [load(about[take.name], take) if take.name in about else () for take in takes]
 
 
 def load(path: str | Path, take: Take) -> tuple[Decided, ...]:

@@ -14,12 +14,15 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.scenes import PRIOR, START, STARTS
+from mocapfix.scenes import PRIOR, RIGS, START, STARTS
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
 MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
 SubjectFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")]
+PrefixName = Annotated[
+    str | None, tyro.conf.arg(metavar="NAME", help='the one person of several: "Jim" of Jim:LFHD; by default everybody, in turn')
+]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 
 
@@ -60,25 +63,36 @@ def inspect(
     take: OneTake,
     marker_set: MarkerSetName = None,
     subject: SubjectFile = None,
-    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
+    subject_prefix: PrefixName = None,
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON, not a table (an array for several people)")] = False,
 ) -> int:
     """Say what is wrong with a take: all that clean would find. Nothing is written."""
     from mocapfix import marker_set as sets
     from mocapfix import pipeline, record
 
     with staged(take.name) as progress:
-        found, looked, worn = pipeline.inspected(take, marker_set, subject, progress)
-    said = {
-        "take": record.of_take(found, worn.name if worn else None),
-        "faults": record.of_faults(found, looked.faults),
-        "notes": [sets.fit(worn, found.labels) if worn else sets.choose(found.labels).reason],
-    }
+        found = pipeline.inspected(take, marker_set, subject, progress, subject_prefix)
+    said = [
+        {
+            "take": record.of_take(body, worn.name if worn else None),
+            "faults": record.of_faults(body, looked.faults),
+            "notes": [*body.notes, sets.fit(worn, body.labels) if worn else sets.choose(body.labels).reason],
+        }
+        for body, looked, worn in found
+    ]
     if as_json:
-        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        sys.stdout.write(json.dumps(said if len(said) > 1 else said[0], indent=1) + "\n")
         return DONE
-    first, last = found.first_frame, found.frame_number(found.frames - 1)
-    size = f"{len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz"
-    out.print(f"{escape(found.name)}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
+    for each in said:
+        tell_faults(each)
+    return DONE
+
+
+def tell_faults(said: dict) -> None:
+    """Print what is wrong with a take, or with one person's part of it."""
+    take, last = said["take"], said["take"]["first_frame"] + said["take"]["frames"] - 1
+    size = f"{take['markers']} markers, frames {take['first_frame']} to {last} at {take['rate_hz']:g} Hz"
+    out.print(f"{escape(named(take))}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
     table = Table("marker", "kind", "frames", "severity, mm", "sure", "reason")
     for fault in said["faults"]:
         severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
@@ -89,7 +103,6 @@ def inspect(
         out.print(table)
     else:
         out.print("Nothing is wrong with it.")
-    return DONE
 
 
 def calibrate(
@@ -98,6 +111,7 @@ def calibrate(
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")
     ],
     marker_set: MarkerSetName = None,
+    subject_prefix: Annotated[str | None, tyro.conf.arg(metavar="NAME", help='whose bones: "Jim" of Jim:LFHD')] = None,
     prior: PriorName = "mean-pose",
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a subject file that is there")] = False,
 ) -> int:
@@ -110,7 +124,7 @@ def calibrate(
     check_not_there([subject], overwrite)
     with staged(", ".join(take.name for take in takes)) as progress:
         progress("calibrate")
-        known = pipeline.calibrated(takes, marker_set, prior)
+        known = pipeline.calibrated(takes, marker_set, prior, subject_prefix)
         subject_file.save(subject, known)
     what = f"{len(known.labels)} markers on {len(known.skeleton.names)} joints, from {known.frames} frames"
     out.print(f"{escape(str(subject))}: {what}.", soft_wrap=True)
@@ -124,6 +138,7 @@ def clean(
     ] = None,
     marker_set: MarkerSetName = None,
     subject: SubjectFile = None,
+    subject_prefix: PrefixName = None,
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = PRIOR,
     prior_scale: Annotated[
         float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
@@ -131,7 +146,7 @@ def clean(
     init: Annotated[str, tyro.conf.arg(metavar="START", help=f"the way to each frame's first pose: {', '.join(STARTS)}")] = START,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
     as_json: Annotated[
-        Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
+        Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes or people), nothing else")
     ] = False,
     max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
     limit: Annotated[
@@ -148,13 +163,22 @@ def clean(
         str, tyro.conf.arg(metavar="KIND,...", help="the only kinds of fault that are mended: gap, spike, swap, ...")
     ] = "",
     changes: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions")
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions; once for each person"),
+    ] = (),
+    bvh_for: Annotated[
+        str, tyro.conf.arg(metavar="PROGRAM,...", help=f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml")
+    ] = "",
+    also: Annotated[str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, npz")] = "",
+    fps: Annotated[
+        float | None, tyro.conf.arg(metavar="N", help="frames a second of what moves (BVH, glTF, ...); by default the take's")
     ] = None,
 ) -> int:
     """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
     from mocapfix import pipeline
     from mocapfix.faults import MENDED
     from mocapfix.fill import FillOptions
+    from mocapfix.outputs import OutputOptions
     from mocapfix.result import check_free
 
     if not takes:
@@ -169,6 +193,10 @@ def clean(
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
+    try:
+        wanted = OutputOptions(also=listed(also), bvh_for=listed(bvh_for), fps=fps)
+    except MocapfixError as error:
+        raise SystemExit(usage(str(error))) from None
     options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
     reports, written = [], set()
     for take in takes:
@@ -176,22 +204,24 @@ def clean(
         try:
             if where / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
-            check_free(where, take.stem, overwrite, take)
+            check_free(where, take.stem, overwrite, take, wanted)
             with staged(take.name) as progress:
                 given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
-                given |= {"init": init, "only": listed(only), "changes": changes}
+                given |= {"init": init, "only": listed(only), "changes": changes, "subject_prefix": subject_prefix}
                 result = pipeline.clean(take, **given, options=options, progress=progress)
-                outputs = result.write(where, overwrite, progress)
+                result.write(where, overwrite, progress, wanted)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
             continue
         written.add(where / take.stem)
-        reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
-        if not as_json:
-            tell(reports[-1], outputs)
+        for each in result.people or (result,):
+            outputs = each.outputs(where, wanted)
+            reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
+            if not as_json:
+                tell(reports[-1], outputs, subject_prefix)
     if as_json and reports:
-        sys.stdout.write(json.dumps(reports if len(takes) > 1 else reports[0], indent=1) + "\n")
-    return DONE if len(reports) == len(takes) else FAILED
+        sys.stdout.write(json.dumps(reports if len(takes) > 1 or len(reports) > 1 else reports[0], indent=1) + "\n")
+    return DONE if len(written) == len(takes) else FAILED
 
 
 def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.rrd", help="what clean wrote")]) -> int:
@@ -236,14 +266,14 @@ def main(arguments: list[str] | None = None) -> None:
     raise SystemExit(status)
 
 
-def tell(report: dict, outputs: dict[str, Path]) -> None:
-    """Print what a cleaning did, in a few lines."""
+def tell(report: dict, outputs: dict[str, Path], subject_prefix: str | None = None) -> None:
+    """Print what a cleaning did, in a few lines; `subject_prefix` is what was given to it."""
     from mocapfix.show.kinds import counted
 
     fill, take = report["fill"], report["take"]
     relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
     out.print(
-        f"[bold]{escape(take['file'])}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
+        f"[bold]{escape(named(take))}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
         f"{fill['mended']} faulty ones mended{relabelled}; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
         soft_wrap=True,
     )
@@ -262,11 +292,17 @@ def tell(report: dict, outputs: dict[str, Path]) -> None:
         out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
     for note in report["notes"]:
         out.print(f"  {escape(note)}", soft_wrap=True)
-    folder = outputs["c3d"].parent
+    folder = outputs["changes.yaml"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
     if report["changes"]:
-        again = f"--changes {escape(str(outputs['changes.yaml']))} --overwrite"
+        whose = f"--subject-prefix {escape(subject_prefix)} " if subject_prefix else ""
+        again = f"{whose}--changes {escape(str(outputs['changes.yaml']))} --overwrite"
         out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
+
+
+def named(take: dict) -> str:
+    """-> what a record's take is called."""
+    return f"{take['file']} ({take['person']})" if "person" in take else take["file"]
 
 
 def listed(names: str) -> tuple[str, ...]:

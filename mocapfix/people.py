@@ -1,10 +1,11 @@
-"""Several people in one take: whose whole bodies it shows, each one's markers as a take of their own, and all of it together again.
+"""Several people in one take: whose whole bodies it shows, each one's markers as a take of their own, and all together again.
 
 Labels say whose they are ("Jim:LFHD"). Of a take that shows one whole body, or none, everything stays together: what is not
 the body's (a prop, a part of somebody) is filled from how markers move together. Of a take that shows several, each is cleaned
 by themselves, and what is nobody's of them, together, as if it were one more.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +35,7 @@ def names(take: Take, worn_set: MarkerSet | None = None) -> tuple[str, ...]:
 def parts(take: Take, worn_set: MarkerSet | None = None, prefix: str | None = None) -> tuple[Take, ...]:
     """-> the takes that are to be cleaned, one after the other: the take as it is, unless it shows several whole bodies.
 
-    prefix  the only one whose markers are wanted; the others' are in no take then
+    prefix  the only one whose markers are wanted; whatever else is marked is in no take then
 
     Raises TakeError where nobody has that name.
     """
@@ -53,6 +54,11 @@ def parts(take: Take, worn_set: MarkerSet | None = None, prefix: str | None = No
     return tuple(replace(part, notes=(*part.notes, note)) if alone else part for part in each)
 
 
+def listed(bodies: Iterable[Take]) -> str:
+    """-> the people's names, as one reads them in a sentence."""
+    return " and ".join(body.person for body in bodies if body.person != OTHERS)
+
+
 def _named(take: Take, prefix: str) -> Take:
     owners = np.array([owner.casefold() for owner in take.owners], object)
     which = np.flatnonzero(owners == prefix.casefold())
@@ -60,7 +66,7 @@ def _named(take: Take, prefix: str) -> Take:
         there = ", ".join(dict.fromkeys(owner for owner in take.owners if owner))
         whose = f"its markers are those of {there}" if there else "its labels carry no names"
         raise TakeError(f"{take.name}: nobody in it is called {prefix!r}; {whose}.")
-    return take.part(which, take.owners[which[0]])
+    return take if len(which) == len(owners) else take.part(which, take.owners[which[0]])
 
 
 def together(take: Take, people: tuple[Result, ...]) -> Result:

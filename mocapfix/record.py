@@ -1,6 +1,7 @@
 """The record of a cleaning: what the report file says, as plain data with stable keys.
 
-take     file, person (where the take is one person's of several), frames, first_frame, rate_hz, markers, marker_set (null where none fits), labels
+take     file, person (whose it is, where it is one person's of several), frames, first_frame, rate_hz, markers, marker_set
+         (null where none fits), labels
 faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
          no second edge), confidence, reason
 changes  a list, as the changes file holds it (see mocapfix.changes): what was done, interval by interval

@@ -23,11 +23,12 @@ from mocapfix.take import Take
 
 @dataclass(frozen=True)
 class How:
-    """How a body is found: what poses are like, what the solve believes, and from which start."""
+    """How a body is found: what poses are like, what the solve believes, from which start, and the name of the poses' model."""
 
     model: Callable[[], PoseModel] | None
     options: SolveOptions
     start: str
+    prior: str = "none"
 
 
 @dataclass(frozen=True)

@@ -50,9 +50,8 @@ def take(path: Path, data: bytes) -> Take:
     axes = to_y_up(said.vertical, names, values[:, columns, :3])
     upright = axes.argmax(1)  # axes is a permutation, and taking numbers in another order is many times faster than a product
     nameless = unlabelled_columns(labels, said.outputs, seen)
-    unlabelled = Take(
-        values[:, nameless[:, None], upright], tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless
-    )
+    loose = values[:, nameless[:, None], upright]
+    unlabelled = Take(loose, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless)
     return Take(
         markers=values[:, columns[:, None], upright],
         labels=names,
