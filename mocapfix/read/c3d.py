@@ -87,9 +87,9 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    fewer = f"Its header promises {said.promised} frames, and {frames} are there: whoever shortened the file left the header."
+    note = f"Its header promises {said.promised} frames, and it holds {frames}: these were read."
     layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
-    return layout, () if frames == said.promised else (fewer,)
+    return layout, () if frames in (said.promised, said.header_frames) else (note,)
 
 
 def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
@@ -97,13 +97,13 @@ def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
 
     A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
     is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
-    may, with a block.
+    may, with a block. A file may also hold more frames than a word can promise, and say so nowhere.
     """
     held = max(0, size - said.start) // frame_bytes
     if said.promised < 1:
         raise ReadError(f"{path}: holds no frames; export the trial again.")
     if said.promised <= held:
-        return said.promised
+        return held if said.saturated and (held - said.promised) * frame_bytes >= BLOCK else said.promised
     if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
         return said.header_frames
     if held and not (size - said.start) % frame_bytes and size % BLOCK:

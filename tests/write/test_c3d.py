@@ -1,6 +1,9 @@
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import c3d
+import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,7 +19,9 @@ from mocapfix.take import Take
 from tests.c3d_files import ENCODINGS, c3d_bytes
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d", "Optotrak.c3d"}
+UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d"}
+# c3d 0.6.0 stops at a parameter named twice, and at an analog rate that is said twice and not alike.
+NOT_BY_C3D = {"PiG_Calibration-FlatFoot-Hole.c3d", "01_01.c3d", "05_13.c3d"}
 READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
 
 LABELS = ("*1", "LFHD", "LANK", "RANK")  # the first is no marker, so that marker and point indices differ
@@ -227,6 +232,36 @@ def test_a_sample_that_was_exchanged_and_then_mended_is_an_estimate(tmp_path):
     data = (tmp_path / "after.c3d").read_bytes()
     assert data[sample_bytes(before, 4, 0)] == as_stored((500, 500, 500, 21), (84, True))
     assert data[sample_bytes(before, 4, 1)] == (tmp_path / "before.c3d").read_bytes()[sample_bytes(before, 4, 0)]
+
+
+def by_ezc3d(path: Path) -> np.ndarray:
+    """-> (T, P, 3) file units"""
+    return ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+
+
+def by_c3d(path: Path) -> np.ndarray:
+    """-> (T, P, 3) file units"""
+    with warnings.catch_warnings(action="ignore"), path.open("rb") as handle:
+        return np.array([points[:, :3] for _, points, _ in c3d.Reader(handle).read_frames()])
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
+def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
+    before = read.take(path)
+    layout = before.layout
+    assert layout is not None
+    target, chance = tmp_path / path.name, np.random.default_rng(7)
+    markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.005
+    markers[changed] = chance.uniform(0.05, 0.8, (changed.sum(), 3))
+    assert write.c3d(target, before, before.with_markers(markers)) == []
+    wanted = (markers @ layout.axes / layout.unit)[changed]
+    readers = [by_ezc3d] * (layout.processor != 86) + [by_c3d] * (path.name not in NOT_BY_C3D)
+    for reader in readers:
+        old, new = (reader(each)[:, before.columns] for each in (path, target))
+        half = 0.501 * layout.scale if not layout.is_float else 1e-4 * 0.001 / layout.unit
+        np.testing.assert_allclose(new[changed], wanted, atol=half)
+        np.testing.assert_array_equal(new[~changed], old[~changed])
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
