@@ -1,6 +1,6 @@
 """Where each sample of a text file lies in its lines: what reading and patching must agree upon."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,10 +23,6 @@ class TableLayout:
     missing: str  # how a coordinate that is not there is written: "", "NaN", "0.000"
     unit: float  # metres per file unit
     axes: np.ndarray  # (3, 3) rotation: file axes -> Y up
-
-    def turned(self, axes: np.ndarray) -> "TableLayout":
-        """The same layout with other axes."""
-        return replace(self, axes=axes)
 
     def text(self, coordinate: float) -> str:
         """-> a coordinate in file units as the file writes it; NaN is missing."""

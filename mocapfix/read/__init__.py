@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocapfix.errors import ReadError
-from mocapfix.read import c3d, trc
+from mocapfix.read import c3d, motive, motive_rows, nexus, plain, qualisys, trc
 from mocapfix.read.text import BOM, decoded
 from mocapfix.take import Take
 
@@ -28,6 +28,11 @@ class Kind(NamedTuple):
 KINDS = (
     Kind("C3D", c3d.recognises, c3d.take),
     Kind("TRC", trc.recognises, trc.take),
+    Kind("Motive CSV", motive.recognises, motive.take),
+    Kind("Motive CSV 1.1", motive_rows.recognises, motive_rows.take),
+    Kind("Nexus CSV", nexus.recognises, nexus.take),
+    Kind("Qualisys TSV", qualisys.recognises, qualisys.take),
+    Kind("plain CSV", plain.recognises, plain.take),
 )
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
-from mocapfix.read.table import Sheet, filled_rows, rate_of, take_of, unit_of
+from mocapfix.read.cells import filled_rows, rate_of, unit_of, whole
+from mocapfix.read.table import Sheet, take_of
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
 
@@ -51,7 +52,8 @@ def take(path: Path, data: bytes) -> Take:
             labels=[*named, *(f"*{i}" for i in range(len(named), points))],
             unit=unit_of(text, keys + 1, facts.get("units") or "mm"),
             rate=rate_of(text, keys + 1, facts.get("datarate", ""), rows, between, time=1),
-            notes=_counts(text, facts, len(rows), len(named), points),
+            promised=facts.get("numframes", ""),
+            notes=_markers_said(facts, len(named), points),
         )
     )
 
@@ -86,22 +88,9 @@ def _names(cells: list[str]) -> list[str]:
     return spread
 
 
-def _counts(text: Document, facts: dict[str, str], frames: int, named: int, points: int) -> tuple[str, ...]:
-    """-> what the counts of the header say that the table does not."""
-    said = []
-    promised = _count(facts.get("numframes", ""))
-    if promised is not None and promised > frames and not text.is_ended:
-        raise text.fault(len(text.lines) - 1, f"is cut off: {promised} frames are promised, {frames} are there; copy it again.")
-    if promised is not None and promised != frames:
-        said.append(f"The header promises {promised} frames and {frames} are there.")
-    markers = _count(facts.get("nummarkers", ""))
-    if markers is not None and not named <= markers <= points:
-        said.append(f"The header promises {markers} markers and {named} are named.")
-    return tuple(said)
-
-
-def _count(value: str) -> int | None:
-    try:
-        return int(float(value))
-    except (ValueError, OverflowError):
-        return None
+def _markers_said(facts: dict[str, str], named: int, points: int) -> tuple[str, ...]:
+    """-> what must be said of the header's number of markers."""
+    said = whole(facts.get("nummarkers", ""))
+    if said is None or named <= said <= points:
+        return ()
+    return (f"The header promises {said} markers and {named} are named.",)
