@@ -109,7 +109,7 @@ class _MarkerSetForm(BaseModel, extra="forbid"):
     def _names_are_unique(cls, markers: dict[str, _MarkerForm]) -> dict[str, _MarkerForm]:
         names = Counter(folded(name) for label, marker in markers.items() for name in (label, *marker.aliases))
         if twice := [name for name, count in names.items() if count > 1]:
-            raise ValueError(f"{listed(twice)} would name more than one marker; upper and lower case are one, and marks do not count")
+            raise ValueError(f"{listed(twice)} would name more than one marker; case and marks do not count")
         if nameless := [label for label in markers if not folded(label)]:
             raise ValueError(f"{listed(nameless)} is no name")
         return markers

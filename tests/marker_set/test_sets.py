@@ -8,6 +8,9 @@ from mocapfix.skeleton import cmu31
 from tests.marker_set.sides import other_side
 
 EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]
+FRONT = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.ASIS", "L.Toe.Tip")
+BACK = ("LBHD", "C7", "T10", "BackTop", "SpineTop", "BackLeft", "BackL", "WaistLBack", "WaistBack", "V.Sacral")
 HEELS = ("LHEE", "LHEL", "LHeel", "LHeelBack", "L.Heel")
 
 
@@ -54,16 +57,14 @@ def test_markers_lie_on_the_body(marker_set):
     place = dict(zip(marker_set.labels, marker_set.places, strict=True))
     assert (np.linalg.norm(marker_set.places, axis=1) < 0.45).all()
     assert ((marker_set.spread > 0.005) & (marker_set.spread <= 0.06)).all()
-    front = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.ASIS", "L.Toe.Tip")
-    back = ("LBHD", "C7", "T10", "BackTop", "SpineTop", "BackLeft", "BackL", "WaistLBack", "WaistBack", "V.Sacral", *HEELS)
-    assert sum(label in place for label in front) >= 3
-    assert all(place[label][2] > 0 for label in front if label in place)
-    assert all(place[label][2] < 0 for label in back if label in place)
+    assert sum(label in place for label in FRONT) >= 3
+    assert all(place[label][2] > 0 for label in FRONT if label in place)
+    assert all(place[label][2] < 0 for label in (*BACK, *HEELS) if label in place)
     assert any(heel in place for heel in HEELS)
 
 
 @EACH
 def test_every_limb_hips_thorax_and_head_bear_markers(marker_set):
     there = {cmu31().skeleton.names[joint] for joint in marker_set.joints}
-    wanted = {"Hips", "Spine1", "Head"} | {f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")}
-    assert wanted <= there
+    assert {"Hips", "Spine1", "Head", *BONES} <= there
+
