@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from mocapfix.errors import ReadError
 from mocapfix.read import c3d, motive, motive_rows, nexus, plain, qualisys, trc
+from mocapfix.read.axes import turned
 from mocapfix.read.text import BOM, decoded
 from mocapfix.take import Take
 
@@ -36,8 +37,10 @@ KINDS = (
 )
 
 
-def take(path: str | Path) -> Take:
+def take(path: str | Path, up: str | None = None) -> Take:
     """-> the take in a file of any of the kinds.
+
+    up  "X", "Y" or "Z": the file's axis that points to the sky; None: as the file says, or else as its markers tell
 
     Raises ReadError, naming the file and what to do, where it cannot be opened, is of no kind, or has a fault.
     """
@@ -46,7 +49,8 @@ def take(path: str | Path) -> Take:
     head = beginning(data)
     for kind in KINDS:
         if kind.recognises(head, path):
-            return kind.take(path, data)
+            found = kind.take(path, data)
+            return turned(found, up) if up else found
     names = ", ".join(kind.name for kind in KINDS)
     raise ReadError(f"{path}: is not a file that mocapfix reads; export the capture as one of: {names}.")
 

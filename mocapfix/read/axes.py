@@ -2,8 +2,11 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+
+from mocapfix.take import Take
 
 # Rotations of file axes to Y up; all are proper, so left stays left. Z up: (x, y, z) -> (y, z, x), as CMU's releases.
 TO_Y_UP = {"X": np.eye(3)[[2, 0, 1]], "Y": np.eye(3), "Z": np.eye(3)[[1, 2, 0]]}
@@ -25,6 +28,19 @@ def to_y_up(vertical: str, labels: Sequence[str], positions: np.ndarray, usual: 
     """
     letter = vertical[-1:]
     return TO_Y_UP[letter if letter in TO_Y_UP else _upward(labels, positions[:: max(1, len(positions) // ENOUGH_FRAMES)], usual)]
+
+
+def turned(take: Take, up: str) -> Take:
+    """-> the take as if its file's axis `up` ("X", "Y" or "Z") pointed to the sky, whatever was told from the file."""
+    axes = TO_Y_UP[up]
+    turn = axes if take.layout is None else axes @ take.layout.axes.T  # without a layout the file's axes are Y up
+    loose = take.unlabelled
+    return replace(
+        take,
+        markers=take.markers @ turn.T,
+        layout=take.layout and replace(take.layout, axes=axes),
+        unlabelled=loose and replace(loose, markers=loose.markers @ turn.T),
+    )
 
 
 def _upward(labels: Sequence[str], positions: np.ndarray, usual: str) -> str:
