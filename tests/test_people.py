@@ -181,8 +181,8 @@ def test_each_outcome_is_that_of_cleaning_the_persons_own_file(files, two, name,
     together, own = read.take(outputs["c3d"]), read.take(alone["c3d"])
     which = np.flatnonzero(np.array(together.owners) == name)
     np.testing.assert_allclose(together.markers[:, which], own.markers, atol=1e-6)
-    motions = [np.array(path.read_text().split()[-FRAMES * 96 :], float) for path in (outputs[f"{name}.bvh"], alone["bvh"])]
-    np.testing.assert_allclose(*motions, atol=1e-3)  # centimetres and degrees
+    bvh, wanted = (np.array(path.read_text().split()[-FRAMES * 96 :], float) for path in (outputs[f"{name}.bvh"], alone["bvh"]))
+    np.testing.assert_allclose(bvh, wanted, atol=1e-3)  # centimetres and degrees
 
 
 def test_one_file_holds_everybodys_changes_and_no_others(files, two):
@@ -249,11 +249,28 @@ def test_people_whose_files_would_have_one_name_are_a_sentence(files, two, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_line_tells_of_each(files, mocapfix, tmp_path):
+def test_what_a_file_cannot_hold_is_left_empty_in_the_report_of_whose_it_is(files, two, tmp_path):
+    jim, ann, others = two[0].people
+    markers = ann.take.markers.copy()
+    markers[5, 3] = 1e4  # metres: read back, it would be what Cortex writes for a marker that is not there
+    far = replace(ann, take=ann.take.with_markers(markers, np.where(markers[..., 0] == 1e4, 0.01, ann.take.deviation)))
+    outputs = people.together(two[0].before, (jim, far, others)).write(tmp_path)
+    fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
+    assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
+    (left,) = fills["Ann"]["left"]
+    assert (left["marker"], left["first"], left["last"]) == (ann.before.labels[3], FIRST + 5, FIRST + 5)
+
+
+def test_the_command_line_tells_of_each(files, two, mocapfix, tmp_path):
     status, out, _ = mocapfix("inspect", files / "two.c3d", "--subject-prefix", "box")
     assert (status, " ".join(out.split()).startswith("two.c3d (box): 4 markers, frames 31 to 150 at 120 Hz.")) == (0, True)
-    status, out, _ = mocapfix("clean", files / "two.c3d", "--out", tmp_path, "--json")
-    assert (status, [each["take"]["person"] for each in json.loads(out)]) == (0, ["Jim", "Ann", "others"])
+    jims, anns = (tmp_path / f"{name}.yaml" for name in ("jim", "ann"))
+    jims.write_text(two[1]["Jim.changes.yaml"].read_text())
+    anns.write_text(two[1]["Ann.changes.yaml"].read_text().replace("decision: accept", "decision: reject", 1))
+    given = ("--changes", jims, "--changes", anns, "--out", tmp_path / "out", "--json")
+    status, out, _ = mocapfix("clean", files / "two.c3d", *given)
+    told = {each["take"]["person"]: each["fill"]["left_empty"] for each in json.loads(out)}
+    assert (status, told) == (0, {"Jim": 0, "Ann": 25, "others": 0})
     status, out, err = mocapfix("clean", files / "two.c3d", "--subject-prefix", "Bob", "--out", tmp_path / "none")
     assert (status, out) == (1, "")
     assert "its markers are those of Jim, Ann, box" in " ".join(err.split())
