@@ -219,8 +219,10 @@ def test_decisions_are_given_back_in_a_file_for_each(files, two, tmp_path):
     assert bodies[1].labels[of_ann[0].markers[0]] in ("Ann:LFIN", "Ann:RSHN")
     with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), as .*mine\.yaml is"):
         of_each([edited, outputs["Ann.changes.yaml"]], bodies)
-    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d \(Jim\)"):
+    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d \(Jim\); .* cleaning wrote\."):
         of_each([edited], bodies[:1])
+    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d; .*, or say with --subject-prefix whose it is\."):
+        of_each([edited], [result.before])
 
 
 def test_a_subject_is_one_persons(files, two):
