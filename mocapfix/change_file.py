@@ -12,8 +12,8 @@ from mocapfix.changes import Change, Decision, State, concerned
 from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING, PLACES, Fault, Kind
 from mocapfix.files import replacing
-from mocapfix.marker_set import checked
 from mocapfix.take import Take
+from mocapfix.yaml_form import checked
 
 HEADER = """\
 # What mocapfix changed in a take, interval by interval; frames are the file's own, inclusive.

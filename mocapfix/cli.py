@@ -14,7 +14,7 @@ from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
 from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.scenes import PRIOR, START, STARTS
+from mocapfix.scenes import PRIOR, RIGS, START, STARTS
 
 Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
@@ -166,11 +166,19 @@ def clean(
         tyro.conf.UseAppendAction[tuple[Path, ...]],
         tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions; once for each person"),
     ] = (),
+    bvh_for: Annotated[
+        str, tyro.conf.arg(metavar="PROGRAM,...", help=f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml")
+    ] = "",
+    also: Annotated[str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, npz")] = "",
+    fps: Annotated[
+        float | None, tyro.conf.arg(metavar="N", help="frames a second of what moves (BVH, glTF, ...); by default the take's")
+    ] = None,
 ) -> int:
     """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
     from mocapfix import pipeline
     from mocapfix.faults import MENDED
     from mocapfix.fill import FillOptions
+    from mocapfix.outputs import OutputOptions
     from mocapfix.result import check_free
 
     if not takes:
@@ -185,6 +193,10 @@ def clean(
         raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
     if strange := [kind for kind in listed(only) if kind not in MENDED]:
         raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
+    try:
+        wanted = OutputOptions(also=listed(also), bvh_for=listed(bvh_for), fps=fps)
+    except MocapfixError as error:
+        raise SystemExit(usage(str(error))) from None
     options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
     reports, written = [], set()
     for take in takes:
@@ -192,18 +204,18 @@ def clean(
         try:
             if where / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
-            check_free(where, take.stem, overwrite, take)
+            check_free(where, take.stem, overwrite, take, wanted)
             with staged(take.name) as progress:
                 given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
                 given |= {"init": init, "only": listed(only), "changes": changes, "subject_prefix": subject_prefix}
                 result = pipeline.clean(take, **given, options=options, progress=progress)
-                result.write(where, overwrite, progress)
+                result.write(where, overwrite, progress, wanted)
         except MocapfixError as error:
             err.print(escape(str(error)), style="red", soft_wrap=True)
             continue
         written.add(where / take.stem)
         for each in result.people or (result,):
-            outputs = each.outputs(where)
+            outputs = each.outputs(where, wanted)
             reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
             if not as_json:
                 tell(reports[-1], outputs, subject_prefix)
@@ -280,7 +292,7 @@ def tell(report: dict, outputs: dict[str, Path], subject_prefix: str | None = No
         out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
     for note in report["notes"]:
         out.print(f"  {escape(note)}", soft_wrap=True)
-    folder = outputs["c3d"].parent
+    folder = outputs["changes.yaml"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
     if report["changes"]:
         whose = f"--subject-prefix {escape(subject_prefix)} " if subject_prefix else ""

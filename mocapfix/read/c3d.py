@@ -18,16 +18,21 @@ MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at mu
 NOWHERE = 9_000_000  # file units; Cortex writes 9999999 for an occluded marker
 
 
-def take(path: str | Path) -> Take:
-    """-> the take in a C3D file, told by what it holds and not by its suffix.
+def recognises(head: bytes, path: Path) -> bool:
+    """-> does a file that begins so claim to be a C3D?"""
+    return len(head) > 1 and head[1] == MAGIC and b"\0" in head
+
+
+def take(path: Path, data: bytes) -> Take:
+    """-> the take in a C3D file's bytes.
 
     Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
     9999999, NaN. Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data Section".
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
-    path = Path(path)
-    data = _c3d_bytes(path)
+    if len(data) < 2 * BLOCK:
+        raise ReadError(f"{path}: is a C3D's first {len(data)} bytes, without its data; copy it again or export it anew.")
     try:
         said = parameters(data)
     except ValueError as error:
@@ -62,24 +67,6 @@ def take(path: str | Path) -> Take:
         subjects=said.subjects,
         notes=notes,
     )
-
-
-def _c3d_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except IsADirectoryError as error:
-        raise ReadError(f"{path}: is a folder; name the C3D files in it.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
-    if not data:
-        raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
-    if data.lstrip()[:9].upper() == b"HIERARCHY":
-        raise ReadError(f"{path}: is a BVH; mocapfix cleans C3D takes, so give it the capture that the BVH was made from.")
-    if len(data) < 2 * BLOCK or data[1] != MAGIC:
-        raise ReadError(f"{path}: is not a C3D file; mocapfix cleans C3D takes, so export the capture as C3D.")
-    return data
 
 
 def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:

@@ -1,4 +1,4 @@
-"""Telling markers from the other points of a C3D: model outputs and unlabelled trajectories."""
+"""Telling markers from the other points of a file: model outputs and unlabelled trajectories."""
 
 import re
 from collections.abc import Sequence, Set
@@ -40,15 +40,16 @@ def marker_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray, w
 
 def unlabelled_columns(labels: Sequence[str], outputs: Set[str], seen: np.ndarray) -> np.ndarray:
     """-> (U,) indices of the points that nobody named and that are `seen` (T, P) at some time."""
-    nameless = [_is_nameless(label) and label not in outputs for label in labels]
+    nameless = [is_nameless(label) and label not in outputs for label in labels]
     return np.flatnonzero(np.array(nameless, bool) & seen.any(0))
 
 
 def _is_named(label: str) -> bool:
-    return not _is_nameless(label) and not OUTPUT.fullmatch(_bare(label))
+    return not is_nameless(label) and not OUTPUT.fullmatch(_bare(label))
 
 
-def _is_nameless(label: str) -> bool:
+def is_nameless(label: str) -> bool:
+    """-> is it what a program calls a trajectory that nobody named?"""
     return not any(c.isalpha() for c in _bare(label)) or UNLABELLED.fullmatch(_bare(label)) is not None
 
 

@@ -45,7 +45,7 @@ def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
 
 
 def _original(target: Path, before: Take) -> tuple[C3DLayout, bytearray]:
-    if before.path is None or before.layout is None:
+    if before.path is None or not isinstance(before.layout, C3DLayout):
         raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
     try:
         if target.exists() and target.samefile(before.path):

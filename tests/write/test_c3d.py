@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mocapfix import read, write
+from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.faults import Fragment
 from mocapfix.mend import fragments
@@ -39,7 +40,7 @@ def take_in(folder: Path, encoding, vertical="+Z") -> Take:
 def sample_bytes(take: Take, frame: int, marker: int) -> slice:
     """Where the sample's four words lie, counted by hand."""
     layout = take.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     size = 16 if layout.is_float else 8
     start = layout.start + frame * layout.frame_bytes + size * int(take.columns[marker])
     return slice(start, start + size)
@@ -75,7 +76,7 @@ def test_nothing_to_mend_is_a_byte_identical_copy(tmp_path, encoding):
 def test_only_changed_samples_change_and_they_read_back(tmp_path_factory, encoding, values, deviation, what, vertical):
     folder = tmp_path_factory.mktemp("mend")
     before = take_in(folder, encoding, vertical)
-    assert before.layout is not None
+    assert isinstance(before.layout, C3DLayout)
     markers = np.where((what == 1)[..., None], values, before.markers)
     markers[what == 2] = np.nan
     lost = write.c3d(folder / "after.c3d", before, before.with_markers(markers, deviation))
@@ -187,7 +188,7 @@ def take_of_four(folder: Path, encoding) -> Take:
 def stored(path: Path, take: Take) -> np.ndarray:
     """-> (T, P, bytes) each sample's own bytes, as the file holds them"""
     layout = take.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     return layout.words(path.read_bytes()).copy().view("u1").reshape(FRAMES, 4, -1)
 
 
@@ -271,7 +272,7 @@ def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
     assert write.c3d(target, before, before) == []
     assert target.read_bytes() == path.read_bytes()
 
-    assert before.layout is not None
+    assert isinstance(before.layout, C3DLayout)
     chance = np.random.default_rng(7)
     markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.01
     new = chance.uniform(0.05, 0.8, (*changed.shape, 3))
