@@ -80,6 +80,7 @@ def test_too_little_to_be_placed_is_left_alone_and_told():
 def test_one_is_found_by_the_name_as_people_write_it(said):
     (ann,) = people.parts(labelled(of_people("Jim", "Ann")), prefix=said)
     assert (ann.person, set(ann.owners)) == ("Ann", {"Ann"})
+    assert ann.notes == ("Only Ann's markers were looked at: the rest of the file is as it was.",)
 
 
 def test_the_only_name_there_is_changes_nothing():
