@@ -68,8 +68,9 @@ def of_each(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[De
     for path in paths:
         name = checked(_Form, Path(path)).take
         if name not in names:
-            whose = " or ".join(names)
-            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote.")
+            whose, one = " or ".join(names), any(name.startswith(f"{each} (") for each in names)
+            alone = ", or say with --subject-prefix whose it is" if one else ""
+            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote{alone}.")
         if name in about:
             raise SceneError(f"{path}: take: is about {name}, as {about[name]} is; give one of them.")
         about[name] = path

@@ -102,7 +102,7 @@ class Take:
         kept = np.where(believed[..., None], self.markers, np.nan)
         markers[:, there] = kept[:, columns[there]]
         labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
-        return Take(markers, labels, self.rate, self.first_frame, self.path)
+        return Take(markers, labels, self.rate, self.first_frame, self.path, person=self.person)
 
     def part(self, which: np.ndarray, person: str) -> "Take":
         """-> the markers at `which` (K,) as a take of the same file: what is written of it changes these markers alone."""

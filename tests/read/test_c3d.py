@@ -164,6 +164,16 @@ def test_labels_beyond_255_and_their_columns(tmp_path):
     np.testing.assert_allclose(take.markers, xyz[:, 250:] / 1000, rtol=1e-6)
 
 
+@pytest.mark.parametrize("processor", [84, 85, 86])
+def test_labels_and_lists_of_outputs_over_several_parameters(tmp_path, processor):
+    """600 points; the file's own list of scalars goes over 255, too, and names every second one from 0 to 598 among them."""
+    labels = [f"M{i}" for i in range(600)]
+    scalars = {"POINT:SCALARS": labels[:510:2], "POINT:SCALARS2": labels[510::2]}
+    take = take_of(tmp_path, np.full((1, 600, 3), 50.0), labels, encoding=(processor, False), extra=scalars)
+    assert take.labels == tuple(labels[1::2])
+    assert take.others == tuple(labels[::2])
+
+
 def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
     others = ["*12", "", "#", "Uname*1", "C_123", "17", "Jim:*3", "Unlabeled 20", "Jim:Crank", "LKneeAngles", "Jim:LHipMoment"]
     others += ["Jim:PELO", "Jim:PELA", "Jim:PELL", "Jim:PELP", "CentreOfMass"]

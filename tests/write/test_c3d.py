@@ -245,6 +245,22 @@ def by_c3d(path: Path) -> np.ndarray:
         return np.array([points[:, :3] for _, points, _ in c3d.Reader(handle).read_frames()])
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
+    before, target = take_in(tmp_path, encoding), tmp_path / "after.c3d"
+    layout = before.layout
+    assert layout is not None
+    markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
+    markers[1, 1], markers[4, 2], deviation[1, 1] = (0.1, 1.25, -0.3), np.nan, 0.0021
+    assert write.c3d(target, before, before.with_markers(markers, deviation)) == []
+    with warnings.catch_warnings(action="ignore"), target.open("rb") as handle:
+        points = np.array([points for _, points, _ in c3d.Reader(handle).read_frames()])
+    np.testing.assert_allclose(points[1, 2, :4], (-300, 100, 1250, 2.1), rtol=1e-6)  # mm, Z up, and the residual
+    assert points[4, 3, 3] == -1
+    was, now = (layout.words(path.read_bytes()) for path in (tmp_path / "before.c3d", target))
+    np.testing.assert_array_equal(np.argwhere((was != now).any(-1)), [(1, 2), (4, 3)])
+
+
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
