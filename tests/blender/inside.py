@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 
 import bpy  # pyright: ignore[reportMissingImports]
 
@@ -41,8 +42,5 @@ def answer(job: dict) -> dict:
 
 
 if __name__ == "__main__":
-    jobs, target = sys.argv[1:]
-    with open(jobs, encoding="utf-8") as file:
-        answers = [answer(job) for job in json.load(file)]
-    with open(target, "w", encoding="utf-8") as file:
-        json.dump(answers, file)
+    jobs, target = map(Path, sys.argv[1:])
+    target.write_text(json.dumps([answer(job) for job in json.loads(jobs.read_text())]))
