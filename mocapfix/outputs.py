@@ -12,7 +12,7 @@ from mocapfix import change_file, rig, subject_file, write
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.motion import Motion
-from mocapfix.resample import resampled
+from mocapfix.resample import picks, resampled
 from mocapfix.rig import Rig
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
@@ -174,10 +174,9 @@ class OutputOptions:
         asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
         said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
         said += [f"There is no {kind.suffix}, for the take has no skeleton." for kind in asked if kind.body and not body]
-        if body and self.fps not in (None, rate):
-            whole = rate % self.fps == 0
-            how = f"every frame out of {rate / self.fps:g} as it was solved" if whole else "interpolated by splines"
-            said.append(f"The motion is written at {self.fps:g} frames a second ({how}); markers keep the take's {rate:g}.")
+        if body and self.fps and self.fps != rate:
+            how = f"one of {rate / self.fps:.0f}, as solved" if picks(rate, self.fps) else "on splines through the solved ones"
+            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {rate:g}.")
         if body and self.floor:
             said.append(f"What moves is written {self.floor:g} m lower than the markers, for that high is their floor.")
         return said

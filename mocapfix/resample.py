@@ -8,34 +8,42 @@ centimetres as they strike the floor, and what motion there is above it is a mil
 """
 
 import numpy as np
-from scipy.interpolate import CubicSpline, interp1d
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.motion import Motion
 
-SAME = 1e-9  # frames: so near to one of the motion's own frames a new one is that frame
+SAME = 1e-9  # of a frame: so near to one of the motion's own a new one is that frame
+
+
+def picks(rate: float, fps: float) -> bool:
+    """-> are the frames of a motion at `fps` all frames of it at `rate`?"""
+    step = rate / fps
+    return step > 1 - SAME and abs(step - round(step)) < SAME
 
 
 def resampled(motion: Motion, rate: float, fps: float) -> Motion:
     """-> the motion, which has `rate` frames a second, at `fps`: from its first frame on, as many as lie within it.
 
     Where the new frames are all frames of the motion, those are picked; with `fps` the same as `rate` it is the motion itself.
-    Statuses and iterations are the nearest frame's, deviations interpolated linearly.
+    Statuses and iterations are the nearest frame's, deviations the larger of the two frames' around.
     """
-    step = rate / fps  # frames of the motion from one new frame to the next
-    at = np.arange(int((motion.frames - 1) / step + SAME) + 1) * step
+    if rate == fps:
+        return motion
+    at = np.arange(int((motion.frames - 1) * fps / rate + SAME) + 1) * rate / fps  # in frames of the motion
     nearest = np.rint(at).astype(int)
-    if motion.frames == 1 or np.abs(at - nearest).max() < SAME * motion.frames:
-        return motion if step == 1 else motion.at(nearest)
+    if motion.frames == 1 or picks(rate, fps):
+        return motion.at(nearest)
     frames = np.arange(motion.frames)
     at = np.minimum(at, frames[-1])
+    below, above = np.floor(at).astype(int), np.ceil(at).astype(int)
     return Motion(
         root=CubicSpline(frames, motion.root)(at),
         rotations=_between(frames, motion.rotations, at),
         status=motion.status[nearest],
         iterations=motion.iterations[nearest],
-        deviation=interp1d(frames, motion.deviation, axis=0)(at),
-        joint_deviation=interp1d(frames, motion.joint_deviation, axis=0)(at),
+        deviation=np.maximum(motion.deviation[below], motion.deviation[above]),
+        joint_deviation=np.maximum(motion.joint_deviation[below], motion.joint_deviation[above]),
     )
 
 

@@ -90,13 +90,15 @@ class Result:
     def _stem(self) -> str:
         return self.before.path.stem if self.before.path else "take"
 
+    def _mended(self, folder: Path) -> Path:
+        return folder / f"{self._stem}.{own_suffix(self.before.path)}"
+
     def _write_into(self, folder: Path, options: OutputOptions, progress: Progress | None) -> None:
         """The file is written once, whoever is in it; then what is each one's own."""
         bodies = self.people or (self,)
         clocks = [Clock(dict(each.report["seconds"]), progress) for each in bodies]
         with clocks[0]("write"):
-            mended = folder / f"{self._stem}.{own_suffix(self.before.path)}"
-            beyond = OWN.get(type(self.before.layout), write.c3d)(mended, self.before, self.take)
+            beyond = OWN.get(type(self.before.layout), write.c3d)(self._mended(folder), self.before, self.take)
         for each, clock in zip(bodies, clocks, strict=True):
             own = {int(m): k for k, m in enumerate(self.before.of_part(each.before))}
             each._write_body(folder, options, clock, [(t, own[m]) for t, m in beyond if m in own])
@@ -107,10 +109,12 @@ class Result:
             moving = options.moving(self.subject, self.motion, self.before.rate)
         notes = [*self.report["notes"], *options.notes(moving is not None, self.before.rate)]
         final = replace(self, report={**self.report, "seconds": clock.seconds, "notes": notes})._without(beyond)
+        mended = self._mended(folder)
         for kind in options.kinds:
-            if moving or not kind.body:
+            target = folder / f"{self.before.stem}.{kind.suffix}"
+            if (moving or not kind.body) and target != mended:
                 with clock(kind.stage):
-                    kind.write(folder / f"{self.before.stem}.{kind.suffix}", final, moving)
+                    kind.write(target, final, moving)
 
     def _without(self, beyond: list[tuple[int, int]]) -> "Result":
         """-> the result with the samples (frame, marker) empty that the mended file cannot hold."""
