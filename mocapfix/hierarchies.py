@@ -1,10 +1,10 @@
 """Which joint of an animation is which of the 31, by the names that programs give them: scenes/hierarchies, a style a file."""
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +89,7 @@ def mapped(names: Sequence[str], parents: np.ndarray, given: str | Path | None =
     count = int((joints >= 0).sum())
     if lacking := _lacking(joints):
         near = f"nearest came {best.title}, which lacks {', '.join(lacking)}" if count else "none is known"
-        return Choice(None, f"The joints are not those of a body that mocapfix knows by name: {near}. Give a YAML of their names.")
+        return Choice(None, f"The joints are not a body's by their names: {near}; give a YAML file of the names.")
     return Choice(Mapped(joints, best.title), f"{best.title}: {count} of the {len(ours)} joints were found.")
 
 
@@ -118,10 +118,27 @@ def ancestor(joint: int, parents: np.ndarray, among: np.ndarray) -> int:
     return joint
 
 
+def way(joint: int, above: int, parents: np.ndarray) -> list[int]:
+    """-> the joints from below `above` (-1: from the root) down to `joint`, in a tree parents (J,)."""
+    between = []
+    while joint != above:
+        between.insert(0, int(joint))
+        joint = int(parents[joint])
+    return between
+
+
+def below(joint: int, parents: np.ndarray, among: np.ndarray) -> list[int]:
+    """-> a joint if it is `among` (J,) bool, else the nearest ones below it that are."""
+    if among[joint]:
+        return [joint]
+    return [each for child in np.flatnonzero(parents == joint).tolist() for each in below(child, parents, among)]
+
+
 def plain(names: Sequence[str]) -> list[str]:
     """-> names without what does not count: namespaces, signs, case, and what all of them begin with ("mixamorig")."""
     bare = [_plain(re.split(r"[:|]", name)[-1]) for name in names]
-    common = os.path.commonprefix(bare[1:])  # the root may be called just that: Bip01
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*bare[1:], strict=False))
+    common = "".join(letters[0] for letters in alike)  # the root may be called just that: Bip01
     if len(common) < PREFIX or len(bare) < len(NEEDED):
         return bare
     return [name.removeprefix(common) or name for name in bare]
