@@ -4,6 +4,7 @@ nominal  a set: its markers on the average body, and which of them a take has
 labels   how studios spell a marker: prefixes, case, marks between the words
 file     sets as YAML, those that travel with mocapfix and one's own
 choice   the set that a take's labels fit
+words    what labels of no set tell
 """
 
 from mocapfix.marker_set.choice import Choice, choose, fit

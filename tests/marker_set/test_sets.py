@@ -9,7 +9,7 @@ from tests.marker_set.sides import other_side
 
 EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
 BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]
-FRONT = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.ASIS", "L.Toe.Tip")
+FRONT = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.Toe.Tip")
 BACK = ("LBHD", "C7", "T10", "BackTop", "SpineTop", "BackLeft", "BackL", "WaistLBack", "WaistBack", "V.Sacral")
 HEELS = ("LHEE", "LHEL", "LHeel", "LHeelBack", "L.Heel")
 
