@@ -1,6 +1,6 @@
 """Where each sample of a text file lies in its lines: what reading and patching must agree upon."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,15 +17,20 @@ class TableLayout:
     newline: str  # between lines; of "\r\n" the "\r" is each line's last character
     delimiter: str  # between fields
     decimal: str  # the decimal sign: "." or ","
-    lines: np.ndarray  # (T,) index of each frame's line in the file
-    fields: np.ndarray  # (P, 3) index of each point's x, y and z among a line's fields
-    style: str  # how a coordinate is written, as in format(): ".5f"
-    missing: str  # how a coordinate that is not there is written: "", "NaN", "0.000"
     unit: float  # metres per file unit
-    axes: np.ndarray  # (3, 3) rotation: file axes -> Y up
+    lines: np.ndarray = field(default_factory=lambda: np.zeros(0, int))  # (T,) index of each frame's line in the file
+    fields: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))  # (P, 3) of a line, with a point's x, y, z
+    style: str = ".6f"  # how a coordinate is written, as in format()
+    missing: str = ""  # how a coordinate that is not there is written: "", "NaN", "0.000"
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))  # rotation: file axes -> Y up
+
+    @property
+    def has_places(self) -> bool:
+        """Is there a place in the file for every sample? Not where its lines list only what was seen."""
+        return len(self.fields) > 0
 
     def text(self, coordinate: float) -> str:
         """-> a coordinate in file units as the file writes it; NaN is missing."""
-        if np.isnan(coordinate):
+        if coordinate != coordinate:
             return self.missing
         return format(coordinate, self.style).replace(".", self.decimal)

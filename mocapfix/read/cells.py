@@ -78,6 +78,13 @@ def whole(text: str) -> int | None:
         return None
 
 
+def miscounted(promised: str, frames: int) -> tuple[str, ...]:
+    """-> what must be said where a header promises another number of frames than are there."""
+    if whole(promised) in (None, frames):
+        return ()
+    return (f"The header promises {whole(promised)} frames and {frames} are there.",)
+
+
 def unit_of(document: Document, index: int, name: str) -> float:
     """-> metres in the unit that the line at `index` names. Raises ReadError with the choices."""
     plain = name.strip().lower()

@@ -18,18 +18,13 @@ from mocapfix.take import Take
 
 TRAJECTORIES = "trajectories"
 SECTIONS = {TRAJECTORIES, "model outputs", "devices", "joints", "segments", "analog", "forces", "events", "force plates"}
-NAME = re.compile(rb'^[\s"]*([a-z][a-z ]+?)[\s",;]*$', re.IGNORECASE)
-RATE = re.compile(rb"^[\s\"]*\d+[.,]?\d*")
+AROUND = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
 
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
-    lines = head.replace(b"\r\n", b"\n").split(b"\n")
-    names = (NAME.match(line) for line in lines)
-    return any(
-        name is not None and name[1].decode().lower() in SECTIONS and RATE.match(after) is not None
-        for name, after in zip(names, lines[1:], strict=False)
-    )
+    lines = [line.strip(AROUND).lower() for line in head.decode("utf-8", "replace").split("\n")]
+    return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in zip(lines, lines[1:], strict=False))
 
 
 def take(path: Path, data: bytes) -> Take:
@@ -69,7 +64,7 @@ def take(path: Path, data: bytes) -> Take:
 
 def _sections(text: Document) -> dict[int, str]:
     """-> the name of each section, in lower case, by the index of its first line."""
-    names = ((index, text.line(index).strip(' ,;\t"').lower()) for index in range(len(text.lines)))
+    names = ((index, text.line(index).strip(AROUND).lower()) for index in range(len(text.lines)))
     return {index: name for index, name in names if name in SECTIONS}
 
 

@@ -60,7 +60,6 @@ def take(path: Path, data: bytes) -> Take:
             labels=labels,
             unit=MILLIMETRES,
             rate=rate,
-            chosen=True,  # QTM exports its list of identified trajectories, and calls those in it "New 0001" at first
             promised=facts.get("NO_OF_FRAMES", (0, [""]))[1][0],
         )
     )

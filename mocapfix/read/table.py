@@ -10,7 +10,7 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.read import trajectories
-from mocapfix.read.cells import AROUND, LOOKED_AT, decimal_sign, numbers, split, whole, written
+from mocapfix.read.cells import AROUND, LOOKED_AT, decimal_sign, miscounted, numbers, split, whole, written
 from mocapfix.read.text import Document
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
@@ -25,7 +25,7 @@ class Sheet:
     fields    (P, 3) the fields with each point's x, y and z;  labels  of the P points
     unit      metres per file unit;  rate  frames a second
     promised  how many frames the file says it has, as it says it
-    usual, chosen, notes  as read.trajectories.take_of takes them
+    usual, notes  as read.trajectories.take_of takes them
     """
 
     document: Document
@@ -38,7 +38,6 @@ class Sheet:
     rate: float
     promised: str = ""
     usual: str = "Z"
-    chosen: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -51,16 +50,14 @@ def take_of(sheet: Sheet) -> Take:
     document, rows = sheet.document, sheet.rows
     said = (*sheet.notes, *_check_end(sheet))
     decimal = decimal_sign(document, rows, sheet.delimiter)
-    first = 1
+    wanted = sheet.fields.ravel() if sheet.frame is None else np.r_[sheet.fields.ravel(), sheet.frame]
+    told, first = numbers(document, rows, sheet.delimiter, decimal, wanted), 1
+    raw = told[:, : sheet.fields.size].reshape(len(rows), -1, 3)
     if sheet.frame is not None:
-        count = numbers(document, rows, sheet.delimiter, decimal, np.array([sheet.frame]))[:, 0]
-        first, counted = trajectories.first_frame(document, rows, count)
+        first, counted = trajectories.first_frame(document, rows, told[:, -1])
         said += counted
-    raw = numbers(document, rows, sheet.delimiter, decimal, sheet.fields.ravel()).reshape(-1, len(sheet.fields), 3)
     layout = _layout(sheet, decimal, trajectories.there(raw))
-    return trajectories.take_of(
-        document.path, raw, sheet.labels, sheet.unit, sheet.rate, first, layout, sheet.usual, sheet.chosen, said
-    )
+    return trajectories.take_of(document.path, raw, sheet.labels, sheet.unit, sheet.rate, first, layout, sheet.usual, said)
 
 
 def _check_end(sheet: Sheet) -> tuple[str, ...]:
@@ -77,11 +74,9 @@ def _check_end(sheet: Sheet) -> tuple[str, ...]:
     fields = document.line(last).count(sheet.delimiter) + 1
     if is_last and fields < needed:
         raise document.fault(last, f"is cut off: {fields} fields are there and {needed} belong there; copy or export it again.")
-    if promised is None or promised == frames:
-        return ()
-    if is_last and promised > frames:
+    if is_last and promised is not None and promised > frames:
         raise document.fault(last, f"is cut off: {promised} frames are promised, {frames} are there; copy or export it again.")
-    return (f"The header promises {promised} frames and {frames} are there.",)
+    return miscounted(sheet.promised, frames)
 
 
 def _layout(sheet: Sheet, decimal: str, seen: np.ndarray) -> TableLayout:
@@ -98,10 +93,9 @@ def _layout(sheet: Sheet, decimal: str, seen: np.ndarray) -> TableLayout:
         newline=document.newline,
         delimiter=sheet.delimiter,
         decimal=decimal,
+        unit=sheet.unit,
         lines=np.asarray(sheet.rows, int),
         fields=sheet.fields,
         style=style,
         missing=missing.replace(".", decimal),
-        unit=sheet.unit,
-        axes=np.eye(3),
     )

@@ -15,7 +15,6 @@ from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
 NINES = 9999  # file units; three times the same from there on is no place: -9999.99, 9999999
-UNNAMED = "None of the trajectories has a name of its own; all are taken for markers."
 
 
 def take_of(
@@ -27,29 +26,26 @@ def take_of(
     first: int,
     layout: TableLayout | None = None,
     usual: str = "Z",
-    chosen: bool = False,
     notes: tuple[str, ...] = (),
 ) -> Take:
     """-> the take of the points `raw` (T, P, 3) in units of `unit` metres, NaN, all 0 or all nines where missing.
 
     rate    frames a second;  first  the file's number of frame 0;  labels  of the P points
     layout  where they lie, its axes not known yet;  usual  as read.axes.to_y_up takes it
-    chosen  the trajectories were chosen by somebody: markers, though none may have been given a name of its own
 
     Raises ReadError where no point is a labelled marker.
     """
     seen = there(raw)
     columns = marker_columns(labels, frozenset(), seen, np.zeros(seen.shape))
-    if not len(columns) and chosen:
-        columns, notes = np.arange(len(labels)), (*notes, UNNAMED)
     if not len(columns):
         raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
     positions = np.where(seen[..., None], raw * unit, np.nan)
     axes = to_y_up("", [labels[int(i)] for i in columns], positions[:, columns], usual)
-    nameless = np.setdiff1d(unlabelled_columns(labels, frozenset(), seen), columns)
+    nameless = unlabelled_columns(labels, frozenset(), seen)
 
     def take(points: np.ndarray, **more) -> Take:
-        return Take(positions[:, points] @ axes.T, tuple(labels[int(i)] for i in points), rate, first, path, columns=points, **more)
+        names = tuple(labels[int(i)] for i in points)
+        return Take(positions[:, points] @ axes.T, names, rate, first, path, columns=points, **more)
 
     return take(
         columns,
