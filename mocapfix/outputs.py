@@ -16,6 +16,7 @@ from mocapfix.resample import picks, resampled
 from mocapfix.rig import Rig
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
+from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
 if TYPE_CHECKING:
@@ -83,6 +84,18 @@ def _npz(target: Path, result: "Result", moving: Moving | None) -> None:
         write.npz(target, result.take)
 
 
+def _new_c3d(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.new_c3d(target, result.take)
+
+
+def _trc(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.trc(target, result.take)
+
+
+def _csv(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.csv(target, result.take)
+
+
 def _subject(target: Path, result: "Result", moving: Moving) -> None:
     subject_file.save(target, moving.subject)
 
@@ -107,8 +120,16 @@ def _report(target: Path, result: "Result", moving: Moving | None) -> None:
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
 
 
+def _table(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
+    """A text file that lists only what was seen has no places for the rest: it comes back as the plain table."""
+    if before.layout is not None and isinstance(before.layout, TableLayout) and not before.layout.has_places:
+        write.csv(target, after)
+        return []
+    return write.table(target, before, after)
+
+
 # By how the take's file is laid out, what writes it with only the changed samples replaced.
-OWN: dict[type, Callable[[Path, Take, Take], list[tuple[int, int]]]] = {C3DLayout: write.c3d}
+OWN: dict[type, Callable[[Path, Take, Take], list[tuple[int, int]]]] = {C3DLayout: write.c3d, TableLayout: _table}
 BVH = Kind("bvh", _bvh, body=True)
 USUAL = (
     Kind("subject.yaml", _subject, body=True),
@@ -120,6 +141,9 @@ USUAL = (
 ALSO = {
     "gltf": Kind("glb", _gltf, body=True, note="is binary glTF: metres, Y up."),
     "npz": Kind("npz", _npz),
+    "c3d": Kind("c3d", _new_c3d, note="is new: the markers alone, with how sure each filled sample is."),
+    "trc": Kind("trc", _trc),
+    "csv": Kind("csv", _csv),
 }
 
 
