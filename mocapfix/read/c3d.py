@@ -87,7 +87,7 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    note = f"Its header promises {said.promised} frames, and it holds {frames}: these were read."
+    note = f"The header promises {said.promised} frames and {frames} are there."
     layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
     return layout, () if frames in (said.promised, said.header_frames) else (note,)
 

@@ -122,7 +122,7 @@ def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told
     take = take_of(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
     assert take.seen[:70000].all()
     assert take.frames == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
-    assert take.notes == ("Its header promises 65535 frames, and it holds 70008: these were read.",)
+    assert take.notes == ("The header promises 65535 frames and 70008 are there.",)
 
 
 def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path):
@@ -130,7 +130,7 @@ def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path
     path.write_bytes(c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60])  # two frames of three points and three analog words
     take = read.take(path)
     np.testing.assert_allclose(take.markers, STANDING[:2][..., [1, 2, 0]] / 1000, atol=1e-7)
-    assert take.notes == ("Its header promises 4 frames, and it holds 2: these were read.",)
+    assert take.notes == ("The header promises 4 frames and 2 are there.",)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
