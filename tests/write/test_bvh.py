@@ -11,6 +11,7 @@ from mocapfix.kernels import kinematics
 from mocapfix.write.bvh import bvh, euler
 from tests.write.read_back import SKELETON, Bvh, motion_of, smooth_rotations
 
+
 def matrices(angles, order="ZYX"):
     return Rotation.from_euler(order, angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
 
