@@ -3,7 +3,7 @@
 From Python:
 
     import mocapfix
-    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report
+    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report; .people where it shows several
     result.write("walk.mocapfix")
 
 The names are imported when they are asked for: what a take needs is half a second of libraries, what --help needs is none.

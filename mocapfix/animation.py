@@ -63,6 +63,14 @@ class Animation:
     def name(self) -> str:
         return self.path.name if self.path else "the animation"
 
+    @property
+    def begins_posed(self) -> bool:
+        """Is the first frame a pose put before the motion, as CMU's BVH release has a T-pose? Its angles are whole degrees,
+        those of the next frame are not."""
+        turning = np.concatenate([self.turning(joint)[0] for joint in range(len(self.names))])
+        first, second = (self.values[frame, turning] for frame in (0, min(1, self.frames - 1)))
+        return bool((first == np.round(first)).all() and (second != np.round(second)).any())
+
     def index(self, name: str) -> int:
         return self.names.index(name)
 

@@ -12,8 +12,8 @@ from mocapfix.changes import Change, Decision, State, concerned
 from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING, PLACES, Fault, Kind
 from mocapfix.files import replacing
-from mocapfix.marker_set import checked
 from mocapfix.take import Take
+from mocapfix.yaml_form import checked
 
 HEADER = """\
 # What mocapfix changed in a take, interval by interval; frames are the file's own, inclusive.
@@ -68,8 +68,9 @@ def of_each(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[De
     for path in paths:
         name = checked(_Form, Path(path)).take
         if name not in names:
-            whose = " or ".join(names)
-            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote.")
+            whose, one = " or ".join(names), any(name.startswith(f"{each} (") for each in names)
+            alone = ", or say with --subject-prefix whose it is" if one else ""
+            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote{alone}.")
         if name in about:
             raise SceneError(f"{path}: take: is about {name}, as {about[name]} is; give one of them.")
         about[name] = path

@@ -2,8 +2,9 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +27,12 @@ UNITS = {1.0: "metres", 0.01: "centimetres"}
 
 @dataclass(frozen=True)
 class Moving:
-    """Somebody and how they move, at some rate (frames a second)."""
+    """Somebody and how they move, at some rate (frames a second), over a floor that was `floor` metres high and is at 0."""
 
     subject: Subject
     motion: Motion
     rate: float
+    floor: float = 0.0
 
     @property
     def skeleton(self) -> Skeleton:
@@ -75,7 +77,8 @@ def _gltf(target: Path, result: "Result", moving: Moving) -> None:
 
 def _npz(target: Path, result: "Result", moving: Moving | None) -> None:
     if moving:
-        write.npz(target, result.take, moving.skeleton, moving.motion, moving.rate)
+        take = result.take.with_markers(result.take.markers - [0.0, moving.floor, 0.0], result.take.deviation)
+        write.npz(target, take, moving.skeleton, moving.motion, moving.rate)
     else:
         write.npz(target, result.take)
 
@@ -131,6 +134,7 @@ class OutputOptions:
 
     also     kinds of file, of ALSO;  bvh_for  rigs (a shipped one's name or a YAML file): a BVH for each
     fps      frames a second of what moves; None: the take's own. Mended markers always keep the take's
+    floor    metres: how high the floor lies in the take; what moves is written as standing at height 0
 
     Raises WriteError or SceneError where there is no such kind, rig or rate.
     """
@@ -138,12 +142,15 @@ class OutputOptions:
     also: tuple[str, ...] = ()
     bvh_for: tuple[str, ...] = ()
     fps: float | None = None
+    floor: float = 0.0
 
     def __post_init__(self) -> None:
         if strange := [kind for kind in self.also if kind not in ALSO]:
             raise WriteError(f"There is no kind of file {strange[0]!r} to write; choose of: {', '.join(ALSO)}.")
         if self.fps is not None and not 0 < self.fps <= FASTEST:
             raise WriteError(f"Frames a second must be more than 0 and at most {FASTEST:g}, not {self.fps:g}.")
+        if not isfinite(self.floor):
+            raise WriteError(f"A floor must lie at some height in metres, not {self.floor:g}.")
         suffixes = [kind.suffix for kind in self.kinds]
         if twice := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
             raise WriteError(f"Two of what is to be written would both be called .{twice[0]}; name one of them.")
@@ -157,7 +164,10 @@ class OutputOptions:
     def moving(self, subject: Subject | None, motion: Motion | None, rate: float) -> Moving | None:
         """-> somebody's motion at the wanted rate; None where there is nobody."""
         fps = self.fps or rate
-        return Moving(subject, resampled(motion, rate, fps), fps) if subject and motion else None
+        if not (subject and motion):
+            return None
+        standing = replace(motion, root=motion.root - [0.0, self.floor, 0.0]) if self.floor else motion
+        return Moving(subject, resampled(standing, rate, fps), fps, self.floor)
 
     def notes(self, body: bool, rate: float) -> list[str]:
         """-> sentences on what was asked for beside the usual files."""
@@ -167,4 +177,6 @@ class OutputOptions:
         if body and self.fps and self.fps != rate:
             how = f"one of {rate / self.fps:.0f}, as solved" if picks(rate, self.fps) else "on splines through the solved ones"
             said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {rate:g}.")
+        if body and self.floor:
+            said.append(f"What moves is written {self.floor:g} m lower than the markers, for that high is their floor.")
         return said

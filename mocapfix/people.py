@@ -66,7 +66,10 @@ def _named(take: Take, prefix: str) -> Take:
         there = ", ".join(dict.fromkeys(owner for owner in take.owners if owner))
         whose = f"its markers are those of {there}" if there else "its labels carry no names"
         raise TakeError(f"{take.name}: nobody in it is called {prefix!r}; {whose}.")
-    return take if len(which) == len(owners) else take.part(which, take.owners[which[0]])
+    if len(which) == len(owners):
+        return take
+    part = take.part(which, take.owners[which[0]])
+    return replace(part, notes=(*part.notes, f"Only {part.person}'s markers were looked at: the rest of the file is as it was."))
 
 
 def together(take: Take, people: tuple[Result, ...]) -> Result:

@@ -48,6 +48,7 @@ def clean(
     only: Sequence[str] = (),
     changes: str | Path | Sequence[str | Path] | None = None,
     subject_prefix: str | None = None,
+    up: str | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """-> the take at `path`, cleaned: faults found, labels put right, the body calibrated and solved, the rest mended.
@@ -62,13 +63,14 @@ def clean(
     changes     the changes file of an earlier cleaning of this take, with somebody's decisions; of several people's one each
     subject_prefix  the one person whose markers are cleaned ("Jim", whose labels are "Jim:LFHD" and the like); None: everybody,
                 in turn, and the result holds each one's
+    up          "X", "Y" or "Z": the file's axis that points to the sky; None: what the file says or its markers tell
     progress    told each stage's name as it begins
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
     """
     how, clock = wanted(prior, prior_scale, init, only), Clock(progress=progress)
     with clock("read"):
-        take = read.take(path)
+        take = read.take(path, up)
     check_options(take, options)
     bodies = parted(take, marker_set, subject, subject_prefix)
     decided = change_file.of_each([changes] if isinstance(changes, str | Path) else changes or (), bodies)
@@ -150,13 +152,14 @@ def inspected(
     subject: str | Path | Subject | None = None,
     progress: Progress | None = None,
     subject_prefix: str | None = None,
+    up: str | None = None,
 ) -> list[tuple[Take, Looked, MarkerSet | None]]:
     """-> a take, what `clean` finds wrong with it, and the set it wears, for each of several people; nothing is written.
 
     Raises as `clean`.
     """
     clock, how, found = Clock(progress=progress), wanted(PRIOR, 1.0, START, ()), []
-    for body in parted(read.take(path), marker_set, subject, subject_prefix):
+    for body in parted(read.take(path, up), marker_set, subject, subject_prefix):
         known, worn_set, _ = dressed(body, marker_set, subject)
         looked, _, _ = understood(body, worn_set, known, how, lambda fault: True, clock)
         found.append((body, looked, worn_set))
@@ -237,6 +240,7 @@ def calibrated(
     name: str | Path | None = None,
     pose_prior: str = "mean-pose",
     subject_prefix: str | None = None,
+    up: str | None = None,
 ) -> Subject:
     """-> one person's subject from one or several takes of them, together; of the one named, where others are in them too.
 
@@ -244,7 +248,7 @@ def calibrated(
     """
     takes = []
     for path in paths:
-        whole = read.take(path)
+        whole = read.take(path, up)
         take, *more = parted(whole, name, None, subject_prefix)
         if more:
             raise TakeError(

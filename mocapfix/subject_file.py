@@ -3,14 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-import yaml
 from pydantic import BaseModel, Field, FiniteFloat, NonNegativeInt
 
 from mocapfix.errors import SceneError
 from mocapfix.files import replacing
-from mocapfix.marker_set import Joint, Vector, checked
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.subject import Subject
+from mocapfix.yaml_form import Joint, Line, Vector, checked, dumped
 
 HEADER = """\
 # A subject of mocapfix: one person's bones and where the markers lie on them.
@@ -59,17 +58,16 @@ def save(path: str | Path, subject: Subject) -> None:
     for name, parent, offset, end, sd in zip(
         names, skeleton.parents, skeleton.offsets, skeleton.ends, subject.joint_sd, strict=True
     ):
-        bones[name] = _Line(parent=names[parent] if parent >= 0 else None, offset=_metres(offset), sd=_length(sd))
+        bones[name] = Line(parent=names[parent] if parent >= 0 else None, offset=_metres(offset), sd=_length(sd))
         if not np.isnan(end).any():
             bones[name]["end"] = _metres(end)
     for label, joint, place, spread, sd in zip(
         subject.labels, subject.joints, subject.places, subject.spread, subject.marker_sd, strict=True
     ):
-        markers[label] = _Line(joint=names[joint], place=_metres(place), spread=_length(spread), sd=_length(sd))
+        markers[label] = Line(joint=names[joint], place=_metres(place), spread=_length(spread), sd=_length(sd))
     data = {"marker_set": subject.marker_set, "frames": int(subject.frames), "bones": bones, "markers": markers}
-    text = yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=130, allow_unicode=True)
     with replacing(Path(path)) as part:
-        part.write_text(HEADER + text, encoding="utf-8", newline="\n")
+        part.write_text(HEADER + dumped(data), encoding="utf-8", newline="\n")
 
 
 def _metres(vector: np.ndarray) -> list[float]:
@@ -78,17 +76,6 @@ def _metres(vector: np.ndarray) -> list[float]:
 
 def _length(value: float) -> float:
     return round(float(value), DIGITS)
-
-
-class _Line(dict):
-    """A mapping that is written on one line: a bone or a marker."""
-
-
-class _Dumper(yaml.SafeDumper):
-    """PyYAML's safe writer, which knows _Line."""
-
-
-_Dumper.add_representer(_Line, lambda dumper, line: dumper.represent_mapping("tag:yaml.org,2002:map", line, flow_style=True))
 
 
 class _BoneForm(BaseModel, extra="forbid"):

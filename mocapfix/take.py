@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.c3d_layout import C3DLayout
+from mocapfix.table_layout import TableLayout
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Take:
     computed   (T, M) bool: samples that no camera saw: by their residual words a program like this one put them there
     blind      (T, M) bool: samples that no camera saw, whoever put them there, where the file keeps what cameras saw
     source     (T, M) the file's point that each sample came from, where labels were changed; None: each from its own
+    layout     where the samples lie in the file; None where no file has them so that they could be replaced
     subjects   names of the people that the file lists, whichever of them it shows
     person     whose markers these are, where they are one person's of a take of several; else ""
     notes      sentences on what reading it brought up
@@ -34,7 +36,7 @@ class Take:
     rate: float
     first_frame: int = 1
     path: Path | None = None
-    layout: C3DLayout | None = None
+    layout: C3DLayout | TableLayout | None = None
     columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     others: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
@@ -100,7 +102,7 @@ class Take:
         kept = np.where(believed[..., None], self.markers, np.nan)
         markers[:, there] = kept[:, columns[there]]
         labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
-        return Take(markers, labels, self.rate, self.first_frame, self.path)
+        return Take(markers, labels, self.rate, self.first_frame, self.path, person=self.person)
 
     def part(self, which: np.ndarray, person: str) -> "Take":
         """-> the markers at `which` (K,) as a take of the same file: what is written of it changes these markers alone."""

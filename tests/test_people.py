@@ -80,6 +80,7 @@ def test_too_little_to_be_placed_is_left_alone_and_told():
 def test_one_is_found_by_the_name_as_people_write_it(said):
     (ann,) = people.parts(labelled(of_people("Jim", "Ann")), prefix=said)
     assert (ann.person, set(ann.owners)) == ("Ann", {"Ann"})
+    assert ann.notes == ("Only Ann's markers were looked at: the rest of the file is as it was.",)
 
 
 def test_the_only_name_there_is_changes_nothing():
@@ -181,8 +182,8 @@ def test_each_outcome_is_that_of_cleaning_the_persons_own_file(files, two, name,
     together, own = read.take(outputs["c3d"]), read.take(alone["c3d"])
     which = np.flatnonzero(np.array(together.owners) == name)
     np.testing.assert_allclose(together.markers[:, which], own.markers, atol=1e-6)
-    motions = [np.array(path.read_text().split()[-FRAMES * 96 :], float) for path in (outputs[f"{name}.bvh"], alone["bvh"])]
-    np.testing.assert_allclose(*motions, atol=1e-3)  # centimetres and degrees
+    bvh, wanted = (np.array(path.read_text().split()[-FRAMES * 96 :], float) for path in (outputs[f"{name}.bvh"], alone["bvh"]))
+    np.testing.assert_allclose(bvh, wanted, atol=1e-3)  # centimetres and degrees
 
 
 def test_one_file_holds_everybodys_changes_and_no_others(files, two):
@@ -219,8 +220,10 @@ def test_decisions_are_given_back_in_a_file_for_each(files, two, tmp_path):
     assert bodies[1].labels[of_ann[0].markers[0]] in ("Ann:LFIN", "Ann:RSHN")
     with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), as .*mine\.yaml is"):
         of_each([edited, outputs["Ann.changes.yaml"]], bodies)
-    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d \(Jim\)"):
+    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d \(Jim\); .* cleaning wrote\."):
         of_each([edited], bodies[:1])
+    with pytest.raises(SceneError, match=r"\(Ann\), not two\.c3d; .*, or say with --subject-prefix whose it is\."):
+        of_each([edited], [result.before])
 
 
 def test_a_subject_is_one_persons(files, two):
@@ -249,11 +252,28 @@ def test_people_whose_files_would_have_one_name_are_a_sentence(files, two, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_line_tells_of_each(files, mocapfix, tmp_path):
+def test_what_a_file_cannot_hold_is_left_empty_in_the_report_of_whose_it_is(files, two, tmp_path):
+    jim, ann, others = two[0].people
+    markers = ann.take.markers.copy()
+    markers[5, 3] = 1e4  # metres: read back, it would be what Cortex writes for a marker that is not there
+    far = replace(ann, take=ann.take.with_markers(markers, np.where(markers[..., 0] == 1e4, 0.01, ann.take.deviation)))
+    outputs = people.together(two[0].before, (jim, far, others)).write(tmp_path)
+    fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
+    assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
+    (left,) = fills["Ann"]["left"]
+    assert (left["marker"], left["first"], left["last"]) == (ann.before.labels[3], FIRST + 5, FIRST + 5)
+
+
+def test_the_command_line_tells_of_each(files, two, mocapfix, tmp_path):
     status, out, _ = mocapfix("inspect", files / "two.c3d", "--subject-prefix", "box")
     assert (status, " ".join(out.split()).startswith("two.c3d (box): 4 markers, frames 31 to 150 at 120 Hz.")) == (0, True)
-    status, out, _ = mocapfix("clean", files / "two.c3d", "--out", tmp_path, "--json")
-    assert (status, [each["take"]["person"] for each in json.loads(out)]) == (0, ["Jim", "Ann", "others"])
+    jims, anns = (tmp_path / f"{name}.yaml" for name in ("jim", "ann"))
+    jims.write_text(two[1]["Jim.changes.yaml"].read_text())
+    anns.write_text(two[1]["Ann.changes.yaml"].read_text().replace("decision: accept", "decision: reject", 1))
+    given = ("--changes", jims, "--changes", anns, "--out", tmp_path / "out", "--json")
+    status, out, _ = mocapfix("clean", files / "two.c3d", *given)
+    told = {each["take"]["person"]: each["fill"]["left_empty"] for each in json.loads(out)}
+    assert (status, told) == (0, {"Jim": 0, "Ann": 25, "others": 0})
     status, out, err = mocapfix("clean", files / "two.c3d", "--subject-prefix", "Bob", "--out", tmp_path / "none")
     assert (status, out) == (1, "")
     assert "its markers are those of Jim, Ann, box" in " ".join(err.split())

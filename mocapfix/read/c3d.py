@@ -18,16 +18,21 @@ MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at mu
 NOWHERE = 9_000_000  # file units; Cortex writes 9999999 for an occluded marker
 
 
-def take(path: str | Path) -> Take:
-    """-> the take in a C3D file, told by what it holds and not by its suffix.
+def recognises(head: bytes, path: Path) -> bool:
+    """-> does a file that begins so claim to be a C3D?"""
+    return len(head) > 1 and head[1] == MAGIC and b"\0" in head
+
+
+def take(path: Path, data: bytes) -> Take:
+    """-> the take in a C3D file's bytes.
 
     Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
     9999999, NaN. Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data Section".
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
-    path = Path(path)
-    data = _c3d_bytes(path)
+    if len(data) < 2 * BLOCK:
+        raise ReadError(f"{path}: is a C3D's first {len(data)} bytes, without its data; copy it again or export it anew.")
     try:
         said = parameters(data)
     except ValueError as error:
@@ -64,24 +69,6 @@ def take(path: str | Path) -> Take:
     )
 
 
-def _c3d_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except IsADirectoryError as error:
-        raise ReadError(f"{path}: is a folder; name the C3D files in it.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
-    if not data:
-        raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
-    if data.lstrip()[:9].upper() == b"HIERARCHY":
-        raise ReadError(f"{path}: is a BVH; mocapfix cleans C3D takes, so give it the capture that the BVH was made from.")
-    if len(data) < 2 * BLOCK or data[1] != MAGIC:
-        raise ReadError(f"{path}: is not a C3D file; mocapfix cleans C3D takes, so export the capture as C3D.")
-    return data
-
-
 def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
     """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
     unit = METRES.get(said.units.lower())
@@ -100,9 +87,9 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    fewer = f"Its header promises {said.promised} frames, and {frames} are there: whoever shortened the file left the header."
+    note = f"Its header promises {said.promised} frames, and it holds {frames}: these were read."
     layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
-    return layout, () if frames == said.promised else (fewer,)
+    return layout, () if frames in (said.promised, said.header_frames) else (note,)
 
 
 def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
@@ -110,13 +97,13 @@ def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
 
     A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
     is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
-    may, with a block.
+    may, with a block. A file may also hold more frames than a word can promise, and say so nowhere.
     """
     held = max(0, size - said.start) // frame_bytes
     if said.promised < 1:
         raise ReadError(f"{path}: holds no frames; export the trial again.")
     if said.promised <= held:
-        return said.promised
+        return held if said.saturated and (held - said.promised) * frame_bytes >= BLOCK else said.promised
     if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
         return said.header_frames
     if held and not (size - said.start) % frame_bytes and size % BLOCK:

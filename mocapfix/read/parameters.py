@@ -8,6 +8,7 @@ import c3d
 import numpy as np
 
 ENCODINGS = (84, 85, 86)  # Intel, DEC, SGI/MIPS
+LARGEST = 65_535  # that a word holds
 VICON_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
 
 
@@ -23,6 +24,7 @@ class Parameters:
     start        offset in bytes of the first frame
     header_frames, promised  frames by the header, and by whichever of header and parameters promises most: the
                  header's words end at 65,535
+    saturated    does nothing promise more than those words can?
     """
 
     processor: int
@@ -40,6 +42,7 @@ class Parameters:
     first_frame: int
     header_frames: int
     promised: int
+    saturated: bool
 
 
 def parameters(data: bytes) -> Parameters:
@@ -63,9 +66,12 @@ def _parameters(data: bytes) -> Parameters:
         reader = _Reader(io.BufferedReader(io.BytesIO(data)))
     header = reader.header
     first, last = _whole(reader, "TRIAL:ACTUAL_START_FIELD"), _whole(reader, "TRIAL:ACTUAL_END_FIELD")
-    header_frames = header.last_frame - header.first_frame + 1
     trial_frames = last - first + 1 if last and first is not None else None
+    header_frames = header.last_frame - header.first_frame + 1
+    if first is not None and first > LARGEST:  # than the header's words, cut off or run over, can tell
+        header_frames = trial_frames or 0
     counts = (header_frames, _whole(reader, "POINT:FRAMES"), _whole(reader, "POINT:LONG_FRAMES"), trial_frames)
+    promised = max(n for n in counts if n is not None)
     return Parameters(
         processor=processor,
         points=int(reader.point_used),
@@ -81,7 +87,8 @@ def _parameters(data: bytes) -> Parameters:
         subjects=tuple(name for name in _texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frames=header_frames,
-        promised=max(n for n in counts if n is not None),
+        promised=promised,
+        saturated=header.last_frame == LARGEST and promised <= LARGEST,
     )
 
 

@@ -5,7 +5,7 @@ from mocapfix import marker_set
 from mocapfix.detect import sides
 from tests.detect.people import CMU41
 
-SHIPPED = ("cmu41", "plug-in-gait39")
+SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

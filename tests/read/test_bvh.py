@@ -29,6 +29,7 @@ def test_every_joint_has_its_own_numbers(tmp_path):
     np.testing.assert_array_equal(found.values, VALUES)
     assert found.notes == ()
     data = (tmp_path / "a.bvh").read_bytes()
+    assert found.starts is not None
     assert [data[start:].split()[0].decode() for start in found.starts.ravel()] == " ".join(ROWS).split()
 
 

@@ -1,0 +1,62 @@
+"""Files in YAML that people write and mend: held against the form they must have, and written so that they can be read."""
+
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import yaml
+from pydantic import AfterValidator, BaseModel, FiniteFloat, ValidationError
+
+from mocapfix.errors import SceneError
+from mocapfix.scenes import read_yaml
+from mocapfix.skeleton import cmu31
+
+Form = TypeVar("Form", bound=BaseModel)
+WORDS = {  # for what pydantic says to programmers
+    "extra_forbidden": "there is no such key; look for a slip in its name",
+    "missing": "is missing",
+    "tuple_type": "must be a list",
+    "model_type": "must be key: value pairs",
+    "dict_type": "must be key: value pairs",
+    "string_type": "must be text",
+}
+
+
+def checked(form: type[Form], path: Path) -> Form:
+    """-> what a YAML file says, in the form it must have.
+
+    Raises SceneError with the file, the path of the first wrong key and what is wrong with it.
+    """
+    data = read_yaml(path)
+    try:
+        return form.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        said = WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ")
+        raise SceneError(f"{path}: {key}: {said}.") from error
+
+
+def _known_joint(name: str) -> str:
+    if name not in cmu31().skeleton.names:
+        raise ValueError(f"there is no joint {name!r}; the joints are {', '.join(cmu31().skeleton.names)}")
+    return name
+
+
+Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Joint = Annotated[str, AfterValidator(_known_joint)]
+
+
+class Line(dict):
+    """A mapping that is written on one line: a bone or a marker."""
+
+
+def dumped(data: dict) -> str:
+    """-> the YAML of a mapping, keys in its order."""
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=130, allow_unicode=True)
+
+
+class _Dumper(yaml.SafeDumper):
+    """PyYAML's safe writer, which knows Line."""
+
+
+_Dumper.add_representer(Line, lambda dumper, line: dumper.represent_mapping("tag:yaml.org,2002:map", line, flow_style=True))

@@ -1,0 +1,12 @@
+"""Left and right in markers' names."""
+
+
+def other_side(label: str) -> str:
+    """-> the name of the same marker on the other side; of one in the middle its own"""
+    words = {"Left": "Right", "LFront": "RFront", "LBack": "RBack"}
+    for left, right in words.items():
+        if left in label or right in label:
+            return label.replace(left, right) if left in label else label.replace(right, left)
+    if label in ("BackL", "BackR", "HeadL", "HeadR", "WaistL", "WaistR"):
+        return label[:-1] + {"L": "R", "R": "L"}[label[-1]]
+    return {"L": "R", "R": "L"}.get(label[0], label[0]) + label[1:]

@@ -1,0 +1,96 @@
+"""Marker sets as files: what a studio writes, what is wrong with it, and what is saved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.errors import SceneError, WriteError
+from mocapfix.marker_set import load, save, shipped
+from mocapfix.skeleton import cmu31
+
+
+def test_an_unknown_name_lists_the_shipped_ones():
+    with pytest.raises(SceneError, match=r"baseline41.*cmu41, frontwaist53, opensim-gait, .*YAML"):
+        load("baseline41")
+
+
+GOOD = """
+name: mine
+title: Mine
+skeleton: cmu31
+markers:
+  TOP: {joint: Head, offset: [0, 0.2, 0], spread: 0.01, aliases: [CROWN], optional: true}
+  HIP: {joint: Hips, offset: [0.1, 0, 0.1], spread: 0.02}
+"""
+
+
+def test_a_file_of_ones_own(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD)
+    mine = load(path)
+    assert (mine.name, mine.labels, mine.aliases) == ("mine", ("TOP", "HIP"), (("CROWN",), ()))
+    assert (mine.optional, mine.required) == ({"TOP"}, ("HIP",))
+    assert [cmu31().skeleton.names[j] for j in mine.joints] == ["Head", "Hips"]
+    np.testing.assert_array_equal(mine.places, [[0, 0.2, 0], [0.1, 0, 0.1]])
+    np.testing.assert_array_equal(mine.spread, [0.01, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("joint: Head", "joint: Skull", r"markers\.TOP\.joint: there is no joint 'Skull'; the joints are Hips, "),
+        ("[0, 0.2, 0]", "[0, 0.2]", r"markers\.TOP\.offset\.2: "),
+        ("[0, 0.2, 0]", "[0, .nan, 0]", r"markers\.TOP\.offset\.1: "),
+        ("spread: 0.02", "spread: 0", r"markers\.HIP\.spread: .*greater than 0"),
+        ("skeleton: cmu31", "skeleton: smpl", "skeleton: .*'cmu31'"),
+        ("title: Mine", "tilte: Mine", "title: "),
+        ("title: Mine", "title: Mine\ncolour: red", "colour: "),
+        ("[CROWN]", "[hip]", "markers: HIP would name more than one marker"),
+        ("[CROWN]", "[T.O.P]", "markers: TOP would name more than one marker"),
+        ("TOP:", "'._':", r"markers: \._ is no name"),
+        ("optional: true", "optional: perhaps", r"markers\.TOP\.optional: "),
+        ("name: mine", "name: [", "line "),
+        (GOOD, "just text", "no key: value pairs"),
+    ],
+)
+def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD.replace(old, new))
+    with pytest.raises(SceneError, match=rf"mine\.yaml.*{said}"):
+        load(path)
+
+
+@pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+def test_a_saved_set_comes_back(marker_set, tmp_path):
+    save(tmp_path / "mine.yaml", marker_set, "Two lines\n\nof comment.")
+    assert (tmp_path / "mine.yaml").read_text().startswith("# Two lines\n#\n# of comment.\nname: ")
+    back = load(tmp_path / "mine.yaml")
+    assert all(getattr(back, name) == getattr(marker_set, name) for name in ("name", "title", "labels", "aliases", "optional"))
+    for name in ("joints", "places", "spread"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(marker_set, name))
+
+
+WRITTEN = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Zs")), min_size=1)
+
+
+@given(labels=st.lists(WRITTEN, min_size=1, max_size=5))
+def test_any_labels_can_be_saved(tmp_path_factory, labels):
+    names = {f"{label}{k}x": label for k, label in enumerate(labels)}
+    count, path = len(names), tmp_path_factory.mktemp("set") / "mine.yaml"
+    given = replace(
+        load("cmu41"), labels=tuple(names), joints=np.zeros(count, int), places=np.ones((count, 3)), spread=np.ones(count),
+        aliases=((),) * count,
+    )  # fmt: skip
+    try:
+        save(path, given)
+        assert load(path).labels == given.labels
+    except SceneError as error:
+        assert "would name more than one marker" in str(error)  # noqa: PT017
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(WriteError, match=r"mine\.yaml: cannot be written"):
+        save(tmp_path / "nowhere" / "mine.yaml", load("cmu41"))

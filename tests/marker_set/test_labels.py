@@ -1,0 +1,57 @@
+"""How a marker's name is read, and which of a set's markers a take has."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.marker_set import load, shipped
+from mocapfix.marker_set.labels import folded, readings
+
+CMU = load("cmu41")
+EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+
+
+@pytest.mark.parametrize("name", ["R.Thigh.Upper", "R_Thigh_Upper", "r thigh upper", "RThighUpper", "R-Thigh.upper "])
+def test_case_and_marks_between_words_do_not_count(name):
+    assert folded(name) == "RTHIGHUPPER"
+
+
+@pytest.mark.parametrize(
+    ("label", "read"),
+    [
+        ("LFHD", [("", "LFHD")]),
+        ("Jim:LFHD", [("Jim:", "LFHD")]),
+        ("A:B:LFHD", [("A:B:", "LFHD")]),
+        ("Q_LThigh", [("", "QLTHIGH"), ("Q_", "LTHIGH")]),
+        ("Skeleton_2_LThigh", [("", "SKELETON2LTHIGH"), ("Skeleton_", "2LTHIGH"), ("Skeleton_2_", "LTHIGH")]),
+        ("Skeleton 001:LThigh", [("Skeleton 001:", "LTHIGH")]),
+        ("LFHD_", [("", "LFHD")]),
+    ],
+)
+def test_a_label_may_be_read_in_several_ways(label, read):
+    assert list(readings(label)) == read
+
+
+@EACH
+@given(data=st.data())
+def test_labels_are_found_in_any_order_case_and_alias(marker_set, data):
+    order = data.draw(st.permutations(range(len(marker_set.labels))))
+    names = [data.draw(st.sampled_from((marker_set.labels[k], *marker_set.aliases[k]))) for k in order]
+    labels = [f"Jim:{data.draw(st.sampled_from((name, name.lower(), '_'.join(name))))} " for name in names]
+    assert marker_set.match(labels) == {marker_set.labels[k]: index for index, k in enumerate(order)}
+
+
+def test_the_first_of_equal_labels_and_the_own_name_count():
+    assert CMU.match(("LTIB", "LSHN", "LFHD", "lfhd")) == {"LSHN": 1, "LFHD": 2}
+
+
+def test_the_subject_with_the_most_markers_is_taken():
+    labels = ("Prop:LFHD", "Prop:Handle", "Ann:C7", "Ann:LFHD", "LFWT")
+    assert CMU.match(labels) == {"C7": 2, "LFHD": 3}
+    assert CMU.match(()) == {}
+
+
+@pytest.mark.parametrize("prefix", ["Jim:", "Q_", "Skeleton_2_", "Skeleton 001:", "Skeleton 001:Q_"])
+def test_prefixes_of_actors(prefix):
+    labels = ["Bat_Knob", *(prefix + label for label in CMU.labels), f"{prefix}Glove", "Other:LFHD"]
+    assert CMU.match(labels) == {label: k + 1 for k, label in enumerate(CMU.labels)}

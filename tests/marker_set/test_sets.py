@@ -1,0 +1,70 @@
+"""The sets that ship: how many markers, alike left and right, and on the body."""
+
+import numpy as np
+import pytest
+
+from mocapfix.marker_set import shipped
+from mocapfix.skeleton import cmu31
+from tests.marker_set.sides import other_side
+
+EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]
+FRONT = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.Toe.Tip")
+BACK = ("LBHD", "C7", "T10", "BackTop", "SpineTop", "BackLeft", "BackL", "WaistLBack", "WaistBack", "V.Sacral")
+HEELS = ("LHEE", "LHEL", "LHeel", "LHeelBack", "L.Heel")
+
+
+def test_the_shipped_sets():
+    found = {each.name: (len(each.labels), len(each.optional)) for each in shipped()}
+    assert found == {
+        "cmu41": (41, 0),
+        "frontwaist53": (53, 0),
+        "opensim-gait": (52, 11),
+        "optitrack-baseline41": (41, 0),
+        "optitrack-core50": (50, 0),
+        "plug-in-gait39": (49, 10),
+        "production57": (57, 4),
+        "qualisys-animation": (44, 4),
+        "qualisys-sports": (41, 6),
+    }
+
+
+@EACH
+def test_left_and_right_are_alike(marker_set):
+    names, sided = cmu31().skeleton.names, 0
+    for k, label in enumerate(marker_set.labels):
+        if (twin := other_side(label)) in marker_set.labels and twin != label:
+            other = marker_set.labels.index(twin)
+            np.testing.assert_array_equal(marker_set.places[other], marker_set.places[k] * [-1, 1, 1])
+            joint = names[marker_set.joints[k]]
+            assert names[marker_set.joints[other]] in (joint.replace("Left", "Right"), joint.replace("Right", "Left"))
+            assert (twin in marker_set.optional) == (label in marker_set.optional) or "BAK" in label  # the right one is the rule
+            sided += 1
+    assert sided >= 0.8 * len(marker_set.labels)
+
+
+@EACH
+def test_a_left_marker_is_on_the_left(marker_set):
+    for label, joint, place in zip(marker_set.labels, marker_set.joints, marker_set.places, strict=True):
+        if other_side(label) != label and cmu31().skeleton.names[joint] in ("Hips", "Spine1", "Head"):
+            left = other_side(label) > label  # "L" comes before "R"
+            assert (place[0] > 0) == left, label
+
+
+@EACH
+def test_markers_lie_on_the_body(marker_set):
+    """Front markers in front, back ones behind, and none farther from its joint than the knee marker from the hip."""
+    place = dict(zip(marker_set.labels, marker_set.places, strict=True))
+    assert (np.linalg.norm(marker_set.places, axis=1) < 0.45).all()
+    assert ((marker_set.spread > 0.005) & (marker_set.spread <= 0.06)).all()
+    assert sum(label in place for label in FRONT) >= 3
+    assert all(place[label][2] > 0 for label in FRONT if label in place)
+    assert all(place[label][2] < 0 for label in (*BACK, *HEELS) if label in place)
+    assert any(heel in place for heel in HEELS)
+
+
+@EACH
+def test_every_limb_hips_thorax_and_head_bear_markers(marker_set):
+    there = {cmu31().skeleton.names[joint] for joint in marker_set.joints}
+    assert {"Hips", "Spine1", "Head", *BONES} <= there
+
