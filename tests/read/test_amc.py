@@ -81,9 +81,10 @@ def test_radians_become_degrees(tmp_path):
 
 
 def test_the_rate_is_the_files_where_it_has_one(tmp_path):
-    found = read(tmp_path, AMC.replace(":DEGREES", ":DEGREES\n:SAMPLES-PER-SECOND 60"))
-    assert found.rate == 60
-    assert not any("rate" in note for note in found.notes)
+    for said in ("# 60 fps", "# at 60.0 frames per second", ":SAMPLES-PER-SECOND 60"):
+        found = read(tmp_path, AMC.replace(":DEGREES", f"{said}\n:DEGREES"))
+        assert found.rate == 60
+        assert not any("rate" in note for note in found.notes)
     assert any("rate" in note for note in read(tmp_path).notes)
 
 
