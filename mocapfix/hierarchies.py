@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from mocapfix.errors import SceneError
-from mocapfix.marker_set import Joint, checked
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
+from mocapfix.yaml_form import Joint, checked
 
 SIGNS = re.compile(r"[\W_]+")  # what does not count in a name, nor does its case
 NEEDED = ("Hips", "Spine1") + tuple(side + bone for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Arm", "ForeArm"))

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocapfix import change_file, rig, subject_file, write
-from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.motion import Motion
 from mocapfix.resample import picks, resampled
 from mocapfix.rig import Rig
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
+from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ class Kind:
 
     suffix  follows the input's stem
     write   puts it there, of what cleaning gave and of the motion at the wanted rate (None where the take has no body)
+    brings  suffixes of files that it puts beside that one
     body    is there none without a body?
     stage   under which its time is counted
     note    what whoever opens it must know
@@ -52,9 +53,14 @@ class Kind:
 
     suffix: str
     write: Callable[[Path, "Result", Any], object]
+    brings: tuple[str, ...] = ()
     body: bool = False
     stage: str = "write"
     note: str = ""
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        return (self.suffix, *self.brings)
 
 
 def _bvh(target: Path, result: "Result", moving: Moving) -> None:
@@ -73,6 +79,11 @@ def _bvh_for(wanted: Rig) -> Kind:
 
 def _gltf(target: Path, result: "Result", moving: Moving) -> None:
     write.gltf(target, moving.skeleton, moving.motion, moving.rate)
+
+
+def _amc(target: Path, result: "Result", moving: Moving) -> None:
+    first = result.before.first_frame if moving.rate == result.before.rate else 1
+    write.asf_amc(target.with_suffix(".asf"), target, moving.skeleton, moving.motion, moving.rate, first)
 
 
 def _npz(target: Path, result: "Result", moving: Moving | None) -> None:
@@ -107,8 +118,18 @@ def _report(target: Path, result: "Result", moving: Moving | None) -> None:
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
 
 
-# By how the take's file is laid out, what writes it with only the changed samples replaced.
-OWN: dict[type, Callable[[Path, Take, Take], list[tuple[int, int]]]] = {C3DLayout: write.c3d}
+def _c3d(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.new_c3d(target, result.take)
+
+
+def _trc(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.trc(target, result.take)
+
+
+def _csv(target: Path, result: "Result", moving: Moving | None) -> None:
+    write.csv(target, result.take)
+
+
 BVH = Kind("bvh", _bvh, body=True)
 USUAL = (
     Kind("subject.yaml", _subject, body=True),
@@ -119,8 +140,23 @@ USUAL = (
 )
 ALSO = {
     "gltf": Kind("glb", _gltf, body=True, note="is binary glTF: metres, Y up."),
+    "amc": Kind("amc", _amc, ("asf",), body=True, note="goes with the asf: CMU's form, units of 56.444 mm, Y up."),
     "npz": Kind("npz", _npz),
+    "c3d": Kind("c3d", _c3d),
+    "trc": Kind("trc", _trc),
+    "csv": Kind("csv", _csv),
 }
+
+
+def mended(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
+    """Write the take's own file with only the changed samples replaced, or, where it has no place for every sample, a plain
+    table instead. -> the (frame, marker) indices that could not be stored."""
+    if isinstance(before.layout, TableLayout):
+        if before.layout.has_places:
+            return write.table(target, before, after)
+        write.csv(target, after)
+        return []
+    return write.c3d(target, before, after)
 
 
 def own_suffix(source: Path | None) -> str:
@@ -151,7 +187,7 @@ class OutputOptions:
             raise WriteError(f"Frames a second must be more than 0 and at most {FASTEST:g}, not {self.fps:g}.")
         if not isfinite(self.floor):
             raise WriteError(f"A floor must lie at some height in metres, not {self.floor:g}.")
-        suffixes = [kind.suffix for kind in self.kinds]
+        suffixes = [suffix for kind in self.kinds for suffix in kind.suffixes]
         if twice := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
             raise WriteError(f"Two of what is to be written would both be called .{twice[0]}; name one of them.")
 
@@ -169,14 +205,17 @@ class OutputOptions:
         standing = replace(motion, root=motion.root - [0.0, self.floor, 0.0]) if self.floor else motion
         return Moving(subject, resampled(standing, rate, fps), fps, self.floor)
 
-    def notes(self, body: bool, rate: float) -> list[str]:
-        """-> sentences on what was asked for beside the usual files."""
+    def notes(self, take: Take, body: bool) -> list[str]:
+        """-> sentences on what was written otherwise than usual or beside it."""
         asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
         said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
         said += [f"There is no {kind.suffix}, for the take has no skeleton." for kind in asked if kind.body and not body]
-        if body and self.fps and self.fps != rate:
-            how = f"one of {rate / self.fps:.0f}, as solved" if picks(rate, self.fps) else "on splines through the solved ones"
-            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {rate:g}.")
+        if isinstance(take.layout, TableLayout) and not take.layout.has_places:
+            said.append(f"{take.name} lists only what was seen, so that the mended markers are written as a plain table.")
+        if body and self.fps and self.fps != take.rate:
+            picked = picks(take.rate, self.fps)
+            how = f"one of {take.rate / self.fps:.0f}, as solved" if picked else "on splines through the solved ones"
+            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {take.rate:g}.")
         if body and self.floor:
             said.append(f"What moves is written {self.floor:g} m lower than the markers, for that high is their floor.")
         return said

@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocapfix import pipeline, read, write
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.outputs import ALSO, OutputOptions
 from mocapfix.result import Result
 from mocapfix.scenes import RIGS
+from mocapfix.table_layout import TableLayout
+from tests.conftest import FIRST
 from tests.write.read_back import Bvh, smooth_rotations
 
 EVERYTHING = OutputOptions(also=tuple(ALSO), bvh_for=RIGS)
-MOVES = ("bvh", "glb", *(f"{name}.bvh" for name in RIGS))
+MOVES = ("bvh", "glb", "asf", "amc", *(f"{name}.bvh" for name in RIGS))
 
 
 @pytest.fixture
@@ -36,7 +39,7 @@ def quick(monkeypatch):
 
 def test_what_is_asked_for_is_written_beside_the_usual(solved, cleaned, tmp_path):
     outputs = solved.write(tmp_path, options=EVERYTHING)
-    assert set(outputs) == set(cleaned.outputs) | {"glb", "npz", *(f"{name}.bvh" for name in RIGS)}
+    assert set(outputs) == set(cleaned.outputs) | {"glb", "npz", "asf", "amc", "trc", "csv", *(f"{name}.bvh" for name in RIGS)}
     assert {path.name for path in tmp_path.iterdir()} == {f"somebody.{kind}" for kind in outputs}
     assert all(path.stat().st_size for path in outputs.values())
 
@@ -70,7 +73,7 @@ def test_at_the_take_s_own_rate_nothing_changes(solved, tmp_path, kind):
 def test_another_rate_is_that_of_all_that_moves_and_is_said(solved, tmp_path, fps, frames, how):
     plain = solved.write(tmp_path / "plain")
     outputs = solved.write(tmp_path / "slow", options=replace(EVERYTHING, fps=fps))
-    for kind in (kind for kind in MOVES if kind != "glb"):
+    for kind in (kind for kind in MOVES if kind.endswith("bvh")):
         read = Bvh(outputs[kind].read_text())
         lead = kind in ("cmu.bvh", "motionbuilder.bvh")
         assert (read.frames, float(read.frame_time)) == (frames + lead, pytest.approx(1 / fps, rel=1e-8))
@@ -78,15 +81,16 @@ def test_another_rate_is_that_of_all_that_moves_and_is_said(solved, tmp_path, fp
         assert (len(file["joints"]), float(file["rate"]), float(file["marker_rate"])) == (frames, fps, 120)
         np.testing.assert_array_equal(file["markers"], solved.take.markers)
     assert outputs["c3d"].read_bytes() == plain["c3d"].read_bytes()
+    assert len(re.findall(r"^root ", outputs["amc"].read_text(), re.M)) == frames
     said = f"What moves has {fps:g} frames a second \\({how}.*\\); markers keep the take's 120"
     assert re.search(said, outputs["report.json"].read_text())
 
 
 def test_without_a_body_what_needs_one_is_not_there_and_that_is_said(without, tmp_path):
     outputs = without.write(tmp_path, options=replace(EVERYTHING, fps=30.0))
-    assert set(outputs) == {"c3d", "npz", "changes.yaml", "rrd", "report.html", "report.json"}
+    assert set(outputs) == {"c3d", "npz", "trc", "csv", "changes.yaml", "rrd", "report.html", "report.json"}
     said = outputs["report.json"].read_text()
-    assert all(f"There is no {kind}, for the take has no skeleton." in said for kind in MOVES if kind != "bvh")
+    assert all(f"There is no {kind}, for the take has no skeleton." in said for kind in MOVES if kind not in ("bvh", "asf"))
     assert "frames a second" not in said
 
 
@@ -94,6 +98,29 @@ def test_of_an_earlier_cleaning_with_a_body_nothing_stays(solved, without, tmp_p
     solved.write(tmp_path, options=EVERYTHING)
     outputs = without.write(tmp_path, overwrite=True, options=EVERYTHING)
     assert {path.name for path in tmp_path.iterdir()} == {f"somebody.{kind}" for kind in outputs}
+
+
+def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, tmp_path):
+    source = tmp_path / "brief.trc"
+    write.trc(source, read.take(brief.path))
+    result = pipeline.clean(source, subject=brief.subject)
+    outputs = result.write(tmp_path / "out", options=OutputOptions(also=("c3d", "trc", "npz")))
+    assert [path.name for kind, path in outputs.items() if kind in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
+    for kind in ("trc", "c3d"):
+        back = read.take(outputs[kind])
+        assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST)
+        np.testing.assert_allclose(back.markers, result.take.markers, atol=2e-5)
+    told = source.read_text().splitlines(), outputs["trc"].read_text().splitlines()
+    assert sum(before == after for before, after in zip(*told, strict=True)) > 50  # lines in which nothing was mended
+
+
+def test_of_a_table_that_lists_only_what_was_seen_a_plain_one_is_made_and_that_is_said(solved, tmp_path):
+    layout = TableLayout("utf-8", "\n", ",", ".", unit=1.0)
+    before = replace(solved.before, layout=layout, path=solved.before.path.with_suffix(".csv"))
+    outputs = replace(solved, before=before).write(tmp_path, options=OutputOptions(also=("csv",)))
+    assert outputs["csv"].name == "somebody.csv"
+    np.testing.assert_allclose(read.take(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
+    assert "somebody.csv lists only what was seen" in outputs["report.json"].read_text()
 
 
 def test_where_one_of_them_cannot_be_written_none_is(solved, tmp_path):
@@ -120,7 +147,7 @@ def test_a_kind_that_is_named_twice_is_written_once():
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"also": ("fbx",)}, "no kind of file 'fbx' to write; choose of: gltf, npz"),
+        ({"also": ("fbx",)}, "no kind of file 'fbx' to write; choose of: gltf, amc, npz, c3d, trc, csv"),
         ({"bvh_for": ("maya",)}, "no rig 'maya'"),
         ({"fps": 0.0}, "more than 0 and at most 1000, not 0"),
         ({"fps": float("nan")}, "more than 0 and at most 1000, not nan"),
