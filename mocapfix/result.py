@@ -14,9 +14,10 @@ from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
+from mocapfix.kinds import mended, own_suffix
 from mocapfix.left import Left
 from mocapfix.motion import Motion
-from mocapfix.outputs import OutputOptions, mended, own_suffix
+from mocapfix.outputs import OutputOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

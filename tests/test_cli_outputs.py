@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from mocapfix.outputs import ALSO
+from mocapfix.kinds import ALSO
 from mocapfix.scenes import RIGS
 
 

@@ -8,7 +8,8 @@ import pytest
 
 from mocapfix import pipeline, read, write
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.outputs import ALSO, OutputOptions
+from mocapfix.kinds import ALSO
+from mocapfix.outputs import OutputOptions
 from mocapfix.result import Result
 from mocapfix.scenes import RIGS
 from mocapfix.table_layout import TableLayout
