@@ -138,7 +138,7 @@ ALSO = {
     "gltf": Kind("glb", _gltf, body=True, note="is binary glTF: metres, Y up."),
     "amc": Kind("amc", _amc, ("asf",), body=True, note="goes with the asf: CMU's form, units of 56.444 mm, Y up."),
     "npz": Kind("npz", _npz),
-    "c3d": Kind("c3d", _c3d),
+    "c3d": Kind("c3d", _c3d, note="is new: the markers alone, with how sure each filled sample is."),
     "trc": Kind("trc", _trc),
     "csv": Kind("csv", _csv),
 }
