@@ -66,7 +66,9 @@ def clean(
     bvh_for: Annotated[
         str, tyro.conf.arg(metavar="PROGRAM,...", help=f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml")
     ] = "",
-    also: Annotated[str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, npz, c3d, trc, csv")] = "",
+    also: Annotated[
+        str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, amc, npz, c3d, trc, csv")
+    ] = "",
     fps: Annotated[
         float | None, tyro.conf.arg(metavar="N", help="frames a second of what moves (BVH, glTF, ...); by default the take's")
     ] = None,

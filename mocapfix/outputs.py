@@ -1,155 +1,19 @@
-"""What cleaning a take may write beside the mended file: a line for each kind."""
+"""What is written of a cleaned take beside the usual files, and at which rate."""
 
-import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from mocapfix import change_file, rig, subject_file, write
-from mocapfix.c3d_layout import C3DLayout
+from mocapfix import rig
 from mocapfix.errors import WriteError
+from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for
 from mocapfix.motion import Motion
 from mocapfix.resample import picks, resampled
-from mocapfix.rig import Rig
-from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
-if TYPE_CHECKING:
-    from mocapfix.result import Result
-
 FASTEST = 1000.0  # frames a second
-UNITS = {1.0: "metres", 0.01: "centimetres"}
-
-
-@dataclass(frozen=True)
-class Moving:
-    """Somebody and how they move, at some rate (frames a second), over a floor that was `floor` metres high and is at 0."""
-
-    subject: Subject
-    motion: Motion
-    rate: float
-    floor: float = 0.0
-
-    @property
-    def skeleton(self) -> Skeleton:
-        return self.subject.skeleton
-
-
-@dataclass(frozen=True)
-class Kind:
-    """One kind of file.
-
-    suffix  follows the input's stem
-    write   puts it there, of what cleaning gave and of the motion at the wanted rate (None where the take has no body)
-    body    is there none without a body?
-    stage   under which its time is counted
-    note    what whoever opens it must know
-    """
-
-    suffix: str
-    write: Callable[[Path, "Result", Any], object]
-    body: bool = False
-    stage: str = "write"
-    note: str = ""
-
-
-def _bvh(target: Path, result: "Result", moving: Moving) -> None:
-    write.bvh(target, moving.skeleton, moving.motion, moving.rate)
-
-
-def _bvh_for(wanted: Rig) -> Kind:
-    unit = UNITS.get(wanted.unit, f"units of {wanted.unit * 1e3:.3f} mm")
-    return Kind(
-        f"{wanted.name}.bvh",
-        lambda target, result, moving: write.bvh_for(target, wanted, moving.skeleton, moving.motion, moving.rate),
-        body=True,
-        note=f"is for {wanted.program}: {unit}, Y up; {wanted.note}.",
-    )
-
-
-def _gltf(target: Path, result: "Result", moving: Moving) -> None:
-    write.gltf(target, moving.skeleton, moving.motion, moving.rate)
-
-
-def _npz(target: Path, result: "Result", moving: Moving | None) -> None:
-    if moving:
-        take = result.take.with_markers(result.take.markers - [0.0, moving.floor, 0.0], result.take.deviation)
-        write.npz(target, take, moving.skeleton, moving.motion, moving.rate)
-    else:
-        write.npz(target, result.take)
-
-
-def _new_c3d(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.new_c3d(target, result.take)
-
-
-def _trc(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.trc(target, result.take)
-
-
-def _csv(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.csv(target, result.take)
-
-
-def _subject(target: Path, result: "Result", moving: Moving) -> None:
-    subject_file.save(target, moving.subject)
-
-
-def _changes(target: Path, result: "Result", moving: Moving | None) -> None:
-    change_file.save(target, result.before, result.changes)
-
-
-def _recording(target: Path, result: "Result", moving: Moving | None) -> None:
-    from mocapfix import show
-
-    show.comparison(target, result.shown)
-
-
-def _page(target: Path, result: "Result", moving: Moving | None) -> None:
-    from mocapfix import show
-
-    show.report(target, result.report, result.shown)
-
-
-def _report(target: Path, result: "Result", moving: Moving | None) -> None:
-    target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
-
-
-def _table(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
-    """A text file that lists only what was seen has no places for the rest: it comes back as the plain table."""
-    if before.layout is not None and isinstance(before.layout, TableLayout) and not before.layout.has_places:
-        write.csv(target, after)
-        return []
-    return write.table(target, before, after)
-
-
-# By how the take's file is laid out, what writes it with only the changed samples replaced.
-OWN: dict[type, Callable[[Path, Take, Take], list[tuple[int, int]]]] = {C3DLayout: write.c3d, TableLayout: _table}
-BVH = Kind("bvh", _bvh, body=True)
-USUAL = (
-    Kind("subject.yaml", _subject, body=True),
-    Kind("changes.yaml", _changes),
-    Kind("rrd", _recording, stage="show"),
-    Kind("report.html", _page, stage="show"),
-    Kind("report.json", _report),  # the last, so that it has every other one's seconds
-)
-ALSO = {
-    "gltf": Kind("glb", _gltf, body=True, note="is binary glTF: metres, Y up."),
-    "npz": Kind("npz", _npz),
-    "c3d": Kind("c3d", _new_c3d, note="is new: the markers alone, with how sure each filled sample is."),
-    "trc": Kind("trc", _trc),
-    "csv": Kind("csv", _csv),
-}
-
-
-def own_suffix(source: Path | None) -> str:
-    """-> the mended file's: the input's own."""
-    return (source.suffix[1:].lower() if source else "") or "c3d"
 
 
 @dataclass(frozen=True)
@@ -175,14 +39,14 @@ class OutputOptions:
             raise WriteError(f"Frames a second must be more than 0 and at most {FASTEST:g}, not {self.fps:g}.")
         if not isfinite(self.floor):
             raise WriteError(f"A floor must lie at some height in metres, not {self.floor:g}.")
-        suffixes = [kind.suffix for kind in self.kinds]
+        suffixes = [suffix for kind in self.kinds for suffix in kind.suffixes]
         if twice := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
             raise WriteError(f"Two of what is to be written would both be called .{twice[0]}; name one of them.")
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
         """-> everything that is to be written, in this order."""
-        rigs = [_bvh_for(rig.load(name)) for name in dict.fromkeys(self.bvh_for)]
+        rigs = [bvh_for(rig.load(name)) for name in dict.fromkeys(self.bvh_for)]
         return (BVH, *rigs, *(ALSO[name] for name in dict.fromkeys(self.also)), *USUAL)
 
     def moving(self, subject: Subject | None, motion: Motion | None, rate: float) -> Moving | None:
@@ -193,14 +57,17 @@ class OutputOptions:
         standing = replace(motion, root=motion.root - [0.0, self.floor, 0.0]) if self.floor else motion
         return Moving(subject, resampled(standing, rate, fps), fps, self.floor)
 
-    def notes(self, body: bool, rate: float) -> list[str]:
-        """-> sentences on what was asked for beside the usual files."""
+    def notes(self, take: Take, body: bool) -> list[str]:
+        """-> sentences on what was written otherwise than usual or beside it."""
         asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
         said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
         said += [f"There is no {kind.suffix}, for the take has no skeleton." for kind in asked if kind.body and not body]
-        if body and self.fps and self.fps != rate:
-            how = f"one of {rate / self.fps:.0f}, as solved" if picks(rate, self.fps) else "on splines through the solved ones"
-            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {rate:g}.")
+        if isinstance(take.layout, TableLayout) and not take.layout.has_places:
+            said.append(f"{take.name} lists only what was seen, so that the mended markers are written as a plain table.")
+        if body and self.fps and self.fps != take.rate:
+            picked = picks(take.rate, self.fps)
+            how = f"one of {take.rate / self.fps:.0f}, as solved" if picked else "on splines through the solved ones"
+            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {take.rate:g}.")
         if body and self.floor:
             said.append(f"What moves is written {self.floor:g} m lower than the markers, for that high is their floor.")
         return said

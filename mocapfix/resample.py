@@ -1,10 +1,10 @@
 """A motion at another frame rate.
 
 Rotations follow a spline of rotations whose angular velocity and acceleration are continuous (scipy's RotationSpline), the
-root a cubic one. Taken from every second frame of real motion at 120 Hz, it puts joints 0.4 to 0.7 mm (root mean square)
-from where the frames between had them, from every fourth 1.0 to 1.3 mm; turning evenly from frame to frame (slerp) is 5 to
-40 % worse. Nothing is smoothed before frames are dropped: a low-pass at half of 30 Hz would move feet by one to two
-centimetres as they strike the floor, and what motion there is above it is a millimetre.
+root a cubic one. Of four CMU captures at 120 Hz, made from every second frame they put joints 0.4 to 0.7 mm (root mean
+square) from where the frames between had them, from every fourth 1.0 to 1.3 mm; turning evenly from frame to frame (slerp) is
+2 to 40 % worse. Nothing is smoothed before frames are dropped: the motion above what 30 Hz can hold is a millimetre on
+average, but taking it away moves feet by one to two centimetres as they strike the floor.
 """
 
 import numpy as np

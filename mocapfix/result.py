@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocapfix import record, write
+from mocapfix import record
 from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
+from mocapfix.kinds import mended, own_suffix
 from mocapfix.left import Left
 from mocapfix.motion import Motion
-from mocapfix.outputs import OWN, OutputOptions, own_suffix
+from mocapfix.outputs import OutputOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -57,7 +58,7 @@ class Result:
     def write(
         self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None, options: OutputOptions = PLAIN
     ) -> dict[str, Path]:
-        """Write the mended C3D, BVH, subject, changes, report and recording, and what `options` name, into a folder, made
+        """Write the mended file, BVH, subject, changes, report and recording, and what `options` name, into a folder, made
         where it is not there.
 
         All are written beside their places first and put there together, so that none is missing or half-written.
@@ -82,7 +83,7 @@ class Result:
 
     def outputs(self, folder: Path, options: OutputOptions = PLAIN) -> dict[str, Path]:
         """-> what `write` puts into a folder of one body or none, by kind."""
-        none = () if self.motion else [kind.suffix for kind in options.kinds if kind.body]
+        none = () if self.motion else [suffix for kind in options.kinds if kind.body for suffix in kind.suffixes]
         outputs = outputs_in(folder, self._stem, self.before.path, options, self.before.stem)
         return {suffix: path for suffix, path in outputs.items() if suffix not in none}
 
@@ -90,15 +91,13 @@ class Result:
     def _stem(self) -> str:
         return self.before.path.stem if self.before.path else "take"
 
-    def _mended(self, folder: Path) -> Path:
-        return folder / f"{self._stem}.{own_suffix(self.before.path)}"
-
     def _write_into(self, folder: Path, options: OutputOptions, progress: Progress | None) -> None:
         """The file is written once, whoever is in it; then what is each one's own."""
         bodies = self.people or (self,)
         clocks = [Clock(dict(each.report["seconds"]), progress) for each in bodies]
         with clocks[0]("write"):
-            beyond = OWN.get(type(self.before.layout), write.c3d)(self._mended(folder), self.before, self.take)
+            target = folder / f"{self._stem}.{own_suffix(self.before.path)}"
+            beyond = mended(target, self.before, self.take)
         for each, clock in zip(bodies, clocks, strict=True):
             own = {int(m): k for k, m in enumerate(self.before.of_part(each.before))}
             each._write_body(folder, options, clock, [(t, own[m]) for t, m in beyond if m in own])
@@ -107,14 +106,12 @@ class Result:
         """Write all but the mended file, which could not hold the samples `beyond`, of one body or none."""
         with clock("write"):
             moving = options.moving(self.subject, self.motion, self.before.rate)
-        notes = [*self.report["notes"], *options.notes(moving is not None, self.before.rate)]
+        notes = [*self.report["notes"], *options.notes(self.before, moving is not None)]
         final = replace(self, report={**self.report, "seconds": clock.seconds, "notes": notes})._without(beyond)
-        mended = self._mended(folder)
         for kind in options.kinds:
-            target = folder / f"{self.before.stem}.{kind.suffix}"
-            if (moving or not kind.body) and target != mended:
+            if (moving or not kind.body) and kind.suffix != own_suffix(self.before.path):
                 with clock(kind.stage):
-                    kind.write(target, final, moving)
+                    kind.write(folder / f"{self.before.stem}.{kind.suffix}", final, moving)
 
     def _without(self, beyond: list[tuple[int, int]]) -> "Result":
         """-> the result with the samples (frame, marker) empty that the mended file cannot hold."""
@@ -123,7 +120,7 @@ class Result:
         markers = self.take.markers.copy()
         markers[tuple(np.array(beyond).T)] = np.nan
         after = self.take.with_markers(markers, self.take.deviation)
-        left = self.left + tuple(Left(m, t, t, "its mended place is beyond what this integer file can hold") for t, m in beyond)
+        left = self.left + tuple(Left(m, t, t, "its mended place is beyond what its file can hold") for t, m in beyond)
         fill = record.of_fill(self.before, self.labelled, after, left, self.donors)
         return replace(self, take=after, left=left, report={**self.report, "fill": fill})
 
@@ -140,8 +137,8 @@ def outputs_in(folder: Path, stem: str, source: Path | None, options: OutputOpti
     """-> what may be written into a folder, by kind, each named by the input's stem; what is one person's of several by their
     `own` stem, but the mended file, of the input's suffix, is everybody's."""
     suffix = own_suffix(source)
-    of_body = {kind.suffix: folder / f"{own or stem}.{kind.suffix}" for kind in options.kinds}
-    return {suffix: folder / f"{stem}.{suffix}", **of_body}
+    others = (each for kind in options.kinds for each in kind.suffixes if each != suffix)
+    return {suffix: folder / f"{stem}.{suffix}"} | {each: folder / f"{own or stem}.{each}" for each in others}
 
 
 def check_free(

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 from mocapfix.errors import SceneError
-from mocapfix.scenes import RIGS, folder, load_yaml, read_yaml
+from mocapfix.scenes import RIGS, folder, load_yaml
+from mocapfix.yaml_form import checked
 
 
 class Joint(BaseModel):
@@ -79,11 +80,7 @@ def load(name: str | Path) -> Rig:
     path = Path(name) if str(name).endswith((".yaml", ".yml")) else folder("scenes") / "rigs" / f"{name}.yaml"
     if path.parent == folder("scenes") / "rigs" and path.stem not in RIGS:
         raise SceneError(f"There is no rig {str(name)!r}; choose of: {', '.join(RIGS)}; or give a .yaml file.")
-    try:
-        form = _Form.model_validate(read_yaml(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise SceneError(f"{path}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}.") from error
+    form = checked(_Form, path)
     seen: set[str | None] = set()
     for joint in form.joints:
         if joint.name in seen or (joint.parent not in seen if seen else joint.parent is not None):

@@ -13,6 +13,7 @@ from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.left import Left
 from mocapfix.marker_set import load
+from mocapfix.outputs import OutputOptions
 from mocapfix.result import Result
 from mocapfix.take import Take
 from tests.conftest import as_c3d
@@ -243,6 +244,16 @@ def test_what_is_there_already_is_not_replaced_and_nothing_is_written(files, two
     with pytest.raises(WriteError, match=r"two\.Ann\.bvh: is there already"):
         two[0].write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["two.Ann.bvh"]
+
+
+def test_what_else_is_asked_for_is_everybodys_own_but_the_c3d_which_is_one(files, two, tmp_path):
+    outputs = two[0].write(tmp_path, options=OutputOptions(also=("npz", "c3d", "amc"), bvh_for=("blender",)))
+    assert {kind for kind in outputs if kind.endswith(("c3d", "npz", "asf", "amc", "blender.bvh"))} == {
+        "c3d", "others.npz", *(f"{name}.{kind}" for name in ("Jim", "Ann") for kind in ("npz", "asf", "amc", "blender.bvh")),
+    }  # fmt: skip
+    with np.load(outputs["Ann.npz"]) as file:
+        assert set(file["labels"]) == set(of_people("Ann"))
+        assert np.abs(file["root"][:, 0] - BESIDE[0]).max() < 1.5
 
 
 def test_people_whose_files_would_have_one_name_are_a_sentence(files, two, tmp_path):
