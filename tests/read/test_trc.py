@@ -26,10 +26,16 @@ def test_metres_with_y_up(tmp_path, end, blank, between):
     assert take.remarks == ()
 
 
-@pytest.mark.parametrize(("units", "metres"), [("mm", 0.001), ("cm", 0.01), ("Meters", 1.0), ("MM", 0.001), ("", 0.001)])
+@pytest.mark.parametrize(("units", "metres"), [("mm", 0.001), ("cm", 0.01), ("Meters", 1.0), ("MM", 0.001)])
 def test_units(tmp_path, units, metres):
     take = take_of(tmp_path, trc(STANDING * 0.001 / metres, units=units))
     np.testing.assert_allclose(take.markers, Y_UP, atol=0.5e-3 * metres)
+
+
+def test_a_unit_that_is_not_named_is_remarked_on(tmp_path):
+    take = take_of(tmp_path, trc(units=""))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=1e-12)
+    assert take.remarks == ("The header names no unit; mm is taken, as is usual.",)
 
 
 @pytest.mark.parametrize("missing", ["", " ", "NaN", "nan", "-nan", "9999999.00000", "-9999.99", "0.000", "1.#QNAN", "null"])
