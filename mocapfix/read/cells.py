@@ -118,7 +118,8 @@ def rate_of(document: Document, index: int, said: str, rows: Sequence[int] = (),
         first, last = numbers(document, ends, delimiter, "." if delimiter == "," else ",", np.array([time]))[:, 0]
         if last > first and (rate := round((len(rows) - 1) / (last - first), 3)) > 0:
             return rate
-    raise document.fault(index, f"the frame rate is {said!r}; set it to the frames a second.")
+    what = f"the frame rate is {said!r}" if said else "nothing tells the frame rate"
+    raise document.fault(index, f"{what}; give the frames a second.")
 
 
 def written(present: Sequence[str], absent: Sequence[str], unit: float) -> tuple[str, str]:

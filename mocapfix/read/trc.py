@@ -33,7 +33,9 @@ def take(path: Path, data: bytes) -> Take:
     """
     text = document(path, data)
     at = _names_line(text)
-    between = delimiter(text.line(at)) or "\t"
+    between = delimiter(text.line(at))
+    if not between:
+        raise text.fault(at, "neither tabs nor commas stand between the names; export it again.")
     named = _names(text.cells(at, between)[FIRST:])
     if not named:
         raise text.fault(at, "names no markers; export it again.")
