@@ -63,7 +63,7 @@ class Mapped:
 
     def names(self, theirs: Sequence[str]) -> dict[str, str]:
         """-> joint of the 31: the name of the file's."""
-        return {ours: theirs[at] for ours, at in zip(cmu31().skeleton.names, self.joints, strict=True) if at >= 0}
+        return {ours: theirs[int(at)] for ours, at in zip(cmu31().skeleton.names, self.joints, strict=True) if at >= 0}
 
 
 @dataclass(frozen=True)

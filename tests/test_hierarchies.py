@@ -42,7 +42,7 @@ def test_every_style_knows_a_body_of_its_own_and_no_other_knows_more_of_it(style
 SPELLED = """Hips Spine Spine1 Spine2 Neck Head HeadTop_End LeftShoulder LeftArm LeftForeArm LeftHand LeftHandThumb1
 LeftHandThumb2 LeftHandIndex1 RightShoulder RightArm RightForeArm RightHand LeftUpLeg LeftLeg LeftFoot LeftToeBase LeftToe_End
 RightUpLeg RightLeg RightFoot RightToeBase"""
-MIXAMO = SPELLED.split()
+MIXAMO: list[str] = [*SPELLED.split()]
 ABOVE = [-1, 0, 1, 2, 3, 4, 5, 3, 7, 8, 9, 10, 11, 10, 3, 14, 15, 16, 0, 18, 19, 20, 21, 0, 23, 24, 25]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix import people, pipeline, read, synthetic
+from mocapfix.c3d_layout import C3DLayout
 from mocapfix.change_file import of_each
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.faults import Fault, Faults, Fragment
@@ -192,7 +193,7 @@ def test_one_file_holds_everybodys_changes_and_no_others(files, two):
     before, after = read.take(files / "two.c3d"), read.take(outputs["c3d"])
     assert after.seen.all()
     layout = before.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     old, new = (layout.words(path.read_bytes()) for path in (files / "two.c3d", outputs["c3d"]))
     np.testing.assert_array_equal((old != new).any(-1), ~before.seen)
     np.testing.assert_allclose(after.markers, result.take.markers, atol=1e-6)

@@ -165,7 +165,7 @@ def test_a_rest_pose_that_is_none_is_made_up_for_by_a_frame_that_stands():
     for joint in range(len(plain.names)):
         values[0, plain.turning(joint)[0]] = 0.0
     plain = plain.with_values(values)
-    axes = Rotation.random(len(plain.names), random_state=rng).as_matrix()
+    axes = Rotation.random(len(plain.names), rng=rng).as_matrix()
     above = np.concatenate([np.eye(3)[None], axes[plain.parents[1:]]])
     turned = np.swapaxes(above, 1, 2) @ plain.rotations() @ axes
     other = replace(

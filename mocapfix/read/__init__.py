@@ -1,5 +1,6 @@
 """Reading takes: the one place where files become metres, Y up. What a file is is told by what it holds, not by its name."""
 
+import codecs
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -76,7 +77,9 @@ def contents(path: Path) -> bytes:
 def beginning(data: bytes) -> bytes:
     """-> the head that kinds are told by."""
     text, encoding = decoded(data[:HEAD])
-    return data[:HEAD] if encoding == "latin-1" else text.removeprefix(BOM).encode("utf-8", "replace")
+    if encoding == "latin-1":  # or UTF-8 that the head's end cuts within a letter
+        return data[:HEAD].removeprefix(codecs.BOM_UTF8)
+    return text.removeprefix(BOM).encode("utf-8", "replace")
 
 
 __all__ = ["KINDS", "Kind", "take"]

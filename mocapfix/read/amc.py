@@ -121,7 +121,7 @@ def _places(path: Path, found: Words, body: Figure) -> tuple[int, np.ndarray]:
         raise ReadError(f"{path}, line {found.lines[at]}: {what}.")
     frame = np.cumsum(~named)
     lines: dict[str, list[int]] = {bone.name: [] for bone in body.bones}
-    for line in np.flatnonzero(named):
+    for line in np.flatnonzero(named).tolist():
         name = found.word(heads[line])
         if name not in lines:
             raise ReadError(f"{path}, line {found.lines[heads[line]]}: bone {name[:40]} is not in the skeleton.")

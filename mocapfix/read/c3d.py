@@ -7,7 +7,7 @@ import numpy as np
 
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
-from mocapfix.read.axes import to_y_up
+from mocapfix.read.axes import ENOUGH_FRAMES, to_y_up
 from mocapfix.read.computed import blind, computed
 from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
@@ -39,34 +39,41 @@ def take(path: Path, data: bytes) -> Take:
         raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
     layout, notes = _layout(path, said, len(data))
     values = _values(layout, data)
-    seen = _seen(values)
+    seen, words = _seen(values), np.ascontiguousarray(values[..., 3])
     labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
-    columns = marker_columns(labels, said.outputs, seen, values[..., 3])
+    columns = marker_columns(labels, said.outputs, seen, words)
     if not len(columns):
         raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
-    values[..., :3] *= layout.unit
-    values[~seen, :3] = np.nan
-    names = tuple(labels[i] for i in columns)
-    axes = to_y_up(said.vertical, names, values[:, columns, :3])
-    upright = axes.argmax(1)  # axes is a permutation, and taking numbers in another order is many times faster than a product
-    nameless = unlabelled_columns(labels, said.outputs, seen)
-    loose = values[:, nameless[:, None], upright]
-    unlabelled = Take(loose, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless)
-    return Take(
-        markers=values[:, columns[:, None], upright],
-        labels=names,
-        rate=said.rate,
-        first_frame=said.first_frame,
-        path=path,
+    step = max(1, layout.frames // ENOUGH_FRAMES)
+    few = _metres(values[::step], seen[::step], columns, layout.unit, np.eye(3))
+    axes = to_y_up(said.vertical, [labels[i] for i in columns], few)
+
+    def of(points: np.ndarray, **more) -> Take:
+        markers = _metres(values, seen, points, layout.unit, axes)
+        return Take(markers, tuple(labels[i] for i in points), said.rate, said.first_frame, path, columns=points, **more)
+
+    nameless, markers = unlabelled_columns(labels, said.outputs, seen), set(columns.tolist())
+    return of(
+        columns,
         layout=replace(layout, axes=axes),
-        columns=columns,
-        others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
-        unlabelled=unlabelled if len(nameless) else None,
-        computed=computed(values[..., 3], seen)[:, columns],
-        blind=blind(values[:, columns, 3], seen[:, columns]),
+        others=tuple(label for i, label in enumerate(labels) if i not in markers),
+        unlabelled=of(nameless) if len(nameless) else None,
+        computed=computed(words, seen)[:, columns],
+        blind=blind(words[:, columns], seen[:, columns]),
         subjects=said.subjects,
         notes=notes,
     )
+
+
+def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: float, axes: np.ndarray) -> np.ndarray:
+    """-> (T, K, 3) metres of the points (K,) in other axes, NaN where not `seen` (T, P); `values` (T, P, 4) are in file units.
+
+    Axes are a permutation, and taking numbers in another order is many times faster than a product.
+    """
+    markers = values[:, points[:, None], axes.argmax(1)]
+    markers *= unit
+    markers[~seen[:, points]] = np.nan
+    return markers
 
 
 def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
@@ -87,7 +94,7 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    note = f"Its header promises {said.promised} frames, and it holds {frames}: these were read."
+    note = f"The header promises {said.promised} frames and {frames} are there."
     layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
     return layout, () if frames in (said.promised, said.header_frames) else (note,)
 

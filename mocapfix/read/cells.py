@@ -94,6 +94,13 @@ def unit_of(document: Document, index: int, name: str) -> float:
     return METRES[short]
 
 
+def unit_said(document: Document, index: int, name: str, usual: str) -> tuple[float, tuple[str, ...]]:
+    """-> metres in the unit that the line at `index` names, or in the `usual` one where it names none, which is remarked on."""
+    if name.strip():
+        return unit_of(document, index, name), ()
+    return METRES[usual], (f"The header names no unit; {usual} is taken, as is usual.",)
+
+
 def rate_of(document: Document, index: int, said: str, rows: Sequence[int] = (), delimiter: str = "", time: int = 0) -> float:
     """-> frames a second: what the line at `index` says or, where it says nothing, what the field `time` (seconds) of the
     first and last of `rows` does.
@@ -111,7 +118,8 @@ def rate_of(document: Document, index: int, said: str, rows: Sequence[int] = (),
         first, last = numbers(document, ends, delimiter, "." if delimiter == "," else ",", np.array([time]))[:, 0]
         if last > first and (rate := round((len(rows) - 1) / (last - first), 3)) > 0:
             return rate
-    raise document.fault(index, f"the frame rate is {said!r}; set it to the frames a second.")
+    what = f"the frame rate is {said!r}" if said else "nothing tells the frame rate"
+    raise document.fault(index, f"{what}; give the frames a second.")
 
 
 def written(present: Sequence[str], absent: Sequence[str], unit: float) -> tuple[str, str]:

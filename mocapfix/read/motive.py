@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import filled_rows, rate_of, unit_of
+from mocapfix.read.cells import filled_rows, rate_of, unit_said
 from mocapfix.read.labels import is_nameless
 from mocapfix.read.table import Sheet, take_of
 from mocapfix.read.text import Document, delimiter, document
@@ -23,7 +23,7 @@ EXPECTED_ONLY = "The file holds no measured markers, only the places that its bo
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one?"""
-    return head.lstrip()[:20].lower().replace(b'"', b"").startswith(b"format version")
+    return head[:20].lower().replace(b'"', b"").startswith(b"format version")
 
 
 def take(path: Path, data: bytes) -> Take:
@@ -39,6 +39,7 @@ def take(path: Path, data: bytes) -> Take:
     axes = _axes_line(text, between)
     fields, labels, said = _markers(text, axes, between)
     rows = list(filled_rows(text, axes + 1, between))
+    unit, assumed = unit_said(text, 0, facts.get("length units", ""), "m")
     rate = facts.get("export frame rate") or facts.get("capture frame rate", "")
     return take_of(
         Sheet(
@@ -48,11 +49,11 @@ def take(path: Path, data: bytes) -> Take:
             frame=0,
             fields=fields,
             labels=labels,
-            unit=unit_of(text, 0, facts.get("length units") or "m"),
+            unit=unit,
             rate=rate_of(text, 0, rate, rows, between, time=1),
             usual="Y",
             promised=facts.get("total exported frames", ""),
-            notes=said,
+            notes=(*said, *assumed),
         )
     )
 

@@ -42,10 +42,8 @@ def take(path: Path, data: bytes) -> Take:
     cells = [text.cells(index, ",") for index in rows]
     found = [_markers(text, index, row) for index, row in zip(rows, cells, strict=True)]
     labels = list(dict.fromkeys(label for markers in found for label in markers))
-    raw = np.full((len(rows), len(labels), 3), np.nan)
-    for t, markers in enumerate(found):
-        for label, xyz in markers.items():
-            raw[t, labels.index(label)] = xyz
+    gone = [np.nan] * 3
+    raw = np.array([[markers.get(label, gone) for label in labels] for markers in found]).reshape(len(rows), -1, 3)
     if "lefthanded" in heads:
         raw[..., 2] *= -1
     first, said = first_frame(text, rows, numbers(text, rows, ",", ".", np.array([FRAME]))[:, 0])
@@ -63,7 +61,7 @@ def _markers(text: Document, index: int, cells: list[str]) -> dict[str, list[flo
         start = BODIES + 1 + BODY * int(cells[BODIES])
         count = int(cells[start])
         given = [cells[i : i + MARKER] for i in range(start + 1, start + 1 + MARKER * count, MARKER)]
-        found = [(_label(name, number), [float(each) for each in xyz]) for *xyz, number, name in given]
+        found = [(_label(name, number), [float(x), float(y), float(z)]) for x, y, z, number, name in given]
     except (ValueError, IndexError) as error:
         raise text.fault(index, "does not hold the rigid bodies and markers that it counts; copy or export it again.") from error
     if len(dict(found)) < len(found):

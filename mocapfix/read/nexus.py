@@ -6,6 +6,7 @@ A section is its name, its rate, a line of names, a line of axes, mostly one of 
 
 import re
 from collections.abc import Container
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ AROUND = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
     lines = [line.strip(AROUND).lower() for line in head.decode("utf-8", "replace").split("\n")]
-    return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in zip(lines, lines[1:], strict=False))
+    return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in pairwise(lines))
 
 
 def take(path: Path, data: bytes) -> Take:

@@ -38,11 +38,6 @@ class Document:
         """-> the error that names the line at `index` as an editor numbers it."""
         return ReadError(f"{self.path}, line {index + 1}: {sentence}")
 
-    @property
-    def is_ended(self) -> bool:
-        """Does the last line end as the others do?"""
-        return not self.lines[-1].strip()
-
 
 def document(path: Path, data: bytes) -> Document:
     """-> the text in `data`: UTF-8 or UTF-16 with a byte-order mark, UTF-8, else Latin-1, which any bytes are.

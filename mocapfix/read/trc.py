@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import filled_rows, rate_of, unit_of, whole
+from mocapfix.read.cells import filled_rows, rate_of, unit_said, whole
 from mocapfix.read.table import Sheet, take_of
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
@@ -33,7 +33,9 @@ def take(path: Path, data: bytes) -> Take:
     """
     text = document(path, data)
     at = _names_line(text)
-    between = delimiter(text.line(at)) or "\t"
+    between = delimiter(text.line(at))
+    if not between:
+        raise text.fault(at, "neither tabs nor commas stand between the names; export it again.")
     named = _names(text.cells(at, between)[FIRST:])
     if not named:
         raise text.fault(at, "names no markers; export it again.")
@@ -42,6 +44,7 @@ def take(path: Path, data: bytes) -> Take:
     rows = list(filled_rows(text, at + 1 + has_axes, between))
     widest = max((text.line(row).rstrip(between + " ").count(between) + 1 for row in rows), default=0)
     points = max(len(named), -(-(widest - FIRST) // 3))
+    unit, said = unit_said(text, keys + 1, facts.get("units", ""), "mm")
     return take_of(
         Sheet(
             document=text,
@@ -50,10 +53,10 @@ def take(path: Path, data: bytes) -> Take:
             frame=0,
             fields=FIRST + np.arange(3 * points).reshape(-1, 3),
             labels=[*named, *(f"*{i}" for i in range(len(named), points))],
-            unit=unit_of(text, keys + 1, facts.get("units") or "mm"),
+            unit=unit,
             rate=rate_of(text, keys + 1, facts.get("datarate", ""), rows, between, time=1),
             promised=facts.get("numframes", ""),
-            notes=_markers_said(facts, len(named), points),
+            notes=(*said, *_markers_said(facts, len(named), points)),
         )
     )
 

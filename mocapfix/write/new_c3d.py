@@ -49,7 +49,9 @@ def new_c3d(target: str | Path, take: Take) -> None:
     header = struct.pack("<BBHHHHHfHHf", 2, 80, points, 0, *ends, 0, -scale, start, 0, take.rate)
     with replacing(target) as part, part.open("wb") as file:
         file.write(_filled(header) + _parameters(form, take, encoded, first, start))
-        file.write(_filled(_words(form, take).tobytes()))
+        data = _words(form, take).tobytes()
+        # Where the header's last frame cannot be said, ezc3d would take what fills the last block for frames.
+        file.write(data if last > WORD else _filled(data))
 
 
 def _parameters(form: Own, take: Take, labels: Sequence[bytes], first: int, start: int) -> bytes:

@@ -1,7 +1,10 @@
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix import hierarchies
@@ -130,6 +133,7 @@ def test_a_motion_with_a_fault_is_refused_where_it_is(tmp_path, old, new, messag
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("length 0.45", "length 0", "line 6: a unit of 0 is none"),
         ("length 0.45", "length x", "line 6: x stands where a number belongs"),
         ("direction 0 0 1", "direction 0 0", "line 37: 0 0 stands where 3 numbers belong"),
         ("axis 0 0 20  XYZ", "axis 0 0 20 XYX", "line 28: 'XYX' is no order of the axes"),
@@ -183,3 +187,15 @@ def test_captures_come_back_byte_for_byte(tmp_path):
     before = amc.animation(CMU / "35_01.amc")
     patched(tmp_path / "35_01.amc", before, before.values)
     assert (tmp_path / "35_01.amc").read_bytes() == (CMU / "35_01.amc").read_bytes()
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=6), st.integers(0, len(ASF)), st.integers(0, 120), st.booleans())
+def test_files_with_any_fault_are_read_or_refused_in_a_sentence(tmp_path_factory, put, at, dropped, of_motion):
+    texts = [ASF.encode(), AMC.encode()]
+    texts[of_motion] = texts[of_motion][:at] + put + texts[of_motion][at + dropped :]
+    folder = tmp_path_factory.getbasetemp()
+    (folder / "09.asf").write_bytes(texts[0])
+    (folder / "09_01.amc").write_bytes(texts[1])
+    with suppress(ReadError):
+        amc.animation(folder / "09_01.amc").world()

@@ -122,7 +122,7 @@ def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told
     take = take_of(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
     assert take.seen[:70000].all()
     assert take.frames == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
-    assert take.notes == ("Its header promises 65535 frames, and it holds 70008: these were read.",)
+    assert take.notes == ("The header promises 65535 frames and 70008 are there.",)
 
 
 def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path):
@@ -130,7 +130,7 @@ def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path
     path.write_bytes(c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60])  # two frames of three points and three analog words
     take = read.take(path)
     np.testing.assert_allclose(take.markers, STANDING[:2][..., [1, 2, 0]] / 1000, atol=1e-7)
-    assert take.notes == ("Its header promises 4 frames, and it holds 2: these were read.",)
+    assert take.notes == ("The header promises 4 frames and 2 are there.",)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -138,7 +138,7 @@ def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path
 def test_numbers_of_parameters_are_the_files_own_in_every_encoding(tmp_path_factory, encoding, rate, scale):
     folder = tmp_path_factory.mktemp("numbers")
     take = take_of(folder, STANDING, LABELS, encoding=encoding, scale=scale, extra={"POINT:RATE": rate})
-    assert take.layout is not None
+    assert isinstance(take.layout, C3DLayout)
     assert (take.rate, take.layout.scale) == (rate, scale)
 
 
@@ -293,7 +293,7 @@ def test_captures_read_as_ezc3d_reads_them(path):
     take = read.take(path)
     oracle = ezc3d.c3d(str(path))
     theirs = oracle["data"]["points"][:3, take.columns].transpose(2, 1, 0)
-    assert take.layout is not None
+    assert isinstance(take.layout, C3DLayout)
     ours = take.markers @ take.layout.axes / take.layout.unit
     np.testing.assert_allclose(ours[take.seen], theirs[take.seen], rtol=1e-6, atol=1e-4)
     assert (~np.isfinite(theirs[~take.seen]) | (theirs[~take.seen] == 0)).all()
@@ -311,7 +311,7 @@ SOURCES = (CAPTURES / "SOURCES.md").read_text(encoding="utf-8") if CAPTURES.is_d
 def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
     name, points, frames, rate, unit = row
     take = read.take(next(CAPTURES.rglob(name)))
-    assert take.layout is not None
+    assert isinstance(take.layout, C3DLayout)
     assert (take.layout.points, take.frames, take.rate) == (int(points), int(frames), float(rate))
     assert take.layout.unit == {"mm": 0.001, "m": 1.0}[unit]
 
@@ -321,7 +321,7 @@ def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
 def test_a_real_trial_is_the_same_in_all_six_encodings(tmp_path, encoding):
     trial = read.take(CAPTURES / "c3d" / "pc_int.c3d")
     layout = trial.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     assert trial.path is not None
     words = layout.words(trial.path.read_bytes())
     xyz, said = words[..., :3] * layout.scale, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}

@@ -155,6 +155,26 @@ def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(("frames", "points"), [(66_000, 1), (2, 600)])
+def test_beyond_what_a_word_and_one_parameter_can_count(tmp_path, encoding, frames, points):
+    """The last marker's last sample is mended, in a file of more frames, or of more labels, than the format began with."""
+    if encoding == (85, True) and frames > 65_535:
+        pytest.skip("DEC floats are made one by one here: too slow")
+    path, labels = tmp_path / "before.c3d", [f"M{i}" for i in range(points)]
+    said = {"POINT:LONG_FRAMES": float(frames), "POINT:Y_SCREEN": "+Y"}
+    path.write_bytes(c3d_bytes(np.full((frames, points, 3), 50.0), labels, encoding=encoding, extra=said))
+    before = read.take(path)
+    markers = before.markers.copy()
+    markers[-1, -1] = (0.1, 1.25, -0.3)
+    assert write.c3d(tmp_path / "after.c3d", before, before.with_markers(markers)) == []
+    changed = np.zeros((frames, points), bool)
+    changed[-1, -1] = True
+    copy = assert_only_changed(before, tmp_path / "after.c3d", changed)
+    assert (copy.frames, copy.labels) == (frames, tuple(labels))
+    np.testing.assert_allclose(copy.markers[-1, -1], markers[-1, -1], rtol=1e-6)
+
+
 def test_a_mended_file_has_the_markers_of_the_original(tmp_path):
     path = tmp_path / "before.c3d"
     path.write_bytes(c3d_bytes(np.ones((2, 6, 3)), list("ABCDEF")))  # all residual words 0
@@ -249,7 +269,7 @@ def by_c3d(path: Path) -> np.ndarray:
 def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
     before, target = take_in(tmp_path, encoding), tmp_path / "after.c3d"
     layout = before.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
     markers[1, 1], markers[4, 2], deviation[1, 1] = (0.1, 1.25, -0.3), np.nan, 0.0021
     assert write.c3d(target, before, before.with_markers(markers, deviation)) == []
@@ -266,7 +286,7 @@ def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
 def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
     before = read.take(path)
     layout = before.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     target, chance = tmp_path / path.name, np.random.default_rng(7)
     markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.005
     markers[changed] = chance.uniform(0.05, 0.8, (changed.sum(), 3))
