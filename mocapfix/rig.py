@@ -38,7 +38,7 @@ class _Form(BaseModel):
     program: str
     unit_m: PositiveFloat
     rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]
-    rest: Literal["t-pose", "skeleton"]
+    rest: Literal["t-pose", "arms-down", "skeleton"]
     first_frame: Literal["t-pose", "motion"]
     note: str
     joints: tuple[Joint, ...] = Field(min_length=1)
@@ -51,7 +51,7 @@ class Rig:
     name         the file's, as in --bvh-for;  program  who wants it so
     unit         metres in one unit of the file
     rotations    the order of a joint's channels, first the one that turns last: "ZYX" is R = Rz Ry Rx
-    straight     do all rotations zero mean the T-pose? Otherwise they mean the skeleton's own rest pose
+    rest         the pose that no rotation at all means: "t-pose", "arms-down" or the "skeleton"'s own
     t_pose       does a T-pose facing +Z, standing on the floor where the motion begins, come before the motion?
     note         what whoever opens it must know, for the report
     joints       parents before children
@@ -61,7 +61,7 @@ class Rig:
     program: str
     unit: float
     rotations: str
-    straight: bool
+    rest: str
     t_pose: bool
     note: str
     joints: tuple[Joint, ...]
@@ -86,10 +86,10 @@ def load(name: str | Path) -> Rig:
         if joint.name in seen or (joint.parent not in seen if seen else joint.parent is not None):
             raise SceneError(f"{path}: joints: {joint.name}: must come once, after its parent; the first alone is the root.")
         seen.add(joint.name)
-    straight, t_pose = form.rest == "t-pose", form.first_frame == "t-pose"
-    return Rig(path.stem, form.program, form.unit_m, form.rotations, straight, t_pose, form.note, form.joints)
+    t_pose = form.first_frame == "t-pose"
+    return Rig(path.stem, form.program, form.unit_m, form.rotations, form.rest, t_pose, form.note, form.joints)
 
 
-def t_pose() -> dict[str, tuple[str, list[float]]]:
-    """-> by joint of the skeleton, the joint at its bone's other end and which way the bone points in a T-pose."""
-    return {joint: (end, way) for joint, (end, way) in load_yaml("rigs/t-pose.yaml").items()}
+def pose(name: str) -> dict[str, tuple[str, list[float]]]:
+    """-> by joint of the skeleton, the joint at its bone's other end and which way the bone points in a pose."""
+    return {joint: (end, way) for joint, (end, way) in load_yaml("rigs/poses.yaml")[name].items()}

@@ -20,7 +20,7 @@ for side in ("Left", "Right"):
 
 def test_every_rig_that_ships_is_named_where_the_command_line_looks():
     there = {path.stem for path in (folder("scenes") / "rigs").glob("*.yaml")}
-    assert there == {*RIGS, "t-pose"}
+    assert there == {*RIGS, "poses"}
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -32,12 +32,13 @@ def test_a_rig_stands_for_joints_that_the_skeleton_has(name):
 def test_motionbuilder_s_names_are_those_it_maps_by_itself():
     told = rig.load("motionbuilder")
     assert {joint.name for joint in told.joints} == HUMAN_IK
-    assert told.straight
-    assert told.t_pose
+    assert (told.rest, told.t_pose) == ("t-pose", True)
 
 
-def test_biped_s_names_and_parents_are_those_of_its_specification():
-    assert {joint.name: joint.parent for joint in rig.load("3dsmax").joints} == BIPED
+def test_biped_s_names_and_parents_are_those_of_its_specification_and_its_arms_hang():
+    told = rig.load("3dsmax")
+    assert {joint.name: joint.parent for joint in told.joints} == BIPED
+    assert (told.rest, told.t_pose) == ("arms-down", False)
 
 
 def test_cmu_s_are_the_skeleton_s_own_names_in_its_own_order():
@@ -55,8 +56,8 @@ def test_every_name_of_blender_s_has_its_mirror_image():
 def test_a_name_that_is_no_rig_is_answered_with_those_there_are():
     with pytest.raises(SceneError, match=r"no rig 'maya'; choose of: 3dsmax, blender, cmu, motionbuilder; or give a \.yaml"):
         rig.load("maya")
-    with pytest.raises(SceneError, match="no rig 't-pose'"):
-        rig.load("t-pose")
+    with pytest.raises(SceneError, match="no rig 'poses'"):
+        rig.load("poses")
 
 
 MINE = """

@@ -9,7 +9,8 @@ from time import perf_counter
 
 import numpy as np
 
-from mocapfix import read, synthetic, write
+from mocapfix import read, rig, synthetic, write
+from mocapfix.resample import resampled
 from mocapfix.synthetic import Truth
 
 REPEATS = 9
@@ -25,7 +26,7 @@ def measured(seconds: float = 60.0) -> list[dict]:
         synthetic.write(path, truth)
         return [
             {"what": what, "frames": len(truth.markers), "ms": 1e3 * median(_seconds(work) for _ in range(REPEATS))}
-            for what, work in works(path).items()
+            for what, work in (works(path) | of_motion(path, truth)).items()
         ]
 
 
@@ -37,6 +38,20 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     return {
         "read C3D": lambda: read.take(path),
         "write C3D": lambda: write.c3d(target, take, after),
+    }
+
+
+def of_motion(path: Path, truth: Truth) -> dict[str, Callable[[], object]]:
+    """-> what is timed, by name, on how the composed take's person truly moves; files go beside `path`."""
+    take, skeleton, motion, rate = read.take(path), truth.subject.skeleton, truth.motion, truth.rate
+    bvh, amc, builder = path.with_suffix(".bvh"), path.with_suffix(".amc"), rig.load("motionbuilder")
+    return {
+        "write BVH": lambda: write.bvh(bvh, skeleton, motion, rate),
+        "write BVH for MotionBuilder": lambda: write.bvh_for(bvh, builder, skeleton, motion, rate),
+        "write glTF": lambda: write.gltf(path.with_suffix(".glb"), skeleton, motion, rate),
+        "write ASF/AMC": lambda: write.asf_amc(amc.with_suffix(".asf"), amc, skeleton, motion, rate),
+        "write NPZ": lambda: write.npz(path.with_suffix(".npz"), take, skeleton, motion, rate),
+        "make 25 frames a second of 120": lambda: resampled(motion, rate, 25.0),
     }
 
 

@@ -2,8 +2,8 @@
 
 Leaving a joint out composes its rotation into its children's, so that they turn in the world as they did. Their places in
 the parent that is left are only constant where the joint never turned (or nothing hung on it): else it cannot be left out.
-With C the turn of a joint's axes from the rest pose to the T-pose, a joint that is turned R in the world is turned R C^T in
-a rig whose rest is the T-pose.
+With C the turn of a joint's axes from the skeleton's rest pose to the rig's (a T-pose, say), a joint that is turned R in the
+world is turned R C^T in the rig.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import WriteError
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
-from mocapfix.rig import Rig, t_pose
+from mocapfix.rig import Rig, pose
 from mocapfix.skeleton import Skeleton
 
 OFF = 1e-4  # metres that a joint may be away from where the solve has it
@@ -27,8 +27,7 @@ def rigged(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Moti
     """
     parents = np.array(rig.parents)
     places, axes, ends = (_found(rig, skeleton, [getattr(j, key) for j in rig.joints]) for key in ("joint", "axes", "end"))
-    turns = _t_pose_turns(skeleton)
-    rest = turns if rig.straight else np.tile(np.eye(3), (len(turns), 1, 1))
+    rest, t_pose = (_turns(skeleton, pose(name)) for name in (rig.rest, "t-pose"))
     resting, _ = _standing(skeleton, rest)
     offsets = resting[places] - resting[places[parents]] * (parents >= 0)[:, None]
     leaf = ~np.isin(np.arange(len(parents)), parents)
@@ -46,7 +45,7 @@ def rigged(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Moti
             "this rig leaves out turns; choose another rig, or the plain BVH."
         )
     if rig.t_pose:
-        moved = _after_t_pose(told, moved, _local((turns @ rest.swapaxes(-1, -2))[axes][None], parents))
+        moved = _after(told, moved, _local((t_pose @ rest.swapaxes(-1, -2))[axes][None], parents))
     return told, moved
 
 
@@ -56,13 +55,13 @@ def _found(rig: Rig, skeleton: Skeleton, names: list[str]) -> np.ndarray:
     return np.array([skeleton.index(name) for name in names])
 
 
-def _t_pose_turns(skeleton: Skeleton) -> np.ndarray:
-    """-> (J, 3, 3) each joint's axes in a T-pose, in the world."""
-    straight, turns = t_pose(), np.tile(np.eye(3), (len(skeleton.names), 1, 1))
+def _turns(skeleton: Skeleton, ways: dict[str, tuple[str, list[float]]]) -> np.ndarray:
+    """-> (J, 3, 3) each joint's axes in the world, in a pose in which bones point those ways."""
+    turns = np.tile(np.eye(3), (len(skeleton.names), 1, 1))
     for j, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
         if parent >= 0:
             turns[j] = turns[parent]
-        end, way = straight.get(name, ("", []))
+        end, way = ways.get(name, ("", []))
         if end in skeleton.names:
             points = turns[j] @ skeleton.offsets[skeleton.index(end)]
             turns[j] = _least_turn(points, np.array(way, float)) @ turns[j]
@@ -96,10 +95,10 @@ def _on(motion: Motion, root: np.ndarray, rotations: np.ndarray) -> Motion:
     return replace(motion, root=np.ascontiguousarray(root), rotations=rotations)
 
 
-def _after_t_pose(skeleton: Skeleton, motion: Motion, pose: np.ndarray) -> Motion:
-    """-> the motion after one frame of `pose` (1, J, 3, 3), standing on the floor where it begins."""
+def _after(skeleton: Skeleton, motion: Motion, local: np.ndarray) -> Motion:
+    """-> the motion after one frame of a pose (1, J, 3, 3), standing on the floor where it begins."""
     first = motion.at(np.zeros(1, int))
-    turns = kinematics.carried(kinematics.tree_of(skeleton), np.zeros((1, 3)), pose)[1][0]
+    turns = kinematics.carried(kinematics.tree_of(skeleton), np.zeros((1, 3)), local)[1][0]
     place = np.array([[first.root[0, 0], -_standing(skeleton, turns)[1], first.root[0, 2]]])
-    before = _on(first, place, pose)
+    before = _on(first, place, local)
     return Motion(*(np.concatenate([getattr(before, key), field]) for key, field in vars(motion).items()))

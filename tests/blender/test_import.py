@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))
 pytestmark = pytest.mark.skipif(not PYTHON.is_file(), reason="Blender's Python module is not installed (make blender)")
 CLOSE = 1e-4  # metres
+OUT, DOWN = (1, 0, 0), (0, 0, -1)  # a left arm's ways, as Blender has them
 SCALES = {"bvh": 0.01, "blender.bvh": 1.0, "motionbuilder.bvh": 0.01, "3dsmax.bvh": 0.01, "cmu.bvh": 0.0564444444, "glb": 1.0}
 
 
@@ -92,14 +93,14 @@ def test_another_rate_is_the_scene_s_and_the_motion_keeps_its_time(opened, clean
             np.testing.assert_allclose(heads["LeftHand"], [x, -z, y], atol=CLOSE)
 
 
-@pytest.mark.parametrize("kind", ["blender.bvh", "motionbuilder.bvh", "3dsmax.bvh"])
-def test_the_rest_pose_is_a_t_pose_that_faces_forward(opened, kind):
+@pytest.mark.parametrize(("kind", "arm"), [("blender.bvh", OUT), ("motionbuilder.bvh", OUT), ("3dsmax.bvh", DOWN)])
+def test_the_rest_pose_faces_forward_with_arms_as_the_program_wants_them(opened, kind, arm):
     rest = {joint: np.array(opened[kind]["rest"][bone]) for bone, joint in joints_of(kind, ()).items()}
-    for side, way in (("Left", 1), ("Right", -1)):
-        leg, arm = (rest[f"{side}{a}"] - rest[f"{side}{b}"] for a, b in (("Foot", "UpLeg"), ("Hand", "Arm")))
+    for side, mirror in (("Left", [1, 1, 1]), ("Right", [-1, 1, 1])):
+        leg, reach = (rest[f"{side}{a}"] - rest[f"{side}{b}"] for a, b in (("Foot", "UpLeg"), ("Hand", "Arm")))
         toe = rest[f"{side}ToeBase"] - rest[f"{side}Foot"]
-        np.testing.assert_allclose(leg / np.linalg.norm(leg), [0, 0, -1], atol=1e-4)
-        np.testing.assert_allclose(arm / np.linalg.norm(arm), [way, 0, 0], atol=1e-4)
+        np.testing.assert_allclose(leg / np.linalg.norm(leg), DOWN, atol=1e-4)
+        np.testing.assert_allclose(reach / np.linalg.norm(reach), np.multiply(arm, mirror), atol=1e-4)
         assert toe[1] < -3 * abs(toe[0])  # forward, Blender's -Y
 
 
