@@ -25,9 +25,9 @@ def guessed(labels: Sequence[str]) -> MarkerSet:
     for joint, place in found.values():
         joints.append(names.index(joint))
         places.append(place)
-    none = ((),) * len(found)
-    spread = np.full(len(found), SPREAD)
-    return MarkerSet("words", "words", "cmu31", tuple(found), np.array(joints, int), np.array(places).reshape(-1, 3), spread, none)
+    spread, aliases = np.full(len(found), SPREAD), ((),) * len(found)
+    where = np.array(joints, int), np.array(places).reshape(-1, 3)
+    return MarkerSet("words", "words", "cmu31", tuple(found), *where, spread, aliases)
 
 
 def place_of(label: str) -> tuple[str, np.ndarray] | None:
