@@ -1,13 +1,16 @@
 """The commands about marker sets: mocapfix marker-set list | show | learn."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.console import DONE, Flag, out, staged
+
+if TYPE_CHECKING:
+    from mocapfix.marker_set import MarkerSet
 
 
 def list_sets() -> int:
@@ -21,7 +24,9 @@ def list_sets() -> int:
     return DONE
 
 
-def show(name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE", help="a shipped set, or a YAML file")]) -> int:
+def show(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE", help="a shipped set, or a YAML file")],
+) -> int:
     """Show a marker set: which markers ride on which segment, and how else they are called."""
     from mocapfix.marker_set import load
 
@@ -56,8 +61,8 @@ def learn(
     with staged(take.name) as progress:
         lesson = learning.learnt(take, path.stem, like, progress)
         marker_set.save(path, lesson.marker_set, lesson.comment)
-    worn = lesson.marker_set
-    out.print(f"[bold]{escape(str(path))}[/]: {len(worn.labels)} markers, {lesson.residual * 1e3:.1f} mm from the body on average.")
+    worn, off = lesson.marker_set, lesson.residual * 1e3
+    out.print(f"[bold]{escape(str(path))}[/]: {len(worn.labels)} markers, {off:.1f} mm from the body on average.", soft_wrap=True)
     out.print(f"  {escape(lesson.how)}", soft_wrap=True)
     _segments(worn)
     for label, segment in lesson.doubtful.items():
@@ -68,7 +73,7 @@ def learn(
     return DONE
 
 
-def _segments(worn) -> None:
+def _segments(worn: "MarkerSet") -> None:
     """Print which markers ride on which segment."""
     from mocapfix.skeleton import cmu31
 

@@ -11,7 +11,7 @@ from mocapfix.marker_set.nominal import MarkerSet
 from mocapfix.scenes import load_yaml
 from mocapfix.skeleton import cmu31
 
-WORDS = "marker-words.yaml"
+WORDS = "words/markers.yaml"
 SIDES = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "R": -1}
 MIDDLE = 0.03  # metres: a place that lies nearer to the middle of the body has no side
 SPREAD = 0.05  # metres: of markers that bear one word, about the place for it
