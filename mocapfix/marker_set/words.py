@@ -12,7 +12,7 @@ from mocapfix.scenes import load_yaml
 from mocapfix.skeleton import cmu31
 
 WORDS = "words/markers.yaml"
-SIDES = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "R": -1}
+SIDES = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "DROIT": -1, "R": -1}
 MIDDLE = 0.03  # metres: a place that lies nearer to the middle of the body has no side
 SPREAD = 0.05  # metres: of markers that bear one word, about the place for it
 MIRROR = np.array([-1.0, 1.0, 1.0])
