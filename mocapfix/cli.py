@@ -11,12 +11,13 @@ from rich.table import Table
 
 from mocapfix.cli_bench import BENCHES
 from mocapfix.cli_clean import MarkerSetName, PrefixName, SubjectFile, Takes, Up, clean, named, tell
+from mocapfix.cli_marker_set import MARKER_SETS
 from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, Flag, err, out, staged, usage
 from mocapfix.errors import MocapfixError, ReadError
 
-OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
+OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a file of captured motion")]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 
 
@@ -145,13 +146,16 @@ COMMANDS = {"demo": demo, "inspect": inspect, "calibrate": calibrate, "clean": c
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command and leave with its exit status: 0 done, 1 something could not be, 2 wrong usage."""
-    app, bench, train = (tyro.extras.SubcommandApp() for _ in range(3))
+    app, bench, train, sets = (tyro.extras.SubcommandApp() for _ in range(4))
     for name, command in BENCHES.items():
         bench.command(name=name)(command)
     for name, command in TRAININGS.items():
         train.command(name=name)(command)
+    for name, command in MARKER_SETS.items():
+        sets.command(name=name)(command)
     for name, command in COMMANDS.items():
         app.command(name=name)(command)
+    app.command(sets, name="marker-set", help="Look at marker sets, and learn new ones from takes.")
     app.command(bench, name="bench", help="Measure mocapfix against what is known to be true.")
     app.command(train, name="train", help="Fit what mocapfix knows of people to motion.")
     try:

@@ -254,7 +254,7 @@ def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--marker-set", "helen-hayes"], "helen-hayes: no such marker set; name one of cmu41, frontwaist53, opensim-gait, "),
+        (["--marker-set", "cleveland"], "cleveland: no such marker set; name one of cmu41, frontwaist53, helen-hayes, "),
         (["--marker-set", "plug-in-gait39"], "brief.c3d: plug-in-gait39 does not fit: "),
         (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
         (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),

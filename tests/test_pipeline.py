@@ -380,7 +380,7 @@ def test_a_take_that_no_set_fits_is_cleaned_without_a_body(cleaned, brief, tmp_p
     assert (result.report["take"]["marker_set"], result.report["subject"], result.report["solve"]) == (None, None, None)
     first, second = result.report["notes"]
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
-    assert "none of them is in any set (cmu41, frontwaist53, opensim-gait, " in first
+    assert "none of them is in any set (cmu41, frontwaist53, helen-hayes, " in first
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     outputs = result.write(tmp_path / "out")
     assert set(outputs) == KINDS - {"bvh", "subject.yaml"}

@@ -15,8 +15,8 @@ KEPT = 0.9  # of a marker's frames: the others may be swaps, ghosts or poses tha
 SKIN = 0.005  # metres per axis: so little a marker always strays, on the right segment too
 OWN_SAY = 10.0  # poses: so many unlike ones a take has, however many frames
 NEAR = 0.07  # metres: standard deviation of how far a marker is stuck from where the known sets have one on that segment
-LOOSE = 0.035  # metres per axis: what strays by more from every segment rides on none
-FAR = 0.25  # metres: what stays still farther off than this from all places for markers is held, or stands there
+LOOSE = 0.025  # metres per axis: what strays by more from every segment rides on none
+FAR = 0.15  # metres: what lies farther off all places for markers is held; unless its label tells the segment, as a wand's does
 FEWEST = 30  # frames in which a marker must be seen
 
 
@@ -29,6 +29,7 @@ class Attachment:
     strays  (M,) metres per axis: by how much it strays from that place
     sure    (M,) how likely that joint is, of all
     second  (M,) the next likeliest joint
+    likely  (M,) log likelihood of the joint, but for a constant; NaN where the marker is never seen
     reasons  M sentences' ends on why a marker rides on none, "" where it rides on one
     """
 
@@ -37,6 +38,7 @@ class Attachment:
     strays: np.ndarray
     sure: np.ndarray
     second: np.ndarray
+    likely: np.ndarray
     reasons: tuple[str, ...]
 
 
@@ -58,16 +60,20 @@ def attached(
     order = (-np.nan_to_num(likely, nan=-np.inf)).argsort(0, kind="stable")
     best, second = order[0], order[1]
     count = (~np.isnan(markers[..., 0])).sum(0)
-    reasons = [_reason(int(count[m]), strays[:, m], float(apart[best[m], m]), best[m], [names[j] for j in candidates]) for m in each]
+    off = np.where(told[each, candidates[best]] > 0, 0.0, apart[best, each])
+    reasons = [_reason(int(count[m]), strays[:, m], float(off[m]), best[m], [names[j] for j in candidates]) for m in each]
     sure = np.nan_to_num(1 / np.exp(likely - likely[best, each]).sum(0))
     joints = np.where([bool(reason) for reason in reasons], -1, candidates[best])
-    return Attachment(joints, places[best, each], strays[best, each], sure, candidates[second], tuple(reasons))
+    return Attachment(
+        joints, places[best, each], strays[best, each], sure, candidates[second], likely[best, each], tuple(reasons)
+    )
 
 
 def still(markers: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """-> where each of M markers is in the axes of each of C joints, the median (C, M, 3), and by how much it strays from there
     (C, M), root mean square per axis over the stillest frames; NaN where it is never seen."""
-    places, strays = np.full((position.shape[1], *markers.shape[1:]), np.nan), np.full((position.shape[1], markers.shape[1]), np.nan)
+    each = (position.shape[1], markers.shape[1])
+    places, strays = np.full((*each, 3), np.nan), np.full(each, np.nan)
     for m in range(markers.shape[1]):
         seen = ~np.isnan(markers[:, m, 0])
         if not seen.any():
@@ -83,7 +89,7 @@ def _reason(count: int, strays: np.ndarray, apart: float, best: int, names: list
     """-> why a marker that is seen in `count` frames rides on no segment, "" where it does.
 
     strays  (C,) metres per axis from C segments of these names, of which the likeliest is `best`
-    apart   metres from the nearest place for markers on that one
+    apart   metres from the nearest place for markers on that one, 0 where the label tells the segment
     """
     if count < FEWEST:
         return f"is seen in {count} of the frames looked at, too few to tell" if count else "is never seen"

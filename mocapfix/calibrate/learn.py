@@ -61,18 +61,17 @@ def learnt(take: Take, labels: tuple[str, ...], guess: MarkerSet, worth: float, 
 
 
 def wearing(found: Attachment, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:
-    """-> the markers that ride on a segment, as a set on the average body, than which the person is so many times larger: where the
-    guess has them if it is right about the segment, else where they were found."""
+    """-> the markers that ride on a segment, as a set on the average body, than which the person is so many times larger: where
+    the guess has them if it is right about the segment, else where they were found."""
     guessed = {label: k for k, label in enumerate(guess.labels)}
     on = [m for m, joint in enumerate(found.joints) if joint >= 0]
     places, spread = found.places[on] / size, np.full(len(on), LEARNT_SPREAD)
-    aliases = [()] * len(on)
     for n, m in enumerate(on):
         k = guessed.get(labels[m], -1)
         if k >= 0 and guess.joints[k] == found.joints[m]:
-            places[n], spread[n], aliases[n] = guess.places[k], guess.spread[k], guess.aliases[k]
-    names = tuple(labels[m] for m in on)
-    return replace(guess, labels=names, joints=found.joints[on], places=places, spread=spread, aliases=tuple(aliases))
+            places[n], spread[n] = guess.places[k], guess.spread[k]
+    names, aliases = tuple(labels[m] for m in on), ((),) * len(on)
+    return replace(guess, labels=names, joints=found.joints[on], places=places, spread=spread, aliases=aliases)
 
 
 def solved(

@@ -11,8 +11,8 @@ from mocapfix.marker_set.nominal import MarkerSet
 from mocapfix.scenes import load_yaml
 from mocapfix.skeleton import cmu31
 
-WORDS = "marker-words.yaml"
-SIDES = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "R": -1}
+WORDS = "words/markers.yaml"
+SIDES = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "DROIT": -1, "R": -1}
 MIDDLE = 0.03  # metres: a place that lies nearer to the middle of the body has no side
 SPREAD = 0.05  # metres: of markers that bear one word, about the place for it
 MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -25,9 +25,9 @@ def guessed(labels: Sequence[str]) -> MarkerSet:
     for joint, place in found.values():
         joints.append(names.index(joint))
         places.append(place)
-    none = ((),) * len(found)
-    spread = np.full(len(found), SPREAD)
-    return MarkerSet("words", "words", "cmu31", tuple(found), np.array(joints, int), np.array(places).reshape(-1, 3), spread, none)
+    spread, aliases = np.full(len(found), SPREAD), ((),) * len(found)
+    where = np.array(joints, int), np.array(places).reshape(-1, 3)
+    return MarkerSet("words", "words", "cmu31", tuple(found), *where, spread, aliases)
 
 
 def place_of(label: str) -> tuple[str, np.ndarray] | None:

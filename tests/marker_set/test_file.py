@@ -13,7 +13,7 @@ from mocapfix.skeleton import cmu31
 
 
 def test_an_unknown_name_lists_the_shipped_ones():
-    with pytest.raises(SceneError, match=r"baseline41.*cmu41, frontwaist53, opensim-gait, .*YAML"):
+    with pytest.raises(SceneError, match=r"baseline41.*cmu41, frontwaist53, helen-hayes, .*YAML"):
         load("baseline41")
 
 

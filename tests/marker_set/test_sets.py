@@ -9,7 +9,8 @@ from tests.marker_set.sides import other_side
 
 EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
 BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]
-FRONT = ("LFHD", "CLAV", "STRN", "LTOE", "HeadFront", "Chest", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.Toe.Tip")
+FRONT = ("PX", "Front.Head", "L.ASIS", "L.Toe", "Chest", "LFHD", "CLAV", "STRN", "LTOE",
+         "HeadFront", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.Toe.Tip")  # fmt: skip
 BACK = ("LBHD", "C7", "T10", "BackTop", "SpineTop", "BackLeft", "BackL", "WaistLBack", "WaistBack", "V.Sacral")
 HEELS = ("LHEE", "LHEL", "LHeel", "LHeelBack", "L.Heel")
 
@@ -19,6 +20,7 @@ def test_the_shipped_sets():
     assert found == {
         "cmu41": (41, 0),
         "frontwaist53": (53, 0),
+        "helen-hayes": (36, 14),
         "opensim-gait": (52, 11),
         "optitrack-baseline41": (41, 0),
         "optitrack-core50": (50, 0),
@@ -40,7 +42,7 @@ def test_left_and_right_are_alike(marker_set):
             assert names[marker_set.joints[other]] in (joint.replace("Left", "Right"), joint.replace("Right", "Left"))
             assert (twin in marker_set.optional) == (label in marker_set.optional) or "BAK" in label  # the right one is the rule
             sided += 1
-    assert sided >= 0.8 * len(marker_set.labels)
+    assert sided >= 0.7 * len(marker_set.labels)
 
 
 @EACH

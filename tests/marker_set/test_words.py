@@ -1,0 +1,51 @@
+"""What labels say in words."""
+
+import numpy as np
+import pytest
+
+from mocapfix.marker_set import load, shipped
+from mocapfix.marker_set.words import guessed, place_of
+from mocapfix.skeleton import cmu31
+
+EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+NEAR = {"Hips": ("LeftUpLeg", "RightUpLeg"), "Spine1": ("LeftShoulder", "RightShoulder")}
+
+
+@EACH
+def test_the_words_of_shipped_sets_tell_their_segments(marker_set):
+    names, right = cmu31().skeleton.names, 0
+    for label, joint in zip(marker_set.labels, marker_set.joints, strict=True):
+        if told := place_of(label):
+            assert told[0] == names[joint] or told[0] in NEAR.get(names[joint], ()), label
+            right += 1
+    assert right >= 0.75 * len(marker_set.labels)
+
+
+@pytest.mark.parametrize(
+    ("label", "joint"),
+    [
+        ("LKNE", "LeftUpLeg"), ("R_Knee_Lat", "RightUpLeg"), ("linksKnie", "LeftUpLeg"), ("genou droit", "RightUpLeg"),
+        ("Knie_rechts", "RightUpLeg"), ("cheville_gauche", "LeftLeg"), ("L_FM1", "LeftFoot"), ("ASISr", "Hips"),
+        ("LTH3", "LeftUpLeg"), ("LTHLP", None), ("KNE", None), ("C7", "Spine1"), ("C71", None), ("STRN", "Spine1"),
+        ("Stick 1", None), ("Puck", None), ("*12", None), ("P12", None), ("RShinFrontHigh", "RightLeg"), ("LAJC", None),
+        ("Left Shoulder", "LeftShoulder"), ("RFIN", "RightHand"), ("Head", None), ("HeadFront", "Head"), ("L.Heel", "LeftFoot"),
+    ],
+)  # fmt: skip
+def test_words_and_sides(label, joint):
+    told = place_of(label)
+    assert (told and told[0]) == joint
+
+
+@pytest.mark.parametrize("word", ["KNE", "ELB", "WRA", "FWT", "TOE", "FHD"])
+def test_right_mirrors_left(word):
+    (left, place), (right, other) = (place_of(side + word) for side in "LR")
+    assert right == left.replace("Left", "Right")
+    np.testing.assert_array_equal(other, place * [-1, 1, 1])
+    assert (place[0] > 0) == (load("cmu41").places[load("cmu41").labels.index("L" + word)][0] > 0)
+
+
+def test_a_guess_holds_what_is_told_and_nothing_else():
+    guess = guessed(["LKNE", "Puck", "RKNE", "C7"])
+    assert guess.labels == ("LKNE", "RKNE", "C7")
+    assert [cmu31().skeleton.names[j] for j in guess.joints] == ["LeftUpLeg", "RightUpLeg", "Spine1"]
+    assert guessed(["Puck"]).places.shape == (0, 3)

@@ -1,0 +1,56 @@
+"""What a technician meets who looks at marker sets or learns one."""
+
+import numpy as np
+import pytest
+
+from mocapfix import marker_set, synthetic
+from tests.conftest import as_c3d
+
+
+def test_the_shipped_sets_are_listed(mocapfix):
+    status, out, _ = mocapfix("marker-set", "list")
+    assert status == 0
+    assert all(each.name in out for each in marker_set.shipped())
+
+
+def test_a_set_is_shown_by_segment(mocapfix):
+    status, out, _ = mocapfix("marker-set", "show", "plug-in-gait39")
+    assert status == 0
+    assert "Plug-in Gait full body 39, 49 markers" in out
+    assert "LTIB, LANK, LMED" in out
+    assert "RBAK (RBAC)" in " ".join(out.split())
+    status, _, err = mocapfix("marker-set", "show", "nobody's")
+    assert (status, "no such marker set" in err) == (1, True)
+
+
+@pytest.fixture(scope="module")
+def wave(tmp_path_factory):
+    truth, path = synthetic.take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
+    floor = truth.damaged[:, :1] * 0 + [0.3, 0.01, 0.2]
+    labels = [f"{label}!" if label in ("LUPA", "RSHN") else label for label in truth.labels]
+    path.write_bytes(as_c3d(np.concatenate([truth.damaged, floor], axis=1), [*labels, "Floor"], rate=truth.rate))
+    return path
+
+
+def test_a_set_is_learnt_saved_and_not_written_over(mocapfix, wave, tmp_path):
+    path = tmp_path / "mine.yaml"
+    status, out, _ = mocapfix("marker-set", "learn", wave, "-o", path)
+    said = " ".join(out.split())
+    assert status == 0
+    assert "41 markers" in said
+    assert "left out: Floor moves by" in said
+    learnt = marker_set.load(path)
+    assert (learnt.name, len(learnt.labels), "Floor" in learnt.labels) == ("mine", 41, False)
+    assert {"LUPA!", "RSHN!"} <= set(learnt.labels)
+    text = path.read_text()
+    assert text.startswith("# Learnt from wave.c3d. ")
+    assert "# Left out: Floor moves by" in text
+    status, _, err = mocapfix("marker-set", "learn", wave, "-o", path)
+    assert (status, "is there already" in " ".join(err.split())) == (1, True)
+    assert path.read_text() == text
+
+
+def test_a_take_that_is_none_is_told_and_nothing_is_written(mocapfix, tmp_path):
+    status, _, err = mocapfix("marker-set", "learn", tmp_path / "gone.c3d", "-o", tmp_path / "mine.yaml")
+    assert (status, "there is no such file" in " ".join(err.split())) == (1, True)
+    assert list(tmp_path.iterdir()) == []
