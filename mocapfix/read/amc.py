@@ -24,8 +24,8 @@ RATE = 120.0  # Hz: CMU's, but for some subjects at 60
 BONES = b":bonedata"
 
 
-def animation(path: str | Path) -> Animation:
-    """-> the motion of an AMC on the skeleton beside it, or the rest pose of an ASF, as one frame.
+def animation(path: str | Path, skeleton: str | Path | None = None) -> Animation:
+    """-> the motion of an AMC on the `skeleton`, an ASF, that is given or beside it; or the rest pose of an ASF, as one frame.
 
     Angles are in degrees, whatever the file has them in. Joints are where bones begin and carry their names.
 
@@ -35,7 +35,7 @@ def animation(path: str | Path) -> Animation:
     data = file_bytes(path)
     if BONES in data.lower():
         return _at_rest(path, data)
-    beside = skeleton_of(path)
+    beside = Path(skeleton) if skeleton is not None else skeleton_of(path)
     body = figure(beside, _text(file_bytes(beside)))
     start = FIRST.search(data)
     if not start:
@@ -43,10 +43,10 @@ def animation(path: str | Path) -> Animation:
     found = words(data, start.start())
     first, at = _places(path, found, body)
     said = RATE_SAID.search(data[: start.start()])
-    rate = float(said[1] or said[2]) if said else RATE
-    notes = () if said else (f"An AMC does not say its rate; {RATE:.0f} Hz, CMU's, was taken.",)
+    rate = float(said[1] or said[2]) if said else 0.0
+    notes = () if rate > 0 else (f"An AMC does not say its rate; {RATE:.0f} Hz, CMU's, was taken.",)
     values, radians = found.values[at], b":radians" in data[: start.start()].lower()
-    read = _animation(path, body, values, rate, (f"Its skeleton is {beside.name}.", *notes), first)
+    read = _animation(path, body, values, rate or RATE, (f"Its skeleton is {beside.name}.", *notes), first)
     if not radians:
         return replace(read, starts=found.starts[at])
     turning = np.concatenate([read.turning(joint)[0] for joint in range(len(read.names))])

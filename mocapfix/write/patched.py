@@ -44,7 +44,7 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
 def _original(target: Path, before: Animation) -> tuple[bytes, np.ndarray]:
     """-> the input's bytes, and (T, C) where its numbers begin."""
     if before.path is None or before.starts is None:
-        raise WriteError(f"{before.name}: was not read from a file, so there is none to write the changed numbers into.")
+        raise WriteError(f"{before.name}: no file holds just these numbers (one in radians does not), to change them there.")
     try:
         if target.exists() and target.samefile(before.path):
             raise WriteError(f"{target}: is the input itself, which stays as it is; choose another folder with --out.")

@@ -88,7 +88,10 @@ def test_the_rate_is_the_files_where_it_has_one(tmp_path):
         found = read(tmp_path, AMC.replace(":DEGREES", f"{said}\n:DEGREES"))
         assert found.rate == 60
         assert not any("rate" in note for note in found.notes)
-    assert any("rate" in note for note in read(tmp_path).notes)
+    for said in ("", "# 0 fps\n"):
+        found = read(tmp_path, said + AMC)
+        assert found.rate == 120
+        assert any("rate" in note for note in found.notes)
 
 
 def test_a_skeleton_alone_is_its_rest_pose(tmp_path):
@@ -108,6 +111,9 @@ def test_the_skeleton_beside_it_is_taken(tmp_path):
     (tmp_path / "09.asf").unlink()
     assert amc.skeleton_of(tmp_path / "09_01.amc").name == "1.asf"
     (tmp_path / "2.asf").write_text("")
+    (tmp_path / "my skeleton.asf").write_text(ASF)
+    assert amc.animation(tmp_path / "09_01.amc", tmp_path / "my skeleton.asf").frames == 2
+    (tmp_path / "my skeleton.asf").unlink()
     with pytest.raises(ReadError, match=r"not beside it, only 1\.asf, 2\.asf; put it there as 09\.asf or 09_01\.asf"):
         amc.animation(tmp_path / "09_01.amc")
 

@@ -1,0 +1,19 @@
+import pytest
+
+from mocapfix.read.rates import usual
+
+
+@pytest.mark.parametrize(
+    ("spelled", "rate", "said"),
+    [
+        (".0083", 120, True), ("0.0083333", 120, False), ("0.00833333", 120, False), ("0.033", 30, True), ("0.033333", 30, False),
+        ("0.016666", 60, True), ("0.0166", 60, True), ("0.041667", 24, False), ("0.0333667", 30000 / 1001, False),
+        ("0.04", 25, False), ("0.01", 100, False), ("8.3333e-3", 120, False), ("0.0101", 1 / 0.0101, False),
+        ("0.2", 5, False), ("1", 1, False),
+    ],
+)  # fmt: skip
+def test_a_rounded_frame_time_is_the_usual_rate_it_came_from(spelled, rate, said):
+    found, note = usual(spelled)
+    assert found == pytest.approx(rate, rel=1e-12)
+    assert bool(note) == said
+    assert spelled in note or not said
