@@ -45,7 +45,8 @@ def rigged(rig: Rig, skeleton: Skeleton, motion: Motion) -> tuple[Skeleton, Moti
             "this rig leaves out turns; choose another rig, or the plain BVH."
         )
     if rig.t_pose:
-        moved = _after(told, moved, _local((t_pose @ rest.swapaxes(-1, -2))[axes][None], parents))
+        local = _local((t_pose @ rest.swapaxes(-1, -2))[axes][None], parents)
+        moved = _after(told, moved, _whole_degrees(local, rig.rotations))
     return told, moved
 
 
@@ -89,6 +90,12 @@ def _local(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """-> (T, J, 3, 3) each joint's axes in its parent's, of their axes in the world."""
     carrying = np.where((parents >= 0)[:, None, None], world[:, parents], np.eye(3))
     return np.ascontiguousarray(carrying.swapaxes(-1, -2) @ world)
+
+
+def _whole_degrees(rotations: np.ndarray, order: str) -> np.ndarray:
+    """-> the rotations (1, J, 3, 3) with angles of whole degrees: by them CMU's readers tell the T-pose from the motion."""
+    angles = Rotation.from_matrix(rotations[0]).as_euler(order, degrees=True)
+    return Rotation.from_euler(order, np.round(angles), degrees=True).as_matrix()[None]
 
 
 def _on(motion: Motion, root: np.ndarray, rotations: np.ndarray) -> Motion:

@@ -9,6 +9,7 @@ from mocapfix import rig
 from mocapfix.errors import WriteError
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
+from mocapfix.read.bvh import animation
 from mocapfix.scenes import RIGS
 from mocapfix.skeleton import cmu31
 from mocapfix.write import bvh_for
@@ -109,10 +110,19 @@ def test_the_first_frame_is_a_t_pose_on_the_floor_where_the_motion_begins(tmp_pa
     assert told.rest != "t-pose" or np.abs(read.rows[0, 3:]).max() < 1e-6
 
 
-def test_cmu_s_t_pose_turns_the_thighs_as_its_release_does(tmp_path):
+def test_cmu_s_t_pose_turns_the_thighs_as_its_release_does_by_whole_degrees(tmp_path):
+    told, read = written(tmp_path, "cmu", stretched(1), moving())
+    np.testing.assert_array_equal(read.rows[0, 3:], np.round(read.rows[0, 3:]))
+    assert (read.rows[1, 3:] != np.round(read.rows[1, 3:])).any()
     told, read = written(tmp_path, "cmu", SKELETON, moving())
     thigh = 3 + 3 * [joint.name for joint in told.joints].index("LeftUpLeg")
-    np.testing.assert_allclose(read.rows[0, thigh : thigh + 3], [-20, 0, 0], atol=0.01)  # -21 or so, by the person
+    np.testing.assert_allclose(read.rows[0, thigh : thigh + 3], [-20, 0, 0])  # -21 or so, by the person
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_read_again_the_t_pose_is_told_from_the_motion(tmp_path, name):
+    told, _ = written(tmp_path, name, stretched(2), moving())
+    assert animation(tmp_path / "walk.bvh").begins_posed == told.t_pose
 
 
 def test_a_joint_that_turns_cannot_be_left_out(tmp_path):
