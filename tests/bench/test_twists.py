@@ -16,7 +16,7 @@ NAMES = average().names
 def motion(tmp_path):
     """-> a folder in which somebody's left arm is twisted from 0 to 60 degrees, and his thigh swings"""
     rotations = np.tile(np.eye(3), (102, 31, 1, 1))  # the first frame is the T-pose, as in CMU's
-    angles = np.append(0, np.linspace(0, 60, 101))[:, None]
+    angles = np.append(0, np.linspace(0, 60, 101) + 1e-4)[:, None]  # whole degrees are the T-pose's alone
     rotations[:, NAMES.index("LeftArm")] = Rotation.from_euler("x", angles, degrees=True).as_matrix()
     bone = average().offsets[NAMES.index("RightLeg")]
     across = np.cross(bone, [0, 0, 1]) / np.linalg.norm(np.cross(bone, [0, 0, 1]))
