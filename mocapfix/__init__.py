@@ -3,7 +3,7 @@
 From Python:
 
     import mocapfix
-    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report
+    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report; .people where it shows several
     result.write("walk.mocapfix")
 
 The names are imported when they are asked for: what a take needs is half a second of libraries, what --help needs is none.
@@ -15,15 +15,17 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
     from mocapfix.fill import FillOptions
+    from mocapfix.outputs import OutputOptions
     from mocapfix.pipeline import calibrated, clean
     from mocapfix.result import Result
     from mocapfix.take import Take
 
-__all__ = ["FillOptions", "MocapfixError", "Result", "Take", "calibrated", "clean"]
+__all__ = ["FillOptions", "MocapfixError", "OutputOptions", "Result", "Take", "calibrated", "clean"]
 
 HOMES = {
     "FillOptions": "fill",
     "MocapfixError": "errors",
+    "OutputOptions": "outputs",
     "Result": "result",
     "Take": "take",
     "calibrated": "pipeline",

@@ -62,6 +62,21 @@ def plain(changes: Sequence[Change]) -> list[dict]:
     return [{**asdict(change), "markers": list(change.markers)} for change in changes]
 
 
+def of_each(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[Decided, ...]]:
+    """-> what somebody decided of each take, in the file that is about it, if there is one. Raises SceneError as `load`."""
+    names, about = [take.name for take in takes], {}
+    for path in paths:
+        name = checked(_Form, Path(path)).take
+        if name not in names:
+            whose, one = " or ".join(names), any(name.startswith(f"{each} (") for each in names)
+            alone = ", or say with --subject-prefix whose it is" if one else ""
+            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote{alone}.")
+        if name in about:
+            raise SceneError(f"{path}: take: is about {name}, as {about[name]} is; give one of them.")
+        about[name] = path
+    return [load(about[take.name], take) if take.name in about else () for take in takes]
+
+
 def load(path: str | Path, take: Take) -> tuple[Decided, ...]:
     """-> what of the changes in a file that `save` wrote somebody decided not to accept.
 

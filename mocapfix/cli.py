@@ -10,17 +10,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli_bench import BENCHES
+from mocapfix.cli_clean import MarkerSetName, PrefixName, SubjectFile, Takes, Up, clean, named, tell
 from mocapfix.cli_marker_set import MARKER_SETS
 from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
-from mocapfix.console import DONE, FAILED, USAGE, Flag, err, out, staged
-from mocapfix.errors import MocapfixError, ReadError, WriteError
-from mocapfix.scenes import PRIOR, START, STARTS
+from mocapfix.console import DONE, FAILED, Flag, err, out, staged, usage
+from mocapfix.errors import MocapfixError, ReadError
 
-Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="C3D files")]
 OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a C3D file")]
-MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
-SubjectFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 
 
@@ -61,25 +58,37 @@ def inspect(
     take: OneTake,
     marker_set: MarkerSetName = None,
     subject: SubjectFile = None,
-    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON instead of a table")] = False,
+    subject_prefix: PrefixName = None,
+    up: Up = None,
+    as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON, not a table (an array for several people)")] = False,
 ) -> int:
     """Say what is wrong with a take: all that clean would find. Nothing is written."""
     from mocapfix import marker_set as sets
     from mocapfix import pipeline, record
 
     with staged(take.name) as progress:
-        found, looked, worn = pipeline.inspected(take, marker_set, subject, progress)
-    said = {
-        "take": record.of_take(found, worn.name if worn else None),
-        "faults": record.of_faults(found, looked.faults),
-        "notes": [sets.fit(worn, found.labels) if worn else sets.choose(found.labels).reason],
-    }
+        found = pipeline.inspected(take, marker_set, subject, progress, subject_prefix, up)
+    said = [
+        {
+            "take": record.of_take(body, worn.name if worn else None),
+            "faults": record.of_faults(body, looked.faults),
+            "notes": [*body.notes, sets.fit(worn, body.labels) if worn else sets.choose(body.labels).reason],
+        }
+        for body, looked, worn in found
+    ]
     if as_json:
-        sys.stdout.write(json.dumps(said, indent=1) + "\n")
+        sys.stdout.write(json.dumps(said if len(said) > 1 else said[0], indent=1) + "\n")
         return DONE
-    first, last = found.first_frame, found.frame_number(found.frames - 1)
-    size = f"{len(found.labels)} markers, frames {first} to {last} at {found.rate:g} Hz"
-    out.print(f"{escape(found.name)}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
+    for each in said:
+        tell_faults(each)
+    return DONE
+
+
+def tell_faults(said: dict) -> None:
+    """Print what is wrong with a take, or with one person's part of it."""
+    take, last = said["take"], said["take"]["first_frame"] + said["take"]["frames"] - 1
+    size = f"{take['markers']} markers, frames {take['first_frame']} to {last} at {take['rate_hz']:g} Hz"
+    out.print(f"{escape(named(take))}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
     table = Table("marker", "kind", "frames", "severity, mm", "sure", "reason")
     for fault in said["faults"]:
         severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
@@ -90,7 +99,6 @@ def inspect(
         out.print(table)
     else:
         out.print("Nothing is wrong with it.")
-    return DONE
 
 
 def calibrate(
@@ -99,6 +107,8 @@ def calibrate(
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")
     ],
     marker_set: MarkerSetName = None,
+    subject_prefix: Annotated[str | None, tyro.conf.arg(metavar="NAME", help='whose bones: "Jim" of Jim:LFHD')] = None,
+    up: Up = None,
     prior: PriorName = "mean-pose",
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a subject file that is there")] = False,
 ) -> int:
@@ -111,88 +121,11 @@ def calibrate(
     check_not_there([subject], overwrite)
     with staged(", ".join(take.name for take in takes)) as progress:
         progress("calibrate")
-        known = pipeline.calibrated(takes, marker_set, prior)
+        known = pipeline.calibrated(takes, marker_set, prior, subject_prefix, up)
         subject_file.save(subject, known)
     what = f"{len(known.labels)} markers on {len(known.skeleton.names)} joints, from {known.frames} frames"
     out.print(f"{escape(str(subject))}: {what}.", soft_wrap=True)
     return DONE
-
-
-def clean(
-    takes: Takes,
-    folder: Annotated[
-        Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")
-    ] = None,
-    marker_set: MarkerSetName = None,
-    subject: SubjectFile = None,
-    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = PRIOR,
-    prior_scale: Annotated[
-        float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
-    ] = 1.0,
-    init: Annotated[str, tyro.conf.arg(metavar="START", help=f"the way to each frame's first pose: {', '.join(STARTS)}")] = START,
-    overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
-    as_json: Annotated[
-        Flag, tyro.conf.arg(name="json", help="print the report as JSON (an array for several takes), nothing else")
-    ] = False,
-    max_gap: Annotated[float, tyro.conf.arg(metavar="SECONDS", help="longer gaps are left empty")] = 600.0,
-    limit: Annotated[
-        float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
-    ] = 250.0,
-    keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
-    frames: Annotated[
-        str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
-    ] = ":",
-    refill: Annotated[
-        Flag, tyro.conf.arg(help="replace what another program filled, where what was measured contradicts it")
-    ] = False,
-    only: Annotated[
-        str, tyro.conf.arg(metavar="KIND,...", help="the only kinds of fault that are mended: gap, spike, swap, ...")
-    ] = "",
-    changes: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions")
-    ] = None,
-) -> int:
-    """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
-    from mocapfix import pipeline
-    from mocapfix.faults import MENDED
-    from mocapfix.fill import FillOptions
-    from mocapfix.result import check_free
-
-    if not takes:
-        raise SystemExit(usage("clean: name at least one take (a C3D file)."))
-    if not max_gap > 0:
-        raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
-    if not limit > 0:
-        raise SystemExit(usage(f"--limit must be more than 0 millimetres, not {limit:g}."))
-    if not 0 < prior_scale < float("inf"):
-        raise SystemExit(usage(f"--prior-scale must be more than 0 and finite, not {prior_scale:g}."))
-    if changes and len(takes) > 1:
-        raise SystemExit(usage("--changes is about one take; clean the others by themselves."))
-    if strange := [kind for kind in listed(only) if kind not in MENDED]:
-        raise SystemExit(usage(f"--only knows no {strange[0]!r}; choose of: {', '.join(MENDED)}."))
-    options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
-    reports, written = [], set()
-    for take in takes:
-        where = folder or take.with_name(f"{take.stem}.mocapfix")
-        try:
-            if where / take.stem in written:
-                raise WriteError(f"{take}: another take of this name was written into {where}; clean it into another folder.")
-            check_free(where, take.stem, overwrite, take)
-            with staged(take.name) as progress:
-                given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale}
-                given |= {"init": init, "only": listed(only), "changes": changes}
-                result = pipeline.clean(take, **given, options=options, progress=progress)
-                outputs = result.write(where, overwrite, progress)
-        except MocapfixError as error:
-            err.print(escape(str(error)), style="red", soft_wrap=True)
-            continue
-        written.add(where / take.stem)
-        reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
-        if not as_json:
-            tell(reports[-1], outputs)
-    if as_json and reports:
-        sys.stdout.write(json.dumps(reports if len(takes) > 1 else reports[0], indent=1) + "\n")
-    return DONE if len(reports) == len(takes) else FAILED
 
 
 def view(recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR|FILE.rrd", help="what clean wrote")]) -> int:
@@ -238,57 +171,3 @@ def main(arguments: list[str] | None = None) -> None:
         err.print("Stopped; nothing was left half-written.")
         status = FAILED
     raise SystemExit(status)
-
-
-def tell(report: dict, outputs: dict[str, Path]) -> None:
-    """Print what a cleaning did, in a few lines."""
-    from mocapfix.show.kinds import counted
-
-    fill, take = report["fill"], report["take"]
-    relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
-    out.print(
-        f"[bold]{escape(take['file'])}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
-        f"{fill['mended']} faulty ones mended{relabelled}; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
-        soft_wrap=True,
-    )
-    if report["solve"]:
-        residual = report["solve"]["marker_residual_mm"]
-        out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.", soft_wrap=True)
-    if changes := [change for change in report["changes"] if change["decision"] == "accept"]:
-        against = len(report["changes"]) - len(changes)
-        decided = f"; {against} not made, by decision" if against else ""
-        out.print(f"  changed: {counted(change['kind'] for change in changes)}{decided}.", soft_wrap=True)
-    for each in fill["left"][:5]:
-        out.print(
-            f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.", soft_wrap=True
-        )
-    if len(fill["left"]) > 5:
-        out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
-    for note in report["notes"]:
-        out.print(f"  {escape(note)}", soft_wrap=True)
-    folder = outputs["c3d"].parent
-    out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
-    if report["changes"]:
-        again = f"--changes {escape(str(outputs['changes.yaml']))} --overwrite"
-        out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
-
-
-def listed(names: str) -> tuple[str, ...]:
-    """-> the names in a list with commas."""
-    return tuple(name.strip() for name in names.split(",") if name.strip())
-
-
-def between(frames: str) -> tuple[int, int] | None:
-    """-> the first and last frame that FIRST:LAST names; None for all of them."""
-    first, colon, last = frames.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        return None if frames == ":" else (int(first) if first else -(2**62), int(last) if last else 2**62)
-    except ValueError:
-        raise SystemExit(usage(f"--frames must be FIRST:LAST, as in 100:250, not {frames!r}.")) from None
-
-
-def usage(message: str) -> int:
-    err.print(escape(message), style="red", soft_wrap=True)
-    return USAGE

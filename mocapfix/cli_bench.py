@@ -85,11 +85,28 @@ def calibration(as_json: Json = False) -> int:
     return DONE
 
 
+def files(as_json: Json = False) -> int:
+    """Time reading and writing of files: a minute of 53 markers at 120 Hz."""
+    from mocapfix.bench.files import REPEATS, measured
+
+    with staged("files"):
+        rows = measured()
+    if as_json:
+        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
+        return DONE
+    table = Table("what", "frames", f"ms (median of {REPEATS})")
+    for row in rows:
+        table.add_row(row["what"], str(row["frames"]), f"{row['ms']:.1f}")
+    out.print(table)
+    return DONE
+
+
 BENCHES = {
     "solver": solver,
     "uncertainty": uncertainty,
     "calibration": calibration,
     "faults": faults,
+    "files": files,
     "hybrik": hybrik,
     **PRIOR_BENCHES,
 }

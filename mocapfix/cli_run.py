@@ -17,7 +17,7 @@ def run(
     ] = None,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
 ) -> int:
-    """Do what a scene says. keypoints-2d: the motion and the camera of a film, from 2-D keypoints alone."""
+    """Do what a scene says: clean takes as it is written down, or find the motion and camera of a film from 2-D keypoints."""
     from mocapfix.scenes import folder as shipped
     from mocapfix.scenes import read_yaml
 
@@ -29,6 +29,27 @@ def run(
     if not isinstance(kind, str) or kind not in SCENES:
         raise SceneError(f"{path}: kind: must be one of {', '.join(SCENES)}, not {kind!r}.")
     return SCENES[kind](path, folder or Path(f"{path.stem}.mocapfix"), overwrite)
+
+
+def clean(path: Path, folder: Path, overwrite: bool) -> int:
+    """Takes cleaned as the scene says."""
+    from mocapfix import job, pipeline
+    from mocapfix.cli_clean import cleaned
+    from mocapfix.result import make_folder
+
+    said = job.load(path)
+    outputs, takes = said.outputs, said.found(path, folder)
+    out.print(f"[bold]{escape(said.title)}[/]: {len(takes)} {'take' if len(takes) == 1 else 'takes'}.", soft_wrap=True)
+    make_folder(folder)
+    said.compose(folder, overwrite)
+    given = {"marker_set": said.worn(path), "subject_prefix": said.subject_prefix, "up": said.volume.up, "init": said.start}
+    given |= {"prior": said.prior.name, "prior_scale": said.prior.scale, "options": said.options, "only": said.fill.only}
+    known = said.known(path)
+    if isinstance(known, list):
+        with staged(path.name) as progress:
+            progress("calibrate")
+            known = pipeline.calibrated(known, given["marker_set"], subject_prefix=said.subject_prefix, up=said.volume.up)
+    return cleaned(takes, folder, given | {"subject": known}, outputs, overwrite)
 
 
 def keypoints_2d(path: Path, folder: Path, overwrite: bool) -> int:
@@ -49,4 +70,4 @@ def keypoints_2d(path: Path, folder: Path, overwrite: bool) -> int:
     return DONE
 
 
-SCENES = {"keypoints-2d": keypoints_2d}
+SCENES = {"clean": clean, "keypoints-2d": keypoints_2d}

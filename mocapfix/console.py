@@ -25,3 +25,9 @@ def staged(name: str) -> Iterator:
         err.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")
     with err.status(escape(name)) as status:
         yield lambda stage: status.update(f"{escape(name)}: {stage}")
+
+
+def usage(message: str) -> int:
+    """Say what is wrong with a command; -> its exit status."""
+    err.print(escape(message), style="red", soft_wrap=True)
+    return USAGE

@@ -1,14 +1,16 @@
 """The stages in order: the map of the whole program."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mocapfix import calibrate, change_file, decisions, fill, looks, mend, notes, read, record, solved
+from mocapfix import calibrate, change_file, decisions, fill, looks, mend, notes, people, read, record, solved
 from mocapfix import prior as priors
+from mocapfix.change_file import Decided
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import MENDED
@@ -23,7 +25,7 @@ from mocapfix.result import Result
 from mocapfix.scenes import PRIOR, START, STARTS
 from mocapfix.skeleton import cmu31
 from mocapfix.solve import SolveOptions
-from mocapfix.solved import How, Solved, wearing
+from mocapfix.solved import How, Solved, asked, wearing
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -44,7 +46,9 @@ def clean(
     init: str = START,
     options: FillOptions = ANYTHING,
     only: Sequence[str] = (),
-    changes: str | Path | None = None,
+    changes: str | Path | Sequence[str | Path] | None = None,
+    subject_prefix: str | None = None,
+    up: str | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """-> the take at `path`, cleaned: faults found, labels put right, the body calibrated and solved, the rest mended.
@@ -56,17 +60,65 @@ def clean(
     init        the way to each frame's first pose, from which it is solved: one of scenes.STARTS
     options     what may be touched and how sure a fill must be
     only        the kinds of fault that are mended, of faults.MENDED; none named: all
-    changes     the changes file of an earlier cleaning of this take, with somebody's decisions
+    changes     the changes file of an earlier cleaning of this take, with somebody's decisions; of several people's one each
+    subject_prefix  the one person whose markers are cleaned ("Jim", whose labels are "Jim:LFHD" and the like); None: everybody,
+                in turn, and the result holds each one's
+    up          "X", "Y" or "Z": the file's axis that points to the sky; None: what the file says or its markers tell
     progress    told each stage's name as it begins
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
     """
     how, clock = wanted(prior, prior_scale, init, only), Clock(progress=progress)
     with clock("read"):
-        take = read.take(path)
+        take = read.take(path, up)
     check_options(take, options)
-    decided = change_file.load(changes, take) if changes else ()
-    known, worn_set, said = wearing(take, marker_set, subject)
+    bodies = parted(take, marker_set, subject, subject_prefix)
+    decided = change_file.of_each([changes] if isinstance(changes, str | Path) else changes or (), bodies)
+    cleaned: list[Result] = []
+    for body, decisions_on in zip(bodies, decided, strict=True):
+        if cleaned:  # what one took over of the unlabelled is not there for the next
+            body = replace(body, unlabelled=cleaned[-1].take.unlabelled)
+        worn = dressed(body, marker_set, subject)
+        cleaned.append(alone(body, *worn, how, options, only, decisions_on, Clock(dict(clock.seconds), progress)))
+    return cleaned[0] if len(cleaned) == 1 else people.together(take, tuple(cleaned))
+
+
+def parted(
+    take: Take, marker_set: str | Path | None, subject: str | Path | Subject | None, prefix: str | None
+) -> tuple[Take, ...]:
+    """-> the takes to be cleaned by themselves: one for each of several people, else the take as it is.
+
+    Raises TakeError where one subject is given for several people.
+    """
+    _, worn_set = asked(marker_set, subject)
+    bodies = people.parts(take, worn_set, prefix)
+    if subject is not None and len(bodies) > 1:
+        shown = people.listed(bodies)
+        raise TakeError(f"{take.name}: shows {shown}, and a subject is one person; say whose it is with --subject-prefix.")
+    return bodies
+
+
+def dressed(
+    body: Take, marker_set: str | Path | None, subject: str | Path | Subject | None
+) -> tuple[Subject | None, MarkerSet | None, list[str]]:
+    """-> who and what a take shows, as `solved.wearing`; what is nobody's among several people is no body."""
+    if body.person == people.OTHERS:
+        return None, None, ["What is no whole body's: cleaned without a skeleton, from how markers move together."]
+    return wearing(body, marker_set, subject)
+
+
+def alone(
+    take: Take,
+    known: Subject | None,
+    worn_set: MarkerSet | None,
+    said: Sequence[str],
+    how: How,
+    options: FillOptions,
+    only: Sequence[str],
+    decided: tuple[Decided, ...],
+    clock: Clock,
+) -> Result:
+    """-> a take of one person, or of none, cleaned; `known`, `worn_set` and `said` as from `dressed`."""
     looked, parts, body = understood(take, worn_set, known, how, change_file.vouched(take, decided), clock, options.refill)
     with clock("fill"):
         whole, why, ways = filled(looked, parts, body, options)
@@ -82,11 +134,13 @@ def clean(
         "solve": None,
         "fill": record.of_fill(take, looked.take, after, left, looked.donors),
         "seconds": clock.seconds,
-        "notes": [*said, *notes.guesses(after)],
+        "notes": [*take.notes, *said, *notes.guesses(after)],
     }
     if body and error is not None:
-        report["solve"] = record.of_solve(take, body.person, body.motion, error, prior, prior_scale, init)
-        report["notes"] = [*said, *notes.of_body(looked, parts, body, error), *notes.guesses(after)]
+        report["solve"] = record.of_solve(
+            take, body.person, body.motion, error, how.prior, how.options.prior_scale, how.start
+        )
+        report["notes"] = [*take.notes, *said, *notes.of_body(looked, parts, body, error), *notes.guesses(after)]
     found = (body.person, body.motion, body.joints) if body else (None, None, None)
     return Result(take, looked.take, after, looked.faults, made, left, looked.donors, *found, error, report)
 
@@ -97,12 +151,19 @@ def inspected(
     marker_set: str | Path | None = None,
     subject: str | Path | Subject | None = None,
     progress: Progress | None = None,
-) -> tuple[Take, Looked, MarkerSet | None]:
-    """-> a take, what `clean` finds wrong with it, and the set it wears; nothing is written. Raises as `clean`."""
-    take = read.take(path)
-    known, worn_set, _ = wearing(take, marker_set, subject)
-    looked, _, _ = understood(take, worn_set, known, wanted(PRIOR, 1.0, START, ()), lambda fault: True, Clock(progress=progress))
-    return take, looked, worn_set
+    subject_prefix: str | None = None,
+    up: str | None = None,
+) -> list[tuple[Take, Looked, MarkerSet | None]]:
+    """-> a take, what `clean` finds wrong with it, and the set it wears, for each of several people; nothing is written.
+
+    Raises as `clean`.
+    """
+    clock, how, found = Clock(progress=progress), wanted(PRIOR, 1.0, START, ()), []
+    for body in parted(read.take(path, up), marker_set, subject, subject_prefix):
+        known, worn_set, _ = dressed(body, marker_set, subject)
+        looked, _, _ = understood(body, worn_set, known, how, lambda fault: True, clock)
+        found.append((body, looked, worn_set))
+    return found
 
 
 def wanted(prior: str, prior_scale: float, init: str, only: Sequence[str]) -> How:
@@ -113,7 +174,7 @@ def wanted(prior: str, prior_scale: float, init: str, only: Sequence[str]) -> Ho
         raise SceneError(f"There is no start {init!r}; choose one of: {', '.join(STARTS)}.")
     if strange := [kind for kind in only if kind not in MENDED]:
         raise SceneError(f"There is no kind of fault {strange[0]!r} to mend; choose of: {', '.join(MENDED)}.")
-    return How(trained(prior), SolveOptions(prior_scale=prior_scale), init)
+    return How(trained(prior), SolveOptions(prior_scale=prior_scale), init, prior)
 
 
 def trained(name: str) -> Callable[[], PoseModel] | None:
@@ -174,12 +235,26 @@ def filled(looked: Looked, parts: Parts, body: Solved | None, options: FillOptio
 
 
 @ONE_THREAD
-def calibrated(paths: Sequence[str | Path], name: str | Path | None = None, pose_prior: str = "mean-pose") -> Subject:
-    """-> one person's subject from one or several takes of them, together.
+def calibrated(
+    paths: Sequence[str | Path],
+    name: str | Path | None = None,
+    pose_prior: str = "mean-pose",
+    subject_prefix: str | None = None,
+    up: str | None = None,
+) -> Subject:
+    """-> one person's subject from one or several takes of them, together; of the one named, where others are in them too.
 
-    Raises TakeError where no marker set fits, or the takes do not wear the same one.
+    Raises TakeError where no marker set fits, the takes do not wear the same one, or one shows several people and none is named.
     """
-    takes = [read.take(path) for path in paths]
+    takes = []
+    for path in paths:
+        whole = read.take(path, up)
+        take, *more = parted(whole, name, None, subject_prefix)
+        if more:
+            raise TakeError(
+                f"{whole.name}: shows {people.listed((take, *more))}; say whose bones are wanted with --subject-prefix."
+            )
+        takes.append(take)
     worn, sets = [], []
     for take in takes:
         _, worn_set, notes = wearing(take, name, None)

@@ -1,6 +1,7 @@
 """The record of a cleaning: what the report file says, as plain data with stable keys.
 
-take     file, frames, first_frame, rate_hz, markers, marker_set (null where none fits), labels
+take     file, person (whose it is, where it is one person's of several), frames, first_frame, rate_hz, markers, marker_set
+         (null where none fits), labels
 faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
          no second edge), confidence, reason
 changes  a list, as the changes file holds it (see mocapfix.changes): what was done, interval by interval
@@ -29,7 +30,8 @@ from mocapfix.take import Take
 def of_take(take: Take, marker_set: str | None) -> dict:
     """-> the record's `take`."""
     return {
-        "file": take.name,
+        "file": take.path.name if take.path else take.name,
+        **({"person": take.person} if take.person else {}),
         "frames": take.frames,
         "first_frame": take.first_frame,
         "rate_hz": take.rate,

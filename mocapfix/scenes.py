@@ -10,6 +10,7 @@ from mocapfix.errors import SceneError
 PRIOR = "autoencoder"  # the trained prior that is asked where nobody names one
 STARTS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "registration", "previous")  # ways to a frame's first pose
 START = "hybrik-x"  # the way that is gone where nobody names one
+RIGS = ("3dsmax", "blender", "cmu", "motionbuilder")  # skeletons as other programs want them, in scenes/rigs
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's, ten times as fast, where PyYAML was built with it
 
 

@@ -23,11 +23,12 @@ from mocapfix.take import Take
 
 @dataclass(frozen=True)
 class How:
-    """How a body is found: what poses are like, what the solve believes, and from which start."""
+    """How a body is found: what poses are like, what the solve believes, from which start, and the name of the poses' model."""
 
     model: Callable[[], PoseModel] | None
     options: SolveOptions
     start: str
+    prior: str = "none"
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,8 @@ def wearing(
 
     Raises TakeError where the set or subject that was named does not fit the take.
     """
-    if subject is not None:
-        known = subject if isinstance(subject, Subject) else subject_file.load(subject)
-        worn_set = marker_set.of_subject(known)
-    elif name is not None:
-        known, worn_set = None, marker_set.load(name)
-    else:
+    known, worn_set = asked(name, subject)
+    if worn_set is None:
         choice = marker_set.choose(take.labels)
         without = [] if choice.marker_set else [choice.reason, "The take was cleaned without a skeleton: there is no BVH."]
         return None, choice.marker_set, without
@@ -74,6 +71,14 @@ def wearing(
     if lack := worn_set.lack(found):
         raise TakeError(f"{take.name}: {worn_set.name} does not fit: {len(found)} of its {len(worn_set.labels)} markers, {lack}.")
     return known, worn_set, []
+
+
+def asked(name: str | Path | None, subject: str | Path | Subject | None) -> tuple[Subject | None, MarkerSet | None]:
+    """-> the subject and the marker set that were named, None where none was."""
+    if subject is not None:
+        known = subject if isinstance(subject, Subject) else subject_file.load(subject)
+        return known, marker_set.of_subject(known)
+    return None, None if name is None else marker_set.load(name)
 
 
 def body(parts: Parts, heard: np.ndarray, worn_set: MarkerSet, subject: Subject | None, how: How, clock: Clock) -> Solved:

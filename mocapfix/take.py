@@ -1,11 +1,13 @@
 """A take: what the cameras saw of one performance."""
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from mocapfix.c3d_layout import C3DLayout
+from mocapfix.table_layout import TableLayout
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,10 @@ class Take:
     computed   (T, M) bool: samples that no camera saw: by their residual words a program like this one put them there
     blind      (T, M) bool: samples that no camera saw, whoever put them there, where the file keeps what cameras saw
     source     (T, M) the file's point that each sample came from, where labels were changed; None: each from its own
+    layout     where the samples lie in the file; None where no file has them so that they could be replaced
+    subjects   names of the people that the file lists, whichever of them it shows
+    person     whose markers these are, where they are one person's of a take of several; else ""
+    notes      sentences on what reading it brought up
     """
 
     markers: np.ndarray
@@ -30,7 +36,7 @@ class Take:
     rate: float
     first_frame: int = 1
     path: Path | None = None
-    layout: C3DLayout | None = None
+    layout: C3DLayout | TableLayout | None = None
     columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     others: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
@@ -38,6 +44,9 @@ class Take:
     computed: np.ndarray | None = None
     blind: np.ndarray | None = None
     source: np.ndarray | None = None
+    subjects: tuple[str, ...] = ()
+    person: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def frames(self) -> int:
@@ -50,12 +59,26 @@ class Take:
 
     @property
     def name(self) -> str:
-        return self.path.name if self.path else "the take"
+        name = self.path.name if self.path else "the take"
+        return f"{name} ({self.person})" if self.person else name
+
+    @property
+    def stem(self) -> str:
+        """What is written of the take is named by this: "walk", or "walk.Jim" where it is one person's."""
+        stem, whose = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.person)
+        return f"{stem}.{whose}" if whose else stem
 
     @property
     def bare_labels(self) -> tuple[str, ...]:
         """The labels without subject prefixes: "Jim:LFHD" is LFHD."""
         return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Whose each marker is: Jim's, of "Jim:LFHD"; else the only person's whom the file lists; "" where nobody is named."""
+        prefixes = [label.rpartition(":")[0].strip() for label in self.labels]
+        alone = self.subjects[0] if len(self.subjects) == 1 and not any(prefixes) else ""
+        return tuple(prefix or alone for prefix in prefixes)
 
     @property
     def measured(self) -> np.ndarray:
@@ -79,7 +102,24 @@ class Take:
         kept = np.where(believed[..., None], self.markers, np.nan)
         markers[:, there] = kept[:, columns[there]]
         labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
-        return Take(markers, labels, self.rate, self.first_frame, self.path)
+        return Take(markers, labels, self.rate, self.first_frame, self.path, person=self.person)
+
+    def part(self, which: np.ndarray, person: str) -> "Take":
+        """-> the markers at `which` (K,) as a take of the same file: what is written of it changes these markers alone."""
+        given = {name: getattr(self, name) for name in ("deviation", "computed", "blind", "source")}
+        return replace(
+            self,
+            markers=self.markers[:, which],
+            labels=tuple(self.labels[m] for m in which),
+            columns=self.points[which],
+            person=person,
+            **{name: each[:, which] for name, each in given.items() if each is not None},
+        )
+
+    def of_part(self, part: "Take") -> np.ndarray:
+        """-> (K,) the index here of each marker of a part of this take."""
+        index = {int(point): m for m, point in enumerate(self.points)}
+        return np.array([index[int(point)] for point in part.points], int)
 
     def only(self, believed: np.ndarray) -> "Take":
         """The same take with the samples `believed` (T, M) alone, NaN elsewhere."""
@@ -96,12 +136,14 @@ class Take:
         return replace(self, **changed)
 
     @property
+    def points(self) -> np.ndarray:
+        """(M,) the file's point that each marker is."""
+        return self.columns if len(self.columns) else np.arange(len(self.labels))
+
+    @property
     def sources(self) -> np.ndarray:
         """(T, M) the file's point that each sample came from."""
-        if self.source is not None:
-            return self.source
-        own = self.columns if len(self.columns) else np.arange(len(self.labels))
-        return np.tile(own, (self.frames, 1))
+        return np.tile(self.points, (self.frames, 1)) if self.source is None else self.source
 
     def with_markers(self, markers: np.ndarray, deviation: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""

@@ -11,6 +11,14 @@ from mocapfix.scenes import read_yaml
 from mocapfix.skeleton import cmu31
 
 Form = TypeVar("Form", bound=BaseModel)
+WORDS = {  # for what pydantic says to programmers
+    "extra_forbidden": "there is no such key; look for a slip in its name",
+    "missing": "is missing",
+    "tuple_type": "must be a list",
+    "model_type": "must be key: value pairs",
+    "dict_type": "must be key: value pairs",
+    "string_type": "must be text",
+}
 
 
 def checked(form: type[Form], path: Path) -> Form:
@@ -24,7 +32,8 @@ def checked(form: type[Form], path: Path) -> Form:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise SceneError(f"{path}: {key}: {first['msg'].removeprefix('Value error, ')}.") from error
+        said = WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ")
+        raise SceneError(f"{path}: {key}: {said}.") from error
 
 
 def _known_joint(name: str) -> str:

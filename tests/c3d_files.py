@@ -36,8 +36,8 @@ def c3d_bytes(
         "POINT:UNITS": "mm",
         "POINT:LABELS": list(labels[:255]),
     }
-    if len(labels) > 255:
-        given["POINT:LABELS2"] = list(labels[255:])
+    for more in range(255, len(labels), 255):
+        given[f"POINT:LABELS{1 + more // 255}"] = list(labels[more : more + 255])
     section = _parameter_section({**given, **(extra or {})}, processor, order)
     header = _header(points, first, frames, -scale if is_float else scale, 2 + len(section) // 512, processor, order)
     return header + section + _data(xyz, words, encoding, scale, order)

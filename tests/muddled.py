@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix import read
+from mocapfix.c3d_layout import C3DLayout
 from mocapfix.result import Result
 from mocapfix.subject import Subject
 from mocapfix.synthetic import Truth
@@ -68,7 +69,7 @@ def write(path: Path, truth: Truth) -> None:
 def sample_words(path: Path) -> np.ndarray:
     """-> (T, P, 4) the words of every point of a file."""
     layout = read.take(path).layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     return layout.words(path.read_bytes())
 
 
@@ -85,7 +86,7 @@ def differing(one: Path, other: Path) -> set[tuple[str, int, int]]:
     old, new = (sample_words(path) for path in (one, other))
     differs = (old.view("u4") != new.view("u4")).any(-1)
     rest = [bytearray(path.read_bytes()) for path in (one, other)]
-    assert take.layout is not None
+    assert isinstance(take.layout, C3DLayout)
     for data in rest:
         take.layout.words(data)[differs] = 0
     assert rest[0] == rest[1]

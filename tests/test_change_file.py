@@ -111,12 +111,12 @@ def broken(tmp_path, *keys, value=None, drop=False) -> Path:
         (("changes", 1, "last"), 151, "changes.1: frames 110 to 151 are not in walk.c3d."),
         (("changes", 1, "last"), 109, "changes.1: frames 110 to 109 are not in walk.c3d."),
         (("changes", 1, "before", "missing"), None, "changes.1.before.missing: "),
-        (("changes", 1, "decison"), "reject", "changes.1.decison: Extra inputs are not permitted."),
+        (("changes", 1, "decison"), "reject", "changes.1.decison: there is no such key; look for a slip in its name."),
         (("changes",), "none", "changes: "),
         (("frames",), [101], "frames"),
         (("frames",), [1, 50], "frames: is about frames 1 to 50; walk.c3d has 101 to 150."),
         (("take",), "run.c3d", "take: is about run.c3d, not walk.c3d"),
-        (("note",), "mine", "note: Extra inputs are not permitted."),
+        (("note",), "mine", "note: there is no such key; look for a slip in its name."),
     ],
 )
 def test_each_fault_of_the_form_is_named_by_file_and_key(tmp_path, keys, value, sentence):
@@ -131,7 +131,7 @@ def test_each_fault_of_the_form_is_named_by_file_and_key(tmp_path, keys, value, 
 @pytest.mark.parametrize("keys", [("take",), ("frames",), ("changes",), ("changes", 0, "decision"), ("changes", 0, "markers")])
 def test_a_key_that_is_missing_is_named(tmp_path, keys):
     path = broken(tmp_path, *keys, drop=True)
-    with pytest.raises(SceneError, match=rf"{'.'.join(map(str, keys))}: Field required\.$"):
+    with pytest.raises(SceneError, match=rf"{'.'.join(map(str, keys))}: is missing\.$"):
         change_file.load(path, take())
 
 

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from mocapfix.cli import between
+from mocapfix.cli_clean import between
 from tests.c3d_files import c3d_bytes
 from tests.conftest import as_c3d
 
@@ -141,7 +141,7 @@ def test_one_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):
     status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--json")
     assert status == 1
     assert [report["take"]["file"] for report in json.loads(out)] == ["one.c3d", "three.c3d"]
-    assert "two.c3d: is not a C3D file" in err
+    assert "two.c3d: is not a file that mocapfix reads" in err
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {f"{name}.{kind}" for name in ("one", "three") for kind in KINDS}
 
@@ -222,9 +222,9 @@ def two_markers_at_a_time(brief):
 FILES = {
     "cut off": (lambda brief: brief.path.read_bytes()[:-20_000], r"is cut off: 120 frames are promised, \d+ are there; copy"),
     "empty": (lambda _: b"", r"is empty \(0 bytes\); copy or export it again"),
-    "random": (lambda _: np.random.default_rng(0).bytes(8000), r"is not a C3D file; .* export the capture as C3D"),
+    "random": (lambda _: np.random.default_rng(0).bytes(8000), r"is not a file that mocapfix reads; export the capture as"),
     "random, nearly": (lambda _: b"\x02\x50" + np.random.default_rng(1).bytes(8000), r"; (copy|export) "),
-    "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"is not a C3D file; .* export the capture as C3D"),
+    "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"is not a file that mocapfix reads; export the capture as"),
     "without points": (lambda _: c3d_bytes(np.zeros((5, 0, 3)), [], extra={"POINT:LABELS": None}), r"holds no points; export"),
     "two markers": (two_markers_at_a_time, r"no frame shows three markers, so nothing can be placed; check the labels"),
 }
@@ -242,9 +242,9 @@ def test_a_file_that_is_no_take_is_named_and_leaves_nothing_behind(mocapfix, bri
 
 def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
     refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
-    refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the C3D files in it")
+    refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
     bvh = cleaned.outputs["bvh"]
-    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is a BVH; .* give it the capture")
+    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is not a file that mocapfix reads; export the capture as")
     for command in ("inspect", "clean"):
         refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
     refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")

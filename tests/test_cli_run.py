@@ -1,9 +1,11 @@
 """What a technician meets who runs a scene."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
+from mocapfix import scenes, subject_file, synthetic
 from mocapfix.keypoints import example
 
 
@@ -24,7 +26,7 @@ def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, t
 @pytest.mark.parametrize(
     ("scene", "message"),
     [
-        ("kind: opera\n", "kind: must be one of keypoints-2d, not 'opera'"),
+        ("kind: opera\n", "kind: must be one of clean, keypoints-2d, not 'opera'"),
         ("kind: [a]\n", "not ['a']"),
         ("title: a\n", "not None"),
         (None, "cannot be read"),
@@ -40,4 +42,43 @@ def test_a_scene_that_is_none_is_told(mocapfix, tmp_path, scene, message):
 def test_the_scenes_that_ship_are_told_where_there_is_none_of_a_name(mocapfix):
     status, _, err = mocapfix("run", "opera")
     assert status == 1
-    assert "There is no scene named 'opera'; choose one of: keypoints-2d; or give a .yaml file." in " ".join(err.split())
+    there = "choose one of: demo, keypoints-2d, session; or give a .yaml file."
+    assert f"There is no scene named 'opera'; {there}" in " ".join(err.split())
+
+
+def test_the_demo_that_ships_is_composed_and_cleaned(mocapfix, tmp_path):
+    status, out, _ = mocapfix("run", "demo", "-o", tmp_path / "here")
+    assert status == 0
+    assert "Somebody walks, reaches, crouches and turns: 1 take." in out
+    written = {path.name for path in (tmp_path / "here").iterdir()}
+    assert {"composed", "walk.c3d", "walk.bvh", "walk.blender.bvh", "walk.glb", "walk.npz", "walk.report.html"} <= written
+    assert json.loads((tmp_path / "here" / "walk.report.json").read_text())["take"]["marker_set"] == "cmu41"
+    status, _, err = mocapfix("run", "demo", "-o", tmp_path / "here")
+    assert (status, "is there already; give --overwrite" in " ".join(err.split())) == (1, True)
+
+
+def test_the_session_that_ships_calibrates_once_and_cleans_each_take_by_that(mocapfix, tmp_path):
+    scene = tmp_path / "session.yaml"
+    scene.write_bytes((scenes.folder("scenes") / "session.yaml").read_bytes())
+    for name, start in (("rom", 0), ("walk1", 120), ("walk2", 240), ("other", 0)):
+        truth = synthetic.take(seed=1, seconds=3.0)
+        some = slice(start, start + 120)
+        cut = replace(truth, markers=truth.markers[some], damaged=truth.damaged[some], struck=truth.struck[some])
+        synthetic.write(tmp_path / f"{name}.c3d", cut)
+    status, out, err = mocapfix("run", scene, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert "Jim's session: 3 takes." in out
+    subjects = [subject_file.load(tmp_path / "out" / f"{name}.subject.yaml") for name in ("rom", "walk1", "walk2")]
+    assert len({each.skeleton.offsets.tobytes() for each in subjects}) == 1
+    assert not (tmp_path / "out" / "other.c3d").exists()
+
+
+def test_a_job_whose_takes_are_not_there_says_so_and_cleans_the_others(mocapfix, tmp_path, brief):
+    (tmp_path / "there.c3d").write_bytes(brief.path.read_bytes())
+    (tmp_path / "mine.yaml").write_text(
+        f"kind: clean\ntitle: Mine\ntakes: [gone.c3d, there.c3d]\nsubject: {brief.subject}\nvolume: {{floor: 0.5}}\n"
+    )
+    status, out, err = mocapfix("run", tmp_path / "mine.yaml", "-o", tmp_path / "out")
+    assert status == 1
+    assert "gone.c3d: there is no such file" in " ".join(err.split())
+    assert "What moves is written 0.5 m lower" in " ".join(out.split())

@@ -86,7 +86,7 @@ def test_the_order_of_bones_does_not_matter(tmp_path):
         ("LFHD: {joint: Head", "LFHD: {joint: Skull", r"markers\.LFHD\.joint: there is no joint 'Skull'"),
         ("[0.078, 0.164, 0.073]", "[0.078, .inf, 0.073]", r"markers\.LFHD\.place\.1: "),
         ("0.3929, 0.0], sd: 0.0", "0.3929, 0.0], sd: -0.1", r"bones\.LeftLeg\.sd: Input should be greater than or equal to 0"),
-        (", spread: 0.013, sd: 0.0}", ", spread: 0.013}", r"markers\.LFHD\.sd: Field required"),
+        (", spread: 0.013, sd: 0.0}", ", spread: 0.013}", r"markers\.LFHD\.sd: is missing"),
         ("frames: 120", "frames: -1", "frames: "),
         ("marker_set: cmu41\n", "", "marker_set: "),
     ],

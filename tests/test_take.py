@@ -1,4 +1,4 @@
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -34,6 +34,23 @@ def test_names_and_labels(take):
     assert Take(take.markers, take.labels, 120.0).name == "the take"
     assert take.bare_labels == ("LFHD", "RANK")
     assert Take(take.markers, ("LFHD ", " x: y"), 1.0).bare_labels == ("LFHD", "y")
+
+
+def test_a_part_is_a_take_of_the_same_file_with_those_markers_alone(take):
+    """The whole's markers are the file's points 4 and 6; the part's is the second of them, wherever it is asked."""
+    seen = take.seen
+    whole = replace(take, columns=np.array([4, 6]), computed=~seen, blind=seen, deviation=np.where(seen, 0.1, np.nan))
+    part = whole.part(np.array([1]), "A/B")
+    assert (part.labels, part.owners, part.person, part.name, part.stem) == (
+        ("A:B:RANK",), ("A:B",), "A/B", "walk.c3d (A/B)", "walk.A_B"
+    )  # fmt: skip
+    np.testing.assert_array_equal(part.markers, whole.markers[:, [1]])
+    np.testing.assert_array_equal(part.computed, ~seen[:, [1]])
+    np.testing.assert_array_equal(part.blind, seen[:, [1]])
+    np.testing.assert_array_equal(part.sources, np.full((4, 1), 6))
+    np.testing.assert_array_equal(whole.of_part(part), [1])
+    np.testing.assert_array_equal(take.of_part(take.part(np.array([1, 0]), "both")), [1, 0])
+    assert (take.stem, Take(take.markers, take.labels, 120.0).stem) == ("walk", "take")
 
 
 def test_other_positions_make_another_take(take):

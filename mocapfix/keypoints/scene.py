@@ -4,16 +4,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
 from mocapfix import subject_file
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import SceneError
 from mocapfix.keypoints import camera, read, solve
 from mocapfix.keypoints.result import Result
-from mocapfix.scenes import read_yaml
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve.single import named
+from mocapfix.yaml_form import checked
 
 STILL = 30.0  # Hz: of one image alone, for its BVH
 
@@ -43,11 +43,7 @@ class Settings(BaseModel):
 
 def settings(path: Path) -> Settings:
     """-> what the scene says. Raises SceneError naming the file and the key that is not as it must be."""
-    try:
-        return Settings.model_validate(read_yaml(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise SceneError(f"{path}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}.") from error
+    return checked(Settings, path)
 
 
 def run(path: Path, progress: Progress | None = None) -> Result:

@@ -7,7 +7,7 @@ import numpy as np
 
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
-from mocapfix.read.axes import to_y_up
+from mocapfix.read.axes import ENOUGH_FRAMES, to_y_up
 from mocapfix.read.computed import blind, computed
 from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
@@ -18,69 +18,66 @@ MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at mu
 NOWHERE = 9_000_000  # file units; Cortex writes 9999999 for an occluded marker
 
 
-def take(path: str | Path) -> Take:
-    """-> the take in a C3D file, told by what it holds and not by its suffix.
+def recognises(head: bytes, path: Path) -> bool:
+    """-> does a file that begins so claim to be a C3D?"""
+    return len(head) > 1 and head[1] == MAGIC and b"\0" in head
+
+
+def take(path: Path, data: bytes) -> Take:
+    """-> the take in a C3D file's bytes.
 
     Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
     9999999, NaN. Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data Section".
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
-    path = Path(path)
-    data = _c3d_bytes(path)
+    if len(data) < 2 * BLOCK:
+        raise ReadError(f"{path}: is a C3D's first {len(data)} bytes, without its data; copy it again or export it anew.")
     try:
         said = parameters(data)
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
-    layout = _layout(path, said, len(data))
+    layout, notes = _layout(path, said, len(data))
     values = _values(layout, data)
-    seen = _seen(values)
+    seen, words = _seen(values), np.ascontiguousarray(values[..., 3])
     labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
-    columns = marker_columns(labels, said.outputs, seen, values[..., 3])
+    columns = marker_columns(labels, said.outputs, seen, words)
     if not len(columns):
         raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
-    positions = np.where(seen[..., None], values[..., :3] * layout.unit, np.nan)
-    names = tuple(labels[i] for i in columns)
-    axes = to_y_up(said.vertical, names, positions[:, columns])
-    nameless = unlabelled_columns(labels, said.outputs, seen)
-    unlabelled = Take(
-        positions[:, nameless] @ axes.T, tuple(labels[i] for i in nameless), said.rate, said.first_frame, path, columns=nameless
-    )
-    return Take(
-        markers=positions[:, columns] @ axes.T,
-        labels=names,
-        rate=said.rate,
-        first_frame=said.first_frame,
-        path=path,
+    step = max(1, layout.frames // ENOUGH_FRAMES)
+    few = _metres(values[::step], seen[::step], columns, layout.unit, np.eye(3))
+    axes = to_y_up(said.vertical, [labels[i] for i in columns], few)
+
+    def of(points: np.ndarray, **more) -> Take:
+        markers = _metres(values, seen, points, layout.unit, axes)
+        return Take(markers, tuple(labels[i] for i in points), said.rate, said.first_frame, path, columns=points, **more)
+
+    nameless, markers = unlabelled_columns(labels, said.outputs, seen), set(columns.tolist())
+    return of(
+        columns,
         layout=replace(layout, axes=axes),
-        columns=columns,
-        others=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
-        unlabelled=unlabelled if len(nameless) else None,
-        computed=computed(values[..., 3], seen)[:, columns],
-        blind=blind(values[:, columns, 3], seen[:, columns]),
+        others=tuple(label for i, label in enumerate(labels) if i not in markers),
+        unlabelled=of(nameless) if len(nameless) else None,
+        computed=computed(words, seen)[:, columns],
+        blind=blind(words[:, columns], seen[:, columns]),
+        subjects=said.subjects,
+        notes=notes,
     )
 
 
-def _c3d_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except IsADirectoryError as error:
-        raise ReadError(f"{path}: is a folder; name the C3D files in it.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
-    if not data:
-        raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
-    if data.lstrip()[:9].upper() == b"HIERARCHY":
-        raise ReadError(f"{path}: is a BVH; mocapfix cleans C3D takes, so give it the capture that the BVH was made from.")
-    if len(data) < 2 * BLOCK or data[1] != MAGIC:
-        raise ReadError(f"{path}: is not a C3D file; mocapfix cleans C3D takes, so export the capture as C3D.")
-    return data
+def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: float, axes: np.ndarray) -> np.ndarray:
+    """-> (T, K, 3) metres of the points (K,) in other axes, NaN where not `seen` (T, P); `values` (T, P, 4) are in file units.
+
+    Axes are a permutation, and taking numbers in another order is many times faster than a product.
+    """
+    markers = values[:, points[:, None], axes.argmax(1)]
+    markers *= unit
+    markers[~seen[:, points]] = np.nan
+    return markers
 
 
-def _layout(path: Path, said: Parameters, size: int) -> C3DLayout:
-    """Where the samples lie, held against the file's size in bytes; its axes are not known yet."""
+def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
+    """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
     unit = METRES.get(said.units.lower())
     if said.points == 0:
         raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
@@ -97,21 +94,27 @@ def _layout(path: Path, said: Parameters, size: int) -> C3DLayout:
     is_float = said.scale < 0
     frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
     frames = _frames(path, said, size, frame_bytes)
-    return C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
+    note = f"The header promises {said.promised} frames and {frames} are there."
+    layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
+    return layout, () if frames in (said.promised, said.header_frames) else (note,)
 
 
 def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
     """How many frames the file of `size` bytes has: what is promised, if it is there.
 
-    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more.
+    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
+    is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
+    may, with a block. A file may also hold more frames than a word can promise, and say so nowhere.
     """
     held = max(0, size - said.start) // frame_bytes
     if said.promised < 1:
         raise ReadError(f"{path}: holds no frames; export the trial again.")
     if said.promised <= held:
-        return said.promised
+        return held if said.saturated and (held - said.promised) * frame_bytes >= BLOCK else said.promised
     if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
         return said.header_frames
+    if held and not (size - said.start) % frame_bytes and size % BLOCK:
+        return held
     raise ReadError(f"{path}: is cut off: {said.promised} frames are promised, {held} are there; copy or export it again.")
 
 

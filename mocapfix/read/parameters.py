@@ -8,6 +8,7 @@ import c3d
 import numpy as np
 
 ENCODINGS = (84, 85, 86)  # Intel, DEC, SGI/MIPS
+LARGEST = 65_535  # that a word holds
 VICON_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
 
 
@@ -17,11 +18,13 @@ class Parameters:
 
     labels       of all points, blanks stripped, as many as the file has (more or fewer than points)
     outputs      labels of the points that the file itself lists as model outputs
+    subjects     names of the people that the file lists, as Vicon's do
     vertical     "+Z" or the like, the file's axis that its makers show upwards; empty where not given
     units        POINT:UNITS; empty where not given
     start        offset in bytes of the first frame
     header_frames, promised  frames by the header, and by whichever of header and parameters promises most: the
                  header's words end at 65,535
+    saturated    does nothing promise more than those words can?
     """
 
     processor: int
@@ -35,9 +38,11 @@ class Parameters:
     vertical: str
     labels: tuple[str, ...]
     outputs: frozenset[str]
+    subjects: tuple[str, ...]
     first_frame: int
     header_frames: int
     promised: int
+    saturated: bool
 
 
 def parameters(data: bytes) -> Parameters:
@@ -61,9 +66,12 @@ def _parameters(data: bytes) -> Parameters:
         reader = _Reader(io.BufferedReader(io.BytesIO(data)))
     header = reader.header
     first, last = _whole(reader, "TRIAL:ACTUAL_START_FIELD"), _whole(reader, "TRIAL:ACTUAL_END_FIELD")
-    header_frames = header.last_frame - header.first_frame + 1
     trial_frames = last - first + 1 if last and first is not None else None
+    header_frames = header.last_frame - header.first_frame + 1
+    if first is not None and first > LARGEST:  # than the header's words, cut off or run over, can tell
+        header_frames = trial_frames or 0
     counts = (header_frames, _whole(reader, "POINT:FRAMES"), _whole(reader, "POINT:LONG_FRAMES"), trial_frames)
+    promised = max(n for n in counts if n is not None)
     return Parameters(
         processor=processor,
         points=int(reader.point_used),
@@ -76,9 +84,11 @@ def _parameters(data: bytes) -> Parameters:
         vertical="".join(_texts(reader, "POINT:Y_SCREEN")).upper(),
         labels=tuple(_series(reader, "POINT:LABELS")),
         outputs=frozenset(_outputs(reader)),
+        subjects=tuple(name for name in _texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frames=header_frames,
-        promised=max(n for n in counts if n is not None),
+        promised=promised,
+        saturated=header.last_frame == LARGEST and promised <= LARGEST,
     )
 
 

@@ -83,7 +83,7 @@ def _turned(before: float | None, after: float | None, digits: int) -> str:
 
 def _taking_back(cleaning: Cleaning) -> str:
     name = cleaning.before.path.name if cleaning.before.path else "TAKE"
-    file = f"{name.removesuffix('.c3d')}.changes.yaml"
+    file = f"{cleaning.before.stem}.changes.yaml"
     return (
         f'<p class="soft">To take a change back, set its decision in {escape(file)} to “reject” (or to “keep”: what was measured '
         f"there is believed) and clean again: <code>mocapfix clean {escape(name)} --changes {escape(file)} --overwrite</code></p>"

@@ -8,6 +8,7 @@ from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.files import replacing
 from mocapfix.take import Take
+from mocapfix.write.original import brought, changed, given_away, original
 
 # The largest coordinate that a 16-bit word holds, and that a float word holds without reading as Cortex's 9999999.
 GONE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual of what is not there
@@ -26,42 +27,24 @@ def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
     Raises WriteError where `target` is the input itself, where `before` was not read from a C3D that is still there, or
     where `target` cannot be written.
     """
-    target = Path(target)
-    layout, data = _original(target, before)
-    own, words = before.sources, layout.words(data)
-    came = after.seen & (after.sources != own) & (np.isnan(after.deviation) if after.deviation is not None else True)
-    frames, markers = np.nonzero(_changed(before.markers, after.markers) & ~came)
+    layout = before.layout
+    if not isinstance(layout, C3DLayout):
+        raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
+    data = original(Path(target), before)
+    if len(data) < layout.start + layout.frames * layout.frame_bytes:
+        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
+    words, came = layout.words(data), brought(before, after)
+    frames, markers = np.nonzero(changed(before, after) & ~came)
     samples, stored = _samples(layout, after, frames, markers)
-    brought = words[np.nonzero(came)[0], after.sources[came]]
+    theirs = words[np.nonzero(came)[0], after.sources[came]]
     words[frames, before.columns[markers]] = _encoded(layout, samples)
-    words[np.nonzero(came)[0], before.columns[np.nonzero(came)[1]]] = brought
-    if before.unlabelled is not None and after.unlabelled is not None:
-        given, points = np.nonzero(before.unlabelled.seen & ~after.unlabelled.seen)
-        words[given, before.unlabelled.columns[points]] = _encoded(layout, np.tile(GONE, (len(given), 1)))
-    with replacing(target) as part:
+    words[np.nonzero(came)[0], before.columns[np.nonzero(came)[1]]] = theirs
+    gone = given_away(before, after)
+    words[gone] = _encoded(layout, np.tile(GONE, (len(gone[0]), 1)))
+    with replacing(Path(target)) as part:
         part.write_bytes(data)
     lost = ~stored & ~np.isnan(after.markers[frames, markers]).any(-1)
     return [(int(t), int(m)) for t, m in zip(frames[lost], markers[lost], strict=True)]
-
-
-def _original(target: Path, before: Take) -> tuple[C3DLayout, bytearray]:
-    if before.path is None or before.layout is None:
-        raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
-    try:
-        if target.exists() and target.samefile(before.path):
-            raise WriteError(f"{target}: is the input itself, which stays as it is; choose another folder with --out.")
-        data = bytearray(before.path.read_bytes())
-    except OSError as error:
-        raise WriteError(f"{before.path}: the original can no longer be read ({error.strerror}); put it back.") from error
-    layout = before.layout
-    if len(data) < layout.start + layout.frames * layout.frame_bytes:
-        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
-    return layout, data
-
-
-def _changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """-> (T, M) bool: do the bits differ? NaN is NaN, whichever its bits."""
-    return ~((before == after) & (np.signbit(before) == np.signbit(after)) | np.isnan(before) & np.isnan(after)).all(-1)
 
 
 def _samples(layout: C3DLayout, after: Take, frames: np.ndarray, markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

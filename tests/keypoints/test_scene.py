@@ -42,11 +42,11 @@ def test_the_shipped_scene_says_what_it_must_and_shows_a_known_motion():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("title: <Mine>\n", "", r"mine\.yaml: title: Field required"),
+        ("title: <Mine>\n", "", r"mine\.yaml: title: is missing"),
         ("prior: pca", "prior: pca\nprior_scale: 0", r"mine\.yaml: prior_scale: .*greater than 0"),
         ("prior: pca", "prior: pca\nprior_scale: .inf", r"mine\.yaml: prior_scale: .*finite"),
         ("prior: pca", "prior: pca\nlooks_down: 95", r"mine\.yaml: looks_down: .*less than 90"),
-        ("prior: pca", "prior: pca\ncamera: 3", r"mine\.yaml: camera: Extra inputs"),
+        ("prior: pca", "prior: pca\ncamera: 3", r"mine\.yaml: camera: there is no such key"),
         ("kind: keypoints-2d", "kind: keypoints-3d", r"mine\.yaml: kind: "),
         ("prior: pca", "prior: oracle", r"no trained prior 'oracle'"),
     ],

@@ -8,84 +8,18 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
 from mocapfix.kernels import kinematics
-from mocapfix.motion import Motion
-from mocapfix.skeleton import cmu31
-from mocapfix.write.bvh import bvh, euler_zyx
-
-SKELETON = cmu31().skeleton
+from mocapfix.write.bvh import bvh, euler
+from tests.write.read_back import SKELETON, Bvh, motion_of, smooth_rotations
 
 
-class Bvh:
-    """What a reader finds in a BVH, in the file's units and order."""
-
-    def __init__(self, text):
-        self.names, self.parents, self.offsets, self.channels, self.ends = [], [], [], [], {}
-        head, motion = text.split("MOTION\n")
-        open_joints, ending = [], False
-        for words in map(str.split, head.splitlines()):
-            match words:
-                case ["ROOT" | "JOINT", name]:
-                    self.parents.append(open_joints[-1] if open_joints else -1)
-                    self.names.append(name)
-                case ["End", "Site"]:
-                    ending = True
-                case ["{"]:
-                    open_joints.append(len(self.names) - 1)
-                case ["}"]:
-                    open_joints.pop()
-                    ending = False
-                case ["OFFSET", *numbers] if ending:
-                    self.ends[self.names[-1]] = [float(x) for x in numbers]
-                case ["OFFSET", *numbers]:
-                    self.offsets.append([float(x) for x in numbers])
-                case ["CHANNELS", count, *names]:
-                    assert int(count) == len(names)
-                    self.channels.append(names)
-        assert not open_joints
-        frames, frame_time, *rows = motion.splitlines()
-        self.frames, self.frame_time = int(frames.removeprefix("Frames: ")), frame_time.removeprefix("Frame Time: ")
-        self.rows = np.array([row.split() for row in rows], float)
-
-    def world(self):
-        """-> (T, J, 3) joint positions as in the file."""
-        position, rotation, column = [], [], 0
-        for joint, (parent, names) in enumerate(zip(self.parents, self.channels, strict=True)):
-            values = self.rows[:, column : column + len(names)]
-            column += len(names)
-            turns = Rotation.from_euler("".join(name[0] for name in names[-3:]), values[:, -3:], degrees=True).as_matrix()
-            if parent < 0:
-                position.append(values[:, :3] + self.offsets[joint])
-                rotation.append(turns)
-            else:
-                position.append(position[parent] + rotation[parent] @ np.array(self.offsets[joint]))
-                rotation.append(rotation[parent] @ turns)
-        assert column == self.rows.shape[1]
-        return np.stack(position, axis=1)
-
-
-def smooth_rotations(seed, frames, joints, swing):
-    """-> (frames, joints, 3, 3): each joint swings about moving axes, up to `swing` radians away from rest."""
-    rng = np.random.default_rng(seed)
-    time = np.linspace(0, 1, frames)[:, None, None]
-    waves = sum(rng.normal(size=(joints, 3)) * np.sin(2 * np.pi * k * time + rng.uniform(0, 7, (joints, 3))) for k in (1, 2, 3))
-    vectors = swing * waves / np.linalg.norm(waves, axis=-1).max()
-    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(frames, joints, 3, 3)
-
-
-def matrices(angles):
-    return Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
+def matrices(angles, order="ZYX"):
+    return Rotation.from_euler(order, angles.reshape(-1, 3)).as_matrix().reshape(*angles.shape, 3)
 
 
 def turns(rotations):
     """-> (T - 1, J) radians by which each joint turns from one frame to the next."""
     change = np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:]
     return Rotation.from_matrix(change.reshape(-1, 3, 3)).magnitude().reshape(change.shape[:2])
-
-
-def motion_of(rotations, root=None):
-    frames = len(rotations)
-    root = np.zeros((frames, 3)) if root is None else root
-    return Motion(root, rotations, np.zeros(frames, int), np.zeros(frames, int), np.zeros((frames, 0)), np.zeros((frames, 0)))
 
 
 def about(axis, degrees):
@@ -136,7 +70,7 @@ def test_frame_time_has_seven_digits(tmp_path, rate):
 @example(seed=0, swing=1e-9, frames=2)
 def test_angles_turn_as_the_matrices_and_step_no_farther_than_they_must(seed, swing, frames):
     rotations = smooth_rotations(seed, frames, 3, swing)
-    angles = euler_zyx(rotations)
+    angles = euler(rotations)
     np.testing.assert_allclose(matrices(angles), rotations, atol=1e-6)
     step, turn = np.abs(np.diff(angles, axis=0)).max(axis=-1), turns(rotations)
     assert (step <= np.pi / 2 + turn + 1e-9).all()  # beside gimbal lock
@@ -145,9 +79,26 @@ def test_angles_turn_as_the_matrices_and_step_no_farther_than_they_must(seed, sw
     assert (step[clear & (turn < np.pi / 4)] < np.pi / 2).all()
 
 
+@pytest.mark.parametrize("order", ["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"])
+def test_in_every_order_the_matrices_come_back(order):
+    rotations = smooth_rotations(5, 100, 3, swing=4)
+    np.testing.assert_allclose(matrices(euler(rotations, order), order), rotations, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["ZYX", "ZXY"])
+def test_the_channels_are_listed_in_the_order_in_which_they_turn(tmp_path, order):
+    rotations = smooth_rotations(0, 20, 31, swing=2.5)
+    bvh(tmp_path / "walk.bvh", SKELETON, motion_of(rotations), 120.0, rotations=order)
+    read = Bvh((tmp_path / "walk.bvh").read_text())
+    assert {tuple(names[-3:]) for names in read.channels} == {tuple(f"{axis}rotation" for axis in order)}
+    places, _ = kinematics.world(SKELETON, motion_of(rotations))
+    found = read.world()[:, [read.names.index(name) for name in SKELETON.names]]
+    np.testing.assert_allclose(found / 100, places, atol=1e-6)
+
+
 @given(seed=st.integers(0, 2**32))
 def test_no_other_triple_is_nearer_to_the_frame_before(seed):
-    angles = euler_zyx(smooth_rotations(seed, 50, 2, swing=6))
+    angles = euler(smooth_rotations(seed, 50, 2, swing=6))
     other = angles * [1, -1, 1] + np.pi
     before, step = angles[:-1], np.linalg.norm(np.diff(angles, axis=0), axis=-1)
     for triple in (angles[1:], other[1:]):
@@ -158,7 +109,7 @@ def test_no_other_triple_is_nearer_to_the_frame_before(seed):
 @pytest.mark.parametrize(("axis", "channel"), [("Z", 0), ("Y", 1), ("X", 2)])
 def test_turning_about_one_axis_moves_one_channel_even_through_gimbal_lock(axis, channel):
     degrees = np.arange(0, -1081, -3.0)  # three turns; the frames at 90 and 270 degrees of Y are locked
-    angles = np.degrees(euler_zyx(about(axis, degrees)))[:, 0]
+    angles = np.degrees(euler(about(axis, degrees)))[:, 0]
     expected = np.zeros_like(angles)
     expected[:, channel] = degrees
     np.testing.assert_allclose(angles, expected, atol=1e-6)
@@ -168,7 +119,7 @@ def test_turning_about_one_axis_moves_one_channel_even_through_gimbal_lock(axis,
 def test_turning_within_gimbal_lock_is_shared_by_z_and_x(sign):
     degrees = np.arange(0, 720, 2.0)
     locked = about("Y", np.full(len(degrees), 90.0 * sign)) @ about("X", degrees)
-    angles = np.degrees(euler_zyx(locked))[:, 0]
+    angles = np.degrees(euler(locked))[:, 0]
     np.testing.assert_allclose(angles[:, 1], 90 * sign)
     np.testing.assert_allclose(angles[:, 2] - sign * angles[:, 0], degrees, atol=1e-6)
     np.testing.assert_allclose(np.abs(np.diff(angles[:, [0, 2]], axis=0)), 1, atol=1e-6)
@@ -177,14 +128,14 @@ def test_turning_within_gimbal_lock_is_shared_by_z_and_x(sign):
 @given(z=st.floats(-180, 180), x=st.floats(-180, 180), sign=st.sampled_from([1, -1]), off=st.floats(-0.1, 0.1))
 def test_at_and_near_gimbal_lock_the_matrices_come_back(z, x, sign, off):
     rotation = Rotation.from_euler("ZYX", [[z, 90 * sign + off, x]], degrees=True).as_matrix()[:, None]
-    np.testing.assert_allclose(matrices(euler_zyx(rotation)), rotation, atol=1e-6)
+    np.testing.assert_allclose(matrices(euler(rotation)), rotation, atol=1e-6)
 
 
 def test_diving_through_gimbal_lock_while_twisting_takes_no_leap():
     time = np.linspace(0, 1, 101)[:, None]  # frame 50 is locked exactly
     degrees = np.hstack([20 + 10 * time, 60 + 60 * time, -40 * time])
     rotations = Rotation.from_euler("ZYX", degrees, degrees=True).as_matrix()[:, None]
-    angles = np.degrees(euler_zyx(rotations))[:, 0]
+    angles = np.degrees(euler(rotations))[:, 0]
     np.testing.assert_allclose(np.delete(angles, 50, axis=0), np.delete(degrees, 50, axis=0), atol=1e-6)
     assert np.abs(np.diff(angles, axis=0)).max() < 2
 

@@ -1,6 +1,9 @@
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import c3d
+import ezc3d
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mocapfix import read, write
+from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.faults import Fragment
 from mocapfix.mend import fragments
@@ -15,7 +19,9 @@ from mocapfix.take import Take
 from tests.c3d_files import ENCODINGS, c3d_bytes
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d", "Optotrak.c3d"}
+UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d"}
+# c3d 0.6.0 stops at a parameter named twice, and at an analog rate that is said twice and not alike.
+NOT_BY_C3D = {"PiG_Calibration-FlatFoot-Hole.c3d", "01_01.c3d", "05_13.c3d"}
 READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
 
 LABELS = ("*1", "LFHD", "LANK", "RANK")  # the first is no marker, so that marker and point indices differ
@@ -34,7 +40,7 @@ def take_in(folder: Path, encoding, vertical="+Z") -> Take:
 def sample_bytes(take: Take, frame: int, marker: int) -> slice:
     """Where the sample's four words lie, counted by hand."""
     layout = take.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     size = 16 if layout.is_float else 8
     start = layout.start + frame * layout.frame_bytes + size * int(take.columns[marker])
     return slice(start, start + size)
@@ -70,7 +76,7 @@ def test_nothing_to_mend_is_a_byte_identical_copy(tmp_path, encoding):
 def test_only_changed_samples_change_and_they_read_back(tmp_path_factory, encoding, values, deviation, what, vertical):
     folder = tmp_path_factory.mktemp("mend")
     before = take_in(folder, encoding, vertical)
-    assert before.layout is not None
+    assert isinstance(before.layout, C3DLayout)
     markers = np.where((what == 1)[..., None], values, before.markers)
     markers[what == 2] = np.nan
     lost = write.c3d(folder / "after.c3d", before, before.with_markers(markers, deviation))
@@ -149,6 +155,26 @@ def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(("frames", "points"), [(66_000, 1), (2, 600)])
+def test_beyond_what_a_word_and_one_parameter_can_count(tmp_path, encoding, frames, points):
+    """The last marker's last sample is mended, in a file of more frames, or of more labels, than the format began with."""
+    if encoding == (85, True) and frames > 65_535:
+        pytest.skip("DEC floats are made one by one here: too slow")
+    path, labels = tmp_path / "before.c3d", [f"M{i}" for i in range(points)]
+    said = {"POINT:LONG_FRAMES": float(frames), "POINT:Y_SCREEN": "+Y"}
+    path.write_bytes(c3d_bytes(np.full((frames, points, 3), 50.0), labels, encoding=encoding, extra=said))
+    before = read.take(path)
+    markers = before.markers.copy()
+    markers[-1, -1] = (0.1, 1.25, -0.3)
+    assert write.c3d(tmp_path / "after.c3d", before, before.with_markers(markers)) == []
+    changed = np.zeros((frames, points), bool)
+    changed[-1, -1] = True
+    copy = assert_only_changed(before, tmp_path / "after.c3d", changed)
+    assert (copy.frames, copy.labels) == (frames, tuple(labels))
+    np.testing.assert_allclose(copy.markers[-1, -1], markers[-1, -1], rtol=1e-6)
+
+
 def test_a_mended_file_has_the_markers_of_the_original(tmp_path):
     path = tmp_path / "before.c3d"
     path.write_bytes(c3d_bytes(np.ones((2, 6, 3)), list("ABCDEF")))  # all residual words 0
@@ -182,7 +208,7 @@ def take_of_four(folder: Path, encoding) -> Take:
 def stored(path: Path, take: Take) -> np.ndarray:
     """-> (T, P, bytes) each sample's own bytes, as the file holds them"""
     layout = take.layout
-    assert layout is not None
+    assert isinstance(layout, C3DLayout)
     return layout.words(path.read_bytes()).copy().view("u1").reshape(FRAMES, 4, -1)
 
 
@@ -228,6 +254,52 @@ def test_a_sample_that_was_exchanged_and_then_mended_is_an_estimate(tmp_path):
     assert data[sample_bytes(before, 4, 1)] == (tmp_path / "before.c3d").read_bytes()[sample_bytes(before, 4, 0)]
 
 
+def by_ezc3d(path: Path) -> np.ndarray:
+    """-> (T, P, 3) file units"""
+    return ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+
+
+def by_c3d(path: Path) -> np.ndarray:
+    """-> (T, P, 3) file units"""
+    with warnings.catch_warnings(action="ignore"), path.open("rb") as handle:
+        return np.array([points[:, :3] for _, points, _ in c3d.Reader(handle).read_frames()])
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
+    before, target = take_in(tmp_path, encoding), tmp_path / "after.c3d"
+    layout = before.layout
+    assert isinstance(layout, C3DLayout)
+    markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
+    markers[1, 1], markers[4, 2], deviation[1, 1] = (0.1, 1.25, -0.3), np.nan, 0.0021
+    assert write.c3d(target, before, before.with_markers(markers, deviation)) == []
+    with warnings.catch_warnings(action="ignore"), target.open("rb") as handle:
+        points = np.array([points for _, points, _ in c3d.Reader(handle).read_frames()])
+    np.testing.assert_allclose(points[1, 2, :4], (-300, 100, 1250, 2.1), rtol=1e-6)  # mm, Z up, and the residual
+    assert points[4, 3, 3] == -1
+    was, now = (layout.words(path.read_bytes()) for path in (tmp_path / "before.c3d", target))
+    np.testing.assert_array_equal(np.argwhere((was != now).any(-1)), [(1, 2), (4, 3)])
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
+def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
+    before = read.take(path)
+    layout = before.layout
+    assert isinstance(layout, C3DLayout)
+    target, chance = tmp_path / path.name, np.random.default_rng(7)
+    markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.005
+    markers[changed] = chance.uniform(0.05, 0.8, (changed.sum(), 3))
+    assert write.c3d(target, before, before.with_markers(markers)) == []
+    wanted = (markers @ layout.axes / layout.unit)[changed]
+    readers = [by_ezc3d] * (layout.processor != 86) + [by_c3d] * (path.name not in NOT_BY_C3D)
+    for reader in readers:
+        old, new = (reader(each)[:, before.columns] for each in (path, target))
+        half = 0.501 * layout.scale if not layout.is_float else 1e-4 * 0.001 / layout.unit
+        np.testing.assert_allclose(new[changed], wanted, atol=half)
+        np.testing.assert_array_equal(new[~changed], old[~changed])
+
+
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
@@ -236,7 +308,7 @@ def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
     assert write.c3d(target, before, before) == []
     assert target.read_bytes() == path.read_bytes()
 
-    assert before.layout is not None
+    assert isinstance(before.layout, C3DLayout)
     chance = np.random.default_rng(7)
     markers, changed = before.markers.copy(), chance.random(before.seen.shape) < 0.01
     new = chance.uniform(0.05, 0.8, (*changed.shape, 3))

@@ -1,0 +1,204 @@
+"""A cleaning job written down: which takes, whose, in which volume, under which prior, and what is to be written.
+
+A scene of the kind "clean", as `mocapfix run` does it. Paths are from the scene's own folder, and may have wildcards.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    model_validator,
+)
+
+from mocapfix import synthetic
+from mocapfix.errors import SceneError
+from mocapfix.faults import MENDED
+from mocapfix.fill import FillOptions
+from mocapfix.outputs import OutputOptions
+from mocapfix.result import check_not_there, make_folder
+from mocapfix.scenes import PRIOR, START, STARTS
+from mocapfix.yaml_form import checked
+
+WILD = set("*?[")
+
+
+class _Form(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _one_of(choices: tuple[str, ...]):
+    def check(value: str) -> str:
+        if value not in choices:
+            raise ValueError(f"must be one of {', '.join(choices)}, not {value!r}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _file_name(value: str) -> str:
+    if Path(value).name != value or not value.lower().endswith(".c3d"):
+        raise ValueError(f"must be the name of a C3D file, without a folder, not {value!r}")
+    return value
+
+
+def _named(value: object) -> object:
+    """A text alone is a file's name."""
+    return {"file": value} if isinstance(value, str) else value
+
+
+class TakeForm(_Form):
+    """A file or a wildcard, as text alone; or a take that mocapfix composes itself, damage and all: `compose` is what its file
+    shall be called, `seed` tells which person, skin and damage are drawn."""
+
+    file: str | None = None
+    compose: Annotated[str | None, AfterValidator(lambda value: value and _file_name(value))] = None
+    seed: NonNegativeInt = 0
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        if (self.file is None) == (self.compose is None):
+            raise ValueError("must be a file, or say compose")
+        return self
+
+
+class SubjectForm(_Form):
+    """A subject file, as text alone; or takes to calibrate one from."""
+
+    file: str | None = None
+    calibrate: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        if (self.file is None) == (not self.calibrate):
+            raise ValueError("must be a subject file, or say calibrate")
+        return self
+
+
+class VolumeForm(_Form):
+    """up: the files' axis that points to the sky; floor: metres, how high it lies along that axis."""
+
+    up: Literal["X", "Y", "Z"] | None = None
+    floor: FiniteFloat = 0.0
+
+
+class PriorForm(_Form):
+    name: str = PRIOR
+    scale: PositiveFloat = 1.0
+
+
+class FillForm(_Form):
+    """What may be touched; as `mocapfix clean --help` says of each."""
+
+    max_gap: PositiveFloat = FillOptions.max_gap
+    limit_mm: PositiveFloat = FillOptions.limit * 1e3
+    keep: tuple[str, ...] = ()
+    frames: tuple[int, int] | None = None
+    refill: bool = False
+    only: tuple[Annotated[str, _one_of(MENDED)], ...] = ()
+
+
+class WriteForm(_Form):
+    """What is written beside the usual files."""
+
+    bvh_for: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+    fps: PositiveFloat | None = None
+
+
+class Job(_Form):
+    """What the scene says.
+
+    title       one line
+    takes       files, wildcards, or takes to be composed
+    subject     a subject file; takes to calibrate one from; null: each take its own
+    subject_prefix  the one to be cleaned of several subjects in a file; null: all of them
+    marker_set  a shipped set's name or a YAML file; null chooses by the labels
+    """
+
+    kind: Literal["clean"]
+    title: str
+    takes: tuple[Annotated[TakeForm, BeforeValidator(_named)], ...] = Field(min_length=1)
+    subject: Annotated[SubjectForm | None, BeforeValidator(_named)] = None
+    subject_prefix: str | None = None
+    marker_set: str | None = None
+    volume: VolumeForm = VolumeForm()
+    prior: PriorForm = PriorForm()
+    start: Annotated[str, _one_of(STARTS)] = START
+    fill: FillForm = FillForm()
+    write: WriteForm = WriteForm()
+
+    @property
+    def options(self) -> FillOptions:
+        said = self.fill
+        return FillOptions(said.max_gap, said.keep, said.frames, said.limit_mm / 1e3, said.refill)
+
+    @property
+    def outputs(self) -> OutputOptions:
+        return OutputOptions(self.write.also, self.write.bvh_for, self.write.fps, self.volume.floor)
+
+    def found(self, path: Path, folder: Path) -> list[Path]:
+        """-> the takes of the scene at `path`, in its order; those that are composed will be in `folder`."""
+        takes: list[Path] = []
+        for index, each in enumerate(self.takes):
+            if each.compose:
+                takes.append(composed(folder, each.compose))
+            elif each.file:
+                takes += files(path, [each.file], f"takes.{index}")
+        return list(dict.fromkeys(takes))
+
+    def compose(self, folder: Path, overwrite: bool) -> None:
+        """Write the takes that are to be composed. Raises WriteError where one is there and may not be replaced."""
+        for each in self.takes:
+            if each.compose:
+                target = composed(folder, each.compose)
+                check_not_there([target], overwrite)
+                make_folder(target.parent)
+                synthetic.write(target, synthetic.take(seed=each.seed))
+
+    def worn(self, path: Path) -> str | Path | None:
+        """-> the marker set: a file beside the scene at `path` goes before a shipped set's name."""
+        beside = self.marker_set and path.parent / self.marker_set
+        return beside if beside and beside.is_file() else self.marker_set
+
+    def known(self, path: Path) -> Path | list[Path] | None:
+        """-> the subject's file, or the takes to calibrate the subject from; None: each take its own."""
+        if self.subject is None:
+            return None
+        if self.subject.file:
+            return path.parent / self.subject.file
+        return files(path, self.subject.calibrate, "subject.calibrate")
+
+
+def load(path: str | Path) -> Job:
+    """-> what a scene of the kind "clean" says. Raises SceneError with the file and the path of the wrong key."""
+    return checked(Job, Path(path))
+
+
+def composed(folder: Path, name: str) -> Path:
+    """-> where a composed take goes: beside what cleaning it gives, which has its name."""
+    return folder / "composed" / name
+
+
+def files(path: Path, names: Iterable[str], key: str) -> list[Path]:
+    """-> the files beside the scene at `path` that names and wildcards under `key` say, in their order, each once.
+
+    Raises SceneError where a wildcard finds none; what a plain name says is found missing when it is read.
+    """
+    found: dict[Path, None] = {}
+    for name in names:
+        root = Path(name).anchor
+        folder, pattern = path.parent / root, name.removeprefix(root)
+        matching = sorted(folder.glob(pattern)) if set(pattern) & WILD else [folder / pattern]
+        if not matching:
+            raise SceneError(f"{path}: {key}: no file in {folder} is called {name!r}.")
+        found |= dict.fromkeys(matching)
+    return list(found)

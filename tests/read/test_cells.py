@@ -1,0 +1,41 @@
+import pytest
+
+from mocapfix.errors import ReadError
+from mocapfix.read.cells import METRES, unit_of, whole, written
+from mocapfix.read.text import document
+
+
+@pytest.mark.parametrize(
+    ("present", "unit", "style"),
+    [
+        (["1.25", "1046.47", "3"], "mm", ".2f"),
+        (["1", "20"], "mm", ".2f"),  # a hundredth of a millimetre at least
+        (["1.25"], "m", ".5f"),
+        (["1.123456789012"], "m", ".9f"),
+        (["1.5e-03", "2.25E+01"], "mm", ".6e"),
+        (["1.5e-03", "22.5", "1.25"], "mm", ".2f"),
+        ([], "cm", ".3f"),
+    ],
+)
+def test_a_number_gets_the_files_own_decimals(present, unit, style):
+    assert written(present, [], METRES[unit])[0] == style
+
+
+@pytest.mark.parametrize(("absent", "missing"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")])
+def test_what_is_missing_is_spelled_as_it_is_most_often(absent, missing):
+    assert written(["1.0"], absent, 0.001)[1] == missing
+
+
+@pytest.mark.parametrize(("name", "metres"), [("Millimetres", 0.001), (" cm ", 0.01), ("Feet", 0.3048), ("IN", 0.0254)])
+def test_units(tmp_path, name, metres):
+    assert unit_of(document(tmp_path, b"units"), 0, name) == metres
+
+
+def test_a_unit_that_is_none_names_the_choices(tmp_path):
+    with pytest.raises(ReadError, match="line 1: the unit is 'deg'; set it to one of mm, cm, m, in, ft"):
+        unit_of(document(tmp_path / "walk.trc", b"units"), 0, "deg")
+
+
+@pytest.mark.parametrize(("text", "number"), [("128", 128), (" 12.0", 12), ("1,5", 1), ("", None), ("1e999", None)])
+def test_whole_numbers(text, number):
+    assert whole(text) == number

@@ -1,0 +1,75 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import read
+from mocapfix.errors import ReadError
+from tests.text_files import LABELS, STANDING, nexus, workstation
+
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+OUTPUTS = "Model Outputs\n120\n,,Jim:LKneeAngles,,\nFrame,Sub Frame,X,Y,Z\n,,deg,deg,deg\n695,0,1,2,3\n696,0,1,2,3\n\n"
+DEVICES = "\nDevices\n1200\n,,Force\nFrame,Sub Frame,Fx\n,,N\n695,0,0.1\n695,1,0.1\n"
+
+
+def take_of(folder: Path, text: str):
+    path = folder / "walk.csv"
+    path.write_bytes(text.encode())
+    return read.take(path)
+
+
+@pytest.mark.parametrize("before", ["", OUTPUTS])
+@pytest.mark.parametrize("after", ["", DEVICES])
+@pytest.mark.parametrize("rate", ["120", "120,Hz", "120,,,,,", "120.0"])
+def test_the_trajectories_are_found_among_the_sections(tmp_path, before, after, rate):
+    take = take_of(tmp_path, nexus(before=before, after=after, rate=rate))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
+    assert (take.labels, take.rate, take.first_frame, take.frames, take.others) == (LABELS, 120, 695, 4, ())
+
+
+def test_section_names_as_a_spreadsheet_saves_them(tmp_path):
+    text = nexus().replace("Trajectories\n", "Trajectories,,,,,,,,,,\n").replace("\n", ",,\r\n")
+    np.testing.assert_allclose(take_of(tmp_path, text).markers, Y_UP, atol=1e-9)
+    np.testing.assert_allclose(take_of(tmp_path, nexus().replace(",", ";").replace(".", ",")).markers, Y_UP, atol=1e-9)
+
+
+def test_velocities_are_left_out(tmp_path):
+    np.testing.assert_allclose(take_of(tmp_path, nexus(velocities=True)).markers, Y_UP, atol=1e-9)
+
+
+def test_units_and_blanks(tmp_path):
+    xyz = STANDING / 1000
+    xyz[1, 0] = np.nan
+    take = take_of(tmp_path, nexus(xyz, units="m"))
+    np.testing.assert_allclose(take.markers, xyz[..., [1, 2, 0]], atol=0.6e-3)
+    assert not take.seen[1, 0]
+
+
+def test_workstations_export(tmp_path):
+    labels = [*LABELS, "Jim:LHipAngles", "*12"]
+    take = take_of(tmp_path, workstation(np.concatenate([STANDING, STANDING[:, :2]], 1), labels))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
+    assert (take.labels, take.rate, take.first_frame) == (LABELS, 100, 1)
+    assert take.others == ("Jim:LHipAngles", "*12")
+
+
+BAD = {
+    "model outputs alone": (OUTPUTS, "holds model outputs and no trajectories; export those with it"),
+    "no names": (nexus(labels=("", "", "")), "line 3: names no markers"),
+    "no axes": ("Trajectories\n120\n", "line 1: no line that begins with Frame follows"),
+    "no frames": ("\n".join(nexus().split("\n")[:5]), "line 4: no frames follow"),
+    "a unit": (nexus(units="ells"), "line 5: the unit is 'ells'"),
+    "a word": (nexus().replace("1701.000", "oops"), "line 7: field 5 is 'oops'"),
+    "cut off": (nexus()[:-20], "line 9: is cut off"),
+    "rate": (nexus(rate="0"), "line 2: the frame rate is '0'"),
+    "a frame left out": (nexus().replace("\n697,", "\n700,"), "line 8: frame 700 follows frame 696"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
+    text, words = BAD[case]
+    with pytest.raises(ReadError) as error:
+        take_of(tmp_path, text)
+    assert str(error.value).startswith(str(tmp_path / "walk.csv"))
+    assert words in str(error.value)

@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import read
+from mocapfix.errors import ReadError
+from tests.text_files import STANDING
+
+LABELS = ("Jim:LFHD", "Jim:LANK", "Jim:LFIN")
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+
+
+def text(between=",", joint="_", unit="_mm", lead=("frame", "time_s"), scale=1.0, axes="XYZ"):
+    names = [*lead, *(f"{label}{joint}{axis}{unit}" for label in LABELS for axis in axes)]
+    begin = {"frame": "{f}", "Field": "{f}", "time_s": "{t:.4f}", "Time": "{t:.4f}"}
+    rows = [
+        [*(begin[each].format(f=7 + t, t=t / 50) for each in lead), *(f"{x * scale:.6f}" for x in row.ravel())]
+        for t, row in enumerate(STANDING)
+    ]
+    return "".join(between.join(row) + "\n" for row in [names, *rows])
+
+
+def take_of(folder: Path, said: str):
+    path = folder / "walk.csv"
+    path.write_bytes(said.encode())
+    return read.take(path)
+
+
+@pytest.mark.parametrize("between", [",", ";", "\t"])
+@pytest.mark.parametrize("joint", ["_", ":", " ", "."])
+@pytest.mark.parametrize(("unit", "scale"), [("_mm", 1.0), (" (mm)", 1.0), ("_m", 0.001), (" [cm]", 0.1)])
+def test_columns_by_name(tmp_path, between, joint, unit, scale):
+    take = take_of(tmp_path, text(between, joint, unit, scale=scale))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9 + 1e-6 * (unit == "_m"))
+    assert (take.labels, take.rate, take.first_frame, take.notes) == (LABELS, 50, 7, ())
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "mm"), (0.001, "m")])
+def test_a_unit_that_is_not_named_is_told_by_the_span_and_remarked_on(tmp_path, scale, unit):
+    take = take_of(tmp_path, text("\t", ":", "", ("Field", "Time"), scale, "xyz"))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=2e-6)
+    assert take.notes == (f"The file does not name its unit; its coordinates span as far as {unit} do.",)
+
+
+def test_without_frame_numbers_they_are_counted_from_1(tmp_path):
+    assert take_of(tmp_path, text(lead=("time_s",))).first_frame == 1
+
+
+def test_without_times_there_is_no_rate(tmp_path):
+    with pytest.raises(ReadError, match="line 1: no column is the time"):
+        take_of(tmp_path, text(lead=("frame",)))

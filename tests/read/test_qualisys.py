@@ -1,0 +1,60 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import read
+from mocapfix.errors import ReadError
+from tests.text_files import LABELS, STANDING, qualisys
+
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+
+
+def take_of(folder: Path, text: str):
+    path = folder / "walk.tsv"
+    path.write_bytes(text.encode())
+    return read.take(path)
+
+
+@pytest.mark.parametrize("columns", [(), ("Frame",), ("Frame", "Time")])
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("trailing", ["", "\t"])
+def test_with_and_without_columns_of_frames_and_times(tmp_path, columns, named, trailing):
+    take = take_of(tmp_path, qualisys(columns=columns, named=named, trailing=trailing, first=5))
+    np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
+    assert (take.labels, take.rate, take.first_frame, take.notes) == (LABELS, 100, 5 if columns else 1, ())
+
+
+@pytest.mark.parametrize("missing", ["0.000", "", "NULL"])
+def test_what_is_missing(tmp_path, missing):
+    xyz = STANDING.copy()
+    xyz[1, 2] = np.nan
+    take = take_of(tmp_path, qualisys(xyz, missing=missing))
+    np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
+
+
+def test_trajectories_that_were_chosen_and_not_named_are_markers_where_none_is_named(tmp_path):
+    take = take_of(tmp_path, qualisys(labels=("New 0000", "New 0002", "New 0003")))
+    assert take.labels == ("New 0000", "New 0002", "New 0003")
+    assert take.unlabelled is None
+    take = take_of(tmp_path, qualisys(labels=("LFHD", "LANK", "New 0003")))
+    assert take.labels == ("LFHD", "LANK")
+    assert take.unlabelled is not None
+
+
+BAD = {
+    "rigid bodies": ("NO_OF_FRAMES\t2\r\nNO_OF_BODIES\t1\r\nBODY_NAMES\tBox\r\n1\t2\t3\r\n", r"rigid bodies \(6D\)"),
+    "analog": ("NO_OF_SAMPLES\t2\r\nFREQUENCY\t100\r\nCHANNEL_NAMES\tEMG\r\n1\r\n", "holds analog signals"),
+    "no names": (qualisys(labels=()), "line 8: names no markers"),
+    "no rate": (qualisys().replace("FREQUENCY\t100", "FREQUENCY\t"), "line 4: nothing tells the frame rate"),
+    "cut off": (qualisys()[:-20], "line 13: is cut off"),
+    "a word": (qualisys().replace("1701.000", "oops"), "line 11: field 5 is 'oops'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
+    text, words = BAD[case]
+    with pytest.raises(ReadError, match=words) as error:
+        take_of(tmp_path, text)
+    assert str(error.value).startswith(str(tmp_path / "walk.tsv"))

@@ -1,0 +1,39 @@
+import codecs
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.errors import ReadError
+from mocapfix.read.text import delimiter, document
+
+PATH = Path("walk.trc")
+
+
+@given(data=st.binary() | st.text().map(str.encode))
+def test_encoding_the_lines_again_gives_the_bytes(data):
+    try:
+        text = document(PATH, data)
+    except ReadError:
+        assert data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # only UTF-16 can be wrong
+        return
+    assert text.newline.join(text.lines).encode(text.encoding) == data
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_have_neither_marks_nor_ends(encoding, end):
+    text = document(PATH, f"Tête{end}Fuß{end}".encode(encoding))
+    assert [text.line(index) for index in range(3)] == ["Tête", "Fuß", ""]
+
+
+def test_cells_may_be_quoted():
+    text = document(PATH, b'Take Name,"Walk, first", 3 \n1,2\n')
+    assert text.cells(0, ",") == ["Take Name", "Walk, first", "3"]
+    assert text.cells(1, ",") == ["1", "2"]
+
+
+@pytest.mark.parametrize(("line", "between"), [("a\tb,c\td", "\t"), ("1,5;2,5;3;;", ";"), ("a,b", ","), ("a b", ""), ("", "")])
+def test_what_stands_between_fields(line, between):
+    assert delimiter(line) == between

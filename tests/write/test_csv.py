@@ -1,0 +1,22 @@
+import csv
+
+import numpy as np
+
+from mocapfix import read, write
+from mocapfix.take import Take
+from tests.text_files import STANDING
+
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+
+
+def test_one_line_of_names_and_then_numbers(tmp_path):
+    take = Take(Y_UP.copy(), ("LFHD", "Jim:LANK", "hand, left"), 50, 7)
+    take.markers[1, 1] = np.nan
+    write.csv(tmp_path / "walk.csv", take)
+    with (tmp_path / "walk.csv").open(newline="") as file:
+        names, *rows = csv.reader(file)
+    assert names[:5] == ["frame", "time_s", "LFHD_X_mm", "LFHD_Y_mm", "LFHD_Z_mm"]
+    assert names[-1] == "hand, left_Z_mm"
+    assert rows[1] == ["8", "0.020000", "11.00000", "21.00000", "1701.00000", "", "", "", "401.00000", "21.50000", "1001.00000"]
+    assert len(rows) == 4
+    assert read.take(tmp_path / "walk.csv").labels == take.labels

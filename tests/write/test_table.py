@@ -1,0 +1,166 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mocapfix import read, write
+from mocapfix.errors import WriteError
+from mocapfix.faults import Fragment
+from mocapfix.mend import fragments
+from mocapfix.table_layout import TableLayout
+from mocapfix.take import Take
+from tests.text_files import LABELS, STANDING, motive, motive_rows, nexus, qualisys, trc
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+TABLES = sorted(
+    path
+    for path in [*CAPTURES.glob("trc/*.trc"), *CAPTURES.glob("csv/*.csv"), *CAPTURES.glob("tsv/*.tsv")]
+    if path.name not in ("Truncated.trc", "Movement_trial.csv", "optitrack_v1.1.csv")
+)
+HOLED = STANDING.copy()
+HOLED[1, 2] = HOLED[2, 0] = np.nan
+FILES = {  # how each spells what is missing, and the fields before the first marker's x
+    "TRC": (trc(HOLED), "", 2, "\t"),
+    "TRC, nan": (trc(HOLED, missing="NaN"), "NaN", 2, "\t"),
+    "TRC, zeros": (trc(HOLED, missing="0.00000"), "0.00000", 2, "\t"),
+    "TRC, nines": (trc(HOLED, missing="9999999.0"), "9999999.0", 2, "\t"),
+    "TRC, quoted": (trc(HOLED).replace("1700.000", '"1700.000"'), "", 2, "\t"),
+    "TRC, decimal commas": (trc(HOLED).replace(".", ","), "", 2, "\t"),
+    "Motive CSV": (motive(HOLED[..., [1, 2, 0]] / 1000), "", 10, ","),
+    "Nexus CSV": (nexus(HOLED, after="\nDevices\n1000\n"), "", 2, ","),
+    "Qualisys TSV": (qualisys(HOLED), "0.000", 2, "\t"),
+}
+
+
+def take_in(folder: Path, text: str, encoding: str = "utf-8") -> Take:
+    path = folder / "before.txt"
+    path.write_bytes(text.encode(encoding))
+    return read.take(path)
+
+
+def in_file(take: Take) -> np.ndarray:
+    """-> the markers in metres and the file's own axes, for which way is up is told anew when a copy is read."""
+    assert isinstance(take.layout, TableLayout)
+    return take.markers @ take.layout.axes
+
+
+def fields_that_differ(one: bytes, other: bytes, between: str, encoding: str = "utf-8") -> set[tuple[int, int]]:
+    """-> the line and field of each difference; the files have the same lines and fields."""
+    a, b = (data.decode(encoding).split("\n") for data in (one, other))
+    pairs = [(x.split(between), y.split(between)) for x, y in zip(a, b, strict=True)]
+    return {(i, j) for i, (x, y) in enumerate(pairs) for j, cells in enumerate(zip(x, y, strict=True)) if cells[0] != cells[1]}
+
+
+@pytest.mark.parametrize("name", FILES)
+@settings(max_examples=12)
+@given(
+    values=arrays(float, (4, 3, 3), elements=st.floats(-3, 3)),
+    what=arrays(np.int8, (4, 3), elements=st.integers(0, 2)),
+)
+def test_only_changed_samples_fields_change_and_they_read_back(tmp_path_factory, name, values, what):
+    text, missing, lead, between = FILES[name]
+    folder = tmp_path_factory.mktemp("mend")
+    before = take_in(folder, text)
+    assert isinstance(before.layout, TableLayout)
+    assert before.layout.missing == missing.replace(".", before.layout.decimal)
+    markers = np.where((what == 1)[..., None], values, before.markers)
+    markers[what == 2] = np.nan
+    lost = write.table(folder / "after.txt", before, before.with_markers(markers))
+
+    old, new = ((folder / each).read_bytes() for each in ("before.txt", "after.txt"))
+    first = int(before.layout.lines[0])
+    allowed = {(first + t, lead + 3 * m + axis) for t, m in np.argwhere(what > 0) for axis in range(3)}
+    assert fields_that_differ(old, new, between) <= allowed
+    copy = read.take(folder / "after.txt")
+    was, wanted, became = (in_file(take) for take in (before, before.with_markers(markers), copy))
+    np.testing.assert_array_equal(became[what == 0], was[what == 0])
+    step = 10.0 ** -int(before.layout.style[1:-1]) * before.layout.unit
+    nothing = np.abs(markers).max(-1) <= step / 2  # rounds to all zeros, which read as missing
+    assert lost == [(t, m) for t, m in np.argwhere((what == 1) & nothing).tolist()]
+    filled = (what == 1) & ~nothing
+    np.testing.assert_allclose(became[filled], wanted[filled], atol=0.501 * step)
+    assert not copy.seen[what == 2].any()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_encoding_and_line_ends_stay(tmp_path, encoding, end):
+    text = ("\ufeff" if encoding == "utf-16-be" else "") + trc(labels=("Tête", "LANK", "LFIN"), end=end)
+    before = take_in(tmp_path, text, encoding)
+    markers = before.markers.copy()
+    markers[2, 1] += 0.001
+    write.table(tmp_path / "same.txt", before, before)
+    write.table(tmp_path / "after.txt", before, before.with_markers(markers))
+    assert (tmp_path / "same.txt").read_bytes() == (tmp_path / "before.txt").read_bytes()
+    old, new = ((tmp_path / each).read_bytes().decode(encoding) for each in ("before.txt", "after.txt"))
+    assert new == old.replace("2.500\t32.000\t82.000", "3.500\t33.000\t83.000")
+
+
+def test_a_line_that_ends_early_is_made_longer_for_what_is_filled(tmp_path):
+    lines = trc().split("\r\n")
+    lines[7] = "\t".join(lines[7].split("\t")[:5])
+    before = take_in(tmp_path, "\r\n".join(lines))
+    markers = before.markers.copy()
+    markers[1, 2] = (0.0215, 1.001, 0.401)
+    write.table(tmp_path / "after.txt", before, before.with_markers(markers))
+    after = (tmp_path / "after.txt").read_bytes().decode().split("\r\n")
+    assert after[7] == lines[7] + "\t\t\t\t401.000\t21.500\t1001.000"
+    assert after[:7] + after[8:] == lines[:7] + lines[8:]
+
+
+def test_exchanged_labels_bring_each_others_text(tmp_path):
+    text = trc().replace("1701.000", "1.7010E+03").replace("81.000", "81")
+    before = take_in(tmp_path, text)
+    write.table(tmp_path / "after.txt", before, before.exchanged((0, 1), 1, 1))
+    old, new = ((tmp_path / each).read_bytes().decode().split("\r\n") for each in ("before.txt", "after.txt"))
+    cells = old[7].split("\t")
+    assert new[7].split("\t") == cells[:2] + cells[5:8] + cells[2:5] + cells[8:]
+    assert new[:7] + new[8:] == old[:7] + old[8:]
+
+
+def test_a_piece_that_was_not_labelled_is_moved_under_its_marker(tmp_path):
+    xyz = np.concatenate([STANDING, STANDING[:, :1] * np.nan], axis=1)
+    xyz[2, 3], xyz[2, 0] = xyz[2, 0], np.nan
+    before = take_in(tmp_path, trc(xyz, [*LABELS, "*7"]))
+    piece = Fragment("fragment", 0, 2, 2, 0.0, "", donor=3, relation="continues")
+    assert write.table(tmp_path / "after.txt", before, fragments(before, [piece])) == []
+    copy = read.take(tmp_path / "after.txt")
+    np.testing.assert_allclose(copy.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-12)
+    assert copy.unlabelled is None
+
+
+def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
+    before = take_in(tmp_path, trc())
+    with pytest.raises(WriteError, match="is the input itself"):
+        write.table(tmp_path / "before.txt", before, before)
+    with pytest.raises(WriteError, match="has no place for every sample"):
+        write.table(tmp_path / "after.txt", replace(before, layout=None), before)
+    (tmp_path / "before.txt").write_text("gone\n")
+    with pytest.raises(WriteError, match="has become shorter"):
+        write.table(tmp_path / "after.txt", before, before)
+    (tmp_path / "before.txt").unlink()
+    with pytest.raises(WriteError, match="can no longer be read"):
+        write.table(tmp_path / "after.txt", before, before)
+    assert not list(tmp_path.iterdir())
+    rows = take_in(tmp_path, motive_rows(HOLED / 1000, LABELS))
+    with pytest.raises(WriteError, match="has no place for every sample"):
+        write.table(tmp_path / "after.txt", rows, rows)
+
+
+@pytest.mark.skipif(not TABLES, reason="no captures beside the repository")
+@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.name)
+def test_captures_come_back_the_same_but_for_what_was_changed(path, tmp_path):
+    before = read.take(path)
+    write.table(tmp_path / "same", before, before)
+    assert (tmp_path / "same").read_bytes() == path.read_bytes()
+    markers, rng = before.markers.copy(), np.random.default_rng(0)
+    changed = rng.random(before.seen.shape) < 0.02
+    markers[changed] = rng.normal(size=(changed.sum(), 3))
+    write.table(tmp_path / "after", before, before.with_markers(markers))
+    copy = read.take(tmp_path / "after")
+    assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
+    np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=1e-6)

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mocapfix import read, write
+from mocapfix.table_layout import TableLayout
+from mocapfix.take import Take
+from tests.text_files import LABELS, STANDING
+
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+TALL = np.array([[0, 1.7, 0], [0, 0.05, 0], [0, 1, 0]])  # head, ankle, hand: which axis is up is told by them
+
+
+@pytest.mark.parametrize("writer", [write.trc, write.csv])
+@given(
+    markers=arrays(float, (6, 3, 3), elements=st.floats(-0.3, 0.3)),
+    gone=arrays(bool, (6, 3)),
+    form=st.sampled_from([(0.001, np.eye(3)[[1, 2, 0]]), (0.01, np.eye(3)), (1.0, np.eye(3))]),
+    first=st.integers(0, 100_000),
+    rate=st.sampled_from([30.0, 59.94, 120.0, 1000.0]),
+)
+def test_reads_back_the_same(tmp_path_factory, writer, markers, gone, form, first, rate):
+    path = tmp_path_factory.mktemp("new") / "take"
+    gone[0] = False
+    there = np.where(gone[..., None], np.nan, markers + TALL)
+    layout = TableLayout("utf-8", "\n", "\t", ".", form[0], axes=form[1])
+    writer(path, Take(there, LABELS, rate, first, layout=layout))
+    back = read.take(path)
+    assert (back.labels, back.first_frame, back.notes) == (LABELS, first, ())
+    assert back.rate == pytest.approx(rate, rel=1e-3)
+    np.testing.assert_allclose(back.markers, there, atol=0.51e-8)
+    assert isinstance(back.layout, TableLayout)
+    assert back.layout.unit == form[0]
+
+
+def test_a_trc_as_others_write_it(tmp_path):
+    take = Take(Y_UP.copy(), ("LFHD", "LANK", "Left\tFinger"), 59.94, 185)
+    take.markers[1, 1] = np.nan
+    write.trc(tmp_path / "walk.trc", take)
+    lines = (tmp_path / "walk.trc").read_bytes().decode().split("\r\n")
+    assert lines[0] == "PathFileType\t4\t(X/Y/Z)\twalk.trc"
+    assert lines[2] == "59.94\t59.94\t4\t3\tmm\t59.94\t185\t4"
+    assert lines[3] == "Frame#\tTime\tLFHD\t\t\tLANK\t\t\tLeft Finger\t\t"
+    assert lines[4] == "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\tX3\tY3\tZ3"
+    assert lines[5] == ""
+    assert lines[7] == f"186\t{185 / 59.94:.6f}\t11.00000\t21.00000\t1701.00000\t\t\t\t401.00000\t21.50000\t1001.00000"
+    assert lines[10:] == [""]
