@@ -108,7 +108,7 @@ def somebody(take: Take) -> tuple[Take, tuple[str, ...], dict[str, str]]:
 
 def first_guess(take: Take, labels: tuple[str, ...], like: str | Path | None) -> tuple[MarkerSet, float, str]:
     """-> a guess at some of the markers that shows a body, the log odds that it is right about one, and a sentence on it."""
-    there = [label if at else "" for label, at in zip(labels, take.seen.any(0).tolist(), strict=True)]
+    there = [label if take.seen[:, m].any() else "" for m, label in enumerate(labels)]
     known = marker_set.load(like) if like else marker_set.choose(there).marker_set
     if known:
         guess = in_their_words(known, there)
