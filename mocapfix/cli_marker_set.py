@@ -7,6 +7,7 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
+from mocapfix.cli_clean import PrefixName, Up
 from mocapfix.console import DONE, Flag, out, staged
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def learn(
     like: Annotated[
         str | None, tyro.conf.arg(metavar="NAME|FILE", help="a set that some of the labels are from; by default chosen by them")
     ] = None,
+    subject_prefix: PrefixName = None,
+    up: Up = None,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a file that is there")] = False,
 ) -> int:
     """Learn a marker set of your own from a take, to be given to `clean --marker-set`: what rides on which segment, and where.
@@ -59,7 +62,7 @@ def learn(
 
     check_not_there([path], overwrite)
     with staged(take.name) as progress:
-        lesson = learning.learnt(take, path.stem, like, progress)
+        lesson = learning.learnt(take, path.stem, like, subject_prefix, up, progress)
         marker_set.save(path, lesson.marker_set, lesson.comment)
     worn, off = lesson.marker_set, lesson.residual * 1e3
     out.print(f"[bold]{escape(str(path))}[/]: {len(worn.labels)} markers, {off:.1f} mm from the body on average.", soft_wrap=True)

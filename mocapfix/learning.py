@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix import marker_set, prior, read
+from mocapfix import marker_set, people, prior, read
 from mocapfix.calibrate import learn, unlabelled
 from mocapfix.calibrate.learn import Learnt
 from mocapfix.clock import Progress
@@ -53,16 +53,27 @@ class Lesson:
         return "\n".join([*said, *(f"Left out: {label} {reason}." for label, reason in self.left_out.items())])
 
 
-def learnt(path: str | Path, name: str, like: str | Path | None = None, progress: Progress | None = None) -> Lesson:
+def learnt(
+    path: str | Path,
+    name: str,
+    like: str | Path | None = None,
+    subject_prefix: str | None = None,
+    up: str | None = None,
+    progress: Progress | None = None,
+) -> Lesson:
     """-> the marker set that a take wears, as `name`.
 
-    like  a set, shipped or a file, that explains some of the take's labels; None: the one that fits, if any does
+    like            a set, shipped or a file, that explains some of the take's labels; None: the one that fits, if any does
+    subject_prefix  whose set it is ("Jim", whose labels are "Jim:LFHD"); None: of several people, that of the most markers
+    up              the file's axis to the sky, as in `read.take`
 
     Raises ReadError, SceneError or TakeError with a sentence for a technician.
     """
     tell = progress or (lambda stage: None)
     tell("read")
-    take = read.take(path)
+    take = read.take(path, up)
+    if subject_prefix is not None:
+        (take,) = people.parts(take, None, subject_prefix)
     take, labels, strangers = somebody(take.only(take.measured))
     tell("guess")
     guess, worth, how = first_guess(take, labels, like)
@@ -80,13 +91,13 @@ def learnt(path: str | Path, name: str, like: str | Path | None = None, progress
 def somebody(take: Take) -> tuple[Take, tuple[str, ...], dict[str, str]]:
     """-> the markers of the subject with the most of them and those of no subject, their labels without the prefix, and why
     others are left out."""
-    prefixes = [label.rpartition(":")[0] for label in take.labels]
-    whose = max(set(prefixes), key=lambda prefix: (bool(prefix), prefixes.count(prefix)))
+    owners = take.owners
+    whose = max(dict.fromkeys(owners), key=lambda owner: (bool(owner), owners.count(owner)))
     chosen: dict[str, int] = {}
     others: dict[str, str] = {}
-    for column, (prefix, bare) in enumerate(zip(prefixes, take.bare_labels, strict=True)):
-        if prefix not in (whose, ""):
-            others[take.labels[column]] = f"is {prefix}'s, not {whose}'s"
+    for column, (owner, bare) in enumerate(zip(owners, take.bare_labels, strict=True)):
+        if owner not in (whose, ""):
+            others[take.labels[column]] = f"is {owner}'s, not {whose}'s"
         elif bare in chosen:
             others[take.labels[column]] = "bears the same label as another"
         else:
@@ -97,7 +108,7 @@ def somebody(take: Take) -> tuple[Take, tuple[str, ...], dict[str, str]]:
 
 def first_guess(take: Take, labels: tuple[str, ...], like: str | Path | None) -> tuple[MarkerSet, float, str]:
     """-> a guess at some of the markers that shows a body, the log odds that it is right about one, and a sentence on it."""
-    there = [label if at else "" for label, at in zip(labels, take.seen.any(0).tolist(), strict=True)]
+    there = [label if take.seen[:, m].any() else "" for m, label in enumerate(labels)]
     known = marker_set.load(like) if like else marker_set.choose(there).marker_set
     if known:
         guess = in_their_words(known, there)

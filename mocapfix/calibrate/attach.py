@@ -17,7 +17,7 @@ OWN_SAY = 10.0  # poses: so many unlike ones a take has, however many frames
 NEAR = 0.07  # metres: standard deviation of how far a marker is stuck from where the known sets have one on that segment
 LOOSE = 0.025  # metres per axis: what strays by more from every segment rides on none
 FAR = 0.15  # metres: what lies farther off all places for markers is held; unless its label tells the segment, as a wand's does
-FEWEST = 30  # frames in which a marker must be seen
+FEWEST, SHARE = 30, 0.3  # frames in which a marker must be seen, or of a short take the share of them
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,10 @@ def attached(
     order = (-np.nan_to_num(likely, nan=-np.inf)).argsort(0, kind="stable")
     best, second = order[0], order[1]
     count = (~np.isnan(markers[..., 0])).sum(0)
+    fewest = min(FEWEST, SHARE * len(markers))
     off = np.where(told[each, candidates[best]] > 0, 0.0, apart[best, each])
-    reasons = [_reason(int(count[m]), strays[:, m], float(off[m]), best[m], [names[j] for j in candidates]) for m in each]
+    segments = [names[j] for j in candidates]
+    reasons = [_unseen(int(count[m]), fewest) or _loose(strays[:, m], float(off[m]), best[m], segments) for m in each]
     sure = np.nan_to_num(1 / np.exp(likely - likely[best, each]).sum(0))
     joints = np.where([bool(reason) for reason in reasons], -1, candidates[best])
     return Attachment(
@@ -85,14 +87,19 @@ def still(markers: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> tu
     return places, strays
 
 
-def _reason(count: int, strays: np.ndarray, apart: float, best: int, names: list[str]) -> str:
-    """-> why a marker that is seen in `count` frames rides on no segment, "" where it does.
+def _unseen(count: int, fewest: float) -> str:
+    """-> why a marker that is seen in `count` frames is not judged, "" where it is."""
+    if count >= max(fewest, 1):
+        return ""
+    return f"is seen in {count} of the frames looked at, too few to tell" if count else "is never seen"
+
+
+def _loose(strays: np.ndarray, apart: float, best: int, names: list[str]) -> str:
+    """-> why a marker rides on no segment, "" where it does.
 
     strays  (C,) metres per axis from C segments of these names, of which the likeliest is `best`
     apart   metres from the nearest place for markers on that one, 0 where the label tells the segment
     """
-    if count < FEWEST:
-        return f"is seen in {count} of the frames looked at, too few to tell" if count else "is never seen"
     if strays[best] > LOOSE:
         least = int(strays.argmin())
         return f"moves by {strays[least] * 1e3:.0f} mm against {names[least]} and by more against every other segment"

@@ -73,6 +73,12 @@ def test_what_is_seldom_or_never_seen_is_left_out():
     assert np.isnan(found.likely[0])
 
 
+def test_of_a_short_take_few_frames_are_enough():
+    marker, few = riding("Head", [0, 0.2, 0])[:, None], slice(0, 6)
+    found = attached(marker[few], POSITION[few], ROTATION[few], ATLAS, NAMES, NOTHING)
+    assert (NAMES[found.joints[0]], found.reasons) == ("Head", ("",))
+
+
 def test_a_tenth_of_the_frames_may_be_wrong():
     marker = riding("RightLeg", [-0.135, -0.133, -0.011])
     marker[:5] += 0.5

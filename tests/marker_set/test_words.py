@@ -38,7 +38,10 @@ def test_words_and_sides(label, joint):
 
 @pytest.mark.parametrize("word", ["KNE", "ELB", "WRA", "FWT", "TOE", "FHD"])
 def test_right_mirrors_left(word):
-    (left, place), (right, other) = (place_of(side + word) for side in "LR")
+    on_left, on_right = place_of(f"L{word}"), place_of(f"R{word}")
+    assert on_left is not None
+    assert on_right is not None
+    (left, place), (right, other) = on_left, on_right
     assert right == left.replace("Left", "Right")
     np.testing.assert_array_equal(other, place * [-1, 1, 1])
     assert (place[0] > 0) == (load("cmu41").places[load("cmu41").labels.index("L" + word)][0] > 0)
