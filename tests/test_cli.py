@@ -244,7 +244,7 @@ def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
     refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
     refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
     bvh = cleaned.outputs["bvh"]
-    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is not a file that mocapfix reads; export the capture as")
+    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is not a file that mocapfix reads; export the capture")
     for command in ("inspect", "clean"):
         refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
     refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")
