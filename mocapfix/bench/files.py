@@ -10,6 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from mocapfix import read, rig, synthetic, write
+from mocapfix.read import bvh as bvh_file
 from mocapfix.resample import resampled
 from mocapfix.synthetic import Truth
 
@@ -45,7 +46,14 @@ def of_motion(path: Path, truth: Truth) -> dict[str, Callable[[], object]]:
     """-> what is timed, by name, on how the composed take's person truly moves; files go beside `path`."""
     take, skeleton, motion, rate = read.take(path), truth.subject.skeleton, truth.motion, truth.rate
     bvh, amc, builder = path.with_suffix(".bvh"), path.with_suffix(".amc"), rig.load("motionbuilder")
+    captured, target = path.with_name("captured.bvh"), path.with_name("mended.bvh")
+    write.bvh(captured, skeleton, motion, rate)
+    animation = bvh_file.animation(captured)
+    mended = np.random.default_rng(0).random(animation.values.shape) < MENDED
+    values = np.where(mended, animation.values + 1.0, animation.values)
     return {
+        "read BVH": lambda: bvh_file.animation(captured),
+        "write BVH, mended": lambda: write.patched(target, animation, values),
         "write BVH": lambda: write.bvh(bvh, skeleton, motion, rate),
         "write BVH for MotionBuilder": lambda: write.bvh_for(bvh, builder, skeleton, motion, rate),
         "write glTF": lambda: write.gltf(path.with_suffix(".glb"), skeleton, motion, rate),

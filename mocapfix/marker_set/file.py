@@ -32,8 +32,9 @@ def load(name_or_path: str | Path) -> MarkerSet:
     Raises SceneError: no such set (the message lists those there are), or a file with a wrong key, named by its path.
     """
     sets = {each.name: each for each in shipped()}
-    if str(name_or_path) in sets:
-        return sets[str(name_or_path)]
+    called = sets | {also: each for each in shipped() for also in each.also_called}
+    if str(name_or_path) in called:
+        return called[str(name_or_path)]
     if not Path(name_or_path).is_file():
         raise SceneError(f"{name_or_path}: no such marker set; name one of {', '.join(sets)}, or give a YAML file.")
     return _read(Path(name_or_path))
@@ -68,7 +69,9 @@ def save(path: str | Path, marker_set: MarkerSet, comment: str = "") -> None:
         line |= {"aliases": list(marker_set.aliases[k])} if marker_set.aliases[k] else {}
         line |= {"optional": True} if label in marker_set.optional else {}
         markers[label] = line
-    head = {"name": marker_set.name, "title": marker_set.title, "skeleton": marker_set.skeleton}
+    head: dict = {"name": marker_set.name, "title": marker_set.title}
+    head |= {"also_called": list(marker_set.also_called)} if marker_set.also_called else {}
+    head |= {"skeleton": marker_set.skeleton}
     said = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     with replacing(Path(path)) as part:
         part.write_text(said + dumped({**head, "markers": markers}), encoding="utf-8", newline="\n")
@@ -87,6 +90,7 @@ def _read(path: Path) -> MarkerSet:
         spread=np.array([marker.spread for marker in markers], float),
         aliases=tuple(marker.aliases for marker in markers),
         optional=frozenset(label for label, marker in form.markers.items() if marker.optional),
+        also_called=form.also_called,
     )
 
 
@@ -101,6 +105,7 @@ class _MarkerForm(BaseModel, extra="forbid"):
 class _MarkerSetForm(BaseModel, extra="forbid"):
     name: str
     title: str
+    also_called: tuple[str, ...] = ()
     skeleton: Literal["cmu31"]
     markers: dict[str, _MarkerForm] = Field(min_length=1)
 

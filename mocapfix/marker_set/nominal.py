@@ -31,6 +31,7 @@ class MarkerSet:
     spread    (K,) metres: standard deviation per axis of one person's marker about its place
     aliases   K tuples of other names for the marker
     optional  those of the labels that a whole set may do without
+    also_called  other names of the set itself
     """
 
     name: str
@@ -42,6 +43,7 @@ class MarkerSet:
     spread: np.ndarray
     aliases: tuple[tuple[str, ...], ...]
     optional: frozenset[str] = frozenset()
+    also_called: tuple[str, ...] = ()
 
     @property
     def required(self) -> tuple[str, ...]:

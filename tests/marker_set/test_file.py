@@ -17,6 +17,12 @@ def test_an_unknown_name_lists_the_shipped_ones():
         load("baseline41")
 
 
+def test_a_set_that_other_people_know_by_another_name_is_found_by_it():
+    assert load("hdm05") is load("cmu41")
+    names = [name for each in shipped() for name in (each.name, *each.also_called)]
+    assert len(set(names)) == len(names)
+
+
 GOOD = """
 name: mine
 title: Mine
