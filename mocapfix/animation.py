@@ -1,0 +1,177 @@
+"""An animation: a tree of any joints, and the numbers that move it, as a BVH or an ASF/AMC holds them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix.kernels import eulers
+from mocapfix.take import runs
+
+AXES = "XYZ"
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A tree of J joints, parents before children, and C numbers in each of T frames.
+
+    The fields are the file's own, in its units, axes and degrees. What the methods return is in metres, Y up, right-handed,
+    as if the whole file had been scaled and turned so.
+
+    names     J names; the first joint is the root
+    parents   (J,) index of each joint's parent, -1 for the root
+    offsets   (J, 3) the joint in its parent's axes, in the rest pose
+    ends      J arrays (E, 3): the end sites of a joint in its axes; most joints have none
+    channels  for each joint its numbers' names in order: Xposition, Zrotation, ... ; the first rotation is the outermost;
+              Length, of ASF alone, lengthens the bones beyond the joint
+    values    (T, C) the channels of all joints, one joint after the other; NaN where the file has none
+    rate      frames a second
+    path      the file it was read from
+    starts    (T, C) the byte of the file at which each number is spelled
+    unit      metres in a unit of length
+    axes      (3, 3) from the file's axes into those with Y up
+    rest      (J, 3, 3) the axes about which each joint's rotations are told, in the rest pose: the file's in BVH, the bone's
+              own in ASF. Every joint itself has the file's axes in the rest pose
+    added     (J,) bool: do the joint's positions come on top of its offset? Else they stand in its place
+    notes     sentences on what the file does not say and was assumed
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    offsets: np.ndarray
+    ends: tuple[np.ndarray, ...]
+    channels: tuple[tuple[str, ...], ...]
+    values: np.ndarray
+    rate: float
+    path: Path | None = None
+    starts: np.ndarray | None = None
+    unit: float = 0.01
+    axes: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rest: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
+    added: np.ndarray = field(default_factory=lambda: np.zeros(1, bool))
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frames(self) -> int:
+        return len(self.values)
+
+    @property
+    def name(self) -> str:
+        return self.path.name if self.path else "the animation"
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+    @cached_property
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """For each joint the columns of `values` that are its channels."""
+        stops = np.cumsum([len(each) for each in self.channels])
+        return tuple(np.arange(stop - len(each), stop) for each, stop in zip(self.channels, stops, strict=True))
+
+    def turning(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """-> a joint's columns that are rotations, and the axis of each (0, 1 or 2), the outermost first."""
+        return self._of_kind(joint, "rotation")
+
+    def moving(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+        """-> a joint's columns that are positions, and the axis of each."""
+        return self._of_kind(joint, "position")
+
+    def _of_kind(self, joint: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+        own = [at for at, name in enumerate(self.channels[joint]) if name.endswith(kind)]
+        return self.columns[joint][own], np.array([AXES.index(self.channels[joint][at][0]) for at in own], int)
+
+    def rotations(self) -> np.ndarray:
+        """-> (T, J, 3, 3) each joint's axes in its parent's (the root's in the world), Y up; the identity in the rest pose."""
+        out = np.empty((self.frames, len(self.names), 3, 3))
+        for joint, rest in enumerate(self._resting()):
+            columns, axes = self.turning(joint)
+            out[:, joint] = rest @ eulers.matrices(np.radians(self.values[:, columns]), axes) @ rest.T
+            out[:, joint] = out[:, joint] if len(columns) else np.eye(3)
+        return out
+
+    def places(self) -> np.ndarray:
+        """-> (T, J, 3) metres: each joint in its parent's axes (the root in the world), Y up."""
+        out = np.tile(self.offsets, (self.frames, 1, 1))
+        for joint, added in enumerate(np.broadcast_to(self.added, len(self.names))):
+            columns, axes = self.moving(joint)
+            out[:, joint, axes] = self.values[:, columns] + out[:, joint, axes] * added
+            if "Length" in self.channels[joint]:
+                column = self.columns[joint][self.channels[joint].index("Length")]
+                for child in np.flatnonzero(self.parents == joint):
+                    out[:, child] += self.values[:, [column]] * self.offsets[child] / np.linalg.norm(self.offsets[child])
+        return out @ self.axes.T * self.unit
+
+    def world(self) -> tuple[np.ndarray, np.ndarray]:
+        """-> positions (T, J, 3) in metres and rotations (T, J, 3, 3) of the joints in the world, Y up."""
+        return carried(self.parents, self.places(), self.rotations())
+
+    def resting(self) -> np.ndarray:
+        """-> (J, 3) metres: the joints in the rest pose, Y up, the root at its offset."""
+        places = self.offsets @ self.axes.T * self.unit
+        return carried(self.parents, places[None], np.tile(np.eye(3), (1, len(places), 1, 1)))[0][0]
+
+    def with_rotations(self, joints: np.ndarray, frames: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        """-> (T, C) the values with some joints (n,) in some frames (m,) turned as rotations (m, n, 3, 3) say, as
+        `rotations()` gives them; all else stays.
+
+        Angles are told in each joint's own order. Over a run of frames they follow the frame before it without a leap, at the
+        start of the animation backwards from the frame after it. A joint that is free in fewer than three axes comes as near
+        as these let it.
+        """
+        values, rests = self.values.copy(), self._resting()
+        for at, joint in enumerate(joints):
+            columns, axes = self.turning(int(joint))
+            turned = rests[joint].T @ rotations[:, at] @ rests[joint]
+            for own, among, reference in _stretches(self.frames, frames):
+                near = np.zeros(len(columns)) if reference < 0 else np.radians(values[reference, columns])
+                near = np.nan_to_num(near)
+                values[own[:, None], columns] = np.degrees(eulers.followed(np.ascontiguousarray(turned[among]), axes, near))
+        return values
+
+    def with_places(self, joints: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """-> (T, C) the values with some joints (n,) in some frames (m,) at places (m, n, 3), as `places()` gives them.
+
+        Joints without positions of their own stay where they are.
+        """
+        values = self.values.copy()
+        told = places @ self.axes / self.unit
+        for at, joint in enumerate(joints):
+            columns, axes = self.moving(int(joint))
+            offset = self.offsets[joint] * np.broadcast_to(self.added, len(self.names))[joint]
+            values[np.asarray(frames)[:, None], columns] = (told[:, at] - offset)[:, axes]
+        return values
+
+    def with_values(self, values: np.ndarray) -> "Animation":
+        """-> the same animation moved by other numbers (T, C)."""
+        return replace(self, values=values)
+
+    def _resting(self) -> np.ndarray:
+        """-> (J, 3, 3) from the axes of a joint's rotations into the joint's, in the rest pose: out of Y up's into the file's
+        and back, so that a product with it on both sides turns the whole."""
+        return np.broadcast_to(self.axes @ self.rest, (len(self.names), 3, 3))
+
+
+def carried(parents: np.ndarray, places: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """-> positions (T, J, 3) and rotations (T, J, 3, 3) in the world, where places (T, J, 3) and local rotations
+    (T, J, 3, 3) in the parents' axes carry the joints of a tree, parents before children."""
+    position, rotation = places.copy(), local.copy()
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            position[:, joint] = position[:, parent] + (rotation[:, parent] @ places[:, joint, :, None])[..., 0]
+            rotation[:, joint] = rotation[:, parent] @ local[:, joint]
+    return position, rotation
+
+
+def _stretches(total: int, frames: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+    """-> for each run of frames: the frames in the order in which they are followed, where each is in `frames`, and the
+    frame they start from, -1 where there is none."""
+    among = np.full(total, -1)
+    among[frames] = np.arange(len(frames))
+    for first, last in runs(among >= 0):
+        own = np.arange(first, last + 1)
+        if first == 0 and last + 1 < total:
+            yield own[::-1], among[own[::-1]], last + 1
+        else:
+            yield own, among[own], first - 1

@@ -1,0 +1,128 @@
+"""Reading a BVH: any hierarchy, each joint's channels in an order of its own.
+
+Source: Meredith and Maddock 2001, "Motion capture file formats explained"; where programs differ, what most of them write is
+taken: positions of the root stand in the place of its offset.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix.animation import Animation
+from mocapfix.errors import ReadError
+from mocapfix.read.figure import sized, upright
+from mocapfix.read.hierarchy import hierarchy
+from mocapfix.read.numbers import Words, words
+from mocapfix.read.rates import usual
+
+MOTION = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
+FRAMES = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
+TIME = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
+
+
+def animation(path: str | Path) -> Animation:
+    """-> the animation in a BVH file: its own numbers, in degrees and its units, and where each is spelled.
+
+    The unit is told from the figure's height and the way up from where its head is, for the file says neither; a frame time
+    that was rounded is taken as the usual rate it was rounded from. `notes` says what was assumed.
+
+    Raises ReadError, naming the file, the line and what is wrong there.
+    """
+    path = Path(path)
+    data = file_bytes(path)
+    found = MOTION.search(data)
+    if not found:
+        raise ReadError(f"{path}: has no line MOTION after its hierarchy; it is no BVH, or it was cut off. Export it again.")
+    tree = hierarchy(path, data[: found.start()])
+    declared, rate, first, note = _timing(path, data, found.end())
+    width = sum(len(each) for each in tree.channels)
+    numbers = words(data, first)
+    frames = _frames(path, numbers, width)
+    notes = [note] if note else []
+    if declared != frames:
+        notes.append(f"It declares {declared} frames and holds {frames}, which were taken.")
+    read = Animation(
+        names=tree.names,
+        parents=tree.parents,
+        offsets=tree.offsets,
+        ends=tree.ends,
+        channels=tree.channels,
+        values=numbers.values.reshape(frames, width),
+        rate=rate,
+        path=path,
+        starts=numbers.starts.reshape(frames, width),
+    )
+    read = replace(read, added=_added(read), notes=tuple(notes))
+    return sized(upright(read))
+
+
+def file_bytes(path: Path) -> bytes:
+    """-> what a file holds. Raises ReadError where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
+
+
+def _timing(path: Path, data: bytes, at: int) -> tuple[int, float, int, str]:
+    """-> the frames declared, the rate in Hz, the byte after the two lines that say them, and a note on the rate or ""."""
+    line = 1 + len(data[:at].splitlines())
+    frames = FRAMES.match(data, at)
+    time = TIME.match(data, frames.end()) if frames else None
+    if not frames or not time:
+        raise ReadError(f"{path}, line {line}: after MOTION come Frames: and Frame Time: with a number each; they are not there.")
+    try:
+        declared, seconds = int(frames[1]), float(time[1])
+    except ValueError as error:
+        raise ReadError(f"{path}, line {line}: {_text(frames[1])} frames of {_text(time[1])} s are no numbers.") from error
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise ReadError(f"{path}, line {line + 1}: a frame time of {_text(time[1])} s gives no rate; give the seconds a frame.")
+    rate, note = usual(_text(time[1]))
+    return declared, rate, time.end(), note
+
+
+def _text(word: bytes) -> str:
+    return word.decode("utf-8", "replace")
+
+
+def _frames(path: Path, numbers: Words, width: int) -> int:
+    """-> how many frames of `width` numbers there are; one may take several lines, but each begins on a line of its own.
+
+    Raises ReadError at the first word that is no number, and at the first line with too few numbers or too many.
+    """
+    if not numbers.is_number.all():
+        bad = int(np.argmin(numbers.is_number))
+        raise ReadError(f"{path}, line {numbers.lines[bad]}: {numbers.word(bad)[:40]!r} is no number.")
+    if width == 0 or not len(numbers):
+        raise ReadError(f"{path}: holds no motion: {width} channels and {len(numbers)} numbers after the frame time.")
+    heads = np.flatnonzero(np.diff(numbers.lines, prepend=-1))  # of the lines, among the numbers
+    frames, over = divmod(len(numbers), width)
+    if not over and np.isin(np.arange(frames) * width, heads).all():
+        return frames
+    counts = np.diff(heads, append=len(numbers))
+    wrapped = np.bincount(counts).argmax() < width and counts.max() < width
+    bad = _first_torn(heads, width) if wrapped else int(np.argmax(counts != width))
+    line = numbers.lines[heads[bad]]
+    raise ReadError(f"{path}, line {line}: holds {counts[bad]} numbers where the channels are {width}; the file is torn there.")
+
+
+def _first_torn(heads: np.ndarray, width: int) -> int:
+    """-> the line, among those with numbers, in which a frame of several lines ends too late or not at all."""
+    missed = np.setdiff1d(np.arange(0, heads[-1] + width, width), heads)
+    return int(np.searchsorted(heads, missed[0]) - 1) if len(missed) else len(heads) - 1
+
+
+def _added(read: Animation) -> np.ndarray:
+    """-> (J,) bool: the joints below the root whose positions are displacements, since most of them lie nearer to none than
+    to the offset that they would stand in the place of."""
+    added = np.zeros(len(read.names), bool)
+    for joint in range(1, len(read.names)):
+        columns, axes = read.moving(joint)
+        if len(columns):
+            told, offset = np.nanmedian(read.values[:, columns], axis=0), read.offsets[joint, axes]
+            added[joint] = np.linalg.norm(told) < np.linalg.norm(told - offset)
+    return added

@@ -1,0 +1,91 @@
+"""An animation's own file, BVH or AMC, with only the numbers that were changed spelled anew."""
+
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from mocapfix.animation import Animation
+from mocapfix.errors import WriteError
+from mocapfix.files import replacing
+from mocapfix.write.numbers import LARGEST, MOST, WIDTH, spelled
+
+DECIMALS = 6  # where all of a file's numbers are whole
+
+
+def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
+    """Write `before`'s file to `target` with the numbers that differ in `values` (T, C), in its own units and degrees.
+
+    Every other byte stays as it is: the hierarchy, names, channel orders, line ends, and how the other numbers are spelled.
+    New ones have as many decimals as most of the file's that have any.
+
+    Raises WriteError where `target` is the input itself, where the input is no longer as it was read, where a changed number
+    is not finite, or where `target` cannot be written.
+    """
+    target = Path(target)
+    data, starts = _original(target, before)
+    same = (values == before.values) | (np.isnan(values) & np.isnan(before.values))
+    places, numbers = starts[~same], values[~same]
+    order = np.argsort(places)
+    text = np.frombuffer(data, np.uint8)
+    counts = np.bincount(_decimals(text, starts.ravel()))
+    decimals = min(int(counts[1:].argmax()) + 1, MOST) if counts[1:].any() else DECIMALS
+    power = 10.0**decimals
+    if not (np.abs(numbers) * power < LARGEST).all():
+        frame, column = np.argwhere(~same & ~(np.abs(values) * power < LARGEST))[0]
+        joint = next(name for name, own in zip(before.names, before.columns, strict=True) if column in own)
+        raise WriteError(f"{target}: in frame {frame + 1} {joint} would be {values[frame, column]}; no file can hold that.")
+    out = np.empty(len(text) + len(places) * (WIDTH + decimals), np.uint8)
+    size = _spliced(text, places[order], numbers[order], decimals, power, out)
+    with replacing(target) as part:
+        part.write_bytes(out[:size].data)
+
+
+def _original(target: Path, before: Animation) -> tuple[bytes, np.ndarray]:
+    """-> the input's bytes, and (T, C) where its numbers begin."""
+    if before.path is None or before.starts is None:
+        raise WriteError(f"{before.name}: was not read from a file, so there is none to write the changed numbers into.")
+    try:
+        if target.exists() and target.samefile(before.path):
+            raise WriteError(f"{target}: is the input itself, which stays as it is; choose another folder with --out.")
+        data = before.path.read_bytes()
+    except OSError as error:
+        raise WriteError(f"{before.path}: the original can no longer be read ({error.strerror}); put it back.") from error
+    if before.starts.size and len(data) <= before.starts.max():
+        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
+    return data, before.starts
+
+
+@njit(cache=True)
+def _decimals(text, starts):
+    """-> (N,) how many figures follow the point of each number that begins at `starts` (N,), 0 with an exponent."""
+    out = np.zeros(len(starts), np.int64)
+    for n in range(len(starts)):
+        i, point = starts[n], False
+        while i < len(text) and text[i] > 32:
+            if text[i] == 46:
+                point = True
+            elif text[i] < 48 or text[i] > 57:
+                out[n] = 0
+                point = False
+            elif point:
+                out[n] += 1
+            i += 1
+    return out
+
+
+@njit(cache=True)
+def _spliced(text, places, numbers, decimals, power, out):
+    """Copy `text` into `out` with the words that begin at `places` replaced by `numbers`; -> how long it became."""
+    i, at = 0, 0
+    for n in range(len(places)):
+        while i < places[n]:
+            out[at] = text[i]
+            i, at = i + 1, at + 1
+        while i < len(text) and text[i] > 32:
+            i += 1
+        at = spelled(numbers[n], decimals, power, out, at)
+    while i < len(text):
+        out[at] = text[i]
+        i, at = i + 1, at + 1
+    return at
