@@ -29,7 +29,8 @@ class Animation:
     values    (T, C) the channels of all joints, one joint after the other; NaN where the file has none
     rate      frames a second
     path      the file it was read from
-    starts    (T, C) the byte of the file at which each number is spelled
+    first_frame  the file's own number of frame 0, 1 where it numbers none; people are always shown the file's numbers
+    starts    (T, C) the byte of the file at which each number is spelled; None where no file has these very numbers
     unit      metres in a unit of length
     axes      (3, 3) from the file's axes into those with Y up
     rest      (J, 3, 3) the axes about which each joint's rotations are told, in the rest pose: the file's in BVH, the bone's
@@ -46,6 +47,7 @@ class Animation:
     values: np.ndarray
     rate: float
     path: Path | None = None
+    first_frame: int = 1
     starts: np.ndarray | None = None
     unit: float = 0.01
     axes: np.ndarray = field(default_factory=lambda: np.eye(3))
@@ -85,22 +87,25 @@ class Animation:
     def rotations(self) -> np.ndarray:
         """-> (T, J, 3, 3) each joint's axes in its parent's (the root's in the world), Y up; the identity in the rest pose."""
         out = np.empty((self.frames, len(self.names), 3, 3))
-        for joint, rest in enumerate(self._resting()):
+        for joint, (_, rest) in enumerate(self._own()):
             columns, axes = self.turning(joint)
-            out[:, joint] = rest @ eulers.matrices(np.radians(self.values[:, columns]), axes) @ rest.T
-            out[:, joint] = out[:, joint] if len(columns) else np.eye(3)
+            turned = self.axes @ rest
+            out[:, joint] = turned @ eulers.matrices(np.radians(self.values[:, columns]), axes) @ turned.T
         return out
 
     def places(self) -> np.ndarray:
         """-> (T, J, 3) metres: each joint in its parent's axes (the root in the world), Y up."""
         out = np.tile(self.offsets, (self.frames, 1, 1))
-        for joint, added in enumerate(np.broadcast_to(self.added, len(self.names))):
+        for joint, (added, rest) in enumerate(self._own()):
             columns, axes = self.moving(joint)
-            out[:, joint, axes] = self.values[:, columns] + out[:, joint, axes] * added
+            if added:
+                out[:, joint] += self.values[:, columns] @ rest[:, axes].T
+            else:
+                out[:, joint, axes] = self.values[:, columns]
             if "Length" in self.channels[joint]:
-                column = self.columns[joint][self.channels[joint].index("Length")]
+                longer = self.values[:, self.columns[joint][self.channels[joint].index("Length")]]
                 for child in np.flatnonzero(self.parents == joint):
-                    out[:, child] += self.values[:, [column]] * self.offsets[child] / np.linalg.norm(self.offsets[child])
+                    out[:, child] += longer[:, None] * self.offsets[child] / np.linalg.norm(self.offsets[child])
         return out @ self.axes.T * self.unit
 
     def world(self) -> tuple[np.ndarray, np.ndarray]:
@@ -120,14 +125,14 @@ class Animation:
         start of the animation backwards from the frame after it. A joint that is free in fewer than three axes comes as near
         as these let it.
         """
-        values, rests = self.values.copy(), self._resting()
+        values, own = self.values.copy(), self._own()
         for at, joint in enumerate(joints):
             columns, axes = self.turning(int(joint))
-            turned = rests[joint].T @ rotations[:, at] @ rests[joint]
-            for own, among, reference in _stretches(self.frames, frames):
-                near = np.zeros(len(columns)) if reference < 0 else np.radians(values[reference, columns])
-                near = np.nan_to_num(near)
-                values[own[:, None], columns] = np.degrees(eulers.followed(np.ascontiguousarray(turned[among]), axes, near))
+            resting = self.axes @ own[joint][1]
+            turned = resting.T @ rotations[:, at] @ resting
+            for run, among, beside in _stretches(self.frames, frames):
+                near = np.zeros(len(columns)) if beside < 0 else np.nan_to_num(np.radians(values[beside, columns]))
+                values[run[:, None], columns] = np.degrees(eulers.followed(np.ascontiguousarray(turned[among]), axes, near))
         return values
 
     def with_places(self, joints: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -137,20 +142,21 @@ class Animation:
         """
         values = self.values.copy()
         told = places @ self.axes / self.unit
+        own = self._own()
         for at, joint in enumerate(joints):
-            columns, axes = self.moving(int(joint))
-            offset = self.offsets[joint] * np.broadcast_to(self.added, len(self.names))[joint]
-            values[np.asarray(frames)[:, None], columns] = (told[:, at] - offset)[:, axes]
+            (columns, axes), (added, rest) = self.moving(int(joint)), own[joint]
+            place = (told[:, at] - self.offsets[joint]) @ rest if added else told[:, at]
+            values[np.asarray(frames)[:, None], columns] = place[:, axes]
         return values
 
     def with_values(self, values: np.ndarray) -> "Animation":
         """-> the same animation moved by other numbers (T, C)."""
         return replace(self, values=values)
 
-    def _resting(self) -> np.ndarray:
-        """-> (J, 3, 3) from the axes of a joint's rotations into the joint's, in the rest pose: out of Y up's into the file's
-        and back, so that a product with it on both sides turns the whole."""
-        return np.broadcast_to(self.axes @ self.rest, (len(self.names), 3, 3))
+    def _own(self) -> list[tuple[bool, np.ndarray]]:
+        """-> for each joint whether its positions are added, and (3, 3) its rest."""
+        count = len(self.names)
+        return list(zip(np.broadcast_to(self.added, count), np.broadcast_to(self.rest, (count, 3, 3)), strict=True))
 
 
 def carried(parents: np.ndarray, places: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

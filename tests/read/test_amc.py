@@ -1,0 +1,178 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.animation import carried
+from mocapfix.errors import ReadError
+from mocapfix.read import amc, bvh
+from mocapfix.train.recordings.amc import BONES
+from mocapfix.write.patched import patched
+from tests.asf_files import AMC, ASF, FRAMES
+
+CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"
+UNIT = 0.0254 / 0.45
+here = pytest.mark.skipif(not CMU.is_dir(), reason="the real captures are not here")
+
+
+def read(folder: Path, text: str = AMC, skeleton: str = ASF):
+    (folder / "09.asf").write_text(skeleton)
+    (folder / "09_01.amc").write_text(text)
+    return amc.animation(folder / "09_01.amc")
+
+
+def turned(x, y, z):
+    return Rotation.from_euler("ZYX", [z, y, x], degrees=True).as_matrix()
+
+
+def test_bones_turn_about_axes_of_their_own(tmp_path):
+    found = read(tmp_path)
+    assert found.names == ("root", "lhipjoint", "lfemur", "lfoot", "head")
+    assert found.parents.tolist() == [-1, 0, 1, 2, 0]
+    assert (found.frames, found.first_frame, found.rate) == (2, 7, 120.0)
+    assert found.unit == pytest.approx(UNIT)
+    rotations = found.rotations()[0]
+    np.testing.assert_allclose(rotations[0], turned(10, 20, 30), atol=1e-12)
+    np.testing.assert_array_equal(rotations[1], np.eye(3))
+    c = turned(0, 0, 20)
+    np.testing.assert_allclose(rotations[2], c @ turned(15, -5, 25) @ c.T, atol=1e-12)
+    c = turned(10, 20, 30)
+    np.testing.assert_allclose(rotations[3], c @ turned(8, 0, 0) @ turned(0, 7, 0) @ c.T, atol=1e-12)  # ry is turned about first
+    c = turned(0, 0, 90)  # the order is ZXY, so 90 is about Z
+    np.testing.assert_allclose(rotations[4], c @ turned(0, 0, 40) @ c.T, atol=1e-12)
+
+
+def test_bones_begin_where_their_parents_end(tmp_path):
+    found = read(tmp_path)
+    position, rotation = found.world()
+    root = np.array([1, 2 + 1, 3.0])  # its position comes on top of the skeleton's
+    np.testing.assert_allclose(position[0, 0], root * UNIT)
+    np.testing.assert_allclose(position[0, 2], (root + rotation[0, 0] @ [1.5, -2, 0]) * UNIT)
+    np.testing.assert_allclose(position[0, 3] - position[0, 2], rotation[0, 2] @ [4.8, -6.4, 0] * UNIT)
+    along = turned(0, 0, 90) @ [0.5, 0, 0]  # the head moves along its own axis
+    np.testing.assert_allclose(position[0, 4], (root + rotation[0, 0] @ along) * UNIT)
+    assert [each.tolist() for each in found.ends] == [[], [], [], [[0, 0, 8]], [[0, 16, 0]]]
+
+
+def test_a_bone_that_grows_takes_the_next_along(tmp_path):
+    skeleton = ASF.replace("dof rx ry rz", "dof rx ry rz l")
+    longer = read(tmp_path, AMC.replace("lfemur 15 -5 25", "lfemur 15 -5 25 2").replace("16 -6 26", "16 -6 26 0"), skeleton)
+    np.testing.assert_allclose(np.linalg.norm(longer.places()[:, 3], axis=-1), [10 * UNIT, 8 * UNIT])
+
+
+def test_numbers_are_patched_where_they_stand(tmp_path):
+    before = read(tmp_path)
+    patched(tmp_path / "same.amc", before, before.values)
+    assert (tmp_path / "same.amc").read_text() == AMC
+    values = before.with_rotations(np.array([3]), np.array([1]), before.rotations()[:1, 3:4])
+    patched(tmp_path / "out.amc", before, values)
+    assert (tmp_path / "out.amc").read_text() == AMC.replace("lfoot 7.5 8.5", "lfoot 7.0 8.0")
+
+
+def test_radians_become_degrees(tmp_path):
+    spelled = {"root": (3, 4, 5), "lfemur": (0, 1, 2), "head": (1,), "lfoot": (0, 1)}
+    told = []
+    for name, *numbers in (line.split() for line in FRAMES.splitlines()):
+        for at in spelled.get(name, ()):
+            numbers[at] = repr(float(np.radians(float(numbers[at]))))
+        told.append(" ".join([name, *numbers]))
+    found = read(tmp_path, AMC.replace(FRAMES, "\n".join(told)).replace(":DEGREES", ":RADIANS"))
+    np.testing.assert_allclose(found.values, read(tmp_path).values, atol=1e-12)
+
+
+def test_the_rate_is_the_files_where_it_has_one(tmp_path):
+    found = read(tmp_path, AMC.replace(":DEGREES", ":DEGREES\n:SAMPLES-PER-SECOND 60"))
+    assert found.rate == 60
+    assert not any("rate" in note for note in found.notes)
+    assert any("rate" in note for note in read(tmp_path).notes)
+
+
+def test_a_skeleton_alone_is_its_rest_pose(tmp_path):
+    moving = read(tmp_path)
+    found = amc.animation(tmp_path / "09.asf")
+    assert found.frames == 1
+    np.testing.assert_allclose(found.world()[0][0], moving.resting())
+
+
+def test_the_skeleton_beside_it_is_taken(tmp_path):
+    read(tmp_path)
+    (tmp_path / "09_0.asf").write_text("")
+    (tmp_path / "1.asf").write_text("")
+    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "09_0.asf"
+    (tmp_path / "09_0.asf").unlink()
+    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "09.asf"
+    (tmp_path / "09.asf").unlink()
+    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "1.asf"
+    (tmp_path / "2.asf").write_text("")
+    with pytest.raises(ReadError, match=r"not beside it, only 1\.asf, 2\.asf; put it there as 09\.asf or 09_01\.asf"):
+        amc.animation(tmp_path / "09_01.amc")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("lfoot 7 8\n", "", "line 4: bone lfoot is not in frame 7"),
+        ("lfoot 7 8\n", "lfoot 7 8\nlfoot 7 8\n", "line 4: bone lfoot is twice in frame 7"),
+        ("lfoot 7 8", "lfoot 7", "line 8: lfoot has 1 numbers where its freedoms are 2"),
+        ("lfoot 7 8", "lfoot 7 x", "line 8: 'x' stands where"),
+        ("lfoot 7 8", "1 2 3", "line 8: '1' stands where"),
+        ("lfoot 7 8", "lfoot 7 8\ntail 1", "line 9: bone tail is not in the skeleton"),
+        (FRAMES, "", "holds no frames"),
+    ],
+)
+def test_a_motion_with_a_fault_is_refused_where_it_is(tmp_path, old, new, message):
+    assert AMC.count(old) == 1
+    with pytest.raises(ReadError, match=rf"09_01\.amc.*{message}"):
+        read(tmp_path, AMC.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("length 0.45", "length x", "line 6: x stands where a number belongs"),
+        ("direction 0 0 1", "direction 0 0", "line 37: 0 0 stands where 3 numbers belong"),
+        ("axis 0 0 20  XYZ", "axis 0 0 20 XYX", "line 28: 'XYX' is no order of the axes"),
+        ("dof ry rx", "dof ry rw", "line 40: rw is none of the freedoms"),
+        ("name lfoot", "name lfemur", "line 36: a second bone is called lfemur"),
+        ("lfemur lfoot", "lfemur lfoot toe", "line 54: bone toe is in the hierarchy and not"),
+        ("lfemur lfoot", "", "line 36: bone lfoot hangs on none"),
+        ("lfemur lfoot", "lfemur lfoot head", "line 54: bone head hangs on two"),
+        (ASF[ASF.index(":bonedata") :], ":bonedata\n", "the skeleton ends without bones"),
+    ],
+)
+def test_a_skeleton_with_a_fault_is_refused_where_it_is(tmp_path, old, new, message):
+    assert ASF.count(old) == 1
+    with pytest.raises(ReadError, match=rf"09\.asf, .*{message}"):
+        read(tmp_path, skeleton=ASF.replace(old, new))
+
+
+@here
+@pytest.mark.parametrize("trial", ["02_01", "05_13"])
+def test_a_trial_of_cmu_is_the_same_as_its_bvh(trial):
+    """Hahne's release leaves out the thorax's and the wrists' lengths: where they are put in, all joints agree to 0.1 mm."""
+    motion, release = amc.animation(CMU / f"{trial}.amc"), bvh.animation(CMU / f"{trial}.bvh")
+    order = [release.index(BONES[name]) for name in motion.names]
+    rotations = release.rotations()[1:, order]  # its frame 0 is a T-pose
+    degrees = np.degrees(np.linalg.norm(motion.rotations() - rotations, axis=(2, 3)) / np.sqrt(2))
+    assert degrees.max() < 2e-4
+    dropped = [name in ("lowerneck", "lclavicle", "rclavicle", "lhand", "lthumb", "rhand", "rthumb") for name in motion.names]
+    offsets = release.offsets[order]
+    np.testing.assert_array_equal(offsets[dropped], 0)
+    np.testing.assert_allclose(offsets[np.invert(dropped)], motion.offsets[np.invert(dropped)], atol=1e-5)
+    mended = release.places()[1:, order]
+    mended[:, dropped] = motion.places()[:, dropped]
+    position, _ = carried(motion.parents, mended, rotations)
+    assert np.linalg.norm(position - motion.world()[0], axis=-1).max() < 1e-4
+    own = release.world()[0][1:, order]
+    below = [name for name in motion.names if name[1:] in ("femur", "tibia", "foot", "toes") or name in ("root", "thorax")]
+    for name in below:  # nothing was left out on the way to these
+        joint = motion.index(name)
+        assert np.linalg.norm(own[:, joint] - motion.world()[0][:, joint], axis=-1).max() < 1e-4
+
+
+@here
+def test_captures_come_back_byte_for_byte(tmp_path):
+    before = amc.animation(CMU / "35_01.amc")
+    patched(tmp_path / "35_01.amc", before, before.values)
+    assert (tmp_path / "35_01.amc").read_bytes() == (CMU / "35_01.amc").read_bytes()

@@ -1,0 +1,176 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix.errors import ReadError
+from mocapfix.read import bvh
+from mocapfix.read.rates import usual
+from tests.bvh_files import HIERARCHY, ROWS, TEXT
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+VALUES = np.array([row.split() for row in ROWS], float)
+
+
+def read(folder: Path, text: str | bytes):
+    path = folder / "a.bvh"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return bvh.animation(path)
+
+
+def test_every_joint_has_its_own_numbers(tmp_path):
+    found = read(tmp_path, TEXT)
+    assert found.names == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
+    assert found.parents.tolist() == [-1, 0, 1, 0, 3]
+    assert found.offsets.tolist() == [[1, 2, 3], [0, -60, 0], [0, -50, 5], [0, 60, 0], [0, 40, 0]]
+    assert [each.tolist() for each in found.ends] == [[], [], [[0, 0, 20], [5, 0, 18]], [[0, 5, 0]], [[0, 20, 0]]]
+    assert found.channels[2] == ("Yrotation", "Zrotation", "Xrotation")
+    assert (found.channels[4], found.rate, found.unit, found.frames) == ((), 120.0, 0.01, 3)
+    np.testing.assert_array_equal(found.values, VALUES)
+    assert found.notes == ()
+    data = (tmp_path / "a.bvh").read_bytes()
+    assert [data[start:].split()[0].decode() for start in found.starts.ravel()] == " ".join(ROWS).split()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace("  ", "\t"),
+        lambda text: text.replace("Xposition", "XPOSITION").replace("Zrotation", "zRotation").replace("JOINT", "Joint"),
+        lambda text: text.replace("MOTION", "Motion").replace("HIERARCHY", "hierarchy").replace("End Site", "end site"),
+        lambda text: text.replace("\n{", " {").replace("Frames: 3", "Frames:\t3").replace("Frame Time:", "FRAME TIME :"),
+        lambda text: text.replace(" 15.0000", "\n15.0000").replace(" 16.0000", "\n16.0000").replace(" 17.0000", "\n\n17.0000"),
+        lambda text: text.replace("10.5000", "1.05e1").replace("20.0000", "+2E+1") + "\n\n",
+        lambda text: "\ufeff" + text.replace("End Site", "End Site of the foot"),
+    ],
+)
+def test_it_is_read_however_it_is_spelled(tmp_path, change):
+    found, plain = read(tmp_path, change(TEXT)), read(tmp_path, TEXT)
+    assert (found.names, found.channels, found.rate) == (plain.names, plain.channels, plain.rate)
+    np.testing.assert_array_equal(found.values, VALUES)
+    np.testing.assert_array_equal(found.offsets, plain.offsets)
+
+
+def test_what_is_no_number_in_a_frame_is_not_there(tmp_path):
+    found = read(tmp_path, TEXT.replace("16.0000", "-1.#IND").replace("17.0000", "nan"))
+    assert np.argwhere(np.isnan(found.values)).tolist() == [[1, 6], [2, 6]]
+    assert np.isnan(found.world()[0][1:, 2]).all()
+    assert not np.isnan(found.world()[0][:, 3]).any()
+
+
+def test_other_frames_than_declared_are_taken_and_said(tmp_path):
+    found = read(tmp_path, TEXT.replace("Frames: 3", "Frames: 500"))
+    assert found.frames == 3
+    assert found.notes == ("It declares 500 frames and holds 3, which were taken.",)
+
+
+@pytest.mark.parametrize(
+    ("spelled", "rate", "said"),
+    [
+        (".0083", 120, True), ("0.0083333", 120, False), ("0.00833333", 120, False), ("0.033", 30, True), ("0.033333", 30, False),
+        ("0.016666", 60, True), ("0.0166", 60, True), ("0.041667", 24, False), ("0.0333667", 30000 / 1001, False),
+        ("0.04", 25, False), ("0.01", 100, False), ("8.3333e-3", 120, False), ("0.0101", 1 / 0.0101, False),
+        ("0.2", 5, False), ("1", 1, False),
+    ],
+)  # fmt: skip
+def test_a_rounded_frame_time_is_the_usual_rate_it_came_from(spelled, rate, said):
+    found, note = usual(spelled)
+    assert found == pytest.approx(rate, rel=1e-12)
+    assert bool(note) == said
+    assert spelled in note or not said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("MOTION", "NOTION", "has no line MOTION"),
+        ("ROOT Hips\n{", "ROOT Hips\n", r"a\.bvh, line 4: an OFFSET stands outside"),
+        ("}\nMOTION", "MOTION", "1 braces not closed"),
+        ("}\nMOTION", "}\n}\nMOTION", r"line 43: a brace closes that was not opened"),
+        ("}\nMOTION", "}\nROOT Other\n{\nOFFSET 0 0 0\n}\nMOTION", "line 43: a second ROOT, Other, follows Hips"),
+        ("CHANNELS 1 Xrotation", "CHANNELS 2 Xrotation", "line 9: 2 channels are announced and 1 named"),
+        ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 9: channel Wrotation is neither"),
+        ("CHANNELS 1 Xrotation", "CHANNELS", "line 9: no number of channels"),
+        ("OFFSET 0 -60 0", "OFFSET 0 -60", "line 8: OFFSET 0 -60 are no three numbers"),
+        ("OFFSET 0 -60 0", "OFFSET 0 x 0", "line 8: OFFSET 0 x 0 are no three numbers"),
+        ("OFFSET 0 -60 0", "", "joint Left Knee has no OFFSET"),
+        ("OFFSET 0 -60 0", "GARBAGE 1", "line 8: 'GARBAGE 1' is none of ROOT"),
+        ("Frame Time: .0083333", "", "line 44: after MOTION come"),
+        ("Frame Time: .0083333", "Frame Time: 0", "line 45: a frame time of 0 s"),
+        ("Frame Time: .0083333", "Frame Time: x", "3 frames of x s are no numbers"),
+        ("10.6000", "ten", "line 47: 'ten' is no number"),
+        ("10.6000", "10,6", "line 47: '10,6' is no number"),
+        (" 7.1000", "", "line 47: holds 15 numbers where the channels are 16"),
+        (" 7.2000", "", "line 48: holds 15 numbers where the channels are 16"),
+        (" 7.0000", " 7.0000 8.0000", "line 46: holds 17 numbers where the channels are 16"),
+        ("\n".join(ROWS), "", "holds no motion: 16 channels and 0 numbers"),
+    ],
+)
+def test_a_file_with_a_fault_is_refused_where_it_is(tmp_path, old, new, message):
+    assert TEXT.count(old) == 1
+    with pytest.raises(ReadError, match=message):
+        read(tmp_path, TEXT.replace(old, new))
+
+
+def test_a_line_too_short_and_one_too_long_do_not_make_up_for_each_other(tmp_path):
+    moved = TEXT.replace(" 7.0000\n10.6000", "\n7.0000 10.6000")
+    with pytest.raises(ReadError, match="line 46: holds 15 numbers"):
+        read(tmp_path, moved)
+
+
+def test_a_frame_of_several_lines_that_is_torn_is_named(tmp_path):
+    wrapped = HIERARCHY + "MOTION\nFrames: 3\nFrame Time: .01\n" + "\n".join(" ".join(ROWS).split()) + "\n"
+    np.testing.assert_array_equal(read(tmp_path, wrapped).values, VALUES)
+    with pytest.raises(ReadError, match=r"line \d+: holds 1 numbers where the channels are 16"):
+        read(tmp_path, wrapped.removesuffix("7.2000\n"))
+
+
+def test_files_that_are_not_there_are_named(tmp_path):
+    with pytest.raises(ReadError, match="there is no such file"):
+        bvh.animation(tmp_path / "b.bvh")
+    with pytest.raises(ReadError, match="cannot be read"):
+        bvh.animation(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1000, 0.01)]
+)
+def test_the_unit_is_the_one_by_which_the_figure_is_a_person(tmp_path, factor, unit):
+    scaled = [
+        " ".join(["OFFSET", *(repr(float(x) * factor) for x in line.split()[1:])]) if "OFFSET" in line else line
+        for line in HIERARCHY.replace("OFFSET 0 5 0", "OFFSET 60 5 0").splitlines()
+    ]
+    found = read(tmp_path, "\n".join(scaled) + TEXT.removeprefix(HIERARCHY.rstrip("\n")))
+    assert found.unit == pytest.approx(unit)
+    assert bool(found.notes) == (factor != 1)
+
+
+def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
+    turned = HIERARCHY
+    for old, new in (("0 -60 0", "0 0 -60"), ("0 -50 5", "0 -5 -50"), ("0 60 0", "0 0 60"), ("0 40 0", "0 0 40")):
+        turned = turned.replace(old, new)
+    still = " ".join(["0"] * 11 + ["0", "60"] + ["0"] * 3)
+    found = read(tmp_path, f"{turned}MOTION\nFrames: 1\nFrame Time: .01\n{still}\n")
+    assert any("Z axis points up" in note for note in found.notes)
+    position, _ = found.world()
+    assert position[0, found.index("Head"), 1] == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@pytest.mark.parametrize(
+    ("name", "joints", "frames", "rate"),
+    [
+        ("cmu/02_01.bvh", 31, 344, 120), ("cmu/01_01.bvh", 31, 2752, 120), ("bvh-other/louise.bvh", 18, 2998, 100),
+        ("bvh-other/02_01_daz-friendly.bvh", 43, 344, 120), ("bvh-other/Male1_B3_Walk.bvh", 22, 183, 30),
+    ],
+)  # fmt: skip
+def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, rate):
+    found = bvh.animation(CAPTURES / name)
+    assert (len(found.names), found.frames, found.rate) == (joints, frames, rate)
+    position, _ = found.world()
+    np.testing.assert_array_equal(found.axes, np.eye(3))
+    height = np.ptp(position[..., 1], axis=1)
+    assert 1.0 < np.median(height) < 2.0
+    assert abs(np.median(position[..., 1].min(1))) < 0.3
