@@ -1,7 +1,7 @@
-"""Pops and flips: a joint that is turned by too much from one frame to the next, and comes back by the same amount.
+"""Pops and flips: what is off from one frame to the next, and comes back by the same amount.
 
 A course that bodies go has small third differences; a step makes three large ones. Two steps belong together where one and
-the same turn, undone between them, takes both away (see `kernels.offsets`). What a lively motion does on its own is told from
+the same amount, undone between them, takes both away (see `kernels.offsets`). What a lively motion does on its own is told from
 the third differences of the second around.
 """
 
@@ -10,102 +10,105 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import median_filter
 
-from mocapfix.kernels import offsets
+from mocapfix.kernels.offsets import Undoing
 
 STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
-AROUND = 0.5  # seconds to either side, over which it is seen how lively a joint is
-LEAST = np.radians(0.5)  # third difference that any joint may have
+AROUND = 0.5  # seconds to either side, over which it is seen how lively a course is
 STEP = 4.0  # times what is usual, a third difference is large
-SMALLEST = np.radians(4.0)  # no smaller turn is a pop
-LEFT, GAIN = 6.0, 40.0  # times what is usual: the mean square that may be left, and that must go away
+LEFT, GAIN, PLAIN = 6.0, 40.0, 12.0  # times what is usual: the mean square that may be left, that must go; how much more goes
+SLOW = 0.5  # seconds after which that must be twice as much: two steps by chance are the likelier the longer one waits
+ALIKE = 16.0  # the power of two steps of one shift, at most times that of the other
 SHARE = 0.1  # of the squares may be left
-MOST = 80  # steps of a joint that are looked at, the largest
-LONGEST = 3.0  # seconds
+MOST = 250  # steps of a course that are looked at, the largest
+LONGEST, SHORT = 3.0, 0.3  # seconds: no shift is longer; from where on a longer one is the less likely
 
 
 class Shift(NamedTuple):
-    """Frames first..last, inclusive, turned by so many radians too much; gain says how plain it is."""
+    """Frames first..last, inclusive, that are off by an amount, in radians or metres; plain is how plainly they are."""
 
     first: int
     last: int
-    angle: float
-    gain: float
+    amount: float
+    plain: float
 
 
-def found(quaternions: np.ndarray, usable: np.ndarray, order: str, rate: float) -> list[Shift]:
-    """-> shifts that do not overlap in a joint's quaternions (T, 4), where `usable` (T,), the plainest of each place."""
-    if len(quaternions) < 8:
+def found(
+    course: np.ndarray, ways: tuple[Undoing, ...], usable: np.ndarray, rate: float, least: float, smallest: float
+) -> list[Shift]:
+    """-> shifts that do not overlap in a course (T, C), where it is `usable` (T,), the plainest of each place, by first frame.
+
+    least     third difference that any course may have;  smallest  amount that counts, in the course's unit
+    """
+    if len(course) < 8:
         return []
-    quaternions = continuous(quaternions)
-    course = 2 * quaternions
-    size = np.sqrt((third(course) ** 2).sum(1))
-    size = np.where(~(usable[3:] & usable[2:-1] & usable[1:-2] & usable[:-3]), np.nan, size)
-    usual = background(size, rate)
-    steps = np.flatnonzero(size > STEP * usual)
-    if not len(steps):
-        return []
-    starts = np.unique(np.concatenate([steps + k for k in (1, 2, 3)]))  # a step into frame s shows from s - 3 to s - 1
-    power = np.array([np.nansum(size[max(0, s - 3) : s] ** 2 / usual[max(0, s - 3) : s] ** 2) for s in starts])
-    starts = np.sort(starts[np.argsort(-power)[:MOST]])
-    maps = offsets.bases(quaternions, order)
+    size = np.linalg.norm(np.diff(course, 3, axis=0), axis=1)
+    whole = usable[3:] & usable[2:-1] & usable[1:-2] & usable[:-3]
+    usual = _background(np.where(whole, size, 0.0), rate, least)
     tried = []
+    starts, power = _starts(np.where(whole, size / usual, 0.0))
     for i, a in enumerate(starts):
-        for b in starts[i + 1 :]:
-            if b - a <= LONGEST * rate and (shift := tested(course, maps, usable, usual, int(a), int(b) - 1)):
+        near = (starts[i + 1 :] - a <= LONGEST * rate) & (np.abs(np.log(power[i + 1 :] / power[i])) < np.log(ALIKE))
+        for b in starts[i + 1 :][near]:
+            shift = _tested(course, ways, whole, usual, int(a), int(b) - 1)
+            if shift and shift.amount >= smallest and shift.plain >= PLAIN * (1 + (b - a) / rate / SLOW):
                 tried.append(shift)
     kept: list[Shift] = []
-    for each in sorted(tried, key=lambda s: -s.gain):
+    # between two shifts of one joint lies a third that explains as much: the shorter ones are the likelier
+    for each in sorted(tried, key=lambda s: -s.plain / (SHORT + (s.last - s.first + 1) / rate)):
         if not any(each.first <= k.last + 1 and k.first <= each.last + 1 for k in kept):
             kept.append(each)
-    return kept
+    return sorted(kept)
 
 
-def tested(course, maps, usable, usual, first: int, last: int) -> Shift | None:
-    """-> the shift of first..last, where undoing one turn there takes both steps away; None where it does not."""
-    frames = len(course)
-    rows = np.unique(np.r_[np.arange(first - 3, first), np.arange(last - 2, last + 1)])
-    rows = rows[(rows >= 0) & (rows < frames - 3)]
+def _starts(large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """-> the frames into which steps may lead, and the power of each: it shows in the three third differences (T - 3,) that
+    lead over it."""
+    starts = np.unique(np.concatenate([np.flatnonzero(large > STEP) + k for k in (1, 2, 3)]))
+    power = np.array([(large[max(0, s - 3) : s] ** 2).sum() for s in starts])
+    kept = np.sort(np.argsort(-power)[:MOST])
+    return starts[kept], power[kept]
+
+
+def _tested(
+    course: np.ndarray, ways: tuple[Undoing, ...], whole: np.ndarray, usual: np.ndarray, first: int, last: int
+) -> Shift | None:
+    """-> the shift of first..last, where undoing one amount takes both steps away; None where none does."""
+    rows = np.unique(np.r_[first - 3 : first, last - 2 : last + 1])
+    rows = rows[(rows >= 0) & (rows < len(whole))]
+    rows = rows[whole[rows]]
+    if first < 2 or last > len(course) - 3 or len(rows) < 4:
+        return None
     at = rows[:, None] + np.arange(4)
-    good = usable[at].all(1)
-    if first < 2 or last > frames - 3 or good.sum() < min(4, len(rows)):
-        return None
-    rows, at = rows[good], at[good]
-    inside = (at >= first) & (at <= last)
-    # the two sides of the span may bear opposite signs, which mean the same
-    sign = np.where((course[first - 1] * course[last + 1]).sum() < 0, -1.0, 1.0)
-    outside = np.where(at > last, sign, 1.0) * ~inside * STENCIL
-    target = -np.einsum("rk,rkc->rc", outside, course[at]).ravel()
-    before = (np.einsum("k,rkc->rc", STENCIL, course[at]) ** 2).sum()
-    scale = (usual[rows] ** 2).mean()
-    best = None
-    for basis in maps:
-        matrix = np.einsum("rk,rkcp->rcp", inside * STENCIL, 2 * basis[at]).reshape(-1, basis.shape[2])
-        c, *_ = np.linalg.lstsq(matrix, target, rcond=None)
-        left = ((matrix @ c - target) ** 2).sum()
-        if best is None or left < best[0]:
-            best = left, c
-    left, c = best
-    freedom = max(len(rows) * 3 - 3, 1) / 3
-    angle = float(2 * np.arctan2(np.linalg.norm(c[:-1]) if len(c) == 4 else abs(c[1]), abs(c[3] if len(c) == 4 else c[0])))
+    within = (at >= first) & (at <= last)
+    # twice a quaternion: the two sides of the span may bear opposite signs, which mean the same
+    turned = course.shape[1] == 4 and (course[first - 1] * course[last + 1]).sum() < 0
+    inside, outside = STENCIL * within, STENCIL * ~within * np.where(turned & (at > last), -1.0, 1.0)
+    still = np.einsum("rk,rkc->rc", outside, course[at])
+    before = float((np.einsum("k,rkc->rc", STENCIL, course[at]) ** 2).sum())
+    left, amount = min(_left(way, still, inside, at) for way in ways)
+    scale, freedom = float((usual[rows] ** 2).mean()), len(rows) - 1
     gain = (before - left) / len(rows) / scale
-    if angle < SMALLEST or left / freedom > LEFT * scale or gain < GAIN or left > SHARE * before:
+    plain = gain / (1 + left / freedom / scale)
+    if left / freedom > LEFT * scale or gain < GAIN or left > SHARE * before:
         return None
-    return Shift(first, last, angle, gain / (1 + left / freedom / scale))
+    return Shift(first, last, amount, plain)
 
 
-def continuous(quaternions: np.ndarray) -> np.ndarray:
-    """-> (T, 4) the same turns without changes of sign from frame to frame."""
-    signs = np.sign((quaternions[1:] * quaternions[:-1]).sum(1))
-    return quaternions * np.cumprod(np.r_[1.0, np.where(signs == 0, 1.0, signs)])[:, None]
+def _left(way: Undoing, still: np.ndarray, inside: np.ndarray, at: np.ndarray) -> tuple[float, float]:
+    """-> the squares that are left when a way undoes what it can, and the amount."""
+    slopes = np.einsum("rk,rkcp->rcp", inside, way.basis[at]).reshape(still.size, -1)
+    target = -(still + np.einsum("rk,rkc->rc", inside, way.fixed[at])).ravel()
+    amounts, *_ = np.linalg.lstsq(slopes, target, rcond=None)
+    if way.basis.shape[1] == 3:
+        amount = np.linalg.norm(amounts)
+    else:  # a quaternion: its real part is the last of four numbers, or the first of two
+        real, others = (amounts[3], amounts[:3]) if len(amounts) == 4 else (amounts[0], amounts[1:])
+        amount = 2 * np.arctan2(np.linalg.norm(others), abs(real))
+    return float(((slopes @ amounts - target) ** 2).sum()), float(amount)
 
 
-def third(course: np.ndarray) -> np.ndarray:
-    """-> (T - 3, C) the third differences."""
-    return np.diff(course, 3, axis=0)
-
-
-def background(size: np.ndarray, rate: float) -> np.ndarray:
-    """-> how large third differences (N,) usually are about each; not less than LEAST."""
-    window = 2 * round(AROUND * rate) + 1
-    known = np.where(np.isnan(size), 0.0, size)
-    return np.maximum(1.5 * median_filter(known, window, mode="nearest"), LEAST)
+def _background(size: np.ndarray, rate: float, least: float) -> np.ndarray:
+    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; also about what they are a
+    quarter of the time, for toes and thumbs stick and slip."""
+    least = max(least, 1.5 * float(np.quantile(size, 0.75)))
+    return np.maximum(1.5 * median_filter(size, 2 * round(AROUND * rate) + 1, mode="nearest"), least)
