@@ -14,10 +14,10 @@ import numpy as np
 from mocapfix.take import runs
 
 ABSENT, ZERO, HELD = "has no numbers", "is at zero", "is held at one value"
-SHORTEST = 0.1  # seconds of one value
+SHORTEST = 0.1  # seconds of one value; of the whole figure one frame is enough
 EXACT = 1e-9  # radians or metres: what a value spelled once more may differ by
 LEAP = np.radians(1.0)  # or 17 mm: a smaller one does not show
-QUICKER = 2.0  # than before and after it, a leap is
+QUICKER = 2.0  # than before it or after it, a leap is
 BESIDE = 3  # frames over which that is seen
 OFTEN = 0.5  # share of the frames in which a joint is held that rests
 MANY = 0.8  # share of the courses: with more of them at once, it is the whole figure
@@ -45,19 +45,18 @@ def found(steps: np.ndarray, rest: np.ndarray, absent: np.ndarray, rate: float) 
     found = [Lost(courses, a, b, ABSENT) for (a, b), courses in _together(absent, np.ones_like(moving))]
     for (a, b), courses in _together(zero, moving):
         inner = 0 < a and b < len(rest) - 1
-        if inner and (_leaps(steps, a - 1, courses) & _leaps(steps, b, courses)).any():
+        if inner and (_leaps(steps[a - 1 :: -1], courses) & _leaps(steps[b:], courses)).any():
             found.append(Lost(courses, a, b, ZERO))
     for (a, b), courses in _together(held & ~_over(found, zero.shape), moving):
-        if b - a + 1 >= shortest and b < len(rest) - 1 and _leaps(steps, b, courses).any():
+        if (b - a + 1 >= shortest or len(courses) == len(moving)) and b < len(rest) - 1 and _leaps(steps[b:], courses).any():
             found.append(Lost(courses, a, b, HELD))
     return sorted(found, key=lambda each: each.first)
 
 
-def _leaps(steps: np.ndarray, at: int, courses: tuple[int, ...]) -> np.ndarray:
-    """-> (n,) bool: do courses leap in step `at`, more than they move beside it?"""
-    beside = np.r_[max(0, at - BESIDE) : at, at + 1 : min(len(steps), at + 1 + BESIDE)]
-    usual = np.nanmax(steps[np.ix_(beside, courses)], axis=0, initial=0.0)
-    return steps[at, courses] > LEAP + QUICKER * usual
+def _leaps(steps: np.ndarray, courses: tuple[int, ...]) -> np.ndarray:
+    """-> (n,) bool: do courses leap in the first of some `steps`, more than they move in those that come next?"""
+    usual = np.nanmax(steps[1 : 1 + BESIDE][:, courses], axis=0, initial=0.0)
+    return steps[0, courses] > LEAP + QUICKER * usual
 
 
 def _together(mask: np.ndarray, moving: np.ndarray) -> Iterator[tuple[tuple[int, int], tuple[int, ...]]]:

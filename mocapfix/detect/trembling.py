@@ -18,7 +18,7 @@ SMALLEST, SWAY = np.radians(1.0), 14.0  # radians, and rad/s^2: of a tremble, an
 MEDIAN = 1.27  # times the median of the squares of three axes is their mean
 RATIO, OFTEN = 4.0, 3.0  # times the joint's own tremble over the take, by its median; by what it does a fifth of the time
 WHITE = 0.35  # of the size that second differences tell, squared
-HOT = 0.25  # of the size: where a tremble has begun
+FAINT = 0.15  # of the smallest size that counts, squared: where a tremble has begun or not yet ended
 POWER = {2: 6.0, 4: 70.0}  # the squares of the binomial coefficients, summed
 
 
@@ -44,12 +44,13 @@ def found(course: np.ndarray, usable: np.ndarray, rate: float) -> list[Tremble]:
     limit = max(SMALLEST + SWAY / rate**2, RATIO * own, OFTEN * often) ** 2
     trembles = (size > limit) & (size > WHITE * against)
     kept = []
-    for a, b in runs(binary_closing(trembles, np.ones(3))):
-        a, b = max(0, a - window // 2), min(len(size) - 1, b + window // 2)
-        hot = a + np.flatnonzero(np.nan_to_num(fourth[a : b + 1]) > HOT * size[a : b + 1].max())
-        first, last = hot[0] + 1, hot[-1] - 1  # the outermost differences reach a frame beyond
-        if last - first + 1 >= max(FEWEST, round(SHORTEST * rate)):
-            kept.append(Tremble(int(first), int(last), float(np.sqrt(np.nanmean(fourth[first : last + 1])))))
+    about = binary_closing(np.nan_to_num(fourth) > max(FAINT * limit, RATIO * own**2), np.ones(4))
+    for a, b in runs(trembles | about):
+        if trembles[a : b + 1].any():
+            first, last = a + 1, b - 1  # the outermost differences reach a frame beyond
+            enough = last - first + 1 >= max(FEWEST, round(SHORTEST * rate))
+            if enough and np.nanmean(fourth[first : last + 1]) > limit:
+                kept.append(Tremble(int(first), int(last), float(np.sqrt(np.nanmean(fourth[first : last + 1])))))
     return _apart(kept)
 
 
