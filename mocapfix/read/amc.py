@@ -18,7 +18,8 @@ from mocapfix.read.figure import sized, upright
 from mocapfix.read.numbers import Words, words
 
 FIRST = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line with the first frame's number
-RATE_SAID = re.compile(rb":SAMPLES-PER-SECOND\s+([\d.]+)", re.IGNORECASE)
+# no keyword of the format says the rate: what a comment or a keyword of some program's own says is taken
+RATE_SAID = re.compile(rb":SAMPLES-PER-SECOND\s+(\d+\.?\d*)|(\d+\.?\d*) ?(?:fps|Hz|frames (?:a|per) second)", re.IGNORECASE)
 RATE = 120.0  # Hz: CMU's, but for some subjects at 60
 BONES = b":bonedata"
 
@@ -42,7 +43,7 @@ def animation(path: str | Path) -> Animation:
     found = words(data, start.start())
     first, at = _places(path, found, body)
     said = RATE_SAID.search(data[: start.start()])
-    rate = float(said[1]) if said else RATE
+    rate = float(said[1] or said[2]) if said else RATE
     notes = () if said else (f"An AMC does not say its rate; {RATE:.0f} Hz, CMU's, was taken.",)
     values, radians = found.values[at], b":radians" in data[: start.start()].lower()
     read = _animation(path, body, values, rate, (f"Its skeleton is {beside.name}.", *notes), first)
@@ -120,7 +121,7 @@ def _places(path: Path, found: Words, body: Figure) -> tuple[int, np.ndarray]:
         raise ReadError(f"{path}, line {found.lines[at]}: {what}.")
     frame = np.cumsum(~named)
     lines: dict[str, list[int]] = {bone.name: [] for bone in body.bones}
-    for line in np.flatnonzero(named):
+    for line in np.flatnonzero(named).tolist():
         name = found.word(heads[line])
         if name not in lines:
             raise ReadError(f"{path}, line {found.lines[heads[line]]}: bone {name[:40]} is not in the skeleton.")

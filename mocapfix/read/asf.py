@@ -106,7 +106,9 @@ class _Reading:
     def told(self, keyword: str, words: list[str]) -> None:
         match self.section, keyword.lower():
             case ":units", "length":
-                self.unit = INCH / self.numbers(words, 1)[0]
+                if (length := self.numbers(words, 1)[0]) <= 0:
+                    self.refuse(f"a unit of {words[0]} is none; CMU's is 0.45")
+                self.unit = INCH / length
             case ":units", "angle":
                 self.degrees = words != ["rad"]
             case (":root", "order") | (":bonedata", "dof"):

@@ -122,7 +122,9 @@ def _added(read: Animation) -> np.ndarray:
     added = np.zeros(len(read.names), bool)
     for joint in range(1, len(read.names)):
         columns, axes = read.moving(joint)
-        if len(columns):
-            told, offset = np.nanmedian(read.values[:, columns], axis=0), read.offsets[joint, axes]
-            added[joint] = np.linalg.norm(told) < np.linalg.norm(told - offset)
+        told = read.values[:, columns]
+        told = told[np.isfinite(told).all(1)]
+        if told.size:
+            middle = np.median(told, axis=0)
+            added[joint] = np.linalg.norm(middle) < np.linalg.norm(middle - read.offsets[joint, axes])
     return added

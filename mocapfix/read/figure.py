@@ -52,7 +52,8 @@ def upright(animation: Animation) -> Animation:
         return animation
     few = animation.with_values(animation.values[:: max(1, animation.frames // 200)])
     for positions in (few.world()[0], animation.resting()[None]):
-        way = np.nanmean(positions[:, head[0]] - positions[:, feet].mean(1), axis=0)
+        ways = positions[:, head[0]] - positions[:, feet].mean(1)
+        way = ways[np.isfinite(ways).all(1)].sum(0)
         slope = way / max(np.linalg.norm(way), 1e-9)
         if slope[1] > SLOPE:
             return animation

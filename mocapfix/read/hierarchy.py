@@ -10,6 +10,7 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 
+ITEMS = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)  # several may be on a line
 CHANNEL = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
 
 
@@ -49,13 +50,13 @@ def hierarchy(path: Path, text: bytes) -> Hierarchy:
 
 
 def _items(text: bytes) -> Iterator[tuple[int, str]]:
-    """-> line number and text of what is on each line, braces by themselves."""
+    """-> line number and text of each item, of which there may be several on a line."""
     try:
         lines = text.decode("utf-8").splitlines()
     except UnicodeDecodeError:
         lines = text.decode("latin-1").splitlines()
     for number, line in enumerate(lines, start=1):
-        yield from ((number, item.strip()) for item in re.split(r"([{}])", line) if item.strip())
+        yield from ((number, item.strip()) for item in ITEMS.split(line) if item and item.strip())
 
 
 class _Reading:

@@ -93,6 +93,7 @@ def _scan(text, first, powers, starts, lines, values, kinds):
 @njit(cache=True)
 def _number(text, i, powers):
     """-> the number spelled at byte i, its kind, and the byte after the word."""
+    start = i
     negative = text[i] == 45  # -
     if negative or text[i] == 43:  # +
         i += 1
@@ -113,9 +114,16 @@ def _number(text, i, powers):
     while i < len(text) and text[i] > 32:
         i += 1
     if not (plain and figures and digits <= EXACT_DIGITS and abs(power) < len(powers)):
-        return np.nan, LONG, i
+        return np.nan, (WORD if _a_letter(text[start]) else LONG), i
     value = mantissa * powers[power] if power >= 0 else mantissa / powers[-power]
     return (-value if negative else value), NUMBER, i
+
+
+@njit(cache=True)
+def _a_letter(byte):
+    """Is it one with which no number begins, as nan and inf do?"""
+    small = byte | 32
+    return 97 <= small <= 122 and small != 105 and small != 110
 
 
 @njit(cache=True)

@@ -1,13 +1,16 @@
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import carried
+from mocapfix import hierarchies
+from mocapfix.animation import Animation, carried
 from mocapfix.errors import ReadError
 from mocapfix.read import amc, bvh
-from mocapfix.train.recordings.amc import BONES
 from mocapfix.write.patched import patched
 from tests.asf_files import AMC, ASF, FRAMES
 
@@ -73,18 +76,18 @@ def test_numbers_are_patched_where_they_stand(tmp_path):
 def test_radians_become_degrees(tmp_path):
     spelled = {"root": (3, 4, 5), "lfemur": (0, 1, 2), "head": (1,), "lfoot": (0, 1)}
     told = []
-    for name, *numbers in (line.split() for line in FRAMES.splitlines()):
-        for at in spelled.get(name, ()):
-            numbers[at] = repr(float(np.radians(float(numbers[at]))))
-        told.append(" ".join([name, *numbers]))
+    for words in (line.split() for line in FRAMES.splitlines()):
+        turns = [1 + at for at in spelled.get(words[0], ())]
+        told.append(" ".join(str(np.radians(float(word))) if at in turns else word for at, word in enumerate(words)))
     found = read(tmp_path, AMC.replace(FRAMES, "\n".join(told)).replace(":DEGREES", ":RADIANS"))
     np.testing.assert_allclose(found.values, read(tmp_path).values, atol=1e-12)
 
 
 def test_the_rate_is_the_files_where_it_has_one(tmp_path):
-    found = read(tmp_path, AMC.replace(":DEGREES", ":DEGREES\n:SAMPLES-PER-SECOND 60"))
-    assert found.rate == 60
-    assert not any("rate" in note for note in found.notes)
+    for said in ("# 60 fps", "# at 60.0 frames per second", ":SAMPLES-PER-SECOND 60"):
+        found = read(tmp_path, AMC.replace(":DEGREES", f"{said}\n:DEGREES"))
+        assert found.rate == 60
+        assert not any("rate" in note for note in found.notes)
     assert any("rate" in note for note in read(tmp_path).notes)
 
 
@@ -130,6 +133,7 @@ def test_a_motion_with_a_fault_is_refused_where_it_is(tmp_path, old, new, messag
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("length 0.45", "length 0", "line 6: a unit of 0 is none"),
         ("length 0.45", "length x", "line 6: x stands where a number belongs"),
         ("direction 0 0 1", "direction 0 0", "line 37: 0 0 stands where 3 numbers belong"),
         ("axis 0 0 20  XYZ", "axis 0 0 20 XYX", "line 28: 'XYX' is no order of the axes"),
@@ -147,12 +151,19 @@ def test_a_skeleton_with_a_fault_is_refused_where_it_is(tmp_path, old, new, mess
         read(tmp_path, skeleton=ASF.replace(old, new))
 
 
+def the_31_of(animation: Animation) -> np.ndarray:
+    """-> (31,) the animation's joint for each of the 31."""
+    choice = hierarchies.mapped(animation.names, animation.parents)
+    assert choice.mapped is not None
+    return choice.mapped.joints
+
+
 @here
 @pytest.mark.parametrize("trial", ["02_01", "05_13"])
 def test_a_trial_of_cmu_is_the_same_as_its_bvh(trial):
     """Hahne's release leaves out the thorax's and the wrists' lengths: where they are put in, all joints agree to 0.1 mm."""
     motion, release = amc.animation(CMU / f"{trial}.amc"), bvh.animation(CMU / f"{trial}.bvh")
-    order = [release.index(BONES[name]) for name in motion.names]
+    order = the_31_of(release)[np.argsort(the_31_of(motion))]
     rotations = release.rotations()[1:, order]  # its frame 0 is a T-pose
     degrees = np.degrees(np.linalg.norm(motion.rotations() - rotations, axis=(2, 3)) / np.sqrt(2))
     assert degrees.max() < 2e-4
@@ -176,3 +187,15 @@ def test_captures_come_back_byte_for_byte(tmp_path):
     before = amc.animation(CMU / "35_01.amc")
     patched(tmp_path / "35_01.amc", before, before.values)
     assert (tmp_path / "35_01.amc").read_bytes() == (CMU / "35_01.amc").read_bytes()
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=6), st.integers(0, len(ASF)), st.integers(0, 120), st.booleans())
+def test_files_with_any_fault_are_read_or_refused_in_a_sentence(tmp_path_factory, put, at, dropped, of_motion):
+    texts = [ASF.encode(), AMC.encode()]
+    texts[of_motion] = texts[of_motion][:at] + put + texts[of_motion][at + dropped :]
+    folder = tmp_path_factory.getbasetemp()
+    (folder / "09.asf").write_bytes(texts[0])
+    (folder / "09_01.amc").write_bytes(texts[1])
+    with suppress(ReadError):
+        amc.animation(folder / "09_01.amc").world()

@@ -1,7 +1,10 @@
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
 from mocapfix.read import bvh
@@ -29,6 +32,7 @@ def test_every_joint_has_its_own_numbers(tmp_path):
     np.testing.assert_array_equal(found.values, VALUES)
     assert found.notes == ()
     data = (tmp_path / "a.bvh").read_bytes()
+    assert found.starts is not None
     assert [data[start:].split()[0].decode() for start in found.starts.ravel()] == " ".join(ROWS).split()
 
 
@@ -43,6 +47,7 @@ def test_every_joint_has_its_own_numbers(tmp_path):
         lambda text: text.replace("\n{", " {").replace("Frames: 3", "Frames:\t3").replace("Frame Time:", "FRAME TIME :"),
         lambda text: text.replace(" 15.0000", "\n15.0000").replace(" 16.0000", "\n16.0000").replace(" 17.0000", "\n\n17.0000"),
         lambda text: text.replace("10.5000", "1.05e1").replace("20.0000", "+2E+1") + "\n\n",
+        lambda text: text.replace("\n  OFFSET", " OFFSET").replace("\n    CHANNELS", " CHANNELS").replace("\n}", " }"),
         lambda text: "\ufeff" + text.replace("End Site", "End Site of the foot"),
     ],
 )
@@ -174,3 +179,23 @@ def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, ra
     height = np.ptp(position[..., 1], axis=1)
     assert 1.0 < np.median(height) < 2.0
     assert abs(np.median(position[..., 1].min(1))) < 0.3
+
+
+def test_a_figure_that_is_nowhere_is_read_all_the_same(tmp_path):
+    rows = "\n".join(" ".join(["nan"] * 16) for _ in range(3))
+    found = read(tmp_path, TEXT.replace("\n".join(ROWS), rows))
+    assert np.isnan(found.values).all()
+
+
+def test_displacements_are_told_from_places(tmp_path):
+    found = read(tmp_path, TEXT.replace(" 60.0000 ", " 0.1 ").replace(" 60.5000 ", " 0.2 ").replace(" 61.0000 ", " 0.3 "))
+    assert found.added.tolist() == [False, False, False, True, False]
+    np.testing.assert_allclose(found.places()[:, 3, 1], [0.601, 0.602, 0.603])
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=6), st.integers(0, len(TEXT)), st.integers(0, 120))
+def test_a_file_with_any_fault_is_read_or_refused_in_a_sentence(tmp_path_factory, put, at, dropped):
+    data = TEXT.encode()
+    with suppress(ReadError):
+        read(tmp_path_factory.getbasetemp(), data[:at] + put + data[at + dropped :]).world()

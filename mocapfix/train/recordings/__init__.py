@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from mocapfix.errors import ReadError
-from mocapfix.train.recordings import amass, amc, bvh, shards
+from mocapfix.train.recordings import amass, animations, shards
 from mocapfix.train.recordings.recording import Recording
 
 READERS: tuple[tuple[str, Callable[[Path], Iterator[Recording]]], ...] = (
     ("*.npz", shards.read),
     ("*.npz", amass.read),
-    ("*.bvh", bvh.read),
-    ("*.amc", amc.read),
+    ("*.bvh", animations.bvh),
+    ("*.amc", animations.amc),
 )
 
 

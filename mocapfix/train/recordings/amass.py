@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
+from mocapfix.fitted import shortest
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.train.recordings.recording import Recording, step
 
@@ -69,12 +70,3 @@ def resting(skeleton: Skeleton) -> np.ndarray:
         elif name.endswith(("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")):
             turns[j] = turns[skeleton.parents[j]]
     return turns
-
-
-def shortest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """-> (3, 3) the rotation that takes the direction of a to that of b, neither of them opposite."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine = np.linalg.norm(axis)
-    angle = np.arctan2(sine, a @ b)
-    return Rotation.from_rotvec(axis * (angle / sine if sine > 1e-12 else 0.0)).as_matrix()

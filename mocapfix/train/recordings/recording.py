@@ -5,8 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.errors import ReadError
-
 RATE = 30.0  # Hz: poses that follow sooner say nothing new
 
 
@@ -33,11 +31,3 @@ def subject(path: Path) -> str:
     """-> whose trial a file is, as CMU names them: 01 of 01_02.bvh; else its folder says it."""
     person, underscore, _ = path.stem.partition("_")
     return person if underscore else path.parent.name
-
-
-def lines(path: Path) -> list[str]:
-    """-> a text file's lines. Raises ReadError where it cannot be read."""
-    try:
-        return path.read_text(encoding="latin-1").splitlines()
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
