@@ -19,7 +19,7 @@ from mocapfix.take import runs
 
 EXACT = 1e-8  # rad^2: the variance of what nobody doubts
 MOVES = 1e-3  # radians: a joint that turns less over the whole take rests
-WAYS = ("", "turned back by what it was off", "smoothed", "the take's likeness to itself", "the course around it")
+WAYS = ("", "its own motion, turned back", "its own motion, smoothed", "moments alike", "the course around it")
 AS_IT_IS, TURNED_BACK, SMOOTHED, RECALLED, BRIDGED = range(len(WAYS))
 
 
