@@ -130,8 +130,8 @@ class Animation:
         `rotations()` gives them; all else stays.
 
         Angles are told in each joint's own order. Over a run of frames they follow the frame before it without a leap, at the
-        start of the animation backwards from the frame after it. A joint that is free in fewer than three axes comes as near
-        as these let it.
+        start of the animation backwards from the frame after it; over all frames they go on from what the first had. A joint
+        that is free in fewer than three axes comes as near as these let it.
         """
         values, own = self.values.copy(), self._own()
         for at, joint in enumerate(joints):
@@ -139,7 +139,7 @@ class Animation:
             resting = self.axes @ own[joint][1]
             turned = resting.T @ rotations[:, at] @ resting
             for run, among, beside in _stretches(self.frames, frames):
-                near = np.zeros(len(columns)) if beside < 0 else np.nan_to_num(np.radians(values[beside, columns]))
+                near = np.nan_to_num(np.radians(values[beside, columns]))
                 values[run[:, None], columns] = np.degrees(eulers.followed(np.ascontiguousarray(turned[among]), axes, near))
         return values
 
@@ -180,7 +180,7 @@ def carried(parents: np.ndarray, places: np.ndarray, local: np.ndarray) -> tuple
 
 def _stretches(total: int, frames: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
     """-> for each run of frames: the frames in the order in which they are followed, where each is in `frames`, and the
-    frame they start from, -1 where there is none."""
+    frame they start from."""
     among = np.full(total, -1)
     among[frames] = np.arange(len(frames))
     for first, last in runs(among >= 0):
@@ -188,4 +188,4 @@ def _stretches(total: int, frames: np.ndarray) -> Iterator[tuple[np.ndarray, np.
         if first == 0 and last + 1 < total:
             yield own[::-1], among[own[::-1]], last + 1
         else:
-            yield own, among[own], first - 1
+            yield own, among[own], max(first - 1, 0)

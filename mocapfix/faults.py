@@ -11,11 +11,11 @@ from mocapfix.take import Take
 
 Kind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
-    "spike", "jitter", "noise", "stuck", "straight", "computed", "ghost",
+    "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "ghost")
+REPLACED: tuple[Kind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
 OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # told; replaced, where the rest contradicts them, on request
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
 PLACES: tuple[Kind, ...] = ("moved", "drift")

@@ -71,4 +71,7 @@ def _sharing(joint: int, above: int, skeleton: Skeleton) -> list[int]:
 
 
 def _power(rotations: np.ndarray, part: float) -> np.ndarray:
-    return Rotation.from_rotvec(Rotation.from_matrix(rotations).as_rotvec() * part).as_matrix()
+    """-> (T, 3, 3) of rotations (T, 3, 3) the part of their angle, NaN where they are."""
+    parts, there = rotations.copy(), np.isfinite(rotations).all((1, 2))
+    parts[there] = Rotation.from_rotvec(Rotation.from_matrix(rotations[there]).as_rotvec() * part).as_matrix()
+    return parts

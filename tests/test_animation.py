@@ -65,7 +65,7 @@ def test_only_the_joints_and_frames_that_are_given_change(figure):
 def spinning(figure: Animation, frames: int) -> Animation:
     """-> a long animation whose hips turn about Z, 5 degrees a frame, on and on."""
     values = np.tile(figure.values[0], (frames, 1))
-    values[:, 3] = 5.0 * np.arange(frames)
+    values[:, 3] = 5.0 * np.arange(frames) - 720
     return replace(figure, values=values)
 
 

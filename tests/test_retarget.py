@@ -128,6 +128,20 @@ def test_of_a_bend_of_the_trunk_each_joint_takes_its_part():
     np.testing.assert_allclose([degrees[OURS.index(name)] for name in ("LowerBack", "Spine", "Spine1")], 10, atol=1e-9)
 
 
+def test_what_is_not_there_is_not_there_in_ours_either():
+    whole = figure(4)
+    values = whole.values.copy()
+    values[2, whole.turning(whole.index("Chest"))[0][1]] = np.nan
+    torn, fit = whole.with_values(values), fit_of(whole)
+    (root, rotations), (_, expected) = to_cmu31(torn, fit), to_cmu31(whole, fit)
+    assert np.isfinite(root).all()
+    missing = np.isnan(rotations).any((2, 3))
+    assert set(np.argwhere(missing)[:, 0]) == {2}
+    assert missing[2, OURS.index("Spine1")]
+    assert not missing[2, [OURS.index(name) for name in ("Hips", "LeftUpLeg", "RightFoot")]].any()
+    np.testing.assert_array_equal(rotations[~missing], expected[~missing])
+
+
 @pytest.mark.parametrize("ours", ["LeftArm", "LeftHand", "Spine1", "LowerBack", "Hips", "Head"])
 def test_one_joint_alone_turns_and_is_exact(ours):
     """Ours is given other turns: the file's joint is turned so in the world, its children keep their own."""
