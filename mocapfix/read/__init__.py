@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocapfix.errors import ReadError
-from mocapfix.read import c3d, motive, motive_rows, nexus, plain, qualisys, trc
+from mocapfix.read import amc, bvh, c3d, motive, motive_rows, nexus, plain, qualisys, trc
 from mocapfix.read.axes import turned
 from mocapfix.read.text import BOM, decoded
 from mocapfix.take import Take
@@ -29,6 +29,8 @@ class Kind(NamedTuple):
 # The first that recognises a file reads it.
 KINDS = (
     Kind("C3D", c3d.recognises, c3d.take),
+    Kind("BVH", bvh.recognises, bvh.take),
+    Kind("ASF/AMC", amc.recognises, amc.take),
     Kind("TRC", trc.recognises, trc.take),
     Kind("Motive CSV", motive.recognises, motive.take),
     Kind("Motive CSV 1.1", motive_rows.recognises, motive_rows.take),
@@ -39,7 +41,7 @@ KINDS = (
 
 
 def take(path: str | Path, up: str | None = None) -> Take:
-    """-> the take in a file of any of the kinds.
+    """-> the take in a file of any of the kinds; of an animation that of its joints' places, with the animation as its layout.
 
     up  "X", "Y" or "Z": the file's axis that points to the sky; None: as the file says, or else as its markers tell
 
