@@ -56,7 +56,7 @@ def clean(
     with clock("fill"):
         put = animated_changes.put(tips, mended, faults, options, only, decided)
         centres = put.centres
-        subject, motion = body.moved(put.animation, np.nan_to_num(centres.deviation)) if body else (None, None)
+        subject, motion = body.moved(centres) if body else (None, None)
     report = {
         "take": record.of_take(centres, None),
         "faults": record.of_faults(put.before, put.faults),
@@ -105,4 +105,4 @@ def check(take: Take, about_markers: Mapping[str, object], hierarchy: object) ->
 def check_markers(take: Take) -> None:
     """Raise TakeError for a take that has no markers: bones and marker places are learnt from them."""
     if isinstance(take.layout, Animation):
-        raise TakeError(f"{take.name}: has joints and no markers to learn from; give the capture that its motion was solved from.")
+        raise TakeError(f"{take.name}: has joints and no markers to learn from; give the capture that it was solved from.")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix import hierarchies
+from mocapfix import hierarchies, joint_points
 from mocapfix.animation import Animation
 from mocapfix.errors import SceneError
 from mocapfix.fitted import Fitted, fitted
@@ -15,6 +15,7 @@ from mocapfix.retarget import to_cmu31
 from mocapfix.solve.mapped import MappedPeople
 from mocapfix.solved import How
 from mocapfix.subject import Subject
+from mocapfix.take import Take
 
 
 @dataclass(frozen=True)
@@ -28,20 +29,17 @@ class Body:
         """-> whom to ask of lost joints; None where nobody is to be asked."""
         return MappedPeople(how.model, how.options.prior_scale, self.parents, self.fit) if how.model else None
 
-    def moved(self, animation: Animation, unsure: np.ndarray) -> tuple[Subject | None, Motion | None]:
-        """-> the body and its motion, None where some number of it is not there.
-
-        unsure (T, J) metres per axis: the predicted deviation of the animation's joints' places
-        """
-        root, local = to_cmu31(animation, self.fit)
+    def moved(self, places: Take) -> tuple[Subject | None, Motion | None]:
+        """-> the body and its motion, of the places of an animation's joints; None where some number of it is not there."""
+        root, local = to_cmu31(joint_points.moved(places), self.fit)
         if not (np.isfinite(root).all() and np.isfinite(local).all()):
             return None, None
         known, ours = self.fit.joints >= 0, self.fit.skeleton
         told = [joint if known[joint] else ancestor(joint, ours.parents, known) for joint in range(len(known))]
-        none = np.zeros(animation.frames, int)
-        motion = Motion(
-            root, local, none + PLACED, none, np.zeros((animation.frames, 0)), unsure[:, self.fit.joints[told]]
-        )
+        none, unsure = np.zeros(places.frames, int), np.zeros(places.seen.shape)
+        if places.deviation is not None:
+            unsure = np.nan_to_num(places.deviation)
+        motion = Motion(root, local, none + PLACED, none, np.zeros((places.frames, 0)), unsure[:, self.fit.joints[told]])
         return Subject(ours, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
 
 

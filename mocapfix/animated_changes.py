@@ -43,15 +43,13 @@ def put(
     tips  of the animation as it was read, its layout;  mended  everything, for all `faults`
     only  the kinds that are mended; none: all
     """
-    animation = tips.layout
-    assert isinstance(animation, Animation)
     lost = over([fault for fault in faults if fault.kind == "gap"], tips.seen.shape)
     before = tips.only(~lost)
     made = [f for f in faults if (not only or f.kind in only) and not any(each.refuses(f) for each in decided)]
     touch = over(made, lost.shape) & _touchable(before, options) & (mended.way != AS_IT_IS)
     refused = _refused(before, mended, faults, touch, options)
     touched = touch & (refused == "")
-    now = moved(animation, mended, touched)
+    now = with_mended(joint_points.moved(tips), mended, touched)
     unsure = np.where(touched, mended.variance, 0.0)
     after = _with_reach(joint_points.tips(now), unsure, touched | ~before.seen).only(touched | ~lost)
     centres = joint_points.places(now)
@@ -61,7 +59,7 @@ def put(
     return Put(now, before, after, centres, Faults(tuple(faults)), told, left)
 
 
-def moved(animation: Animation, mended: Mended, touched: np.ndarray) -> Animation:
+def with_mended(animation: Animation, mended: Mended, touched: np.ndarray) -> Animation:
     """-> the animation with the courses `touched` (T, J + 1) as they are mended, and all others as they were."""
     now = animation
     for j in np.flatnonzero(touched[:, :-1].any(0)):
@@ -83,10 +81,8 @@ def _refused(before: Take, mended: Mended, faults: Sequence[Fault], touch: np.nd
     sample of it is refused, all are."""
     lost = [fault for fault in faults if fault.kind in LOST]
     gone = over(lost, touch.shape)
-    animation = before.layout
-    assert isinstance(animation, Animation)
-    whole = joint_points.tips(moved(animation, mended, mended.way != AS_IT_IS))
-    unsure = np.where(mended.way == AS_IT_IS, np.nan, joint_points.reach(whole.layout, mended.variance, whole.markers))
+    whole = joint_points.tips(with_mended(joint_points.moved(before), mended, mended.way != AS_IT_IS))
+    unsure = np.where(mended.way == AS_IT_IS, np.nan, joint_points.reach(whole, mended.variance))
     reasons = why_not(before, gone & touch, lasting(~gone, before.rate), unsure, options)
     for fault in lost:
         if why := [reason for reason in reasons[fault.frames][:, list(fault.markers)].ravel() if reason]:
@@ -97,8 +93,7 @@ def _refused(before: Take, mended: Mended, faults: Sequence[Fault], touch: np.nd
 def _with_reach(points: Take, variance: np.ndarray, estimated: np.ndarray) -> Take:
     """-> the take with how unsure its points are, which are the tips of its joints or their places, where they are `estimated`
     (T, M) and courses have a variance (T, J + 1)."""
-    assert isinstance(points.layout, Animation)
-    unsure = joint_points.reach(points.layout, variance, points.markers)
+    unsure = joint_points.reach(points, variance)
     return replace(points, deviation=np.where(estimated & (unsure > 0), unsure, np.nan))
 
 

@@ -55,7 +55,9 @@ def clean(
     limit: Annotated[
         float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
     ] = 250.0,
-    keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers (of an animation: joints) left exactly as they are")] = "",
+    keep: Annotated[
+        str, tyro.conf.arg(metavar="MARKER,...", help="markers, or joints of an animation, left exactly as they are")
+    ] = "",
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
     ] = ":",

@@ -26,21 +26,27 @@ def tips(animation: Animation) -> Take:
     return _take(animation, markers, (*animation.names, f"{animation.names[0]}'s place"))
 
 
-def reach(animation: Animation, variance: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """-> (T, M) metres per axis: how unsure points (T, M, 3), of the joints in their order and perhaps last of the root, are
-    where the joints' turns and last the root's place have a variance (T, J + 1), rad^2 and m^2 per axis.
+def moved(points: Take) -> Animation:
+    """-> the animation that moves the points."""
+    assert isinstance(points.layout, Animation)
+    return points.layout
+
+
+def reach(points: Take, variance: np.ndarray) -> np.ndarray:
+    """-> (T, M) metres per axis: how unsure the tips or places of an animation's joints are where its joints' turns and last
+    the root's place have a variance (T, J + 1), rad^2 and m^2 per axis.
 
     A turn by a small angle about an axis moves a point by that times its distance from the axis.
     """
-    unsure = np.flatnonzero(variance.any(1))
-    joints, points, variance = animation.with_values(animation.values[unsure]).world()[0], points[unsure], variance[unsure]
-    square = np.tile(variance[:, -1:], (1, points.shape[1]))
+    unsure, animation = np.flatnonzero(variance.any(1)), moved(points)
+    joints, variance = animation.with_values(animation.values[unsure]).world()[0], variance[unsure]
+    square = np.tile(variance[:, -1:], (1, len(points.labels)))
     for j in range(len(animation.parents)):
         at = j
         while at >= 0:
-            square[:, j] += variance[:, at] * ((points[:, j] - joints[:, at]) ** 2).sum(-1) * 2 / 3
+            square[:, j] += variance[:, at] * ((points.markers[unsure, j] - joints[:, at]) ** 2).sum(-1) * 2 / 3
             at = animation.parents[at]
-    out = np.zeros((animation.frames, points.shape[1]))
+    out = np.zeros(points.seen.shape)
     out[unsure] = np.sqrt(square)
     return out
 

@@ -13,6 +13,7 @@ from mocapfix.resample import picks, resampled
 from mocapfix.subject import Subject
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
+from mocapfix.words import worded
 
 FASTEST = 1000.0  # frames a second
 
@@ -61,7 +62,7 @@ class OutputOptions:
     def notes(self, take: Take, body: bool) -> list[str]:
         """-> sentences on what was written otherwise than usual or beside it."""
         asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
-        said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
+        said = [f"{kind.suffix} {worded(kind.note, take)}" for kind in asked if kind.note and (body or not kind.body)]
         whose = "whose joints are whose is not known" if isinstance(take.layout, Animation) else "the take has no skeleton"
         said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.body and not body]
         if isinstance(take.layout, TableLayout) and not take.layout.has_places:

@@ -51,14 +51,17 @@ def of_faults(take: Take, faults: Faults) -> list[dict]:
             "marker": take.label(fault.marker),
             "first": take.frame_number(fault.first),
             "last": take.frame_number(fault.last),
-            "severity_m": None if np.isnan(fault.severity) or fault.unit == "rad" else round(fault.severity, 5),
-            **({"severity_deg": None if np.isnan(fault.severity) else round(float(np.degrees(fault.severity)), 2)}
-               if fault.unit == "rad" else {}),
+            "severity_m": _rounded(fault.severity, 5) if fault.unit == "m" else None,
+            **({"severity_deg": _rounded(np.degrees(fault.severity), 2)} if fault.unit == "rad" else {}),
             "confidence": round(fault.confidence, 3),
             "reason": fault.reason,
         }
         for fault in faults.items
     ]
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return None if np.isnan(value) else round(float(value), digits)
 
 
 def of_inspection(take: Take, marker_set: str | None, shown: Take, faults: Faults, notes: list[str]) -> dict:

@@ -99,7 +99,8 @@ class Result:
 
     def _has(self, kind: Kind) -> bool:
         """Is there what a kind of file is about?"""
-        return not (kind.body and self.motion is None or kind.worn and not (self.subject and self.subject.labels))
+        worn = self.subject is not None and len(self.subject.labels) > 0
+        return (worn or not kind.worn) and (self.motion is not None or not kind.body)
 
     @property
     def _stem(self) -> str:

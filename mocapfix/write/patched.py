@@ -34,7 +34,8 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
     if not (np.abs(numbers) * power < LARGEST).all():
         frame, column = np.argwhere(~same & ~(np.abs(values) * power < LARGEST))[0]
         joint = next(name for name, own in zip(before.names, before.columns, strict=True) if column in own)
-        raise WriteError(f"{target}: in frame {before.first_frame + frame} {joint} would be {values[frame, column]}; no file can hold that.")
+        would = f"in frame {before.first_frame + frame} {joint} would be {values[frame, column]}"
+        raise WriteError(f"{target}: {would}; no file can hold that.")
     out = np.empty(len(text) + len(places) * (WIDTH + decimals), np.uint8)
     size = _spliced(text, places[order], numbers[order], decimals, power, out)
     with replacing(target) as part:
