@@ -14,8 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from mocapfix import animated_body, animated_changes, change_file, joint_points, notes, record
 from mocapfix.animation import Animation
 from mocapfix.clock import Clock

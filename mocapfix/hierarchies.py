@@ -40,8 +40,9 @@ class Style:
     def joints(self, names: Sequence[str], parents: np.ndarray) -> np.ndarray:
         """-> (31,) the file's joint for each of ours, -1 where there is none, of names (J,) in a tree parents (J,)."""
         there: dict[str, int] = {}
-        for joint, name in enumerate(plain(names)):
-            there.setdefault(name, joint)
+        for spelled in (plain(names), [_plain(name) for name in names]):
+            for joint, name in enumerate(spelled):
+                there.setdefault(name, joint)
         ours = cmu31().skeleton
         found = np.full(len(ours.names), -1)
         for joint, likely in self.names.items():

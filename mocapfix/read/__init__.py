@@ -29,14 +29,14 @@ class Kind(NamedTuple):
 # The first that recognises a file reads it.
 KINDS = (
     Kind("C3D", c3d.recognises, c3d.take),
-    Kind("BVH", bvh.recognises, bvh.take),
-    Kind("ASF/AMC", amc.recognises, amc.take),
     Kind("TRC", trc.recognises, trc.take),
     Kind("Motive CSV", motive.recognises, motive.take),
     Kind("Motive CSV 1.1", motive_rows.recognises, motive_rows.take),
     Kind("Nexus CSV", nexus.recognises, nexus.take),
     Kind("Qualisys TSV", qualisys.recognises, qualisys.take),
     Kind("plain CSV", plain.recognises, plain.take),
+    Kind("BVH", bvh.recognises, bvh.take),
+    Kind("ASF/AMC", amc.recognises, amc.take),
 )
 
 

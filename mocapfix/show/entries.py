@@ -26,8 +26,8 @@ OF_MARKERS = (
     "Of a marker that moved on its segment there are the distances from its neighbours."
 )
 OF_TIPS = (
-    "Paths are those of the joints’ tips, the middle of what hangs on them, seen from the tips nearest by, x, y (up) and z on "
-    "one scale; dashed are other joints concerned."
+    "Paths are those of the joints’ tips, the middle of what hangs on them, seen from the tip of the joint above, x, y (up) and "
+    "z on one scale; dashed are other joints concerned."
 )
 HEAD = ("Change", "Markers", "Frames", "Why, and what was done", "Missing", "From body, mm", "Predicted, mm", "Decision")
 

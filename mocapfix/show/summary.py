@@ -50,7 +50,7 @@ def done(record: dict, cleaning: Cleaning) -> str:
     """-> sentences on what was relabelled, replaced and filled, from what, and what somebody decided against."""
     fill, solve, subject = record["fill"], record["solve"], record["subject"]
     parts = [
-        f"{fill[key]:,} {one if fill[key] == 1 else many}"
+        f"{fill[key]:,} {worded(one if fill[key] == 1 else many, cleaning.before)}"
         for key, one, many in (
             ("relabelled", "sample was put under its own label", "samples were put under their own labels"),
             ("mended", "faulty one was replaced", "faulty ones were replaced"),
