@@ -181,6 +181,7 @@ def test_the_page_speaks_of_joints(walk):
     assert "31 joints" in text
     assert "marker" not in text.replace("markers keep", "")
     assert "LeftUpLeg is off by 35 degrees in one frame." in text
+    assert "Seen from LHipJoint." in text
 
 
 def test_inspect_tells_degrees(walk, mocapfix):
@@ -240,6 +241,15 @@ def test_faults_of_files_are_sentences(walk, mocapfix, tmp_path, brief):
     said(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
     said(mocapfix("clean", walk.path, "--out", walk.path.parent), "is the input itself and is never replaced")
     assert {path.name for path in tmp_path.iterdir()} == {"torn.bvh", "wrong.yaml"}
+
+
+def test_one_pose_comes_back_as_it_is(walk, tmp_path):
+    lines = walk.path.read_text().split("\n")
+    head = next(n for n, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    text = "\n".join([*lines[: head + 1], ""]).replace("Frames: 720", "Frames: 1")
+    (tmp_path / "pose.bvh").write_text(text)
+    outputs = pipeline.clean(tmp_path / "pose.bvh").write(tmp_path / "out")
+    assert outputs["bvh"].read_text() == text
 
 
 def test_a_scene_names_the_joints(walk, mocapfix, tmp_path):

@@ -24,6 +24,8 @@ def found(names: Sequence[str], root: np.ndarray, local: np.ndarray, orders: Seq
 
     root (T, 3) metres and local (T, J, 3, 3), NaN where there is no number; orders: each joint's axes of rotation, as "ZYX"
     """
+    if len(root) < 2:
+        return []  # one pose does not move
     labels = (*names, f"{names[0]}'s place")
     absent = np.column_stack([np.isnan(local).any((2, 3)), np.isnan(root).any(1)])
     gone, faults = np.zeros(absent.shape, bool), []

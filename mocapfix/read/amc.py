@@ -87,8 +87,8 @@ def skeleton_of(path: Path) -> Path:
     if len(beside) == 1:
         return beside[0]
     there = f"only {', '.join(each.name for each in beside)}" if beside else "no ASF"
-    subject = path.stem.partition("_")[0]
-    raise ReadError(f"{path}: its skeleton is not beside it, {there}; put it there as {subject}.asf or {path.stem}.asf.")
+    likely = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
+    raise ReadError(f"{path}: its skeleton is not beside it, {there}; put it there as {likely}.")
 
 
 def _at_rest(path: Path, data: bytes) -> Animation:

@@ -52,6 +52,8 @@ def mended(
     local = np.where(gone[:, :-1, None, None], np.eye(3), local)
     root = np.where(gone[:, -1:], 0.0, root)
     work = Mended(root, local, np.zeros(shape), np.zeros(shape, int))
+    if not faults:
+        return work
     unsound = over(faults, shape)
     for fault in sorted(faults, key=lambda fault: fault.last - fault.first):
         if fault.kind in ("pop", "flip", "spike"):

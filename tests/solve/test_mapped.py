@@ -49,7 +49,7 @@ def test_a_body_of_the_very_31_joints_is_told_what_people_are(model):
 def test_other_axes_and_another_order_of_joints_change_nothing(model):
     """The same poses in a file that has the joints' axes otherwise and a joint more at the end."""
     local, frames, rng = posed(6), np.arange(6), np.random.default_rng(1)
-    turns = Rotation.random(COUNT, random_state=rng).as_matrix()
+    turns = Rotation.random(COUNT, rng).as_matrix()
     fit = Fitted(np.arange(COUNT), turns, OURS)
     told = np.concatenate([theirs(local, turns), np.tile(np.eye(3), (6, 1, 1, 1))], axis=1)
     parents = np.r_[OURS.parents, 0]
