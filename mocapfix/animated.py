@@ -44,8 +44,8 @@ def clean(
     """
     tips = joint_points.tips(animation)
     decided = change_file.of_each(files, [tips])[0]
-    body, whose = animated_body.of(animation, hierarchy)
     with clock("detect"):
+        body, whose = animated_body.of(animation, hierarchy)
         faults = [fault for fault in found(animation) if not any(each.vouches(fault) for each in decided)]
     with clock("solve"):
         people = body.people(how) if body else None

@@ -90,7 +90,7 @@ def mapped(names: Sequence[str], parents: np.ndarray, given: str | Path | None =
     count = int((joints >= 0).sum())
     if lacking := _lacking(joints):
         near = f"nearest came {best.title}, which lacks {', '.join(lacking)}" if count else "none is known"
-        return Choice(None, f"The joints are not a body's by their names: {near}; give a YAML file of the names.")
+        return Choice(None, f"The joints are not a body's by their names: {near}; give a YAML file of the names (--hierarchy).")
     return Choice(Mapped(joints, best.title), f"{best.title}: {count} of the {len(ours)} joints were found.")
 
 
