@@ -36,6 +36,8 @@ class Animation:
     rest      (J, 3, 3) the axes about which each joint's rotations are told, in the rest pose: the file's in BVH, the bone's
               own in ASF. Every joint itself has the file's axes in the rest pose
     added     (J,) bool: do the joint's positions come on top of its offset? Else they stand in its place
+    skeleton  the file in which the tree is, where it is another one, as of an AMC
+    radians   are the file's angles in radians? `values` has degrees all the same
     notes     sentences on what the file does not say and was assumed
     """
 
@@ -53,6 +55,8 @@ class Animation:
     axes: np.ndarray = field(default_factory=lambda: np.eye(3))
     rest: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
     added: np.ndarray = field(default_factory=lambda: np.zeros(1, bool))
+    skeleton: Path | None = None
+    radians: bool = False
     notes: tuple[str, ...] = ()
 
     @property

@@ -38,6 +38,14 @@ class Decided:
         """Is it this fault that was decided upon?"""
         return fault.kind == self.change["kind"] and fault.marker == self.markers[0] and self._meets(fault)
 
+    def vouches(self, fault: Fault) -> bool:
+        """Did somebody say that what is there is right?"""
+        return self.decision == "keep" and self.about(fault)
+
+    def refuses(self, fault: Fault) -> bool:
+        """Did somebody say that it is to stay?"""
+        return self.decision == "reject" and self.about(fault)
+
     def as_change(self) -> Change:
         """-> the change as it was, with the decision, for the record of a cleaning that did not make it."""
         before = State(**self.change["before"])

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli_bench import BENCHES
-from mocapfix.cli_clean import MarkerSetName, PrefixName, SubjectFile, Takes, Up, clean, named, tell
+from mocapfix.cli_clean import Hierarchy, MarkerSetName, PrefixName, SubjectFile, Takes, Up, clean, named, tell
 from mocapfix.cli_marker_set import MARKER_SETS
 from mocapfix.cli_run import run
 from mocapfix.cli_train import TRAININGS
@@ -60,22 +60,14 @@ def inspect(
     subject: SubjectFile = None,
     subject_prefix: PrefixName = None,
     up: Up = None,
+    hierarchy: Hierarchy = None,
     as_json: Annotated[Flag, tyro.conf.arg(name="json", help="print JSON, not a table (an array for several people)")] = False,
 ) -> int:
     """Say what is wrong with a take: all that clean would find. Nothing is written."""
-    from mocapfix import marker_set as sets
-    from mocapfix import pipeline, record
+    from mocapfix import pipeline
 
     with staged(take.name) as progress:
-        found = pipeline.inspected(take, marker_set, subject, progress, subject_prefix, up)
-    said = [
-        {
-            "take": record.of_take(body, worn.name if worn else None),
-            "faults": record.of_faults(body, looked.faults),
-            "notes": [*body.notes, sets.fit(worn, body.labels) if worn else sets.choose(body.labels).reason],
-        }
-        for body, looked, worn in found
-    ]
+        said = pipeline.inspected(take, marker_set, subject, progress, subject_prefix, up, hierarchy)
     if as_json:
         sys.stdout.write(json.dumps(said if len(said) > 1 else said[0], indent=1) + "\n")
         return DONE
@@ -87,11 +79,15 @@ def inspect(
 def tell_faults(said: dict) -> None:
     """Print what is wrong with a take, or with one person's part of it."""
     take, last = said["take"], said["take"]["first_frame"] + said["take"]["frames"] - 1
-    size = f"{take['markers']} markers, frames {take['first_frame']} to {last} at {take['rate_hz']:g} Hz"
+    point = "joint" if "animation" in take else "marker"
+    size = f"{take['markers']} {point}s, frames {take['first_frame']} to {last} at {take['rate_hz']:g} Hz"
     out.print(f"{escape(named(take))}: {size}. {escape(' '.join(said['notes']))}", soft_wrap=True)
-    table = Table("marker", "kind", "frames", "severity, mm", "sure", "reason")
+    table = Table(point, "kind", "frames", "severity" if "animation" in take else "severity, mm", "sure", "reason")
     for fault in said["faults"]:
         severity = "" if fault["severity_m"] is None else f"{fault['severity_m'] * 1e3:.0f}"
+        if "animation" in take:
+            turned = fault.get("severity_deg")
+            severity = severity and f"{severity} mm" if turned is None else f"{turned:.0f} degrees"
         where = f"{fault['first']}-{fault['last']}"
         sure = f"{fault['confidence']:.0%}"
         table.add_row(escape(fault["marker"]), fault["kind"], where, severity, sure, escape(fault["reason"]))

@@ -26,6 +26,11 @@ Up = Annotated[
     Literal["X", "Y", "Z"] | None, tyro.conf.arg(metavar="X|Y|Z", help="the file's axis to the sky; by default what it tells")
 ]
 
+Hierarchy = Annotated[
+    str | None,
+    tyro.conf.arg(metavar="STYLE|FILE", help="how an animation's joints are called; by default as they tell by themselves"),
+]
+
 
 def clean(
     takes: Takes,
@@ -36,6 +41,7 @@ def clean(
     subject: SubjectFile = None,
     subject_prefix: PrefixName = None,
     up: Up = None,
+    hierarchy: Hierarchy = None,
     prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="a trained prior, to tell of limbs that are lost")] = PRIOR,
     prior_scale: Annotated[
         float, tyro.conf.arg(metavar="X", help="times the prior's standard deviations: 2 believes it half as much")
@@ -49,7 +55,9 @@ def clean(
     limit: Annotated[
         float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
     ] = 250.0,
-    keep: Annotated[str, tyro.conf.arg(metavar="MARKER,...", help="markers left exactly as they are")] = "",
+    keep: Annotated[
+        str, tyro.conf.arg(metavar="MARKER,...", help="markers, or joints of an animation, left exactly as they are")
+    ] = "",
     frames: Annotated[
         str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
     ] = ":",
@@ -100,6 +108,7 @@ def clean(
     options = FillOptions(max_gap=max_gap, keep=listed(keep), frames=between(frames), limit=limit / 1e3, refill=refill)
     given = {"marker_set": marker_set, "subject": subject, "prior": prior, "prior_scale": prior_scale, "init": init, "up": up}
     given |= {"options": options, "only": listed(only), "changes": changes, "subject_prefix": subject_prefix}
+    given |= {"hierarchy": hierarchy}
     return cleaned(takes, folder, given, wanted, overwrite, as_json)
 
 

@@ -44,6 +44,7 @@ def clean(path: Path, folder: Path, overwrite: bool) -> int:
     said.compose(folder, overwrite)
     given = {"marker_set": said.worn(path), "subject_prefix": said.subject_prefix, "up": said.volume.up, "init": said.start}
     given |= {"prior": said.prior.name, "prior_scale": said.prior.scale, "options": said.options, "only": said.fill.only}
+    given |= {"hierarchy": said.named(path)}
     known = said.known(path)
     if isinstance(known, list):
         with staged(path.name) as progress:

@@ -11,11 +11,11 @@ from mocapfix.take import Take
 
 Kind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
-    "spike", "jitter", "noise", "stuck", "straight", "computed", "ghost",
+    "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
 MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-REPLACED: tuple[Kind, ...] = ("spike", "jitter", "stuck", "ghost")
+REPLACED: tuple[Kind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
 OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # told; replaced, where the rest contradicts them, on request
 LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
 PLACES: tuple[Kind, ...] = ("moved", "drift")
@@ -27,12 +27,13 @@ SURE = 0.6  # confidence from which on labels are changed
 class Fault:
     """One marker's fault, or several markers', over the frames first..last (indices into the take, inclusive).
 
-    severity  metres: for samples that are there, how far they lie from where they should; for a gap, how far the
-              marker moved between its edges (NaN where that is not known)
+    severity  for samples that are there, how far they lie from where they should; for a gap, how far the marker moved
+              between its edges (NaN where that is not known)
     reason    one sentence for a technician
     confidence  0..1
     others    the other markers concerned. Of labels that are exchanged: the samples of each marker in the ring
               (marker, *others) are under the label of the next, the last's under that of the first
+    unit    the severity's: metres, or radians of the turn of an animation's joint
     """
 
     kind: Kind
@@ -43,6 +44,7 @@ class Fault:
     reason: str
     confidence: float = 1.0
     others: tuple[int, ...] = ()
+    unit: Literal["m", "rad"] = "m"
 
     @property
     def markers(self) -> tuple[int, ...]:

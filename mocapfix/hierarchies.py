@@ -40,8 +40,9 @@ class Style:
     def joints(self, names: Sequence[str], parents: np.ndarray) -> np.ndarray:
         """-> (31,) the file's joint for each of ours, -1 where there is none, of names (J,) in a tree parents (J,)."""
         there: dict[str, int] = {}
-        for joint, name in enumerate(plain(names)):
-            there.setdefault(name, joint)
+        for spelled in (plain(names), [_plain(name) for name in names]):
+            for joint, name in enumerate(spelled):
+                there.setdefault(name, joint)
         ours = cmu31().skeleton
         found = np.full(len(ours.names), -1)
         for joint, likely in self.names.items():
@@ -89,7 +90,7 @@ def mapped(names: Sequence[str], parents: np.ndarray, given: str | Path | None =
     count = int((joints >= 0).sum())
     if lacking := _lacking(joints):
         near = f"nearest came {best.title}, which lacks {', '.join(lacking)}" if count else "none is known"
-        return Choice(None, f"The joints are not a body's by their names: {near}; give a YAML file of the names.")
+        return Choice(None, f"The joints are not a body's by their names: {near}; give a YAML file of the names (--hierarchy).")
     return Choice(Mapped(joints, best.title), f"{best.title}: {count} of the {len(ours)} joints were found.")
 
 

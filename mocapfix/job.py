@@ -122,6 +122,7 @@ class Job(_Form):
     subject     a subject file; takes to calibrate one from; null: each take its own
     subject_prefix  the one to be cleaned of several subjects in a file; null: all of them
     marker_set  a shipped set's name or a YAML file; null chooses by the labels
+    hierarchy   of animations, how their joints are called: a shipped style or a YAML file; null: as their names tell
     """
 
     kind: Literal["clean"]
@@ -130,6 +131,7 @@ class Job(_Form):
     subject: Annotated[SubjectForm | None, BeforeValidator(_named)] = None
     subject_prefix: str | None = None
     marker_set: str | None = None
+    hierarchy: str | None = None
     volume: VolumeForm = VolumeForm()
     prior: PriorForm = PriorForm()
     start: Annotated[str, _one_of(STARTS)] = START
@@ -166,8 +168,11 @@ class Job(_Form):
 
     def worn(self, path: Path) -> str | Path | None:
         """-> the marker set: a file beside the scene at `path` goes before a shipped set's name."""
-        beside = self.marker_set and path.parent / self.marker_set
-        return beside if beside and beside.is_file() else self.marker_set
+        return _beside(path, self.marker_set)
+
+    def named(self, path: Path) -> str | Path | None:
+        """-> how joints are called: a file beside the scene at `path` goes before a shipped style's name."""
+        return _beside(path, self.hierarchy)
 
     def known(self, path: Path) -> Path | list[Path] | None:
         """-> the subject's file, or the takes to calibrate the subject from; None: each take its own."""
@@ -176,6 +181,11 @@ class Job(_Form):
         if self.subject.file:
             return path.parent / self.subject.file
         return files(path, self.subject.calibrate, "subject.calibrate")
+
+
+def _beside(path: Path, said: str | None) -> str | Path | None:
+    beside = said and path.parent / said
+    return beside if beside and beside.is_file() else said
 
 
 def load(path: str | Path) -> Job:

@@ -1,12 +1,14 @@
 """The kinds of file that cleaning a take may write: a line for each."""
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocapfix import change_file, subject_file, write
+from mocapfix.animation import Animation
 from mocapfix.motion import Motion
 from mocapfix.rig import Rig
 from mocapfix.skeleton import Skeleton
@@ -42,6 +44,7 @@ class Kind:
     write   puts it there, of what cleaning gave and of the motion at the wanted rate (None where the take has no body)
     brings  suffixes of files that it puts beside that one
     body    is there none without a body?
+    worn    is there none without markers on it?
     stage   under which its time is counted
     note    what whoever opens it must know
     """
@@ -50,6 +53,7 @@ class Kind:
     write: Callable[[Path, "Result", Any], object]
     brings: tuple[str, ...] = ()
     body: bool = False
+    worn: bool = False
     stage: str = "write"
     note: str = ""
 
@@ -84,10 +88,10 @@ def _amc(target: Path, result: "Result", moving: Moving) -> None:
 
 def _npz(target: Path, result: "Result", moving: Moving | None) -> None:
     if moving:
-        take = result.take.with_markers(result.take.markers - [0.0, moving.floor, 0.0], result.take.deviation)
+        take = result.places.with_markers(result.places.markers - [0.0, moving.floor, 0.0], result.places.deviation)
         write.npz(target, take, moving.skeleton, moving.motion, moving.rate)
     else:
-        write.npz(target, result.take)
+        write.npz(target, result.places)
 
 
 def _subject(target: Path, result: "Result", moving: Moving) -> None:
@@ -115,20 +119,20 @@ def _report(target: Path, result: "Result", moving: Moving | None) -> None:
 
 
 def _c3d(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.new_c3d(target, result.take)
+    write.new_c3d(target, result.places)
 
 
 def _trc(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.trc(target, result.take)
+    write.trc(target, result.places)
 
 
 def _csv(target: Path, result: "Result", moving: Moving | None) -> None:
-    write.csv(target, result.take)
+    write.csv(target, result.places)
 
 
 BVH = Kind("bvh", _bvh, body=True)
 USUAL = (
-    Kind("subject.yaml", _subject, body=True),
+    Kind("subject.yaml", _subject, body=True, worn=True),
     Kind("changes.yaml", _changes),
     Kind("rrd", _recording, stage="show"),
     Kind("report.html", _page, stage="show"),
@@ -146,7 +150,12 @@ ALSO = {
 
 def mended(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
     """Write the take's own file with only the changed samples replaced, or, where it has no place for every sample, a plain
-    table instead. -> the (frame, marker) indices that could not be stored."""
+    table instead; beside an AMC its skeleton, as it is. -> the (frame, marker) indices that could not be stored."""
+    if isinstance(before.layout, Animation) and isinstance(after.layout, Animation):
+        write.patched(target, before.layout, after.layout.values)
+        if before.layout.skeleton:
+            shutil.copyfile(before.layout.skeleton, target.with_suffix(".asf"))
+        return []
     if isinstance(before.layout, TableLayout):
         if before.layout.has_places:
             return write.table(target, before, after)
@@ -155,6 +164,7 @@ def mended(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
     return write.c3d(target, before, after)
 
 
-def own_suffix(source: Path | None) -> str:
-    """-> the mended file's: the input's own."""
-    return (source.suffix[1:].lower() if source else "") or "c3d"
+def own_suffixes(source: Path | None) -> tuple[str, ...]:
+    """-> the mended file's, the input's own, and with an AMC its skeleton's."""
+    own = (source.suffix[1:].lower() if source else "") or "c3d"
+    return ("amc", "asf") if own == "amc" else (own,)

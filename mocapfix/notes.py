@@ -10,6 +10,7 @@ from mocapfix.mend import Parts
 from mocapfix.solved import Solved
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
+from mocapfix.words import worded
 
 GUESS = 0.06  # metres per axis: a fill less sure than this is named
 ASTRAY, STAYS = 0.1, 0.05  # metres and seconds: a marker so far from the body for so long is worth a look
@@ -81,6 +82,5 @@ def guesses(after: Take) -> list[str]:
     if not poor.any():
         return []
     labels = ", ".join(after.labels[m] for m in np.flatnonzero(poor.any(0)))
-    return [
-        f"{poor.sum()} filled samples are hardly more than guesses, with a predicted error above {GUESS * 1e3:.0f} mm: {labels}."
-    ]
+    what, worse = worded("filled samples", after), f"with a predicted error above {GUESS * 1e3:.0f} mm"
+    return [f"{poor.sum()} {what} are hardly more than guesses, {worse}: {labels}."]

@@ -5,6 +5,7 @@ from functools import cached_property
 from math import isfinite
 
 from mocapfix import rig
+from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for
 from mocapfix.motion import Motion
@@ -12,6 +13,7 @@ from mocapfix.resample import picks, resampled
 from mocapfix.subject import Subject
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
+from mocapfix.words import worded
 
 FASTEST = 1000.0  # frames a second
 
@@ -60,14 +62,17 @@ class OutputOptions:
     def notes(self, take: Take, body: bool) -> list[str]:
         """-> sentences on what was written otherwise than usual or beside it."""
         asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
-        said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
-        said += [f"There is no {kind.suffix}, for the take has no skeleton." for kind in asked if kind.body and not body]
+        said = [f"{kind.suffix} {worded(kind.note, take)}" for kind in asked if kind.note and (body or not kind.body)]
+        whose = "whose joints are whose is not known" if isinstance(take.layout, Animation) else "the take has no skeleton"
+        said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.body and not body]
         if isinstance(take.layout, TableLayout) and not take.layout.has_places:
             said.append(f"{take.name} lists only what was seen, so that the mended markers are written as a plain table.")
         if body and self.fps and self.fps != take.rate:
             picked = picks(take.rate, self.fps)
             how = f"one of {take.rate / self.fps:.0f}, as solved" if picked else "on splines through the solved ones"
-            said.append(f"What moves has {self.fps:g} frames a second ({how}); markers keep the take's {take.rate:g}.")
+            rest = "what was mended keeps" if isinstance(take.layout, Animation) else "markers keep"
+            said.append(f"What moves has {self.fps:g} frames a second ({how}); {rest} the take's {take.rate:g}.")
         if body and self.floor:
-            said.append(f"What moves is written {self.floor:g} m lower than the markers, for that high is their floor.")
+            rest = "its own file" if isinstance(take.layout, Animation) else "the markers"
+            said.append(f"What moves is written {self.floor:g} m lower than {rest}, for that high is the floor.")
         return said

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mocapfix import calibrate, change_file, decisions, fill, looks, mend, notes, people, read, record, solved
+from mocapfix import animated, calibrate, change_file, decisions, fill, looks, mend, notes, people, read, record, solved
+from mocapfix import marker_set as sets
 from mocapfix import prior as priors
+from mocapfix.animation import Animation
 from mocapfix.change_file import Decided
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import SceneError, TakeError
@@ -49,9 +51,11 @@ def clean(
     changes: str | Path | Sequence[str | Path] | None = None,
     subject_prefix: str | None = None,
     up: str | None = None,
+    hierarchy: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Result:
-    """-> the take at `path`, cleaned: faults found, labels put right, the body calibrated and solved, the rest mended.
+    """-> the take at `path`, cleaned: faults found, labels put right, the body calibrated and solved, the rest mended. An
+    animation goes its own, shorter way (see mocapfix.animated).
 
     marker_set  a shipped set's name or a YAML file; None chooses by the take's labels
     subject     a subject file (or a Subject) from an earlier calibration; None calibrates from this take
@@ -64,6 +68,7 @@ def clean(
     subject_prefix  the one person whose markers are cleaned ("Jim", whose labels are "Jim:LFHD" and the like); None: everybody,
                 in turn, and the result holds each one's
     up          "X", "Y" or "Z": the file's axis that points to the sky; None: what the file says or its markers tell
+    hierarchy   of an animation: how its joints are called, a shipped style or a YAML file; None: as its names tell
     progress    told each stage's name as it begins
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
@@ -71,9 +76,14 @@ def clean(
     how, clock = wanted(prior, prior_scale, init, only), Clock(progress=progress)
     with clock("read"):
         take = read.take(path, up)
-    check_options(take, options)
+    fill.check(take, options)
+    files = [changes] if isinstance(changes, str | Path) else changes or ()
+    about_markers = {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}
+    animated.check(take, about_markers | {"--init": init != START, "--refill": options.refill}, hierarchy)
+    if isinstance(take.layout, Animation):
+        return animated.clean(take.layout, how, hierarchy, options, only, files, clock)
     bodies = parted(take, marker_set, subject, subject_prefix)
-    decided = change_file.of_each([changes] if isinstance(changes, str | Path) else changes or (), bodies)
+    decided = change_file.of_each(files, bodies)
     cleaned: list[Result] = []
     for body, decisions_on in zip(bodies, decided, strict=True):
         if cleaned:  # what one took over of the unlabelled is not there for the next
@@ -153,16 +163,22 @@ def inspected(
     progress: Progress | None = None,
     subject_prefix: str | None = None,
     up: str | None = None,
-) -> list[tuple[Take, Looked, MarkerSet | None]]:
-    """-> a take, what `clean` finds wrong with it, and the set it wears, for each of several people; nothing is written.
+    hierarchy: str | Path | None = None,
+) -> list[dict]:
+    """-> the record's take, faults and notes of what `clean` would find, for each of several people; nothing is written.
 
     Raises as `clean`.
     """
     clock, how, found = Clock(progress=progress), wanted(PRIOR, 1.0, START, ()), []
-    for body in parted(read.take(path, up), marker_set, subject, subject_prefix):
+    take = read.take(path, up)
+    animated.check(take, {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}, hierarchy)
+    if isinstance(take.layout, Animation):
+        return [animated.inspected(take.layout, hierarchy)]
+    for body in parted(take, marker_set, subject, subject_prefix):
         known, worn_set, _ = dressed(body, marker_set, subject)
         looked, _, _ = understood(body, worn_set, known, how, lambda fault: True, clock)
-        found.append((body, looked, worn_set))
+        said = sets.fit(worn_set, body.labels) if worn_set else sets.choose(body.labels).reason
+        found.append(record.of_inspection(body, worn_set.name if worn_set else None, body, looked.faults, [*body.notes, said]))
     return found
 
 
@@ -249,6 +265,7 @@ def calibrated(
     takes = []
     for path in paths:
         whole = read.take(path, up)
+        animated.check_markers(whole)
         take, *more = parted(whole, name, None, subject_prefix)
         if more:
             raise TakeError(
@@ -269,17 +286,3 @@ def calibrated(
     together = worn[0].with_markers(np.concatenate([each.markers for each in worn]))
     body = cmu31()
     return calibrate.subject(together, sets[0], body, priors.load(pose_prior, body.skeleton))
-
-
-def check_options(take: Take, options: FillOptions) -> None:
-    """Raise TakeError where --keep or --frames name what the take does not have."""
-    known = set(take.labels) | set(take.bare_labels)
-    if strange := [label for label in options.keep if label not in known]:
-        raise TakeError(f"{take.name}: has no marker {', '.join(strange)} to keep; its markers are {', '.join(take.labels)}.")
-    if options.frames:
-        first, last = take.first_frame, take.frame_number(take.frames - 1)
-        a, b = options.frames
-        if a > b:
-            raise TakeError(f"{take.name}: frames {a} to {b}: the first must not come after the last.")
-        if b < first or a > last:
-            raise TakeError(f"{take.name}: frames {a} to {b} are not in the take, which has {first} to {last}.")

@@ -1,9 +1,9 @@
 """The record of a cleaning: what the report file says, as plain data with stable keys.
 
 take     file, person (whose it is, where it is one person's of several), frames, first_frame, rate_hz, markers, marker_set
-         (null where none fits), labels
+         (null where none fits), labels; animation (true: its markers are joints)
 faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
-         no second edge), confidence, reason
+         no second edge), confidence, reason; of an animation's joint that turns wrongly also severity_deg
 changes  a list, as the changes file holds it (see mocapfix.changes): what was done, interval by interval
 subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
 solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
@@ -20,6 +20,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from mocapfix.animation import Animation
 from mocapfix.faults import Faults
 from mocapfix.left import Left
 from mocapfix.motion import STATUS, Motion
@@ -38,6 +39,7 @@ def of_take(take: Take, marker_set: str | None) -> dict:
         "markers": len(take.labels),
         "marker_set": marker_set,
         "labels": list(take.labels),
+        **({"animation": True} if isinstance(take.layout, Animation) else {}),
     }
 
 
@@ -49,12 +51,22 @@ def of_faults(take: Take, faults: Faults) -> list[dict]:
             "marker": take.label(fault.marker),
             "first": take.frame_number(fault.first),
             "last": take.frame_number(fault.last),
-            "severity_m": None if np.isnan(fault.severity) else round(fault.severity, 5),
+            "severity_m": _rounded(fault.severity, 5) if fault.unit == "m" else None,
+            **({"severity_deg": _rounded(np.degrees(fault.severity), 2)} if fault.unit == "rad" else {}),
             "confidence": round(fault.confidence, 3),
             "reason": fault.reason,
         }
         for fault in faults.items
     ]
+
+
+def _rounded(value: float, digits: int) -> float | None:
+    return None if np.isnan(value) else round(float(value), digits)
+
+
+def of_inspection(take: Take, marker_set: str | None, shown: Take, faults: Faults, notes: list[str]) -> dict:
+    """-> what is known of a take that is only looked at: the record's `take`, `faults` (of `shown`) and `notes`."""
+    return {"take": of_take(take, marker_set), "faults": of_faults(shown, faults), "notes": notes}
 
 
 def of_subject(subject: Subject) -> dict:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocapfix import record
+from mocapfix import joint_points, record
+from mocapfix.animation import Animation
 from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
-from mocapfix.kinds import mended, own_suffix
+from mocapfix.kinds import Kind, mended, own_suffixes
 from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.outputs import OutputOptions
@@ -37,6 +38,8 @@ class Result:
     subject  the person, motion their poses: None where no marker set fits
     joints   (T, J, 3) metres, the solved joints;  error (T, M) metres, each believed marker from the body, NaN elsewhere
     report   the record, as the JSON report holds it (see mocapfix.record)
+    centres  of an animation, whose other takes are of its joints' tips (see mocapfix.joint_points), the joints' places as mended;
+             subject and motion are then the 31 joints' that its own were found to be, None where they are nobody's
     people   of a take of several people each one's result, of their own markers (see mocapfix.people); this one is then of
              the whole take, has no body, and its report holds theirs, by name
     """
@@ -54,6 +57,7 @@ class Result:
     error: np.ndarray | None
     report: dict
     people: tuple["Result", ...] = ()
+    centres: Take | None = None
 
     def write(
         self, folder: str | Path, overwrite: bool = False, progress: Progress | None = None, options: OutputOptions = PLAIN
@@ -83,9 +87,20 @@ class Result:
 
     def outputs(self, folder: Path, options: OutputOptions = PLAIN) -> dict[str, Path]:
         """-> what `write` puts into a folder of one body or none, by kind."""
-        none = () if self.motion else [suffix for kind in options.kinds if kind.body for suffix in kind.suffixes]
+        none = [suffix for kind in options.kinds if not self._has(kind) for suffix in kind.suffixes]
+        none = set(none) - set(own_suffixes(self.before.path))
         outputs = outputs_in(folder, self._stem, self.before.path, options, self.before.stem)
         return {suffix: path for suffix, path in outputs.items() if suffix not in none}
+
+    @property
+    def places(self) -> Take:
+        """What is written as a take: the mended markers, or the places of an animation's joints."""
+        return self.centres or self.take
+
+    def _has(self, kind: Kind) -> bool:
+        """Is there what a kind of file is about?"""
+        worn = self.subject is not None and len(self.subject.labels) > 0
+        return (worn or not kind.worn) and (self.motion is not None or not kind.body)
 
     @property
     def _stem(self) -> str:
@@ -96,7 +111,7 @@ class Result:
         bodies = self.people or (self,)
         clocks = [Clock(dict(each.report["seconds"]), progress) for each in bodies]
         with clocks[0]("write"):
-            target = folder / f"{self._stem}.{own_suffix(self.before.path)}"
+            target = folder / f"{self._stem}.{own_suffixes(self.before.path)[0]}"
             beyond = mended(target, self.before, self.take)
         for each, clock in zip(bodies, clocks, strict=True):
             own = {int(m): k for k, m in enumerate(self.before.of_part(each.before))}
@@ -109,7 +124,7 @@ class Result:
         notes = [*self.report["notes"], *options.notes(self.before, moving is not None)]
         final = replace(self, report={**self.report, "seconds": clock.seconds, "notes": notes})._without(beyond)
         for kind in options.kinds:
-            if (moving or not kind.body) and kind.suffix != own_suffix(self.before.path):
+            if self._has(kind) and kind.suffix not in own_suffixes(self.before.path):
                 with clock(kind.stage):
                     kind.write(folder / f"{self.before.stem}.{kind.suffix}", final, moving)
 
@@ -129,16 +144,18 @@ class Result:
         """-> what the page and the recording show."""
         from mocapfix.show import Cleaning
 
-        skeleton = self.subject.skeleton if self.subject else None
-        return Cleaning(self.before, self.labelled, self.take, self.faults, self.changes, skeleton, self.joints, self.error)
+        skeleton, joints = self.subject.skeleton if self.subject else None, self.joints
+        if isinstance(self.take.layout, Animation):
+            skeleton, joints = joint_points.tree(self.take.layout)
+        return Cleaning(self.before, self.labelled, self.take, self.faults, self.changes, skeleton, joints, self.error)
 
 
 def outputs_in(folder: Path, stem: str, source: Path | None, options: OutputOptions, own: str = "") -> dict[str, Path]:
     """-> what may be written into a folder, by kind, each named by the input's stem; what is one person's of several by their
     `own` stem, but the mended file, of the input's suffix, is everybody's."""
-    suffix = own_suffix(source)
-    others = (each for kind in options.kinds for each in kind.suffixes if each != suffix)
-    return {suffix: folder / f"{stem}.{suffix}"} | {each: folder / f"{own or stem}.{each}" for each in others}
+    mine = own_suffixes(source)
+    others = (each for kind in options.kinds for each in kind.suffixes if each not in mine)
+    return {each: folder / f"{stem}.{each}" for each in mine} | {each: folder / f"{own or stem}.{each}" for each in others}
 
 
 def check_free(

@@ -20,17 +20,22 @@ def to_cmu31(animation: Animation, fit: Fitted) -> tuple[np.ndarray, np.ndarray]
     between the two known joints they lie between.
     """
     positions, rotations = animation.world()
+    return positions[:, fit.joints[0]], ours(rotations, fit)
+
+
+def ours(rotations: np.ndarray, fit: Fitted) -> np.ndarray:
+    """-> (T, 31, 3, 3) local rotations as `to_cmu31`, of the file's joints turned as rotations (T, J, 3, 3) in the world say."""
     parents, known = fit.skeleton.parents, fit.joints >= 0
-    world = np.tile(np.eye(3), (animation.frames, len(parents), 1, 1))
+    world = np.tile(np.eye(3), (len(rotations), len(parents), 1, 1))
     world[:, known] = rotations[:, fit.joints[known]] @ fit.turns[known]
-    local = np.tile(np.eye(3), (animation.frames, len(parents), 1, 1))
+    local = np.tile(np.eye(3), (len(rotations), len(parents), 1, 1))
     for joint in np.flatnonzero(known).tolist():
         above = ancestor(joint, parents, known)
         turn = np.swapaxes(world[:, above], 1, 2) @ world[:, joint] if above >= 0 else world[:, joint]
         chain = _sharing(joint, above, fit.skeleton)
         part = turn if len(chain) == 1 else _power(turn, 1 / len(chain))
         local[:, chain] = part[:, None]
-    return positions[:, fit.joints[0]], local
+    return local
 
 
 def from_cmu31(
@@ -42,18 +47,23 @@ def from_cmu31(
     A joint without a counterpart turns the next below it that has one, if there is one. What lies between two counterparts in
     the file's tree stays as it is, and the lower of them takes the whole turn: its orientation in the world is exact.
     """
-    skeleton, known = fit.skeleton, fit.joints >= 0
+    known = fit.joints >= 0
     local = animation.with_values(animation.values[frames]).rotations()
-    turned = sorted({each for joint in joints for each in below(int(joint), skeleton.parents, known)})
+    turned = sorted({each for joint in joints for each in below(int(joint), fit.skeleton.parents, known)})
     new = np.empty((len(frames), len(turned), 3, 3))
     for at, joint in enumerate(turned):
-        above = ancestor(joint, skeleton.parents, known)
-        turn = _product(rotations, way(joint, above, skeleton.parents))
-        lead = fit.turns[above] if above >= 0 else np.eye(3)
-        theirs = fit.joints[joint]
-        between = way(int(animation.parents[theirs]), fit.joints[above] if above >= 0 else -1, animation.parents)
-        new[:, at] = np.swapaxes(_product(local, between), 1, 2) @ lead @ turn @ fit.turns[joint].T
+        new[:, at] = theirs(animation.parents, local, fit, joint, rotations)
     return animation.with_rotations(fit.joints[turned], frames, new)
+
+
+def theirs(parents: np.ndarray, local: np.ndarray, fit: Fitted, joint: int, rotations: np.ndarray) -> np.ndarray:
+    """-> (m, 3, 3) the local rotation of the file's joint for one of ours, where ours turn as rotations (m, 31, 3, 3) and the
+    file's, in a tree parents (J,), as local (m, J, 3, 3) say."""
+    above, own = ancestor(joint, fit.skeleton.parents, fit.joints >= 0), fit.joints[joint]
+    turn = _product(rotations, way(joint, above, fit.skeleton.parents))
+    lead = fit.turns[above] if above >= 0 else np.eye(3)
+    between = way(int(parents[own]), fit.joints[above] if above >= 0 else -1, parents)
+    return np.swapaxes(_product(local, between), 1, 2) @ lead @ turn @ fit.turns[joint].T
 
 
 def _product(local: np.ndarray, joints: list[int]) -> np.ndarray:

@@ -3,11 +3,15 @@
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocapfix.c3d_layout import C3DLayout
 from mocapfix.table_layout import TableLayout
+
+if TYPE_CHECKING:
+    from mocapfix.animation import Animation
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,8 @@ class Take:
     computed   (T, M) bool: samples that no camera saw: by their residual words a program like this one put them there
     blind      (T, M) bool: samples that no camera saw, whoever put them there, where the file keeps what cameras saw
     source     (T, M) the file's point that each sample came from, where labels were changed; None: each from its own
-    layout     where the samples lie in the file; None where no file has them so that they could be replaced
+    layout     where the samples lie in the file, or the animation whose joints the markers are; None where no file has them
+               so that they could be replaced
     subjects   names of the people that the file lists, whichever of them it shows
     person     whose markers these are, where they are one person's of a take of several; else ""
     notes      sentences on what reading it brought up
@@ -36,7 +41,7 @@ class Take:
     rate: float
     first_frame: int = 1
     path: Path | None = None
-    layout: C3DLayout | TableLayout | None = None
+    layout: "C3DLayout | TableLayout | Animation | None" = None
     columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     others: tuple[str, ...] = ()
     unlabelled: "Take | None" = None

@@ -243,8 +243,9 @@ def test_a_file_that_is_no_take_is_named_and_leaves_nothing_behind(mocapfix, bri
 def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
     refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
     refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
-    bvh = cleaned.outputs["bvh"]
-    refused(mocapfix("clean", bvh, "--out", tmp_path / "out"), bvh.name, "is not a file that mocapfix reads; export the capture")
+    page = cleaned.outputs["report.html"]
+    done = mocapfix("clean", page, "--out", tmp_path / "out")
+    refused(done, page.name, "is not a file that mocapfix reads; export the capture as")
     for command in ("inspect", "clean"):
         refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
     refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.errors import TakeError
 from mocapfix.fill import body
 from mocapfix.fill.estimate import BODY, WAYS, Estimate, one_way
 from mocapfix.fill.trajectories import trajectories
@@ -12,8 +13,9 @@ from mocapfix.left import Left
 from mocapfix.motion import Motion
 from mocapfix.subject import Subject
 from mocapfix.take import Take, runs
+from mocapfix.words import worded
 
-__all__ = ["WAYS", "FillOptions", "Filled", "lasting", "take", "touchable"]
+__all__ = ["WAYS", "FillOptions", "Filled", "check", "lasting", "take", "touchable", "why_not"]
 
 
 class Filled(NamedTuple):
@@ -86,6 +88,21 @@ def touchable(before: Take, options: FillOptions) -> np.ndarray:
         numbers = before.first_frame + np.arange(before.frames)
         touch &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
     return touch
+
+
+def check(before: Take, options: FillOptions) -> None:
+    """Raise TakeError where --keep or --frames name what the take does not have."""
+    known = set(before.labels) | set(before.bare_labels)
+    if strange := [label for label in options.keep if label not in known]:
+        no, its = worded("has no marker", before), worded("its markers", before)
+        raise TakeError(f"{before.name}: {no} {', '.join(strange)} to keep; {its} are {', '.join(before.labels)}.")
+    if options.frames:
+        first, last = before.first_frame, before.frame_number(before.frames - 1)
+        a, b = options.frames
+        if a > b:
+            raise TakeError(f"{before.name}: frames {a} to {b}: the first must not come after the last.")
+        if b < first or a > last:
+            raise TakeError(f"{before.name}: frames {a} to {b} are not in the take, which has {first} to {last}.")
 
 
 def lasting(believed: np.ndarray, rate: float) -> np.ndarray:

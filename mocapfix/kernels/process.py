@@ -24,11 +24,10 @@ class Likeness(NamedTuple):
 
     def covariance(self, a: np.ndarray, a_at: np.ndarray, b: np.ndarray, b_at: np.ndarray) -> np.ndarray:
         """-> (A, B) of a course at moments in circumstances (A, F) and (B, F), at seconds (A,) and (B,)."""
-        time = np.sqrt(5) / self.smooth * np.abs(a_at[:, None] - b_at)
         together = a @ b.T
         apart = np.sqrt(np.maximum((a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * together, 0.0))
         like = np.sqrt(3) * self.like * apart
-        goes_on, comes_again = (1 + time + time**2 / 3) * np.exp(-time), (1 + like) * np.exp(-like)
+        goes_on, comes_again = matern(a_at[:, None] - b_at, self.smooth), (1 + like) * np.exp(-like)
         return self.time * goes_on + self.again * comes_again + self.together * together
 
 
@@ -82,3 +81,9 @@ def learnt(values: np.ndarray, known: np.ndarray, known_at: np.ndarray, noise: n
     inverse = np.linalg.inv(among)
     weights = inverse @ values
     return Process(likeness, middle, known, known_at, mean, inverse, weights, (values * weights).mean(0))
+
+
+def matern(seconds: np.ndarray, smooth: float) -> np.ndarray:
+    """-> the correlation (Matern-5/2) of a course at moments so far apart."""
+    time = np.sqrt(5) / smooth * np.abs(seconds)
+    return (1 + time + time**2 / 3) * np.exp(-time)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mocapfix.errors import ReadError
-from mocapfix.read import c3d, motive, motive_rows, nexus, plain, qualisys, trc
+from mocapfix.read import amc, bvh, c3d, motive, motive_rows, nexus, plain, qualisys, trc
 from mocapfix.read.axes import turned
 from mocapfix.read.text import BOM, decoded
 from mocapfix.take import Take
@@ -35,11 +35,13 @@ KINDS = (
     Kind("Nexus CSV", nexus.recognises, nexus.take),
     Kind("Qualisys TSV", qualisys.recognises, qualisys.take),
     Kind("plain CSV", plain.recognises, plain.take),
+    Kind("BVH", bvh.recognises, bvh.take),
+    Kind("ASF/AMC", amc.recognises, amc.take),
 )
 
 
 def take(path: str | Path, up: str | None = None) -> Take:
-    """-> the take in a file of any of the kinds.
+    """-> the take in a file of any of the kinds; of an animation that of its joints' places, with the animation as its layout.
 
     up  "X", "Y" or "Z": the file's axis that points to the sky; None: as the file says, or else as its markers tell
 

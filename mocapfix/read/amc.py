@@ -12,27 +12,47 @@ import numpy as np
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
+from mocapfix.joint_points import places
 from mocapfix.read.asf import Figure, figure
 from mocapfix.read.bvh import file_bytes
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.numbers import Words, words
+from mocapfix.take import Take
 
 FIRST = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line with the first frame's number
 # no keyword of the format says the rate: what a comment or a keyword of some program's own says is taken
 RATE_SAID = re.compile(rb":SAMPLES-PER-SECOND\s+(\d+\.?\d*)|(\d+\.?\d*) ?(?:fps|Hz|frames (?:a|per) second)", re.IGNORECASE)
 RATE = 120.0  # Hz: CMU's, but for some subjects at 60
 BONES = b":bonedata"
+# comments, keywords, and then the first frame's number and a bone's
+BEGINS = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
 
 
-def animation(path: str | Path, skeleton: str | Path | None = None) -> Animation:
+def recognises(head: bytes, path: Path) -> bool:
+    """-> does a file that begins so claim to be an AMC, or the ASF that goes with one?"""
+    lower = head.lower()
+    keywords = b":fully-specified", b":degrees", b":radians"  # a file that was cut off may have no more
+    return BONES in lower or lower.lstrip().startswith(keywords) or bool(BEGINS.match(head))
+
+
+def take(path: Path, data: bytes) -> Take:
+    """-> the take of the joints that move in an AMC's bytes. Raises ReadError as `animation`, and for a skeleton alone."""
+    if BONES in data.lower():
+        raise ReadError(f"{path}: is a skeleton without motion; name the AMC that moves it.")
+    return places(animation(path, data))
+
+
+def animation(path: str | Path, data: bytes | None = None, skeleton: str | Path | None = None) -> Animation:
     """-> the motion of an AMC on the `skeleton`, an ASF, that is given or beside it; or the rest pose of an ASF, as one frame.
 
     Angles are in degrees, whatever the file has them in. Joints are where bones begin and carry their names.
 
+    data  the file's bytes, where they were read already
+
     Raises ReadError where the AMC's skeleton is not beside it, and, naming file and line, where either has a fault.
     """
     path = Path(path)
-    data = file_bytes(path)
+    data = file_bytes(path) if data is None else data
     if BONES in data.lower():
         return _at_rest(path, data)
     beside = Path(skeleton) if skeleton is not None else skeleton_of(path)
@@ -47,8 +67,9 @@ def animation(path: str | Path, skeleton: str | Path | None = None) -> Animation
     notes = () if rate > 0 else (f"An AMC does not say its rate; {RATE:.0f} Hz, CMU's, was taken.",)
     values, radians = found.values[at], b":radians" in data[: start.start()].lower()
     read = _animation(path, body, values, rate or RATE, (f"Its skeleton is {beside.name}.", *notes), first)
+    read = replace(read, starts=found.starts[at], skeleton=beside, radians=radians)
     if not radians:
-        return replace(read, starts=found.starts[at])
+        return read
     turning = np.concatenate([read.turning(joint)[0] for joint in range(len(read.names))])
     values[:, turning] = np.degrees(values[:, turning])
     return read
@@ -66,8 +87,8 @@ def skeleton_of(path: Path) -> Path:
     if len(beside) == 1:
         return beside[0]
     there = f"only {', '.join(each.name for each in beside)}" if beside else "no ASF"
-    subject = path.stem.partition("_")[0]
-    raise ReadError(f"{path}: its skeleton is not beside it, {there}; put it there as {subject}.asf or {path.stem}.asf.")
+    likely = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
+    raise ReadError(f"{path}: its skeleton is not beside it, {there}; put it there as {likely}.")
 
 
 def _at_rest(path: Path, data: bytes) -> Animation:

@@ -12,18 +12,32 @@ import numpy as np
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
+from mocapfix.joint_points import places
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.hierarchy import hierarchy
 from mocapfix.read.numbers import Words, words
 from mocapfix.read.rates import usual
+from mocapfix.take import Take
 
 MOTION = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAMES = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 TIME = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
 
 
-def animation(path: str | Path) -> Animation:
+def recognises(head: bytes, path: Path) -> bool:
+    """-> does a file that begins so claim to be a BVH?"""
+    return head.lstrip()[:9].upper() == b"HIERARCHY"
+
+
+def take(path: Path, data: bytes) -> Take:
+    """-> the take of the joints that move in a BVH's bytes. Raises ReadError as `animation`."""
+    return places(animation(path, data))
+
+
+def animation(path: str | Path, data: bytes | None = None) -> Animation:
     """-> the animation in a BVH file: its own numbers, in degrees and its units, and where each is spelled.
+
+    data  the file's bytes, where they were read already
 
     The unit is told from the figure's height and the way up from where its head is, for the file says neither; a frame time
     that was rounded is taken as the usual rate it was rounded from. `notes` says what was assumed.
@@ -31,7 +45,7 @@ def animation(path: str | Path) -> Animation:
     Raises ReadError, naming the file, the line and what is wrong there.
     """
     path = Path(path)
-    data = file_bytes(path)
+    data = file_bytes(path) if data is None else data
     found = MOTION.search(data)
     if not found:
         raise ReadError(f"{path}: has no line MOTION after its hierarchy; it is no BVH, or it was cut off. Export it again.")

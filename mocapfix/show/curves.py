@@ -1,7 +1,8 @@
 """What the picture of a change shows: the markers' paths over the change's frames and half a second beside them.
 
 Paths are seen from the markers nearest by, which takes the body's own motion out of the picture; for a marker that moved on
-its segment there are its distances from those that show it best instead, which do not heed how the segment turns.
+its segment there are its distances from those that show it best instead, which do not heed how the segment turns. A joint's
+tip is seen from the tip of the joint it hangs on.
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from mocapfix.animation import Animation
 from mocapfix.faults import LABELS, Fault, Moved
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.take import Take
@@ -75,7 +77,11 @@ def _frames(fault: Fault, take: Take) -> np.ndarray:
 
 
 def _near(take: Take, about: Sequence[int], frames: np.ndarray) -> list[int]:
-    """-> the markers near the first one of `about` that are there whenever it is, the nearest first; none of `about`."""
+    """-> the markers near the first one of `about` that are there whenever it is, the nearest first; none of `about`.
+    Of an animation's joint it is the one that it hangs on."""
+    if isinstance(take.layout, Animation):
+        above = [*take.layout.parents, -1][about[0]]
+        return [int(above)] if above >= 0 else []
     path = _path(take, about[0])[frames]
     there = ~np.isnan(path[:, 0])
     if not there.any():

@@ -2,14 +2,16 @@
 
 from html import escape
 
+from mocapfix.animation import Animation
 from mocapfix.changes import Change
 from mocapfix.faults import MISSING, Fault
 from mocapfix.show import curves
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.show.markup import LISTED, fold, frames, legend, more, table
 from mocapfix.show.pictures import picture
-from mocapfix.show.summary import number
+from mocapfix.show.summary import number, size
 from mocapfix.show.worst import worst
+from mocapfix.words import worded
 
 # Classes of the page's style sheet, and what they mean.
 COLOURS = (
@@ -19,6 +21,14 @@ COLOURS = (
     ("band", "where 95 in 100 are predicted to lie"),
     ("when", "the change"),
 )
+OF_MARKERS = (
+    "Paths are seen from the markers nearest by, x, y (up) and z on one scale; dashed is the other marker concerned. "
+    "Of a marker that moved on its segment there are the distances from its neighbours."
+)
+OF_TIPS = (
+    "Paths are those of the joints’ tips, the middle of what hangs on them, seen from the tip of the joint above, x, y (up) and "
+    "z on one scale; dashed are other joints concerned."
+)
 HEAD = ("Change", "Markers", "Frames", "Why, and what was done", "Missing", "From body, mm", "Predicted, mm", "Decision")
 
 
@@ -27,10 +37,7 @@ def pictures(cleaning: Cleaning) -> str:
     figures = "".join(_figure(cleaning, *pair) for pair in worst(cleaning))
     if not figures:
         return ""
-    words = (
-        "Paths are seen from the markers nearest by, x, y (up) and z on one scale; dashed is the other marker concerned. "
-        "Of a marker that moved on its segment there are the distances from its neighbours."
-    )
+    words = OF_TIPS if isinstance(cleaning.before.layout, Animation) else OF_MARKERS
     return f'<h2>The worst changes</h2><p class="soft">{words}</p>{legend(COLOURS)}<div class="changes">{figures}</div>'
 
 
@@ -72,7 +79,8 @@ def change_list(cleaning: Cleaning) -> str:
         )
         for change in cleaning.changes[:LISTED]
     ]
-    listed = fold("change", len(cleaning.changes), table(HEAD, rows) + more(len(cleaning.changes)))
+    head = [worded(name, cleaning.before) for name in HEAD]
+    listed = fold("change", len(cleaning.changes), table(head, rows) + more(len(cleaning.changes)))
     return f'<h2>All changes</h2><div class="entries">{listed}</div>{_taking_back(cleaning)}'
 
 
@@ -84,9 +92,10 @@ def _turned(before: float | None, after: float | None, digits: int) -> str:
 def _taking_back(cleaning: Cleaning) -> str:
     name = cleaning.before.path.name if cleaning.before.path else "TAKE"
     file = f"{cleaning.before.stem}.changes.yaml"
+    believed = worded("what was measured there is believed", cleaning.before)
     return (
-        f'<p class="soft">To take a change back, set its decision in {escape(file)} to “reject” (or to “keep”: what was measured '
-        f"there is believed) and clean again: <code>mocapfix clean {escape(name)} --changes {escape(file)} --overwrite</code></p>"
+        f'<p class="soft">To take a change back, set its decision in {escape(file)} to “reject” (or to “keep”: {believed}) '
+        f"and clean again: <code>mocapfix clean {escape(name)} --changes {escape(file)} --overwrite</code></p>"
     )
 
 
@@ -100,18 +109,19 @@ def unchanged(cleaning: Cleaning) -> str:
             fault.kind,
             take.label(fault.marker),
             frames(take.frame_number(fault.first), take.frame_number(fault.last)),
-            number(1e3 * fault.severity, 0),
+            size(fault),
             fault.reason,
         )
         for fault in found[:LISTED]
     ]
-    listed = table(("Kind", "Marker", "Frames", "mm", "What was found"), rows)
+    listed = table(("Kind", worded("Marker", take), "Frames", "How far", "What was found"), rows)
     return f"<h2>Found, and kept as it was</h2>{fold('fault', len(found), listed + more(len(found)))}"
 
 
-def left_empty(record: dict) -> str:
+def left_empty(record: dict, cleaning: Cleaning) -> str:
     """What is still missing, and why."""
     rows = [(item["marker"], frames(item["first"], item["last"]), item["reason"]) for item in record["fill"]["left"]]
     if not rows:
         return ""
-    return f"<h2>Left empty</h2>{fold('stretch', len(rows), table(('Marker', 'Frames', 'Why'), rows[:LISTED]) + more(len(rows)))}"
+    head = (worded("Marker", cleaning.before), "Frames", "Why")
+    return f"<h2>Left empty</h2>{fold('stretch', len(rows), table(head, rows[:LISTED]) + more(len(rows)))}"

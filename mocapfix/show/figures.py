@@ -8,6 +8,7 @@ import numpy as np
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.show.states import EMPTY, RELABELLED, STATES, former, mended
 from mocapfix.skeleton import Skeleton
+from mocapfix.words import worded
 
 TURN, TILT = np.radians(25), np.radians(8)
 MARGIN = 0.12  # metres around the body
@@ -41,9 +42,10 @@ def stick_figures(cleaning: Cleaning, frame: int) -> tuple[str, str]:
     picture = _picture(before.markers[frame], after.markers[frame], body, across)
     floor = picture.floor()
     bones = picture.bones(skeleton, body) if skeleton is not None and len(body) else ""
+    shown = worded("the markers", before)
     return (
-        picture.svg(floor + picture.markers(before.markers[frame], was, before.labels), "before"),
-        picture.svg(floor + bones + picture.markers(after.markers[frame], state, after.labels), "after"),
+        picture.svg(floor + picture.markers(before.markers[frame], was, before.labels), f"{shown} before"),
+        picture.svg(floor + bones + picture.markers(after.markers[frame], state, after.labels), f"{shown} after"),
     )
 
 
@@ -66,7 +68,7 @@ class _Picture:
 
     def svg(self, content: str, name: str) -> str:
         box = " ".join(f"{side:.1f}" for side in self.box)
-        return f'<svg class="figure" viewBox="{box}" role="img" aria-label="the markers {name}">{content}</svg>'
+        return f'<svg class="figure" viewBox="{box}" role="img" aria-label="{name}">{content}</svg>'
 
     def floor(self) -> str:
         steps, far = np.arange(-TILES, TILES + 1) * TILE, TILES * TILE

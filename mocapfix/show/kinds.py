@@ -22,6 +22,8 @@ WORDS = {
     "segment lost": ("segment lost", "segments lost"),
     "gap": ("gap", "gaps"),
     "spike": ("spike", "spikes"),
+    "pop": ("pop", "pops"),
+    "flip": ("flip", "flips"),
     "jitter": ("burst of jitter", "bursts of jitter"),
     "stuck": ("stretch held at one value", "stretches held at one value"),
     "straight": ("straight-line fill", "straight-line fills"),

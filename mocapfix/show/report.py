@@ -10,6 +10,7 @@ from mocapfix.show import entries, sections
 from mocapfix.show.cleaning import Cleaning
 from mocapfix.show.states import AMBER, BLUE, GREEN, RED, VIOLET
 from mocapfix.take import Take
+from mocapfix.words import worded
 
 COLOURS = {"green": GREEN, "red": RED, "amber": AMBER, "violet": VIOLET, "blue": BLUE}
 
@@ -24,7 +25,7 @@ def report(target: Path, record: dict, cleaning: Cleaning) -> None:
         sections.worst_moment(cleaning),
         entries.pictures(cleaning),
         sections.time_line(cleaning),
-        entries.left_empty(record),
+        entries.left_empty(record, cleaning),
         entries.unchanged(cleaning),
         entries.change_list(cleaning),
         sections.residuals(record),
@@ -39,6 +40,7 @@ def report(target: Path, record: dict, cleaning: Cleaning) -> None:
 
 
 def _subtitle(record: dict, take: Take) -> str:
+    points = f"{record['take']['markers']} {worded('markers', take)}"
     first, last = take.first_frame, take.frame_number(take.frames - 1)
     worn = f", marker set {record['take']['marker_set']}" if record["take"]["marker_set"] else ""
-    return f"Frames {first} to {last} at {take.rate:g} Hz ({take.frames / take.rate:.1f} s), {len(take.labels)} markers{worn}."
+    return f"Frames {first} to {last} at {take.rate:g} Hz ({take.frames / take.rate:.1f} s), {points}{worn}."

@@ -6,11 +6,12 @@ import numpy as np
 
 from mocapfix.show import figures, summary, timeline
 from mocapfix.show.cleaning import Cleaning
-from mocapfix.show.kinds import GROUPS
+from mocapfix.show.kinds import GROUPS, group
 from mocapfix.show.markup import bars, legend, table
 from mocapfix.show.states import DOUBTED, EMPTY, RELABELLED, former, mended
 from mocapfix.show.summary import number
 from mocapfix.take import Take
+from mocapfix.words import worded
 
 NAMED = 12  # markers named below a picture
 
@@ -33,9 +34,9 @@ def overview(record: dict, cleaning: Cleaning) -> str:
         values.insert(1, (f"{fill['relabelled']:,}", "samples put under their own labels"))
     if solve is not None:
         values.append((f"{number(solve['marker_residual_mm']['mean'])} mm", "from markers to body, mean"))
-    facts = "".join(f"<div><b>{value}</b><small>{what}</small></div>" for value, what in values)
-    answers = [("What was wrong", summary.wrong(record, cleaning)), ("What was done", summary.done(record))]
-    answers += [("What was left", summary.left(record, cleaning.unchanged)), *(("To know", note) for note in record["notes"])]
+    facts = "".join(f"<div><b>{value}</b><small>{worded(what, cleaning.before)}</small></div>" for value, what in values)
+    answers = [("What was wrong", summary.wrong(record, cleaning)), ("What was done", summary.done(record, cleaning))]
+    answers += [("What was left", summary.left(record, cleaning)), *(("To know", note) for note in record["notes"])]
     sentences = "".join(f"<dt>{question}</dt><dd>{escape(answer)}</dd>" for question, answer in answers)
     return f'<div class="facts">{facts}</div><dl class="summary">{sentences}</dl>'
 
@@ -50,7 +51,7 @@ def worst_moment(cleaning: Cleaning) -> str:
         _named("missing", was == EMPTY, before)
         + _named("judged faulty (red)", was == DOUBTED, before)
         + _named("under another label (violet)", was == RELABELLED, before)
-        or "all markers are there",
+        or worded("all markers are there", before),
         _named("mended (green)", mended(state), after)
         + _named("under their own labels (violet)", state == RELABELLED, after)
         + _named("left empty", state == EMPTY, after)
@@ -74,7 +75,9 @@ def time_line(cleaning: Cleaning) -> str:
     """When which marker failed, and how far the markers were from the body meanwhile."""
     rows, error, text = timeline.rows(cleaning), cleaning.error, ""
     if rows:
-        text += f"<h2>Faults over time</h2>{legend(GROUPS)}{rows}"
+        there = {group(fault.kind) for fault in cleaning.faults.items}
+        groups = [each for each in GROUPS if each[0] in there or " " in each[0]]
+        text += f"<h2>Faults over time</h2>{legend((name, worded(said, cleaning.before)) for name, said in groups)}{rows}"
     if error is not None and (curves := timeline.curves(error)):
         axis = timeline.axis(cleaning.before)
         text += f"<h2>Distance of the markers from the body</h2>{legend(CURVES)}{curves}{axis}"

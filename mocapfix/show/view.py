@@ -3,6 +3,7 @@
 import numpy as np
 
 from mocapfix.take import Take
+from mocapfix.words import worded
 
 FIELD = np.radians(55)  # rerun's field of view, from bottom to top
 LOOKS = 1000  # frames that are looked at to find the eye's place, at most
@@ -17,13 +18,14 @@ def blueprint(before: Take, after: Take, joints: np.ndarray | None, error: np.nd
     position, target = _eye(after.markers if joints is None else np.concatenate([after.markers, joints], axis=1))
     eye = rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 1, 0))
     body = rrb.Spatial3DView(origin="world", name=f"{before.name}: before and after", eye_controls=eye)
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
     plots = [
-        rrb.StateTimelineView(origin="state", name="What became of the markers"),
-        rrb.TimeSeriesView(origin="missing", name="Markers missing", plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop)),
+        rrb.StateTimelineView(origin="state", name=worded("What became of the markers", before)),
+        rrb.TimeSeriesView(origin="missing", name=worded("Markers missing", before), plot_legend=legend),
     ]
     if error is not None and np.isfinite(error).any():
         top = CLIP * 1e3 * float(np.nanpercentile(error, 95))
-        axis, legend = rrb.ScalarAxis(range=(0, top), zoom_lock=False), rrb.PlotLegend(rrb.Corner2D.RightTop)
+        axis = rrb.ScalarAxis(range=(0, top), zoom_lock=False)
         plots.append(rrb.TimeSeriesView(origin="error", name="Farthest from the body, mm", axis_y=axis, plot_legend=legend))
     beside = rrb.Vertical(*plots, row_shares=[3, 1, 2][: len(plots)])
     time = rrb.TimePanel(timeline="time", state="collapsed", play_state="paused")

@@ -21,7 +21,7 @@ def worst(cleaning: Cleaning) -> list[tuple[Change, Fault]]:
 
 
 def _weight(change: Change, fault: Fault, rate: float) -> float:
-    """-> metre-seconds: for how long it lasts, how far off the samples were and how unsure they are now."""
+    """-> metre-seconds (a radian is as a metre): for how long it lasts, how far off the samples were, how unsure they are now."""
     off = 0.0 if fault.kind in TRAVELLED or np.isnan(fault.severity) else fault.severity
     unsure = (change.predicted_mm or 0.0) / 1e3
     return (fault.last - fault.first + 1) / rate * (off + unsure)

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocapfix.kernels import quaternions
 from mocapfix.kernels.gaps import chosen, together
-from mocapfix.kernels.process import learnt
+from mocapfix.kernels.process import Likeness, learnt
 from mocapfix.solve import alike
 from mocapfix.solve.people import People
 
@@ -31,10 +31,12 @@ def lost_joints(
     free: np.ndarray,
     rate: float,
     people: People | None = None,
+    likeness: Likeness = alike.LIKENESS,
 ) -> None:
     """Write what the take tells of lost joints into `local` (T, J, 3, 3) and `variance` (T, J), rad^2.
 
-    root (T, 3) metres, local and variance: each frame's own solve; gone (T, J) as `listening.lost` says.
+    root (T, 3) metres, local and variance: each frame's own solve; gone (T, J) as `listening.lost` says; likeness: how far
+    moments tell of each other.
     """
     joints = np.flatnonzero(free)[1:]
     body = gone[:, joints].mean(axis=1) <= MOST
@@ -46,7 +48,7 @@ def lost_joints(
             continue
         gap, doubt = np.arange(first, last + 1), variance[learn][:, lost].max(axis=1)
         known, asked = (alike.circumstances(root, solved, told, frames, rate) for frames in (learn, gap))
-        given = known, learn / rate, np.maximum(doubt - np.median(doubt), 0.0), alike.LIKENESS
+        given = known, learn / rate, np.maximum(doubt - np.median(doubt), 0.0), likeness
         turns = np.concatenate([2 * quaternions.of_joint(solved, j, ~gone[:, j])[learn] for j in lost], axis=1)
         course = learnt(turns, *given)
         expected, left = course.expected(asked, gap / rate)

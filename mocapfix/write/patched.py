@@ -14,7 +14,7 @@ DECIMALS = 6  # where all of a file's numbers are whole
 
 
 def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
-    """Write `before`'s file to `target` with the numbers that differ in `values` (T, C), in its own units and degrees.
+    """Write `before`'s file to `target` with the numbers that differ in `values` (T, C), in its own units.
 
     Every other byte stays as it is: the hierarchy, names, channel orders, line ends, and how the other numbers are spelled.
     New ones have as many decimals as most of the file's that have any.
@@ -25,7 +25,7 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
     target = Path(target)
     data, starts = _original(target, before)
     same = (values == before.values) | (np.isnan(values) & np.isnan(before.values))
-    places, numbers = starts[~same], values[~same]
+    places, numbers = starts[~same], _as_spelled(before, values)[~same]
     order = np.argsort(places)
     text = np.frombuffer(data, np.uint8)
     counts = np.bincount(_decimals(text, starts.ravel()))
@@ -34,11 +34,22 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
     if not (np.abs(numbers) * power < LARGEST).all():
         frame, column = np.argwhere(~same & ~(np.abs(values) * power < LARGEST))[0]
         joint = next(name for name, own in zip(before.names, before.columns, strict=True) if column in own)
-        raise WriteError(f"{target}: in frame {frame + 1} {joint} would be {values[frame, column]}; no file can hold that.")
+        would = f"in frame {before.first_frame + frame} {joint} would be {values[frame, column]}"
+        raise WriteError(f"{target}: {would}; no file can hold that.")
     out = np.empty(len(text) + len(places) * (WIDTH + decimals), np.uint8)
     size = _spliced(text, places[order], numbers[order], decimals, power, out)
     with replacing(target) as part:
         part.write_bytes(out[:size].data)
+
+
+def _as_spelled(before: Animation, values: np.ndarray) -> np.ndarray:
+    """-> (T, C) the values in the file's own units."""
+    if not before.radians:
+        return values
+    turning = np.concatenate([before.turning(joint)[0] for joint in range(len(before.names))])
+    told = values.copy()
+    told[:, turning] = np.radians(values[:, turning])
+    return told
 
 
 def _original(target: Path, before: Animation) -> tuple[bytes, np.ndarray]:

@@ -112,7 +112,7 @@ def test_the_skeleton_beside_it_is_taken(tmp_path):
     assert amc.skeleton_of(tmp_path / "09_01.amc").name == "1.asf"
     (tmp_path / "2.asf").write_text("")
     (tmp_path / "my skeleton.asf").write_text(ASF)
-    assert amc.animation(tmp_path / "09_01.amc", tmp_path / "my skeleton.asf").frames == 2
+    assert amc.animation(tmp_path / "09_01.amc", skeleton=tmp_path / "my skeleton.asf").frames == 2
     (tmp_path / "my skeleton.asf").unlink()
     with pytest.raises(ReadError, match=r"not beside it, only 1\.asf, 2\.asf; put it there as 09\.asf or 09_01\.asf"):
         amc.animation(tmp_path / "09_01.amc")

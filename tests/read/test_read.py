@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read
+from mocapfix import joint_points, read
 from mocapfix.errors import ReadError
+from tests.asf_files import AMC, ASF, FRAMES
+from tests.bvh_files import TEXT
 from tests.c3d_files import c3d_bytes
 from tests.text_files import LABELS, STANDING, motive, motive_rows, nexus, qualisys, trc, workstation
 
@@ -149,3 +151,27 @@ def test_a_trial_is_the_same_from_its_csv_and_its_c3d():
 def test_captures_that_hold_no_take_say_so(name, words):
     with pytest.raises(ReadError, match=words):
         read.take(CAPTURES / name)
+
+
+def test_an_animation_is_told_by_what_it_holds_and_is_a_take_of_its_joints(tmp_path):
+    (tmp_path / "walk.txt").write_text("\ufeff\n" + TEXT)
+    take = read.take(tmp_path / "walk.txt")
+    assert take.labels == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
+    np.testing.assert_allclose(take.markers[0, 0], [0.105, 0.9, -0.0325])
+    turned = read.take(tmp_path / "walk.txt", up="Z")
+    np.testing.assert_allclose(turned.markers[0, 0], [0.9, -0.0325, 0.105])
+    np.testing.assert_allclose(joint_points.moved(turned).world()[0], turned.markers)
+
+
+def test_an_amc_is_told_with_and_without_its_keywords(tmp_path):
+    (tmp_path / "09.asf").write_text(ASF)
+    for text in (AMC, FRAMES, f"# somebody's\n{FRAMES}"):
+        (tmp_path / "09_01.dat").write_text(text)
+        take = read.take(tmp_path / "09_01.dat")
+        assert (take.labels[0], take.first_frame, take.frames) == ("root", 7, 2)
+
+
+def test_a_skeleton_alone_is_no_take(tmp_path):
+    (tmp_path / "09.asf").write_text(ASF)
+    with pytest.raises(ReadError, match=r"09\.asf: is a skeleton without motion; name the AMC"):
+        read.take(tmp_path / "09.asf")

@@ -86,7 +86,7 @@ def test_how_somebody_takes_a_change_back_is_said(scene, tmp_path):
 def test_what_was_found_and_kept_is_listed_apart(scene, tmp_path):
     text = page_of(scene, tmp_path).text.partition("Found, and kept as it was")[2].partition("All changes")[0]
     assert text.strip().startswith("1 fault ")
-    assert text.strip().endswith("jitter M07 221–240 10 M07 trembles.")
+    assert text.strip().endswith("jitter M07 221–240 10 mm M07 trembles.")
 
 
 def test_a_change_that_somebody_rejected_has_neither_picture_nor_effect(scene, tmp_path):

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.read import bvh
+from mocapfix.read import amc, bvh
 from mocapfix.write.patched import patched
+from tests.asf_files import AMC, ASF
 from tests.bvh_files import TEXT
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -52,6 +53,19 @@ def test_a_number_that_was_not_there_is_put_in(figure, tmp_path):
     assert (tmp_path / "out.bvh").read_text() == text
     patched(tmp_path / "out.bvh", figure, np.nan_to_num(figure.values, nan=2.5))
     assert (tmp_path / "out.bvh").read_text() == TEXT.replace("16.0000", "2.5000")
+
+
+def test_an_amc_in_radians_gets_radians_back(tmp_path):
+    (tmp_path / "09.asf").write_text(ASF)
+    text = AMC.replace(":DEGREES", ":RADIANS").replace("lfoot 7.5 8.5", "lfoot 0.5 0.25")
+    (tmp_path / "09_01.amc").write_text(text)
+    before = amc.animation(tmp_path / "09_01.amc")
+    foot = before.turning(before.names.index("lfoot"))[0]
+    values = before.values.copy()
+    values[1, foot] *= 2
+    patched(tmp_path / "out.amc", before, values)
+    written = (tmp_path / "out.amc").read_text()
+    assert written == text.replace("lfoot 0.5 0.25", "lfoot 1.0 0.5")
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
