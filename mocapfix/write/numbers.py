@@ -23,7 +23,7 @@ def rows(values: np.ndarray, decimals: int, between: str = " ", end: str = "\n")
     if not np.isfinite(values).all():
         raise ValueError("a number that is not finite cannot be written")
     power = 10.0**decimals
-    if values.size == 0 or decimals > MOST or np.abs(values).max() * power >= LARGEST:
+    if values.size == 0 or decimals > MOST or np.abs(values).max() >= LARGEST / power:
         row = between.join([f"%.{decimals}f"] * values.shape[1]) + end
         return "".join([row % tuple(each) for each in values.tolist()]).encode()
     signs = np.frombuffer(between.encode(), np.uint8), np.frombuffer(end.encode(), np.uint8)
