@@ -59,8 +59,10 @@ def _markers(text: Document, index: int, cells: list[str]) -> dict[str, list[flo
     """-> x, y, z of the markers in a frame row, by label; an asterisk and its ID for one that nobody named."""
     try:
         start = BODIES + 1 + BODY * int(cells[BODIES])
-        count = int(cells[start])
-        given = [cells[i : i + MARKER] for i in range(start + 1, start + 1 + MARKER * count, MARKER)]
+        behind = start + 1 + MARKER * int(cells[start])
+        if not BODIES < start < behind <= len(cells):
+            raise ValueError(cells[start])
+        given = [cells[i : i + MARKER] for i in range(start + 1, behind, MARKER)]
         found = [(_label(name, number), [float(x), float(y), float(z)]) for x, y, z, number, name in given]
     except (ValueError, IndexError) as error:
         raise text.fault(index, "does not hold the rigid bodies and markers that it counts; copy or export it again.") from error
