@@ -17,6 +17,7 @@ from mocapfix.take import Take
 COLUMN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)
 FRAME = re.compile(r"(frame|field|sample)\b.*", re.IGNORECASE)
 TIME = re.compile(r"(time|seconds)(\b|_).*", re.IGNORECASE)
+MILLISECONDS = re.compile(r".*(\b|_)(ms|msecs?|milliseconds?)(\b|_).*", re.IGNORECASE)
 NO_ROOM = 20  # what spans more of its units is no capture in metres
 LOOKED_AT = 50  # frames
 
@@ -55,7 +56,7 @@ def take(path: Path, data: bytes) -> Take:
             fields=fields,
             labels=[label for _, label, _ in points],
             unit=METRES[unit],
-            rate=rate_of(text, 0, "", rows, between, time),
+            rate=rate_of(text, 0, "", rows, between, time, 0.001 if MILLISECONDS.fullmatch(cells[time]) else 1.0),
             notes=said,
         )
     )

@@ -47,6 +47,13 @@ def test_without_frame_numbers_they_are_counted_from_1(tmp_path):
     assert take_of(tmp_path, text(lead=("time_s",))).first_frame == 1
 
 
+@pytest.mark.parametrize("header", ["Time (ms)", "time_ms", "Time [milliseconds]"])
+def test_times_in_milliseconds(tmp_path, header):
+    lines = text(lead=("Time",)).splitlines(keepends=True)
+    lines = [lines[0].replace("Time", header), *(f"{t * 16.6833:.4f},{line.split(',', 1)[1]}" for t, line in enumerate(lines[1:]))]
+    assert take_of(tmp_path, "".join(lines)).rate == pytest.approx(59.94, abs=0.001)
+
+
 def test_without_times_there_is_no_rate(tmp_path):
     with pytest.raises(ReadError, match="line 1: no column is the time"):
         take_of(tmp_path, text(lead=("frame",)))
