@@ -6,7 +6,7 @@ from math import isfinite
 
 from mocapfix import rig
 from mocapfix.errors import WriteError
-from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for
+from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for, own_suffix
 from mocapfix.motion import Motion
 from mocapfix.resample import picks, resampled
 from mocapfix.subject import Subject
@@ -59,7 +59,7 @@ class OutputOptions:
 
     def notes(self, take: Take, body: bool) -> list[str]:
         """-> sentences on what was written otherwise than usual or beside it."""
-        asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL)]
+        asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL) and kind.suffix != own_suffix(take.path)]
         said = [f"{kind.suffix} {kind.note}" for kind in asked if kind.note and (body or not kind.body)]
         said += [f"There is no {kind.suffix}, for the take has no skeleton." for kind in asked if kind.body and not body]
         if isinstance(take.layout, TableLayout) and not take.layout.has_places:
