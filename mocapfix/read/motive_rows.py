@@ -12,12 +12,12 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.read.cells import miscounted, numbers, rate_of
-from mocapfix.read.text import Document, document
+from mocapfix.read.text import Document, document, head_lines
 from mocapfix.read.trajectories import first_frame, take_of
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
-VERSION = re.compile(rb'^"?info"?,"?(version|framecount)"?,', re.MULTILINE | re.IGNORECASE)
+VERSION = re.compile(r'"?info"?,"?(version|framecount)"?,', re.IGNORECASE)
 FRAME, TIME, BODIES = 1, 2, 3  # the fields of a frame row with its number, its time and the number of rigid bodies
 BODY, MARKER = 11, 5  # fields of a rigid body and of a marker
 NAMELESS = re.compile(r"|Marker-\d+|Unlabell?ed.*", re.IGNORECASE)  # what a marker of no rigid body is called
@@ -26,7 +26,7 @@ METRES = 1.0
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one?"""
-    return VERSION.search(head) is not None
+    return any(VERSION.match(line) for line in head_lines(head))
 
 
 def take(path: Path, data: bytes) -> Take:

@@ -57,3 +57,8 @@ def test_times_in_milliseconds(tmp_path, header):
 def test_without_times_there_is_no_rate(tmp_path):
     with pytest.raises(ReadError, match="line 1: no column is the time"):
         take_of(tmp_path, text(lead=("frame",)))
+
+
+def test_a_first_line_that_ends_otherwise_than_the_rest_is_refused(tmp_path):
+    with pytest.raises(ReadError, match=r"walk\.csv, line 1: ends otherwise than the other lines"):
+        take_of(tmp_path, text().replace("\n", "\r", 1))
