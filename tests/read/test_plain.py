@@ -49,9 +49,9 @@ def test_without_frame_numbers_they_are_counted_from_1(tmp_path):
 
 @pytest.mark.parametrize("header", ["Time (ms)", "time_ms", "Time [milliseconds]"])
 def test_times_in_milliseconds(tmp_path, header):
-    lines = text(lead=("Time",)).splitlines(keepends=True)
-    lines = [lines[0].replace("Time", header), *(f"{t * 16.6833:.4f},{line.split(',', 1)[1]}" for t, line in enumerate(lines[1:]))]
-    assert take_of(tmp_path, "".join(lines)).rate == pytest.approx(59.94, abs=0.001)
+    names, *rows = text(lead=("Time",)).replace("Time", header).splitlines(keepends=True)
+    rows = [f"{t * 16.6833:.4f},{row.partition(',')[2]}" for t, row in enumerate(rows)]
+    assert take_of(tmp_path, "".join([names, *rows])).rate == pytest.approx(59.94, abs=0.001)
 
 
 def test_without_times_there_is_no_rate(tmp_path):
