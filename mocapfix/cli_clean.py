@@ -1,6 +1,7 @@
 """Cleaning takes from the command line, and saying what came of it."""
 
 import json
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -181,8 +182,8 @@ def tell(report: dict, outputs: dict[str, Path], subject_prefix: str | None = No
     folder = outputs["changes.yaml"].parent
     out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
     if report["changes"]:
-        whose = f"--subject-prefix {escape(subject_prefix)} " if subject_prefix else ""
-        again = f"{whose}--changes {escape(str(outputs['changes.yaml']))} --overwrite"
+        whose = ["--subject-prefix", subject_prefix] if subject_prefix else []
+        again = escape(shlex.join([*whose, "--changes", str(outputs["changes.yaml"]), "--overwrite"]))
         out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
 
 

@@ -1,5 +1,6 @@
 """The commands about marker sets: mocapfix marker-set list | show | learn."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,7 +73,8 @@ def learn(
         out.print(f"  not sure: {escape(label)} may as well ride on {segment}.", soft_wrap=True)
     for label, reason in lesson.left_out.items():
         out.print(f"  left out: {escape(label)} {escape(reason)}.", soft_wrap=True)
-    out.print(f"  To clean with it: mocapfix clean {escape(str(take))} --marker-set {escape(str(path))}", soft_wrap=True)
+    command = escape(shlex.join(["mocapfix", "clean", str(take), "--marker-set", str(path)]))
+    out.print(f"  To clean with it: {command}", soft_wrap=True)
     return DONE
 
 

@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from mocapfix import synthetic
-from mocapfix.errors import SceneError
+from mocapfix.errors import MocapfixError, SceneError
 from mocapfix.faults import MENDED
 from mocapfix.fill import FillOptions
 from mocapfix.outputs import OutputOptions
@@ -190,7 +190,12 @@ def _beside(path: Path, said: str | None) -> str | Path | None:
 
 def load(path: str | Path) -> Job:
     """-> what a scene of the kind "clean" says. Raises SceneError with the file and the path of the wrong key."""
-    return checked(Job, Path(path))
+    said = checked(Job, Path(path))
+    try:
+        _ = said.outputs
+    except MocapfixError as error:
+        raise SceneError(f"{path}: write: {error}") from error
+    return said
 
 
 def composed(folder: Path, name: str) -> Path:

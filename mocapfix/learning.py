@@ -114,7 +114,8 @@ def first_guess(take: Take, labels: tuple[str, ...], like: str | Path | None) ->
         guess = in_their_words(known, there)
         if lack := known.lack(known.match(there)):
             raise TakeError(f"{take.name}: {known.name} is no beginning: of its markers {len(guess.labels)} are there; {lack}.")
-        return guess, KNOWN, f"{marker_set.fit(known, there)} The others are by how they move."
+        others = " The others are by how they move." if len(guess.labels) < sum(map(bool, there)) else ""
+        return guess, KNOWN, f"{marker_set.fit(known, there)}{others}"
     guess = words.guessed([label for label in there if label])
     if not guess.lack(guess.labels):
         return guess, SAID, f"The labels of {len(guess.labels)} markers told about where they are; the rest is by how they move."

@@ -54,6 +54,9 @@ def test_what_may_be_touched_is_said_in_the_units_of_people(scene):
         ("subject: {calibrate: []}", "subject: must be a subject file, or say calibrate"),
         ("subject: {calibrate: [a.c3d], file: jim.yaml}", "subject: must be a subject file, or say calibrate"),
         ("colour: red", "colour: "),
+        ("write: {also: [avi]}", "write: There is no kind of file 'avi'"),
+        ("write: {bvh_for: [paint]}", "write: There is no rig 'paint'"),
+        ("write: {fps: 100000}", "write: Frames a second must be"),
     ],
 )
 def test_a_wrong_key_is_told_by_its_path(scene, lines, message):

@@ -56,6 +56,7 @@ def test_the_report_says_of_each_what_whoever_opens_it_must_know(solved, tmp_pat
         r"glb is binary glTF: metres, Y up\.",
     ):
         assert re.search(sentence, said)
+    assert "c3d is new" not in said  # the take's own file is that
 
 
 @pytest.mark.parametrize("kind", [*MOVES, "npz", "c3d"])

@@ -44,7 +44,7 @@ def check_size(worn: Take, ratio: float) -> None:
     """Raise TakeError where nobody is so many times the size of the average body."""
     if not size.SMALLEST < ratio < size.LARGEST:
         apart = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
+        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are the file's unit and the labels right?")
 
 
 def scaled(skeleton: Skeleton, factor: float) -> Skeleton:

@@ -121,10 +121,11 @@ def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
 def _values(layout: C3DLayout, data: bytes) -> np.ndarray:
     """-> (T, P, 4): X Y Z in file units and the residual word."""
     words = layout.words(data)
-    if layout.is_float and layout.processor == 85:
-        # A VAX F float is an IEEE one times 4 with its 16-bit halves swapped.
-        return ((words >> 16) | (words << 16)).view("<f4").astype(float) / 4
-    values = words.astype(float)
+    is_vax = layout.is_float and layout.processor == 85
+    if is_vax:  # a VAX F float is an IEEE one times 4 with its 16-bit halves swapped
+        words = ((words >> 16) | (words << 16)).view("<f4")
+    with np.errstate(invalid="ignore"):  # damaged bytes may spell a NaN that signals
+        values = words.astype(float) / (4 if is_vax else 1)
     if not layout.is_float:
         values[..., :3] *= layout.scale
     return values

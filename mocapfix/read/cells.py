@@ -101,9 +101,17 @@ def unit_said(document: Document, index: int, name: str, usual: str) -> tuple[fl
     return METRES[usual], (f"The header names no unit; {usual} is taken, as is usual.",)
 
 
-def rate_of(document: Document, index: int, said: str, rows: Sequence[int] = (), delimiter: str = "", time: int = 0) -> float:
-    """-> frames a second: what the line at `index` says or, where it says nothing, what the field `time` (seconds) of the
-    first and last of `rows` does.
+def rate_of(
+    document: Document,
+    index: int,
+    said: str,
+    rows: Sequence[int] = (),
+    delimiter: str = "",
+    time: int = 0,
+    seconds: float = 1.0,
+) -> float:
+    """-> frames a second: what the line at `index` says or, where it says nothing, what the field `time` (in units of
+    `seconds`) of the first and last of `rows` does.
 
     Raises ReadError where neither does.
     """
@@ -116,7 +124,7 @@ def rate_of(document: Document, index: int, said: str, rows: Sequence[int] = (),
     if len(rows) > 1:
         ends = [rows[0], rows[-1]]
         first, last = numbers(document, ends, delimiter, "." if delimiter == "," else ",", np.array([time]))[:, 0]
-        if last > first and (rate := round((len(rows) - 1) / (last - first), 3)) > 0:
+        if last > first and (rate := round((len(rows) - 1) / (last - first) / seconds, 3)) > 0:
             return rate
     what = f"the frame rate is {said!r}" if said else "nothing tells the frame rate"
     raise document.fault(index, f"{what}; give the frames a second.")

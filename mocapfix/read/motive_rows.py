@@ -12,12 +12,12 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.read.cells import miscounted, numbers, rate_of
-from mocapfix.read.text import Document, document
+from mocapfix.read.text import Document, document, head_lines
 from mocapfix.read.trajectories import first_frame, take_of
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
-VERSION = re.compile(rb'^"?info"?,"?(version|framecount)"?,', re.MULTILINE | re.IGNORECASE)
+VERSION = re.compile(r'"?info"?,"?(version|framecount)"?,', re.IGNORECASE)
 FRAME, TIME, BODIES = 1, 2, 3  # the fields of a frame row with its number, its time and the number of rigid bodies
 BODY, MARKER = 11, 5  # fields of a rigid body and of a marker
 NAMELESS = re.compile(r"|Marker-\d+|Unlabell?ed.*", re.IGNORECASE)  # what a marker of no rigid body is called
@@ -26,7 +26,7 @@ METRES = 1.0
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one?"""
-    return VERSION.search(head) is not None
+    return any(VERSION.match(line) for line in head_lines(head))
 
 
 def take(path: Path, data: bytes) -> Take:
@@ -59,8 +59,10 @@ def _markers(text: Document, index: int, cells: list[str]) -> dict[str, list[flo
     """-> x, y, z of the markers in a frame row, by label; an asterisk and its ID for one that nobody named."""
     try:
         start = BODIES + 1 + BODY * int(cells[BODIES])
-        count = int(cells[start])
-        given = [cells[i : i + MARKER] for i in range(start + 1, start + 1 + MARKER * count, MARKER)]
+        behind = start + 1 + MARKER * int(cells[start])
+        if not BODIES < start < behind <= len(cells):
+            raise ValueError(cells[start])
+        given = [cells[i : i + MARKER] for i in range(start + 1, behind, MARKER)]
         found = [(_label(name, number), [float(x), float(y), float(z)]) for x, y, z, number, name in given]
     except (ValueError, IndexError) as error:
         raise text.fault(index, "does not hold the rigid bodies and markers that it counts; copy or export it again.") from error

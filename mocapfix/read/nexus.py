@@ -14,7 +14,7 @@ import numpy as np
 from mocapfix.errors import ReadError
 from mocapfix.read.cells import rate_of, unit_of
 from mocapfix.read.table import Sheet, take_of
-from mocapfix.read.text import Document, delimiter, document
+from mocapfix.read.text import Document, delimiter, document, head_lines
 from mocapfix.take import Take
 
 TRAJECTORIES = "trajectories"
@@ -24,7 +24,7 @@ AROUND = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
-    lines = [line.strip(AROUND).lower() for line in head.decode("utf-8", "replace").split("\n")]
+    lines = [line.strip(AROUND).lower() for line in head_lines(head)]
     return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in pairwise(lines))
 
 

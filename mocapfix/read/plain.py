@@ -11,21 +11,22 @@ import numpy as np
 
 from mocapfix.read.cells import METRES, decimal_sign, filled_rows, numbers, rate_of
 from mocapfix.read.table import Sheet, take_of
-from mocapfix.read.text import Document, delimiter, document
+from mocapfix.read.text import Document, delimiter, document, head_lines
 from mocapfix.take import Take
 
 COLUMN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)
 FRAME = re.compile(r"(frame|field|sample)\b.*", re.IGNORECASE)
 TIME = re.compile(r"(time|seconds)(\b|_).*", re.IGNORECASE)
+MILLISECONDS = re.compile(r".*(\b|_)(ms|msecs?|milliseconds?)(\b|_).*", re.IGNORECASE)
 NO_ROOM = 20  # what spans more of its units is no capture in metres
 LOOKED_AT = 50  # frames
 
 
 def recognises(head: bytes, path: Path) -> bool:
     """-> does a file that begins so claim to be one?"""
-    line = head.split(b"\n", 1)[0].decode("utf-8", "replace")
+    line = head_lines(head)[0]
     between = delimiter(line)
-    return bool(between) and bool(_points([cell.strip(' "\r') for cell in line.split(between)]))
+    return bool(between) and bool(_points([cell.strip(' "') for cell in line.split(between)]))
 
 
 def take(path: Path, data: bytes) -> Take:
@@ -34,6 +35,8 @@ def take(path: Path, data: bytes) -> Take:
     Raises ReadError, naming file and line, where a field is no number or nothing tells the frame rate.
     """
     text = document(path, data)
+    if "\r" in text.line(0):
+        raise text.fault(0, "ends otherwise than the other lines; save the file with one kind of line ends.")
     between = delimiter(text.line(0))
     cells = text.cells(0, between)
     points = _points(cells)
@@ -55,7 +58,7 @@ def take(path: Path, data: bytes) -> Take:
             fields=fields,
             labels=[label for _, label, _ in points],
             unit=METRES[unit],
-            rate=rate_of(text, 0, "", rows, between, time),
+            rate=rate_of(text, 0, "", rows, between, time, 0.001 if MILLISECONDS.fullmatch(cells[time]) else 1.0),
             notes=said,
         )
     )

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import filled_rows, rate_of
+from mocapfix.read.cells import NOTHING, filled_rows, rate_of
 from mocapfix.read.table import Sheet, take_of
 from mocapfix.read.text import Document, document
 from mocapfix.take import Take
@@ -50,6 +50,8 @@ def take(path: Path, data: bytes) -> Take:
     at_rate, frequency = facts.get("FREQUENCY", (at, [""]))
     rate = rate_of(text, at_rate, frequency[0])
     first, frame = _first_field(text, body, rows, named, rate)
+    if frame is None:  # a line of tabs alone is a frame that shows nothing
+        rows = [index for index in range(body + named, len(text.lines)) if text.line(index)]
     return take_of(
         Sheet(
             document=text,
@@ -66,13 +68,17 @@ def take(path: Path, data: bytes) -> Take:
 
 
 def _facts(text: Document) -> tuple[dict[str, tuple[int, list[str]]], int]:
-    """-> the line and the values of every key, and the index of the first line behind them."""
+    """-> the line and the values of every key, and the index of the first line behind them.
+
+    Behind the markers' names that may be a frame whose first field is missing, blank or spelled as no key is (NULL).
+    """
     facts: dict[str, tuple[int, list[str]]] = {}
     for index in range(len(text.lines)):
         key, *values = text.cells(index, TAB)
-        if key and not KEY.fullmatch(key):
+        missing = key.lower() in NOTHING
+        if (values and "MARKER_NAMES" in facts) if missing else not KEY.fullmatch(key):
             return facts, index
-        if key:
+        if not missing:
             facts.setdefault(key, (index, values or [""]))
     return facts, len(text.lines)
 

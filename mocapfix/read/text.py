@@ -2,6 +2,7 @@
 
 import codecs
 import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from mocapfix.errors import ReadError
 BOM = "\ufeff"
 UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 DELIMITERS = "\t;,"
+LINE_END = re.compile(r"\r\n?|\n")
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,11 @@ def decoded(data: bytes) -> tuple[str, str]:
         return data.decode("utf-8"), "utf-8"
     except UnicodeDecodeError:
         return data.decode("latin-1"), "latin-1"
+
+
+def head_lines(head: bytes) -> list[str]:
+    """-> the lines of a file's head (in UTF-8), whichever way they end."""
+    return LINE_END.split(head.decode("utf-8", "replace"))
 
 
 def delimiter(line: str) -> str:

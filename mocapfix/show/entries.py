@@ -1,5 +1,6 @@
 """The lists of the report page: every change with pictures of the worst ones, what was left as it was, what is empty."""
 
+import shlex
 from html import escape
 
 from mocapfix.animation import Animation
@@ -93,9 +94,10 @@ def _taking_back(cleaning: Cleaning) -> str:
     name = cleaning.before.path.name if cleaning.before.path else "TAKE"
     file = f"{cleaning.before.stem}.changes.yaml"
     believed = worded("what was measured there is believed", cleaning.before)
+    command = shlex.join(["mocapfix", "clean", name, "--changes", file, "--overwrite"])
     return (
         f'<p class="soft">To take a change back, set its decision in {escape(file)} to “reject” (or to “keep”: {believed}) '
-        f"and clean again: <code>mocapfix clean {escape(name)} --changes {escape(file)} --overwrite</code></p>"
+        f"and clean again: <code>{escape(command)}</code></p>"
     )
 
 

@@ -1,4 +1,5 @@
 import re
+import struct
 import time
 from pathlib import Path
 
@@ -245,6 +246,15 @@ def test_bad_input_is_one_sentence_with_the_file(tmp_path, case):
         read.take(path)
     assert str(error.value).startswith(str(path))
     assert words in str(error.value)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("processor", "order"), [(84, "<"), (86, ">")])
+def test_a_nan_that_signals_is_missing_without_a_word(tmp_path, processor, order):
+    data = c3d_bytes(STANDING, LABELS, encoding=(processor, True))
+    path = tmp_path / "take.c3d"
+    path.write_bytes(data.replace(struct.pack(f"{order}f", 1700), struct.pack(f"{order}I", 0x7F800001)))
+    assert np.argwhere(~read.take(path).seen).tolist() == [[0, 0]]
 
 
 @given(place=st.integers(0, 1023), byte=st.integers(0, 255), keep=st.integers(0, 2000))

@@ -45,6 +45,8 @@ TEXT = motive_rows(Y_UP, NAMES)
 BAD = {
     "cut off": (TEXT[:-75], "line 11: does not hold the rigid bodies and markers that it counts"),
     "a word": (TEXT.replace("1.70100000", "one"), "line 7: does not hold"),
+    "a count beyond reason": (TEXT.replace(",3,0.0", f",{10**20},0.0", 1), "line 5: does not hold"),
+    "a count below nothing": (TEXT.replace("0.00000000,1,1", "0.00000000,-1,1", 1), "line 5: does not hold"),
     "two of a name": (TEXT.replace("Body-LeftFoot", "Body-Head"), "line 5: names two markers alike"),
     "no frames": ("\r\n".join(TEXT.split("\r\n")[:4]), "holds no frames"),
 }

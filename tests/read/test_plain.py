@@ -47,6 +47,18 @@ def test_without_frame_numbers_they_are_counted_from_1(tmp_path):
     assert take_of(tmp_path, text(lead=("time_s",))).first_frame == 1
 
 
+@pytest.mark.parametrize("header", ["Time (ms)", "time_ms", "Time [milliseconds]"])
+def test_times_in_milliseconds(tmp_path, header):
+    names, *rows = text(lead=("Time",)).replace("Time", header).splitlines(keepends=True)
+    rows = [f"{t * 16.6833:.4f},{row.partition(',')[2]}" for t, row in enumerate(rows)]
+    assert take_of(tmp_path, "".join([names, *rows])).rate == pytest.approx(59.94, abs=0.001)
+
+
 def test_without_times_there_is_no_rate(tmp_path):
     with pytest.raises(ReadError, match="line 1: no column is the time"):
         take_of(tmp_path, text(lead=("frame",)))
+
+
+def test_a_first_line_that_ends_otherwise_than_the_rest_is_refused(tmp_path):
+    with pytest.raises(ReadError, match=r"walk\.csv, line 1: ends otherwise than the other lines"):
+        take_of(tmp_path, text().replace("\n", "\r", 1))

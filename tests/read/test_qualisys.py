@@ -33,6 +33,17 @@ def test_what_is_missing(tmp_path, missing):
     np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
 
 
+@pytest.mark.parametrize("missing", ["0.000", "", "NULL"])
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("columns", [(), ("Frame", "Time")])
+def test_no_frame_is_lost_where_the_first_marker_or_all_are_missing(tmp_path, missing, named, columns):
+    xyz = STANDING.copy()
+    xyz[:2, 0], xyz[2] = np.nan, np.nan
+    take = take_of(tmp_path, qualisys(xyz, missing=missing, named=named, columns=columns))
+    np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
+    assert take.notes == ()
+
+
 def test_trajectories_that_were_chosen_and_not_named_are_markers_where_none_is_named(tmp_path):
     take = take_of(tmp_path, qualisys(labels=("New 0000", "New 0002", "New 0003")))
     assert take.labels == ("New 0000", "New 0002", "New 0003")

@@ -52,6 +52,14 @@ def test_a_file_of_no_kind_is_one_sentence(tmp_path, case):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n"])
+@pytest.mark.parametrize("kind", [kind for kind in WHOLE if kind not in ("C3D", "TRC in UTF-16")])
+def test_lines_may_end_in_any_way(tmp_path, kind, end):
+    path = tmp_path / "walk"
+    path.write_bytes(WHOLE[kind].replace(b"\r\n", b"\n").replace(b"\n", end))
+    assert read.take(path).markers.shape == (4, 3, 3)
+
+
 def test_no_such_file_and_a_folder(tmp_path):
     with pytest.raises(ReadError, match=r"none\.c3d: there is no such file"):
         read.take(tmp_path / "none.c3d")

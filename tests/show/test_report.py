@@ -80,7 +80,7 @@ def test_every_change_is_listed_with_the_files_frames_and_what_was_done(scene, t
 
 def test_how_somebody_takes_a_change_back_is_said(scene, tmp_path):
     text = page_of(scene, tmp_path).text
-    assert "mocapfix clean walk <1>.c3d --changes walk <1>.changes.yaml --overwrite" in text
+    assert "mocapfix clean 'walk <1>.c3d' --changes 'walk <1>.changes.yaml' --overwrite" in text
 
 
 def test_what_was_found_and_kept_is_listed_apart(scene, tmp_path):
