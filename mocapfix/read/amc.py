@@ -13,9 +13,9 @@ import numpy as np
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.read.asf import Figure, figure
-from mocapfix.read.bvh import file_bytes
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.numbers import Words, words
+from mocapfix.read.opened import file_bytes
 
 FIRST = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line with the first frame's number
 # no keyword of the format says the rate: what a comment or a keyword of some program's own says is taken

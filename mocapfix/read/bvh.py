@@ -15,6 +15,7 @@ from mocapfix.errors import ReadError
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.hierarchy import hierarchy
 from mocapfix.read.numbers import Words, words
+from mocapfix.read.opened import file_bytes
 from mocapfix.read.rates import usual
 
 MOTION = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
@@ -56,16 +57,6 @@ def animation(path: str | Path) -> Animation:
     )
     read = replace(read, added=_added(read), notes=tuple(notes))
     return sized(upright(read))
-
-
-def file_bytes(path: Path) -> bytes:
-    """-> what a file holds. Raises ReadError where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
 
 
 def _timing(path: Path, data: bytes, at: int) -> tuple[int, float, int, str]:
