@@ -11,6 +11,7 @@ import numpy as np
 from mocapfix.errors import ReadError
 from mocapfix.read import trajectories
 from mocapfix.read.cells import AROUND, LOOKED_AT, decimal_sign, miscounted, numbers, split, whole, written
+from mocapfix.read.places import there
 from mocapfix.read.text import Document
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
@@ -56,7 +57,7 @@ def take_of(sheet: Sheet) -> Take:
     if sheet.frame is not None:
         first, counted = trajectories.first_frame(document, rows, told[:, -1])
         said += counted
-    layout = _layout(sheet, decimal, trajectories.there(raw))
+    layout = _layout(sheet, decimal, there(raw))
     return trajectories.take_of(document.path, raw, sheet.labels, sheet.unit, sheet.rate, first, layout, sheet.usual, said)
 
 

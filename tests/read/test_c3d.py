@@ -75,8 +75,8 @@ def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
     expected = np.ones((4, 3), bool)
     expected[0, 0] = expected[1, 1] = False
     if is_float:
-        xyz[2, 2], xyz[3, 0], xyz[3, 1] = 9999999, np.nan, np.inf
-        expected[2, 2] = expected[3, 0] = expected[3, 1] = False
+        xyz[1, 2], xyz[2, 2], xyz[3, 0], xyz[3, 1] = -9999.99, 9999999, np.nan, np.inf
+        expected[1, 2] = expected[2, 2] = expected[3, 0] = expected[3, 1] = False
     take = take_of(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
     np.testing.assert_array_equal(take.seen, expected)
     np.testing.assert_array_equal(np.isnan(take.markers).all(-1), ~expected)
