@@ -32,7 +32,7 @@ def demo(
     """
     from mocapfix import pipeline, synthetic
     from mocapfix.bench.demo import errors
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     make_folder(folder)
     truth, path = synthetic.take(seed=seed), folder / "demo.c3d"
@@ -114,7 +114,7 @@ def calibrate(
 ) -> int:
     """Find a person's bones and marker places from takes of them, to be given to `clean --subject`."""
     from mocapfix import pipeline, subject_file
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
 
     if not takes:
         raise SystemExit(usage("calibrate: name at least one take (a C3D file)."))

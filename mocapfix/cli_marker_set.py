@@ -58,7 +58,7 @@ def learn(
     found by how it stands and moves; then some frame must show somebody standing.
     """
     from mocapfix import learning, marker_set
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
 
     check_not_there([path], overwrite)
     with staged(take.name) as progress:

@@ -35,7 +35,7 @@ def clean(path: Path, folder: Path, overwrite: bool) -> int:
     """Takes cleaned as the scene says."""
     from mocapfix import job, pipeline
     from mocapfix.cli_clean import cleaned
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     said = job.load(path)
     outputs, takes = said.outputs, said.found(path, folder)

@@ -22,9 +22,9 @@ from pydantic import (
 from mocapfix import synthetic
 from mocapfix.errors import SceneError
 from mocapfix.faults import MENDED
+from mocapfix.files import check_not_there, make_folder
 from mocapfix.fill import FillOptions
 from mocapfix.outputs import OutputOptions
-from mocapfix.result import check_not_there, make_folder
 from mocapfix.scenes import PRIOR, START, STARTS
 from mocapfix.yaml_form import checked
 
