@@ -11,13 +11,13 @@ from operator import itemgetter
 
 import numpy as np
 
-from mocapfix.read.text import Document
+from mocapfix.read.text import NO_NUMBER, Document
 
 METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 # What a unit is called where it is written out, "Millimetres" or "Meters", without its plural.
 SHORT = {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "centimetre": "cm", "meter": "m", "metre": "m"}
 SHORT |= {"inche": "in", "inch": "in", "feet": "ft"}
-NOTHING = {"", "nan", "-nan", "+nan", "n/a", "na", "null", "none", "-", "--", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"}
+NOTHING = {"", "n/a", "na", "null", "none", "-", "--"}
 DECIMAL_COMMA = re.compile(r"\d,\d")
 LOOKED_AT = 200  # lines, from which is told how a file writes its numbers
 AROUND = ' \t"'  # a cell's number
@@ -51,7 +51,7 @@ def numbers(document: Document, rows: Sequence[int], delimiter: str, decimal: st
 
 def _number(document: Document, index: int, field: int, cell: str) -> float:
     text = cell.strip(AROUND)
-    if text.lower() in NOTHING:
+    if text.lower() in NOTHING or NO_NUMBER.fullmatch(text):
         return np.nan
     try:
         return float(text)

@@ -12,7 +12,7 @@ import numpy as np
 from mocapfix.errors import ReadError
 from mocapfix.read.cells import filled_rows, rate_of, unit_said
 from mocapfix.read.labels import is_nameless
-from mocapfix.read.table import Sheet, take_of
+from mocapfix.read.table import Sheet, take_of, triples
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
 
@@ -77,9 +77,9 @@ def _markers(text: Document, axes: int, between: str) -> tuple[np.ndarray, list[
     head = [text.cells(i, between) for i in range(1, axes) if text.line(i).strip(between + " ")]
     if len(head) < 2:
         raise text.fault(axes, "no rows with the columns' types and names stand above; export it with its header.")
-    letters = [letter.upper() for letter in text.cells(axes, between)]
+    letters = text.cells(axes, between)
     types, names = ([*row, *[""] * (len(letters) - len(row))] for row in head[:2])
-    found = [(i, types[i].lower(), names[i]) for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
+    found = [(i, types[i].lower(), names[i]) for i in triples(letters)]
     measured = [each for each in found if each[1] == MEASURED]
     expected = [each for each in found if each[1].endswith(" marker")]
     if not measured and not expected:

@@ -42,6 +42,12 @@ class Sheet:
     notes: tuple[str, ...] = ()
 
 
+def triples(axes: Sequence[str]) -> list[int]:
+    """-> the fields of a line of axes at which an X, a Y and a Z stand side by side, in either case: a point's first ones."""
+    letters = [axis.upper() for axis in axes]
+    return [i for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
+
+
 def take_of(sheet: Sheet) -> Take:
     """-> the take in a table: metres, Y up, NaN where a coordinate is blank, spelled as missing, or all three are 0.
 
