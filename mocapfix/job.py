@@ -13,15 +13,15 @@ from mocapfix import synthetic
 from mocapfix.errors import SceneError
 from mocapfix.files import check_not_there, make_folder
 from mocapfix.fill import FillOptions
-from mocapfix.job_form import FillForm, Form, PriorForm, Start, SubjectSaid, TakeSaid, VolumeForm, WriteForm
+from mocapfix.job_form import FillForm, PriorForm, Start, SubjectSaid, TakeSaid, VolumeForm, WriteForm
 from mocapfix.outputs import OutputOptions
 from mocapfix.scenes import START
-from mocapfix.yaml_form import checked
+from mocapfix.yaml_form import Stated, checked
 
 WILD = set("*?[")
 
 
-class Job(Form):
+class Job(Stated):
     """What the scene says.
 
     title       one line

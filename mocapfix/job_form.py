@@ -5,9 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     FiniteFloat,
     NonNegativeInt,
     PositiveFloat,
@@ -17,10 +15,7 @@ from pydantic import (
 from mocapfix.faults import MENDED
 from mocapfix.fill import FillOptions
 from mocapfix.scenes import PRIOR, STARTS
-
-
-class Form(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from mocapfix.yaml_form import Stated
 
 
 def _one_of(choices: tuple[str, ...]):
@@ -43,7 +38,7 @@ def _named(value: object) -> object:
     return {"file": value} if isinstance(value, str) else value
 
 
-class TakeForm(Form):
+class TakeForm(Stated):
     """A file or a wildcard, as text alone; or a take that mocapfix composes itself, damage and all: `compose` is what its file
     shall be called, `seed` tells which person, skin and damage are drawn."""
 
@@ -58,7 +53,7 @@ class TakeForm(Form):
         return self
 
 
-class SubjectForm(Form):
+class SubjectForm(Stated):
     """A subject file, as text alone; or takes to calibrate one from."""
 
     file: str | None = None
@@ -71,19 +66,19 @@ class SubjectForm(Form):
         return self
 
 
-class VolumeForm(Form):
+class VolumeForm(Stated):
     """up: the files' axis that points to the sky; floor: metres, how high it lies along that axis."""
 
     up: Literal["X", "Y", "Z"] | None = None
     floor: FiniteFloat = 0.0
 
 
-class PriorForm(Form):
+class PriorForm(Stated):
     name: str = PRIOR
     scale: PositiveFloat = 1.0
 
 
-class FillForm(Form):
+class FillForm(Stated):
     """What may be touched; as `mocapfix clean --help` says of each."""
 
     max_gap: PositiveFloat = FillOptions.max_gap
@@ -94,7 +89,7 @@ class FillForm(Form):
     only: tuple[Annotated[str, _one_of(MENDED)], ...] = ()
 
 
-class WriteForm(Form):
+class WriteForm(Stated):
     """What is written beside the usual files."""
 
     bvh_for: tuple[str, ...] = ()

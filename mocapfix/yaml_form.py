@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
 from mocapfix.errors import SceneError
 from mocapfix.scenes import read_yaml
@@ -21,6 +21,12 @@ WORDS = {  # for what pydantic says to programmers
     "union_tag_not_found": "is missing",
     "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
 }
+
+
+class Stated(BaseModel):
+    """A form with no keys but its own, and finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def checked(form: type[Form] | TypeAdapter[Form], path: Path) -> Form:

@@ -3,15 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter
+from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
-from mocapfix.yaml_form import checked
-
-
-class Stated(BaseModel):
-    """Nothing but what is stated, all of it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from mocapfix.yaml_form import Stated, checked
 
 
 class LinearSettings(Stated):
