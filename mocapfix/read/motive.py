@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.errors import ReadError
 from mocapfix.read.cells import filled_rows, rate_of, unit_said
 from mocapfix.read.labels import is_nameless
-from mocapfix.read.table import Sheet, take_of, triples
+from mocapfix.read.table import Sheet, names_line, take_of, triples
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
 
-HEADER = 15  # lines, within which the columns must be named
 MEASURED = "marker"
 EXPECTED_ONLY = "The file holds no measured markers, only the places that its bodies expect them at; export Markers as well."
 
@@ -36,7 +34,7 @@ def take(path: Path, data: bytes) -> Take:
     facts = _facts(text.cells(0, between))
     if facts.get("coordinate space", "").lower() == "local":
         raise text.fault(0, "the coordinates are local to their bodies; export it with Coordinate Space Global.")
-    axes = _axes_line(text, between)
+    axes = names_line(text, "columns")
     fields, labels, said = _markers(text, axes, between)
     rows = list(filled_rows(text, axes + 1, between))
     unit, assumed = unit_said(text, 0, facts.get("length units", ""), "m")
@@ -60,16 +58,6 @@ def take(path: Path, data: bytes) -> Take:
 
 def _facts(cells: list[str]) -> dict[str, str]:
     return {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
-
-
-def _axes_line(text: Document, between: str) -> int:
-    """-> the index of the line that begins with Frame and stands over the numbers."""
-    for index in range(1, min(HEADER, len(text.lines))):
-        if text.cells(index, between)[:1] in (["Frame"], ["frame"]):
-            return index
-    if len(text.lines) < HEADER:
-        raise text.fault(len(text.lines) - 1, "the file ends before its columns are named; copy or export it again.")
-    raise ReadError(f"{text.path}: none of its first {HEADER} lines begins with Frame and names the columns; export it again.")
 
 
 def _markers(text: Document, axes: int, between: str) -> tuple[np.ndarray, list[str], tuple[str, ...]]:

@@ -16,6 +16,8 @@ from mocapfix.read.text import Document
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
 
+HEADER = 15  # lines, within which what the columns are must be named
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -40,6 +42,19 @@ class Sheet:
     promised: str = ""
     usual: str = "Z"
     notes: tuple[str, ...] = ()
+
+
+def names_line(document: Document, what: str) -> int:
+    """-> the index of the line that begins with Frame, or Frame#, and names `what` the table has.
+
+    Raises ReadError where it does not come within the first HEADER lines.
+    """
+    for index in range(min(HEADER, len(document.lines))):
+        if document.line(index).lstrip(AROUND).lower().startswith("frame"):
+            return index
+    if len(document.lines) < HEADER:
+        raise document.fault(len(document.lines) - 1, f"the file ends before its {what} are named; copy or export it again.")
+    raise ReadError(f"{document.path}: none of its first {HEADER} lines begins with Frame and names its {what}; export it again.")
 
 
 def triples(axes: Sequence[str]) -> list[int]:
