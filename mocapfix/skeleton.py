@@ -31,6 +31,11 @@ class Skeleton:
     offsets: np.ndarray
     ends: np.ndarray
 
+    @property
+    def size(self) -> float:
+        """Metres, of all offsets together: by its ratio to another skeleton's a person is so many times as large."""
+        return float(np.linalg.norm(self.offsets))
+
     def index(self, name: str) -> int:
         return self.names.index(name)
 

@@ -25,7 +25,7 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
     motion = refine.posed(start, body, prior, markers[looked])
     chosen = frames.varied(motion.rotations, np.random.default_rng(0))
     found = refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
-    check_size(worn, float(np.linalg.norm(found.skeleton.offsets) / np.linalg.norm(body.skeleton.offsets)))
+    check_size(worn, found.skeleton.size / body.skeleton.size)
     return found
 
 
@@ -44,7 +44,7 @@ def check_size(worn: Take, ratio: float) -> None:
     """Raise TakeError where nobody is so many times the size of the average body."""
     if not size.SMALLEST < ratio < size.LARGEST:
         apart = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are POINT:UNITS and the labels right?")
+        raise TakeError(f"{worn.name}: the markers lie too {apart} for a person's; are the file's units and the labels right?")
 
 
 def scaled(skeleton: Skeleton, factor: float) -> Skeleton:
