@@ -12,9 +12,10 @@ from mocapfix.read.computed import blind, computed
 from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
 from mocapfix.read.places import there
+from mocapfix.read.units import METRES, metres
 from mocapfix.take import Take
 
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "": 0.001}
+USUAL = "mm"  # where POINT:UNITS says nothing
 MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
 
 
@@ -80,7 +81,7 @@ def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: floa
 
 def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
     """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
-    unit = METRES.get(said.units.lower())
+    unit = metres(said.units or USUAL)
     if said.points == 0:
         raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
     if said.points != said.header_points:
@@ -88,7 +89,7 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
             f"{path}: holds {said.header_points} points by its header and {said.points} by POINT:USED; export it again."
         )
     if unit is None:
-        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of mm, cm, m.")
+        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of {', '.join(METRES)}.")
     if not (np.isfinite(said.rate) and said.rate > 0):
         raise ReadError(f"{path}: POINT:RATE is {said.rate:g}; set it to the frames a second.")
     if not np.isfinite(said.scale) or said.scale == 0:

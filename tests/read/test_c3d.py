@@ -39,7 +39,10 @@ def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
     np.testing.assert_array_equal(take.columns, [0, 1, 2])
 
 
-@pytest.mark.parametrize(("units", "metres"), [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), (None, 0.001), (["mm", "mm"], 0.001)])
+@pytest.mark.parametrize(
+    ("units", "metres"),
+    [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), ("Meters", 1.0), ("in", 0.0254), (None, 0.001), (["mm", "mm"], 0.001)],
+)
 def test_units(tmp_path, units, metres):
     take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:UNITS": units, "POINT:Y_SCREEN": "+Y"})
     np.testing.assert_allclose(take.markers, STANDING * metres, rtol=1e-6)
