@@ -1,4 +1,4 @@
-"""mocapfix cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a recording out.
+"""mocapfix cleans optical motion capture: a take in; the same file mended, a BVH, a report and a recording out.
 
 From Python:
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from mocapfix.changes import Change, Decision, State, concerned
 from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING, PLACES, Fault, Kind
 from mocapfix.files import replacing
 from mocapfix.take import Take
-from mocapfix.yaml_form import checked
+from mocapfix.yaml_form import Stated, checked
 
 HEADER = """\
 # What mocapfix changed in a take, interval by interval; frames are the file's own, inclusive.
@@ -144,12 +144,12 @@ def _listed(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
 _Dumper.add_representer(list, _listed)
 
 
-class _StateForm(BaseModel, extra="forbid"):
+class _StateForm(Stated):
     missing: int
     off_body_mm: float | None
 
 
-class _ChangeForm(BaseModel, extra="forbid"):
+class _ChangeForm(Stated):
     id: str
     kind: Kind
     markers: list[str] = Field(min_length=1)
@@ -164,7 +164,7 @@ class _ChangeForm(BaseModel, extra="forbid"):
     decision: Decision
 
 
-class _Form(BaseModel, extra="forbid"):
+class _Form(Stated):
     take: str
     frames: tuple[int, int]
     changes: list[_ChangeForm]

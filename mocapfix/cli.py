@@ -9,15 +9,16 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
+from mocapfix.cli_arguments import Hierarchy, MarkerSetName, OneTake, PrefixName, SubjectFile, Takes, Up, shown
 from mocapfix.cli_bench import BENCHES
-from mocapfix.cli_clean import Hierarchy, MarkerSetName, PrefixName, SubjectFile, Takes, Up, clean, named, tell
+from mocapfix.cli_clean import clean
 from mocapfix.cli_marker_set import MARKER_SETS
 from mocapfix.cli_run import run
+from mocapfix.cli_tell import named, tell
 from mocapfix.cli_train import TRAININGS
 from mocapfix.console import DONE, FAILED, Flag, err, out, staged, usage
 from mocapfix.errors import MocapfixError, ReadError
 
-OneTake = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a file of captured motion")]
 PriorName = Annotated[str, tyro.conf.arg(metavar="NAME|none", help="what people's poses are like")]
 
 
@@ -32,7 +33,7 @@ def demo(
     """
     from mocapfix import pipeline, synthetic
     from mocapfix.bench.demo import errors
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     make_folder(folder)
     truth, path = synthetic.take(seed=seed), folder / "demo.c3d"
@@ -103,17 +104,17 @@ def calibrate(
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="the subject file to write")
     ],
     marker_set: MarkerSetName = None,
-    subject_prefix: Annotated[str | None, tyro.conf.arg(metavar="NAME", help='whose bones: "Jim" of Jim:LFHD')] = None,
+    subject_prefix: Annotated[str | None, shown("NAME", 'whose bones: "Jim" of Jim:LFHD', "the only person's")] = None,
     up: Up = None,
     prior: PriorName = "mean-pose",
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a subject file that is there")] = False,
 ) -> int:
     """Find a person's bones and marker places from takes of them, to be given to `clean --subject`."""
     from mocapfix import pipeline, subject_file
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
 
     if not takes:
-        raise SystemExit(usage("calibrate: name at least one take (a C3D file)."))
+        raise SystemExit(usage("calibrate: name at least one take."))
     check_not_there([subject], overwrite)
     with staged(", ".join(take.name for take in takes)) as progress:
         progress("calibrate")
@@ -157,7 +158,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         status = app.cli(
             prog="mocapfix",
-            description="Cleans optical motion capture: C3D in; a mended C3D, a BVH, a report and a before/after out.",
+            description="Cleans optical motion capture: a take in; the same file mended, a BVH, a report and a before/after out.",
             args=arguments,
         )
     except MocapfixError as error:

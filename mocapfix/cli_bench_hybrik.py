@@ -29,7 +29,7 @@ def hybrik(
 ) -> int:  # fmt: skip
     """Compare HybrIK's ways from joints that are off, whence a bone's twist may come, starts of the solve, and how fast it is."""
     from mocapfix.bench.hybrik import measure
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     if figures:
         make_folder(figures)

@@ -27,7 +27,7 @@ def prior(
 ) -> int:  # fmt: skip
     """Compare the pose priors: from a few joints as MNN-IK does, from all of them, on lost limbs, and in frames a second."""
     from mocapfix.bench.prior import measure
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     if figure:
         make_folder(figure.parent)
@@ -94,7 +94,7 @@ def hands(
 ) -> int:
     """Damage the hands of two sound captures as MNN-IK's section 5.1 does, clean them, and draw before and after."""
     from mocapfix.bench import hands, pictures
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     make_folder(folder)
     said = {}

@@ -1,43 +1,27 @@
 """Cleaning takes from the command line, and saying what came of it."""
 
 import json
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.markup import escape
 
-from mocapfix.console import DONE, FAILED, Flag, err, out, staged, usage
+from mocapfix.cli_arguments import Hierarchy, MarkerSetName, PrefixName, SubjectFile, Takes, Up, shown
+from mocapfix.cli_tell import tell
+from mocapfix.console import DONE, FAILED, Flag, err, staged, usage
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.scenes import PRIOR, RIGS, START, STARTS
 
 if TYPE_CHECKING:
     from mocapfix.outputs import OutputOptions
 
-Takes = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TAKE...", help="files of captured motion")]
-MarkerSetName = Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE", help="which markers; by default chosen by the labels")]
-SubjectFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="a calibrated subject; by default from the take itself")]
-PrefixName = Annotated[
-    str | None, tyro.conf.arg(metavar="NAME", help='the one person of several: "Jim" of Jim:LFHD; by default everybody, in turn')
-]
-Up = Annotated[
-    Literal["X", "Y", "Z"] | None, tyro.conf.arg(metavar="X|Y|Z", help="the file's axis to the sky; by default what it tells")
-]
-
-Hierarchy = Annotated[
-    str | None,
-    tyro.conf.arg(metavar="STYLE|FILE", help="how an animation's joints are called; by default as they tell by themselves"),
-]
-
 
 def clean(
     takes: Takes,
-    folder: Annotated[
-        Path | None, tyro.conf.arg(name="out", metavar="DIR", help="where outputs go; TAKE.mocapfix/ by the take")
-    ] = None,
+    folder: Annotated[Path | None, shown("DIR", "where outputs go", "TAKE.mocapfix/ by the take", name="out")] = None,
     marker_set: MarkerSetName = None,
     subject: SubjectFile = None,
     subject_prefix: PrefixName = None,
@@ -57,41 +41,39 @@ def clean(
         float, tyro.conf.arg(metavar="MM", help="what could be placed no better than this, per axis, is left empty")
     ] = 250.0,
     keep: Annotated[
-        str, tyro.conf.arg(metavar="MARKER,...", help="markers, or joints of an animation, left exactly as they are")
+        str, shown("MARKER,...", "markers, or joints of an animation, left exactly as they are", "none")
     ] = "",
     frames: Annotated[
-        str, tyro.conf.arg(metavar="FIRST:LAST", help="the only frames that may be touched (the file's numbers)")
+        str, shown("FIRST:LAST", "the only frames that may be touched (the file's numbers)", "all")
     ] = ":",
     refill: Annotated[
         Flag, tyro.conf.arg(help="replace what another program filled, where what was measured contradicts it")
     ] = False,
     only: Annotated[
-        str, tyro.conf.arg(metavar="KIND,...", help="the only kinds of fault that are mended: gap, spike, swap, ...")
+        str, shown("KIND,...", "the only kinds of fault that are mended: gap, spike, swap, ...", "all")
     ] = "",
     changes: Annotated[
         tyro.conf.UseAppendAction[tuple[Path, ...]],
         tyro.conf.arg(metavar="FILE", help="an earlier changes file of the take, with your decisions; once for each person"),
     ] = (),
     bvh_for: Annotated[
-        str, tyro.conf.arg(metavar="PROGRAM,...", help=f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml")
+        str, shown("PROGRAM,...", f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml", "none")
     ] = "",
     also: Annotated[
-        str, tyro.conf.arg(metavar="KIND,...", help="files of other kinds beside the usual: gltf, amc, npz, c3d, trc, csv")
+        str, shown("KIND,...", "files of other kinds beside the usual: gltf, amc, npz, c3d, trc, csv", "none")
     ] = "",
-    fps: Annotated[
-        float | None, tyro.conf.arg(metavar="N", help="frames a second of what moves (BVH, glTF, ...); by default the take's")
-    ] = None,
+    fps: Annotated[float | None, shown("N", "frames a second of what moves (BVH, glTF, ...)", "the take's")] = None,
     floor: Annotated[
         float, tyro.conf.arg(metavar="METRES", help="how high the floor lies in the file; what moves is written standing at 0")
     ] = 0.0,
 ) -> int:
-    """Clean takes: labels put right, spikes mended, gaps filled; a C3D, a BVH, the changes, a report, a recording."""
+    """Clean takes: labels put right, spikes mended, gaps filled; the file mended, a BVH, the changes, a report, a recording."""
     from mocapfix.faults import MENDED
     from mocapfix.fill import FillOptions
     from mocapfix.outputs import OutputOptions
 
     if not takes:
-        raise SystemExit(usage("clean: name at least one take (a C3D file)."))
+        raise SystemExit(usage("clean: name at least one take."))
     if not max_gap > 0:
         raise SystemExit(usage(f"--max-gap must be more than 0 seconds, not {max_gap:g}."))
     if not limit > 0:
@@ -151,45 +133,6 @@ def cleaned(
     if as_json and reports:
         sys.stdout.write(json.dumps(reports if len(takes) > 1 or len(reports) > 1 else reports[0], indent=1) + "\n")
     return DONE if len(written) == len(takes) else FAILED
-
-
-def tell(report: dict, outputs: dict[str, Path], subject_prefix: str | None = None) -> None:
-    """Print what a cleaning did, in a few lines; `subject_prefix` is what was given to it."""
-    from mocapfix.show.kinds import counted
-
-    fill, take = report["fill"], report["take"]
-    relabelled = f", {fill['relabelled']} put under their own labels" if fill["relabelled"] else ""
-    out.print(
-        f"[bold]{escape(named(take))}[/]: {fill['missing_before']} samples were missing, {fill['filled']} are filled; "
-        f"{fill['mended']} faulty ones mended{relabelled}; {fill['left_empty']} left empty. {report['seconds']['total']:.1f} s.",
-        soft_wrap=True,
-    )
-    if report["solve"]:
-        residual = report["solve"]["marker_residual_mm"]
-        out.print(f"  {take['marker_set']}, markers {residual['mean']:.1f} mm from the body on average.", soft_wrap=True)
-    if changes := [change for change in report["changes"] if change["decision"] == "accept"]:
-        against = len(report["changes"]) - len(changes)
-        decided = f"; {against} not made, by decision" if against else ""
-        out.print(f"  changed: {counted(change['kind'] for change in changes)}{decided}.", soft_wrap=True)
-    for each in fill["left"][:5]:
-        out.print(
-            f"  left empty: {escape(each['marker'])}, frames {each['first']}-{each['last']}: {each['reason']}.", soft_wrap=True
-        )
-    if len(fill["left"]) > 5:
-        out.print(f"  ... and {len(fill['left']) - 5} more, in the report.")
-    for note in report["notes"]:
-        out.print(f"  {escape(note)}", soft_wrap=True)
-    folder = outputs["changes.yaml"].parent
-    out.print(f"  {escape(str(folder))}/: {', '.join(escape(path.name) for path in outputs.values())}", soft_wrap=True)
-    if report["changes"]:
-        whose = ["--subject-prefix", subject_prefix] if subject_prefix else []
-        again = escape(shlex.join([*whose, "--changes", str(outputs["changes.yaml"]), "--overwrite"]))
-        out.print(f"  To take a change back, decide so in the changes file and clean again: {again}", soft_wrap=True)
-
-
-def named(take: dict) -> str:
-    """-> what a record's take is called."""
-    return f"{take['file']} ({take['person']})" if "person" in take else take["file"]
 
 
 def listed(names: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli_clean import PrefixName, Up
+from mocapfix.cli_arguments import Up, shown
 from mocapfix.console import DONE, Flag, out, staged
 
 if TYPE_CHECKING:
@@ -46,10 +46,8 @@ def show(
 def learn(
     take: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a capture of somebody who moves all joints")],
     path: Annotated[Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="NAME.yaml", help="the marker set to write")],
-    like: Annotated[
-        str | None, tyro.conf.arg(metavar="NAME|FILE", help="a set that some of the labels are from; by default chosen by them")
-    ] = None,
-    subject_prefix: PrefixName = None,
+    like: Annotated[str | None, shown("NAME|FILE", "a set that some of the labels are from", "by the labels")] = None,
+    subject_prefix: Annotated[str | None, shown("NAME", 'whose set: "Jim" of Jim:LFHD', "who wears the most markers")] = None,
     up: Up = None,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace a file that is there")] = False,
 ) -> int:
@@ -59,7 +57,7 @@ def learn(
     found by how it stands and moves; then some frame must show somebody standing.
     """
     from mocapfix import learning, marker_set
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
 
     check_not_there([path], overwrite)
     with staged(take.name) as progress:

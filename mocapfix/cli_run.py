@@ -6,6 +6,7 @@ from typing import Annotated
 import tyro
 from rich.markup import escape
 
+from mocapfix.cli_arguments import shown
 from mocapfix.console import DONE, Flag, out, staged
 from mocapfix.errors import SceneError
 
@@ -13,7 +14,7 @@ from mocapfix.errors import SceneError
 def run(
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or a shipped scene's name")],
     folder: Annotated[
-        Path | None, tyro.conf.arg(name="out", aliases=["-o"], metavar="DIR", help="where outputs go; by default SCENE.mocapfix/")
+        Path | None, shown("DIR", "where outputs go", "SCENE.mocapfix/", name="out", aliases=["-o"])
     ] = None,
     overwrite: Annotated[Flag, tyro.conf.arg(help="replace outputs that are there")] = False,
 ) -> int:
@@ -35,7 +36,7 @@ def clean(path: Path, folder: Path, overwrite: bool) -> int:
     """Takes cleaned as the scene says."""
     from mocapfix import job, pipeline
     from mocapfix.cli_clean import cleaned
-    from mocapfix.result import make_folder
+    from mocapfix.files import make_folder
 
     said = job.load(path)
     outputs, takes = said.outputs, said.found(path, folder)

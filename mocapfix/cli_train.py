@@ -26,7 +26,7 @@ def prior(
     overwrite: Overwrite = False,
 ) -> int:
     """Train a pose prior on motion. If it is interrupted, the same command goes on where it was."""
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
     from mocapfix.train import prior as training
     from mocapfix.train import settings
 
@@ -50,7 +50,7 @@ def twist(
     overwrite: Overwrite = False,
 ) -> int:
     """Train what says from joint positions alone how bones are twisted: a few minutes."""
-    from mocapfix.result import check_not_there
+    from mocapfix.files import check_not_there
     from mocapfix.train import settings
     from mocapfix.train import twist as training
 

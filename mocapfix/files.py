@@ -1,7 +1,7 @@
-"""Putting an output into place whole or not at all."""
+"""Where outputs go: into place whole or not at all, over nothing that is there unless it may be, into a folder that is made."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkstemp
@@ -30,6 +30,21 @@ def replacing(target: Path) -> Iterator[Path]:
         raise WriteError(f"{target}: could not be written ({error.strerror or error}).") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_not_there(outputs: Iterable[Path], overwrite: bool) -> None:
+    """Raise WriteError naming the first output that is there already, unless it may be replaced."""
+    there = [path for path in outputs if path.exists()]
+    if there and not overwrite:
+        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or choose another place.")
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output folder. Raises WriteError naming it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error
 
 
 def _umask() -> int:

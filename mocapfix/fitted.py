@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import Animation
 from mocapfix.hierarchies import Mapped, ancestor, below, way
+from mocapfix.kernels.aligned import shortest_turn
 from mocapfix.skeleton import Skeleton, cmu31
 
 SIDES = ("Left", "Right")
@@ -101,7 +102,7 @@ def _turns(stands: _Standing) -> np.ndarray:
         if name.endswith(WITH_PARENT):
             world[joint] = world[ours.parents[joint]]
         elif name in BONES and (bone := stands.bone(name)).any():
-            world[joint] = shortest(facing @ ours.offsets[ours.index(BONES[name])], bone) @ facing
+            world[joint] = shortest_turn(facing @ ours.offsets[ours.index(BONES[name])], bone) @ facing
     known = joints >= 0
     turns = np.tile(np.eye(3), (len(ours.names), 1, 1))
     turns[known] = np.swapaxes(stands.rotations[joints[known]], 1, 2) @ world[known]
@@ -136,12 +137,3 @@ def _skeleton(
         if len(there := animation.ends[joints[joint]]) and there[0].any():
             ends[joint] = animation.axes @ there[0] * animation.unit @ turns[joint]
     return replace(ours, offsets=offsets, ends=ends)
-
-
-def shortest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """-> (3, 3) the rotation that takes the direction of a to that of b, neither of them opposite."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine = np.linalg.norm(axis)
-    angle = np.arctan2(sine, a @ b)
-    return Rotation.from_rotvec(axis * (angle / sine if sine > 1e-12 else 0.0)).as_matrix()

@@ -8,19 +8,19 @@ from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from mocapfix.errors import SceneError
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
-from mocapfix.yaml_form import Joint, checked
+from mocapfix.yaml_form import Joint, Stated, checked
 
 SIGNS = re.compile(r"[\W_]+")  # what does not count in a name, nor does its case
 NEEDED = ("Hips", "Spine1") + tuple(side + bone for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Arm", "ForeArm"))
 PREFIX = 3  # letters: fewer that all names begin with are chance
 
 
-class _Form(BaseModel, extra="forbid"):
+class _Form(Stated):
     name: str
     title: str
     joints: dict[Joint, tuple[str, ...]] = Field(min_length=1)

@@ -5,116 +5,23 @@ A scene of the kind "clean", as `mocapfix run` does it. Paths are from the scene
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    FiniteFloat,
-    NonNegativeInt,
-    PositiveFloat,
-    model_validator,
-)
+from pydantic import Field
 
 from mocapfix import synthetic
 from mocapfix.errors import MocapfixError, SceneError
-from mocapfix.faults import MENDED
+from mocapfix.files import check_not_there, make_folder
 from mocapfix.fill import FillOptions
+from mocapfix.job_form import FillForm, PriorForm, Start, SubjectSaid, TakeSaid, VolumeForm, WriteForm
 from mocapfix.outputs import OutputOptions
-from mocapfix.result import check_not_there, make_folder
-from mocapfix.scenes import PRIOR, START, STARTS
-from mocapfix.yaml_form import checked
+from mocapfix.scenes import START
+from mocapfix.yaml_form import Stated, checked
 
 WILD = set("*?[")
 
 
-class _Form(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-def _one_of(choices: tuple[str, ...]):
-    def check(value: str) -> str:
-        if value not in choices:
-            raise ValueError(f"must be one of {', '.join(choices)}, not {value!r}")
-        return value
-
-    return AfterValidator(check)
-
-
-def _file_name(value: str) -> str:
-    if Path(value).name != value or not value.lower().endswith(".c3d"):
-        raise ValueError(f"must be the name of a C3D file, without a folder, not {value!r}")
-    return value
-
-
-def _named(value: object) -> object:
-    """A text alone is a file's name."""
-    return {"file": value} if isinstance(value, str) else value
-
-
-class TakeForm(_Form):
-    """A file or a wildcard, as text alone; or a take that mocapfix composes itself, damage and all: `compose` is what its file
-    shall be called, `seed` tells which person, skin and damage are drawn."""
-
-    file: str | None = None
-    compose: Annotated[str | None, AfterValidator(lambda value: value and _file_name(value))] = None
-    seed: NonNegativeInt = 0
-
-    @model_validator(mode="after")
-    def _is_one(self) -> Self:
-        if (self.file is None) == (self.compose is None):
-            raise ValueError("must be a file, or say compose")
-        return self
-
-
-class SubjectForm(_Form):
-    """A subject file, as text alone; or takes to calibrate one from."""
-
-    file: str | None = None
-    calibrate: tuple[str, ...] = ()
-
-    @model_validator(mode="after")
-    def _is_one(self) -> Self:
-        if (self.file is None) == (not self.calibrate):
-            raise ValueError("must be a subject file, or say calibrate")
-        return self
-
-
-class VolumeForm(_Form):
-    """up: the files' axis that points to the sky; floor: metres, how high it lies along that axis."""
-
-    up: Literal["X", "Y", "Z"] | None = None
-    floor: FiniteFloat = 0.0
-
-
-class PriorForm(_Form):
-    name: str = PRIOR
-    scale: PositiveFloat = 1.0
-
-
-class FillForm(_Form):
-    """What may be touched; as `mocapfix clean --help` says of each."""
-
-    max_gap: PositiveFloat = FillOptions.max_gap
-    limit_mm: PositiveFloat = FillOptions.limit * 1e3
-    keep: tuple[str, ...] = ()
-    frames: tuple[int, int] | None = None
-    refill: bool = False
-    only: tuple[Annotated[str, _one_of(MENDED)], ...] = ()
-
-
-class WriteForm(_Form):
-    """What is written beside the usual files."""
-
-    bvh_for: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-    fps: PositiveFloat | None = None
-
-
-class Job(_Form):
+class Job(Stated):
     """What the scene says.
 
     title       one line
@@ -127,14 +34,14 @@ class Job(_Form):
 
     kind: Literal["clean"]
     title: str
-    takes: tuple[Annotated[TakeForm, BeforeValidator(_named)], ...] = Field(min_length=1)
-    subject: Annotated[SubjectForm | None, BeforeValidator(_named)] = None
+    takes: tuple[TakeSaid, ...] = Field(min_length=1)
+    subject: SubjectSaid | None = None
     subject_prefix: str | None = None
     marker_set: str | None = None
     hierarchy: str | None = None
     volume: VolumeForm = VolumeForm()
     prior: PriorForm = PriorForm()
-    start: Annotated[str, _one_of(STARTS)] = START
+    start: Start = START
     fill: FillForm = FillForm()
     write: WriteForm = WriteForm()
 

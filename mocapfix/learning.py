@@ -137,8 +137,7 @@ def in_their_words(known: MarkerSet, labels: list[str]) -> MarkerSet:
 
 def finished(found: Learnt, guess: MarkerSet, name: str, title: str, keep: bool) -> MarkerSet:
     """-> the learnt set under its name, every place measured on this person but for those that are to be kept, a known set's."""
-    worn, average = found.marker_set, cmu31().skeleton.offsets
-    size = np.linalg.norm(found.subject.skeleton.offsets) / np.linalg.norm(average)
+    worn, size = found.marker_set, found.subject.skeleton.size / cmu31().skeleton.size
     person = {label: k for k, label in enumerate(found.subject.labels)}
     places, spread = worn.places.copy(), worn.spread.copy()
     for n, label in enumerate(worn.labels):

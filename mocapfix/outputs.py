@@ -7,7 +7,7 @@ from math import isfinite
 from mocapfix import rig
 from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
-from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for, own_suffix
+from mocapfix.kinds import ALSO, BVH, USUAL, Kind, Moving, bvh_for, own_suffixes
 from mocapfix.motion import Motion
 from mocapfix.resample import picks, resampled
 from mocapfix.subject import Subject
@@ -61,7 +61,7 @@ class OutputOptions:
 
     def notes(self, take: Take, body: bool) -> list[str]:
         """-> sentences on what was written otherwise than usual or beside it."""
-        asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL) and kind.suffix != own_suffix(take.path)]
+        asked = [kind for kind in self.kinds if kind not in (BVH, *USUAL) and kind.suffix not in own_suffixes(take.path)]
         said = [f"{kind.suffix} {worded(kind.note, take)}" for kind in asked if kind.note and (body or not kind.body)]
         whose = "whose joints are whose is not known" if isinstance(take.layout, Animation) else "the take has no skeleton"
         said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.body and not body]

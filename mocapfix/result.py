@@ -1,6 +1,6 @@
 """What cleaning a take gives, and how it is put into a folder."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from mocapfix.changes import Change
 from mocapfix.clock import Clock, Progress
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
+from mocapfix.files import check_not_there, make_folder
 from mocapfix.kinds import Kind, mended, own_suffixes
 from mocapfix.left import Left
 from mocapfix.motion import Motion
@@ -176,18 +177,3 @@ def check_free(
         raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder than its own with --out.")
     check_not_there(targets, overwrite)
     return targets
-
-
-def check_not_there(outputs: Iterable[Path], overwrite: bool) -> None:
-    """Raise WriteError naming the first output that is there already, unless it may be replaced."""
-    there = [path for path in outputs if path.exists()]
-    if there and not overwrite:
-        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or choose another place.")
-
-
-def make_folder(folder: Path) -> None:
-    """Make an output folder. Raises WriteError naming it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from mocapfix.errors import SceneError
 from mocapfix.scenes import RIGS, folder, load_yaml
-from mocapfix.yaml_form import checked
+from mocapfix.yaml_form import Stated, checked
 
 
-class Joint(BaseModel):
+class Joint(Stated):
     """One joint of a rig.
 
     name    as the program knows it;  parent  the rig's joint it hangs on, null for the root, which comes first
@@ -20,7 +20,6 @@ class Joint(BaseModel):
     end     of a last bone: the skeleton's joint whose end (its place, where it has none) is the bone's; by default `axes`
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
     name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")
     parent: str | None
     joint: str = ""
@@ -33,8 +32,7 @@ class Joint(BaseModel):
         object.__setattr__(self, "end", self.end or self.axes)
 
 
-class _Form(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+class _Form(Stated):
     program: str
     unit_m: PositiveFloat
     rotations: Literal["ZYX", "ZXY", "YXZ", "YZX", "XYZ", "XZY"]

@@ -31,6 +31,20 @@ class Skeleton:
     offsets: np.ndarray
     ends: np.ndarray
 
+    @property
+    def size(self) -> float:
+        """Metres, of all offsets together: by its ratio to another skeleton's a person is so many times as large."""
+        return float(np.linalg.norm(self.offsets))
+
+    @property
+    def resting(self) -> np.ndarray:
+        """(J, 3) metres: the joints in the rest pose, the root at its offset."""
+        places = self.offsets.copy()
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                places[joint] += places[parent]
+        return places
+
     def index(self, name: str) -> int:
         return self.names.index(name)
 

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, NonNegativeInt
+from pydantic import Field, FiniteFloat, NonNegativeInt
 
 from mocapfix.errors import SceneError
 from mocapfix.files import replacing
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.subject import Subject
-from mocapfix.yaml_form import Joint, Line, Vector, checked, dumped
+from mocapfix.yaml_form import Joint, Line, Stated, Vector, checked, dumped
 
 HEADER = """\
 # A subject of mocapfix: one person's bones and where the markers lie on them.
@@ -78,21 +78,21 @@ def _length(value: float) -> float:
     return round(float(value), DIGITS)
 
 
-class _BoneForm(BaseModel, extra="forbid"):
+class _BoneForm(Stated):
     parent: str | None
     offset: Vector
     end: Vector | None = None
     sd: FiniteFloat = Field(ge=0)
 
 
-class _MarkerForm(BaseModel, extra="forbid"):
+class _MarkerForm(Stated):
     joint: Joint
     place: Vector
     spread: FiniteFloat = Field(ge=0)
     sd: FiniteFloat = Field(ge=0)
 
 
-class _SubjectForm(BaseModel, extra="forbid"):
+class _SubjectForm(Stated):
     marker_set: str
     frames: NonNegativeInt
     bones: dict[str, _BoneForm]

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
 from mocapfix.errors import SceneError
 from mocapfix.scenes import read_yaml
@@ -18,21 +18,30 @@ WORDS = {  # for what pydantic says to programmers
     "model_type": "must be key: value pairs",
     "dict_type": "must be key: value pairs",
     "string_type": "must be text",
+    "union_tag_not_found": "is missing",
+    "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
 }
 
 
-def checked(form: type[Form], path: Path) -> Form:
-    """-> what a YAML file says, in the form it must have.
+class Stated(BaseModel):
+    """A form with no keys but its own, and finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def checked(form: type[Form] | TypeAdapter[Form], path: Path) -> Form:
+    """-> what a YAML file says, in the form it must have; of one of several forms a TypeAdapter tells which.
 
     Raises SceneError with the file, the path of the first wrong key and what is wrong with it.
     """
     data = read_yaml(path)
     try:
-        return form.model_validate(data)
+        return form.validate_python(data) if isinstance(form, TypeAdapter) else form.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        said = WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ")
+        known = first.get("ctx", {})
+        key = ".".join(str(part) for part in first["loc"]) or known.get("discriminator", "the file").strip("'")
+        said = WORDS[first["type"]].format(**known) if first["type"] in WORDS else first["msg"].removeprefix("Value error, ")
         raise SceneError(f"{path}: {key}: {said}.") from error
 
 

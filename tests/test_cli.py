@@ -184,8 +184,8 @@ def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocap
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["clean"], "clean: name at least one take (a C3D file)."),
-        (["calibrate", "-o", "somebody.yaml"], "calibrate: name at least one take (a C3D file)."),
+        (["clean"], "clean: name at least one take."),
+        (["calibrate", "-o", "somebody.yaml"], "calibrate: name at least one take."),
         (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be more than 0 seconds, not 0."),
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import hierarchies
 from mocapfix.animation import Animation, carried
-from mocapfix.fitted import Fitted, fitted, shortest
+from mocapfix.fitted import Fitted, fitted
 from mocapfix.read import amc, bvh
 from mocapfix.retarget import from_cmu31, to_cmu31
 from mocapfix.skeleton import cmu31
@@ -195,10 +195,3 @@ def test_a_rest_pose_that_is_none_is_made_up_for_by_a_frame_that_stands():
     expected, found = to_cmu31(plain, fit_of(plain)), to_cmu31(other, fit_of(other))
     np.testing.assert_allclose(found[0], expected[0], atol=1e-9)
     np.testing.assert_allclose(found[1], expected[1], atol=1e-6)
-
-
-@given(st.tuples(*[st.floats(-1, 1)] * 3), st.tuples(*[st.floats(-1, 1)] * 3))
-def test_the_shortest_turn_takes_one_direction_to_the_other(a, b):
-    a, b = np.array(a) + [2, 0, 0], np.array(b) + [2, 0, 0]
-    turned = shortest(a, b) @ a
-    np.testing.assert_allclose(turned / np.linalg.norm(turned), b / np.linalg.norm(b), atol=1e-9)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,3 +61,11 @@ def test_what_no_marker_turns_is_not_free():
     fixed = {name for name, free in zip(SKELETON.names, cmu31().free, strict=True) if not free}
     assert {"LHipJoint", "RHipJoint"} | LEAVES - {"Head"} <= fixed
     assert fixed.isdisjoint({"Hips", "Spine1", "Head", "LeftArm", "LeftUpLeg", "RightFoot"})
+
+
+def test_at_rest_each_joint_lies_its_offset_from_its_parent_and_the_root_at_its_own():
+    moved = replace(SKELETON, offsets=SKELETON.offsets + [0.1, 0.0, 0.0])
+    places, hung = moved.resting, moved.parents >= 0
+    np.testing.assert_allclose(places[hung] - places[moved.parents[hung]], moved.offsets[hung], atol=1e-12)
+    np.testing.assert_array_equal(places[0], moved.offsets[0])
+    assert (moved.size, replace(moved, offsets=2 * moved.offsets).size) == pytest.approx((moved.size, 2 * moved.size))

@@ -25,7 +25,7 @@ def subject(worn: Take, marker_set: MarkerSet, body: Body, prior: Prior) -> Subj
     motion = refine.posed(start, body, prior, markers[looked])
     chosen = frames.varied(motion.rotations, np.random.default_rng(0))
     found = refine.refined(start, body, prior, markers[looked[chosen]], motion.at(chosen))
-    check_size(worn, float(np.linalg.norm(found.skeleton.offsets) / np.linalg.norm(body.skeleton.offsets)))
+    check_size(worn, found.skeleton.size / body.skeleton.size)
     return found
 
 

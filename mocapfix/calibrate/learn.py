@@ -51,7 +51,7 @@ def learnt(take: Take, labels: tuple[str, ...], guess: MarkerSet, worth: float, 
     told[[labels.index(label) for label in guess.labels], guess.joints] = worth
     for _ in range(ROUNDS):
         person, position, rotation, residual = solved(take, labels, worn, body, prior, looked)
-        size = float(np.linalg.norm(person.skeleton.offsets) / np.linalg.norm(body.skeleton.offsets))
+        size = person.skeleton.size / body.skeleton.size
         grown = known.grown(size)
         found = attach.attached(take.markers[looked], position, rotation, grown, body.skeleton.names, told)
         before, worn = worn, wearing(found, labels, guess, size)

@@ -43,7 +43,4 @@ def ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: np.ndarray) -> flo
 
 def skeleton_places(skeleton: Skeleton, marker_set: MarkerSet) -> np.ndarray:
     """-> (K, 3) metres: the markers in the rest pose."""
-    joints = np.zeros_like(skeleton.offsets)
-    for j in range(1, len(joints)):
-        joints[j] = joints[skeleton.parents[j]] + skeleton.offsets[j]
-    return joints[marker_set.joints] + marker_set.places
+    return skeleton.resting[marker_set.joints] + marker_set.places

@@ -9,25 +9,21 @@ it does not.
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
-from mocapfix.calibrate import attach, average, frames, refine, scaled
+from mocapfix.calibrate import attach, average, frames, refine
 from mocapfix.calibrate.attach import Atlas
+from mocapfix.calibrate.standing import SPREAD, bodies, motion_of, wearing
 from mocapfix.errors import TakeError
 from mocapfix.kernels import kinematics
 from mocapfix.kernels.pose import Tree
 from mocapfix.kernels.problem import Attached, Problem, no_pull, pull_to, within
 from mocapfix.marker_set import MarkerSet, shipped
-from mocapfix.motion import Motion
 from mocapfix.prior import JointLimits, Prior
 from mocapfix.skeleton import Body
-from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 FEWEST = 20  # markers: on fewer a body can lie in any way
 TALL = (0.5, 0.8, 1.0)  # of the frames are less tall than those that a body is laid on: arms raised are taller than anybody
-HEADINGS = 16
-ARMS = (0.0, 0.5, 1.0)  # how far from hanging to a T-pose
 ROUNDS = 20  # of nearest places
 GATES = (0.4, 0.15)  # metres, the first round's and the last's: a marker farther from every place has none
 MARKER_SD, LIMITS_SD = 0.04, 0.1  # metres, radians: of a stranger's markers about the average body's, of joints beyond limits
@@ -35,7 +31,6 @@ HOPEFUL = 9  # bodies that are tried on more frames
 TRIED = 60  # frames they are tried on
 FOLLOWED = 6  # rounds of that
 NEVER = 0.95  # of the last gate: a marker that is on average as far from every place has none
-SPREAD = 0.05  # metres: of a marker about the place it was guessed to have
 
 
 def guessed(take: Take, labels: tuple[str, ...], body: Body, prior: Prior, limits: JointLimits) -> MarkerSet:
@@ -96,33 +91,6 @@ def nearest(distance: np.ndarray, gate: float) -> tuple[np.ndarray, float]:
     return assigned, float((capped[rows, columns].sum() + gate * (len(seen) - len(rows))) / max(len(seen), 1))
 
 
-def bodies(
-    standing: np.ndarray, height: float, known: Atlas, body: Body, prior: Prior
-) -> tuple[np.ndarray, np.ndarray, Subject]:
-    """-> root (H, 3) and local rotations (H, J, 3, 3) of bodies that stand where the markers (M, 3) are, facing all ways; and
-    whose they are."""
-    turns = Rotation.from_euler("y", np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)[:, None]).as_matrix()
-    local = np.concatenate([np.tile(raised(prior.rotations, share, body), (HEADINGS, 1, 1, 1)) for share in ARMS])
-    local[:, 0] = np.tile(turns, (len(ARMS), 1, 1))
-    nominal = wearing(known, body, 1.0)
-    tall = np.ptp(kinematics.placed(nominal, motion_of(np.zeros((1, 3)), prior.rotations[None].copy()))[1][0, :, 1])
-    person = wearing(known, body, height / float(tall))
-    placed = kinematics.placed(person, motion_of(np.zeros((len(local), 3)), local))[1]
-    root = np.nanmedian(standing, axis=0) - np.median(placed, axis=1)
-    root[:, 1] = np.nanmin(standing[:, 1]) - placed[:, :, 1].min(1)
-    return root, local, person
-
-
-def raised(hanging: np.ndarray, share: float, body: Body) -> np.ndarray:
-    """-> local rotations (J, 3, 3) with the arms so far between those given and a T-pose."""
-    local = hanging.copy()
-    for side in ("Left", "Right"):
-        for bone in ("Shoulder", "Arm", "ForeArm"):
-            j = body.skeleton.index(side + bone)
-            local[j] = Rotation.from_rotvec((1 - share) * Rotation.from_matrix(hanging[j]).as_rotvec()).as_matrix()
-    return local
-
-
 def followed(
     assigned: np.ndarray, markers: np.ndarray, known: Atlas, body: Body, prior: Prior
 ) -> tuple[np.ndarray, float]:
@@ -134,7 +102,7 @@ def followed(
         worn = Take(markers[:, [int(label) for label in guess.labels]], guess.labels, 1.0)
         person = average(worn, guess, body)
         motion = refine.posed(person, body, prior, worn.markers)
-        grown = wearing(known, body, float(np.linalg.norm(person.skeleton.offsets) / np.linalg.norm(body.skeleton.offsets)))
+        grown = wearing(known, body, person.skeleton.size / body.skeleton.size)
         placed = kinematics.placed(grown, motion)[1]
         distance = np.full((len(assigned), placed.shape[1]), np.nan)
         for m in np.flatnonzero(~np.isnan(markers[..., 0]).all(0)):
@@ -142,19 +110,6 @@ def followed(
             distance[m] = np.nanmean(np.minimum(apart, gate), axis=0)
         assigned, misfit = nearest(distance, gate)
     return assigned, misfit
-
-
-def wearing(known: Atlas, body: Body, size: float) -> Subject:
-    """-> somebody so many times the average body's size who wears a marker at every place."""
-    names = tuple(f"place {a}" for a in range(len(known.joints)))
-    spread = np.full(len(names), SPREAD)
-    return Subject(scaled(body.skeleton, size), "atlas", names, known.joints, known.places * size, spread)
-
-
-def motion_of(root: np.ndarray, local: np.ndarray) -> Motion:
-    """-> poses as a motion of which nothing else is known."""
-    nothing = np.zeros(len(root), int)
-    return Motion(root, local, nothing, nothing, np.zeros(0), np.zeros(0))
 
 
 def guess_of(assigned: np.ndarray, labels: tuple[str, ...], known: Atlas) -> MarkerSet:

@@ -7,7 +7,6 @@ says instead would look like every other fault; then pops and flips; then what t
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mocapfix.detect import lost, shifts, trembling
 from mocapfix.faults import Fault

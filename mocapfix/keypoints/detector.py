@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
+from pydantic import PositiveFloat
 
 from mocapfix.errors import SceneError
-from mocapfix.scenes import folder, load_yaml
+from mocapfix.scenes import folder
 from mocapfix.skeleton import Skeleton
+from mocapfix.yaml_form import Stated, checked
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,13 @@ class Detector:
         return joints[:, self.joints] + np.einsum("tvab,vb->tva", turns[:, self.joints], self.places)
 
 
-class _Point(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+class _Point(Stated):
     joint: str
     offset: tuple[float, float, float]
     sd: PositiveFloat
 
 
-class _Said(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+class _Said(Stated):
     name: str
     key: str
     points: dict[str, _Point]
@@ -59,11 +58,7 @@ def load(name: str, skeleton: Skeleton) -> Detector:
     """
     if name not in names():
         raise SceneError(f"There is no order of keypoints named {name!r}; choose one of: {', '.join(names())}.")
-    try:
-        said = _Said.model_validate(load_yaml(f"keypoints/{name}.yaml"))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise SceneError(f"keypoints/{name}.yaml: {'.'.join(map(str, first['loc']))}: {first['msg']}.") from error
+    said = checked(_Said, folder("scenes") / "keypoints" / f"{name}.yaml")
     points = said.points.values()
     for label, point in said.points.items():
         if point.joint not in skeleton.names:

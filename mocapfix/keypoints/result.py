@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.clock import Clock
-from mocapfix.files import replacing
+from mocapfix.files import check_not_there, make_folder, replacing
 from mocapfix.kernels import kinematics
 from mocapfix.keypoints.camera import Camera
 from mocapfix.keypoints.read import Keypoints
 from mocapfix.motion import STATUS, Motion
-from mocapfix.result import check_not_there, make_folder
 from mocapfix.skeleton import Skeleton
 
 KINDS = ("bvh", "report.html", "report.json", "rrd")

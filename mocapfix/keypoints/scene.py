@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
+from pydantic import Field, PositiveFloat
 
 from mocapfix import subject_file
 from mocapfix.clock import Clock, Progress
@@ -13,12 +13,12 @@ from mocapfix.keypoints import camera, read, solve
 from mocapfix.keypoints.result import Result
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.solve.single import named
-from mocapfix.yaml_form import checked
+from mocapfix.yaml_form import Stated, checked
 
 STILL = 30.0  # Hz: of one image alone, for its BVH
 
 
-class Settings(BaseModel):
+class Settings(Stated):
     """What the scene says; paths are from the scene's own folder.
 
     title        one line, for the page
@@ -30,7 +30,6 @@ class Settings(BaseModel):
     prior_scale  times its standard deviations: with 2 it is believed half as much
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     kind: Literal["keypoints-2d"]
     title: str
     keypoints: Path

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, field_validator
+from pydantic import Field, FiniteFloat, field_validator
 
 from mocapfix.errors import SceneError
 from mocapfix.files import replacing
@@ -15,7 +15,7 @@ from mocapfix.marker_set.nominal import MarkerSet
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
-from mocapfix.yaml_form import Joint, Line, Vector, checked, dumped
+from mocapfix.yaml_form import Joint, Line, Stated, Vector, checked, dumped
 
 DIGITS = 4  # a tenth of a millimetre: nobody sticks a marker on more exactly
 
@@ -94,7 +94,7 @@ def _read(path: Path) -> MarkerSet:
     )
 
 
-class _MarkerForm(BaseModel, extra="forbid"):
+class _MarkerForm(Stated):
     joint: Joint
     offset: Vector
     spread: FiniteFloat = Field(gt=0)
@@ -102,7 +102,7 @@ class _MarkerForm(BaseModel, extra="forbid"):
     optional: bool = False
 
 
-class _MarkerSetForm(BaseModel, extra="forbid"):
+class _MarkerSetForm(Stated):
     name: str
     title: str
     also_called: tuple[str, ...] = ()

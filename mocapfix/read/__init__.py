@@ -8,11 +8,11 @@ from typing import NamedTuple
 from mocapfix.errors import ReadError
 from mocapfix.read import amc, bvh, c3d, motive, motive_rows, nexus, plain, qualisys, trc
 from mocapfix.read.axes import turned
+from mocapfix.read.opened import file_bytes
 from mocapfix.read.text import BOM, decoded
 from mocapfix.take import Take
 
 HEAD = 1 << 16  # bytes, by which a kind is told
-PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"7z\xbc\xaf": "7z", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"Rar!": "rar"}
 
 
 class Kind(NamedTuple):
@@ -48,7 +48,7 @@ def take(path: str | Path, up: str | None = None) -> Take:
     Raises ReadError, naming the file and what to do, where it cannot be opened, is of no kind, or has a fault.
     """
     path = Path(path)
-    data = contents(path)
+    data = file_bytes(path)
     head = beginning(data)
     for kind in KINDS:
         if kind.recognises(head, path):
@@ -56,24 +56,6 @@ def take(path: str | Path, up: str | None = None) -> Take:
             return turned(found, up) if up else found
     names = ", ".join(kind.name for kind in KINDS)
     raise ReadError(f"{path}: is not a file that mocapfix reads; export the capture as one of: {names}.")
-
-
-def contents(path: Path) -> bytes:
-    """-> a file's bytes. Raises ReadError where it cannot be opened, is empty or is an archive."""
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except IsADirectoryError as error:
-        raise ReadError(f"{path}: is a folder; name the files in it.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
-    if not data:
-        raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
-    for first, packer in PACKED.items():
-        if data.startswith(first):
-            raise ReadError(f"{path}: is packed ({packer}); unpack it and name the file that was in it.")
-    return data
 
 
 def beginning(data: bytes) -> bytes:

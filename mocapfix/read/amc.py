@@ -14,9 +14,9 @@ from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.joint_points import places
 from mocapfix.read.asf import Figure, figure
-from mocapfix.read.bvh import file_bytes
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.numbers import Words, words
+from mocapfix.read.opened import file_bytes
 from mocapfix.take import Take
 
 FIRST = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line with the first frame's number

@@ -16,6 +16,7 @@ from mocapfix.joint_points import places
 from mocapfix.read.figure import sized, upright
 from mocapfix.read.hierarchy import hierarchy
 from mocapfix.read.numbers import Words, words
+from mocapfix.read.opened import file_bytes
 from mocapfix.read.rates import usual
 from mocapfix.take import Take
 
@@ -70,16 +71,6 @@ def animation(path: str | Path, data: bytes | None = None) -> Animation:
     )
     read = replace(read, added=_added(read), notes=tuple(notes))
     return sized(upright(read))
-
-
-def file_bytes(path: Path) -> bytes:
-    """-> what a file holds. Raises ReadError where it cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise ReadError(f"{path}: there is no such file; check the name and the folder.") from error
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
 
 
 def _timing(path: Path, data: bytes, at: int) -> tuple[int, float, int, str]:

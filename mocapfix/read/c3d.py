@@ -11,11 +11,12 @@ from mocapfix.read.axes import ENOUGH_FRAMES, to_y_up
 from mocapfix.read.computed import blind, computed
 from mocapfix.read.labels import marker_columns, unlabelled_columns
 from mocapfix.read.parameters import Parameters, parameters
+from mocapfix.read.places import there
+from mocapfix.read.units import METRES, metres
 from mocapfix.take import Take
 
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "": 0.001}
+USUAL = "mm"  # where POINT:UNITS says nothing
 MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
-NOWHERE = 9_000_000  # file units; Cortex writes 9999999 for an occluded marker
 
 
 def recognises(head: bytes, path: Path) -> bool:
@@ -26,8 +27,9 @@ def recognises(head: bytes, path: Path) -> bool:
 def take(path: Path, data: bytes) -> Take:
     """-> the take in a C3D file's bytes.
 
-    Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: a residual below 0, all coordinates 0, Cortex's
-    9999999, NaN. Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data Section".
+    Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: by a residual below 0, or by coordinates that are
+    no place (read.places). Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data
+    Section".
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
@@ -39,7 +41,8 @@ def take(path: Path, data: bytes) -> Take:
         raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
     layout, notes = _layout(path, said, len(data))
     values = _values(layout, data)
-    seen, words = _seen(values), np.ascontiguousarray(values[..., 3])
+    words = np.ascontiguousarray(values[..., 3])
+    seen = there(values[..., :3]) & ~(words < 0)
     labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
     columns = marker_columns(labels, said.outputs, seen, words)
     if not len(columns):
@@ -78,7 +81,7 @@ def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: floa
 
 def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
     """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
-    unit = METRES.get(said.units.lower())
+    unit = metres(said.units or USUAL)
     if said.points == 0:
         raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
     if said.points != said.header_points:
@@ -86,7 +89,7 @@ def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[s
             f"{path}: holds {said.header_points} points by its header and {said.points} by POINT:USED; export it again."
         )
     if unit is None:
-        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of mm, cm, m.")
+        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of {', '.join(METRES)}.")
     if not (np.isfinite(said.rate) and said.rate > 0):
         raise ReadError(f"{path}: POINT:RATE is {said.rate:g}; set it to the frames a second.")
     if not np.isfinite(said.scale) or said.scale == 0:
@@ -129,10 +132,3 @@ def _values(layout: C3DLayout, data: bytes) -> np.ndarray:
     if not layout.is_float:
         values[..., :3] *= layout.scale
     return values
-
-
-def _seen(values: np.ndarray) -> np.ndarray:
-    """-> (T, P) bool: is the sample valid?"""
-    x, y, z, word = np.moveaxis(values, -1, 0)
-    near = (np.abs(x) < NOWHERE) & (np.abs(y) < NOWHERE) & (np.abs(z) < NOWHERE)
-    return near & ~(word < 0) & ((x != 0) | (y != 0) | (z != 0))

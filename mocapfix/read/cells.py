@@ -11,13 +11,10 @@ from operator import itemgetter
 
 import numpy as np
 
-from mocapfix.read.text import Document
+from mocapfix.read.text import NO_NUMBER, Document
+from mocapfix.read.units import METRES, metres
 
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-# What a unit is called where it is written out, "Millimetres" or "Meters", without its plural.
-SHORT = {"millimeter": "mm", "millimetre": "mm", "centimeter": "cm", "centimetre": "cm", "meter": "m", "metre": "m"}
-SHORT |= {"inche": "in", "inch": "in", "feet": "ft"}
-NOTHING = {"", "nan", "-nan", "+nan", "n/a", "na", "null", "none", "-", "--", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"}
+NOTHING = {"", "n/a", "na", "null", "none", "-", "--"}
 DECIMAL_COMMA = re.compile(r"\d,\d")
 LOOKED_AT = 200  # lines, from which is told how a file writes its numbers
 AROUND = ' \t"'  # a cell's number
@@ -51,7 +48,7 @@ def numbers(document: Document, rows: Sequence[int], delimiter: str, decimal: st
 
 def _number(document: Document, index: int, field: int, cell: str) -> float:
     text = cell.strip(AROUND)
-    if text.lower() in NOTHING:
+    if text.lower() in NOTHING or NO_NUMBER.fullmatch(text):
         return np.nan
     try:
         return float(text)
@@ -87,11 +84,9 @@ def miscounted(promised: str, frames: int) -> tuple[str, ...]:
 
 def unit_of(document: Document, index: int, name: str) -> float:
     """-> metres in the unit that the line at `index` names. Raises ReadError with the choices."""
-    plain = name.strip().lower()
-    short = SHORT.get(plain.removesuffix("s"), plain)
-    if short not in METRES:
+    if (unit := metres(name)) is None:
         raise document.fault(index, f"the unit is {name!r}; set it to one of {', '.join(METRES)}.")
-    return METRES[short]
+    return unit
 
 
 def unit_said(document: Document, index: int, name: str, usual: str) -> tuple[float, tuple[str, ...]]:

@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.errors import ReadError
 from mocapfix.read.cells import filled_rows, rate_of, unit_said
 from mocapfix.read.labels import is_nameless
-from mocapfix.read.table import Sheet, take_of
+from mocapfix.read.table import Sheet, names_line, take_of, triples
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
 
-HEADER = 15  # lines, within which the columns must be named
 MEASURED = "marker"
 EXPECTED_ONLY = "The file holds no measured markers, only the places that its bodies expect them at; export Markers as well."
 
@@ -36,7 +34,7 @@ def take(path: Path, data: bytes) -> Take:
     facts = _facts(text.cells(0, between))
     if facts.get("coordinate space", "").lower() == "local":
         raise text.fault(0, "the coordinates are local to their bodies; export it with Coordinate Space Global.")
-    axes = _axes_line(text, between)
+    axes = names_line(text, "columns")
     fields, labels, said = _markers(text, axes, between)
     rows = list(filled_rows(text, axes + 1, between))
     unit, assumed = unit_said(text, 0, facts.get("length units", ""), "m")
@@ -62,24 +60,14 @@ def _facts(cells: list[str]) -> dict[str, str]:
     return {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
 
 
-def _axes_line(text: Document, between: str) -> int:
-    """-> the index of the line that begins with Frame and stands over the numbers."""
-    for index in range(1, min(HEADER, len(text.lines))):
-        if text.cells(index, between)[:1] in (["Frame"], ["frame"]):
-            return index
-    if len(text.lines) < HEADER:
-        raise text.fault(len(text.lines) - 1, "the file ends before its columns are named; copy or export it again.")
-    raise ReadError(f"{text.path}: none of its first {HEADER} lines begins with Frame and names the columns; export it again.")
-
-
 def _markers(text: Document, axes: int, between: str) -> tuple[np.ndarray, list[str], tuple[str, ...]]:
     """-> the (P, 3) fields of the markers, their labels, and what must be said of them."""
     head = [text.cells(i, between) for i in range(1, axes) if text.line(i).strip(between + " ")]
     if len(head) < 2:
         raise text.fault(axes, "no rows with the columns' types and names stand above; export it with its header.")
-    letters = [letter.upper() for letter in text.cells(axes, between)]
+    letters = text.cells(axes, between)
     types, names = ([*row, *[""] * (len(letters) - len(row))] for row in head[:2])
-    found = [(i, types[i].lower(), names[i]) for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
+    found = [(i, types[i].lower(), names[i]) for i in triples(letters)]
     measured = [each for each in found if each[1] == MEASURED]
     expected = [each for each in found if each[1].endswith(" marker")]
     if not measured and not expected:

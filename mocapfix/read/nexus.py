@@ -13,7 +13,7 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.read.cells import rate_of, unit_of
-from mocapfix.read.table import Sheet, take_of
+from mocapfix.read.table import Sheet, take_of, triples
 from mocapfix.read.text import Document, delimiter, document, head_lines
 from mocapfix.take import Take
 
@@ -39,9 +39,9 @@ def take(path: Path, data: bytes) -> Take:
     if at is None:
         raise ReadError(f"{path}: holds {', '.join(sorted({*sections.values()}))} and no trajectories; export those with it.")
     axes, between = _axes_line(text, at)
-    names, letters = text.cells(axes - 1, between), [letter.upper() for letter in text.cells(axes, between)]
+    names, letters = text.cells(axes - 1, between), text.cells(axes, between)
     names += [""] * (len(letters) - len(names))
-    first = [i for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"] and names[i]]
+    first = [i for i in triples(letters) if names[i]]
     if not first:
         raise text.fault(axes - 1, "names no markers; export the trajectories with their labels.")
     units = _units(text, axes + 1, between)

@@ -4,16 +4,16 @@ A number of up to fifteen digits times or over a power of ten up to the 22nd is 
 read floating point numbers accurately"); Python reads the others.
 """
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
+from mocapfix.read.text import NO_NUMBER
+
 EXACT_DIGITS = 15
 POWERS = 10.0 ** np.arange(23)
 NUMBER, LONG, WORD = range(3)  # kinds of words: long ones are those that Python reads
-NOTHING = re.compile(r"[-+]?(nan(\(\w*\))?|inf(inity)?|1\.#\w+)", re.IGNORECASE)  # as programs write where a number is not one
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def _word(data: bytes, start: int) -> str:
 def _said(word: str) -> tuple[float, int]:
     """-> the number that a word spells and its kind."""
     try:
-        value = np.nan if NOTHING.fullmatch(word) else float(word.replace("_", "?"))
+        value = np.nan if NO_NUMBER.fullmatch(word) else float(word.replace("_", "?"))
     except ValueError:
         return np.nan, WORD
     return value, NUMBER

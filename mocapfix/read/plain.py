@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.read.cells import METRES, decimal_sign, filled_rows, numbers, rate_of
+from mocapfix.read.cells import decimal_sign, filled_rows, numbers, rate_of
 from mocapfix.read.table import Sheet, take_of
 from mocapfix.read.text import Document, delimiter, document, head_lines
+from mocapfix.read.units import METRES
 from mocapfix.take import Take
 
 COLUMN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)

@@ -11,9 +11,12 @@ import numpy as np
 from mocapfix.errors import ReadError
 from mocapfix.read import trajectories
 from mocapfix.read.cells import AROUND, LOOKED_AT, decimal_sign, miscounted, numbers, split, whole, written
+from mocapfix.read.places import there
 from mocapfix.read.text import Document
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
+
+HEADER = 15  # lines, within which what the columns are must be named
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,25 @@ class Sheet:
     notes: tuple[str, ...] = ()
 
 
+def names_line(document: Document, what: str) -> int:
+    """-> the index of the line that begins with Frame, or Frame#, and names `what` the table has.
+
+    Raises ReadError where it does not come within the first HEADER lines.
+    """
+    for index in range(min(HEADER, len(document.lines))):
+        if document.line(index).lstrip(AROUND).lower().startswith("frame"):
+            return index
+    if len(document.lines) < HEADER:
+        raise document.fault(len(document.lines) - 1, f"the file ends before its {what} are named; copy or export it again.")
+    raise ReadError(f"{document.path}: none of its first {HEADER} lines begins with Frame and names its {what}; export it again.")
+
+
+def triples(axes: Sequence[str]) -> list[int]:
+    """-> the fields of a line of axes at which an X, a Y and a Z stand side by side, in either case: a point's first ones."""
+    letters = [axis.upper() for axis in axes]
+    return [i for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
+
+
 def take_of(sheet: Sheet) -> Take:
     """-> the take in a table: metres, Y up, NaN where a coordinate is blank, spelled as missing, or all three are 0.
 
@@ -56,7 +78,7 @@ def take_of(sheet: Sheet) -> Take:
     if sheet.frame is not None:
         first, counted = trajectories.first_frame(document, rows, told[:, -1])
         said += counted
-    layout = _layout(sheet, decimal, trajectories.there(raw))
+    layout = _layout(sheet, decimal, there(raw))
     return trajectories.take_of(document.path, raw, sheet.labels, sheet.unit, sheet.rate, first, layout, sheet.usual, said)
 
 

@@ -12,6 +12,7 @@ BOM = "\ufeff"
 UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 DELIMITERS = "\t;,"
 LINE_END = re.compile(r"\r\n?|\n")
+NO_NUMBER = re.compile(r"[-+]?(nan(\(\w*\))?|inf(inity)?|1\.#\w+)", re.IGNORECASE)  # as programs write where a number is not one
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,11 @@ import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.read.axes import to_y_up
-from mocapfix.read.c3d import NOWHERE
 from mocapfix.read.labels import marker_columns, unlabelled_columns
+from mocapfix.read.places import there
 from mocapfix.read.text import Document
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
-
-NINES = 9999  # file units; three times the same from there on is no place: -9999.99, 9999999
 
 
 def take_of(
@@ -54,12 +52,6 @@ def take_of(
         unlabelled=take(nameless) if len(nameless) else None,
         notes=notes,
     )
-
-
-def there(raw: np.ndarray) -> np.ndarray:
-    """-> (T, P) bool: is the point of `raw` (T, P, 3) file units a place? Neither missing, nor all 0, nor all nines."""
-    alike = (raw == raw[..., :1]).all(-1)
-    return (np.abs(raw) < NOWHERE).all(-1) & ~(alike & ((raw[..., 0] == 0) | (np.abs(raw[..., 0]) >= NINES)))
 
 
 def first_frame(document: Document, rows: Sequence[int], count: np.ndarray) -> tuple[int, tuple[str, ...]]:

@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.errors import ReadError
 from mocapfix.read.cells import filled_rows, rate_of, unit_said, whole
-from mocapfix.read.table import Sheet, take_of
+from mocapfix.read.table import Sheet, names_line, take_of
 from mocapfix.read.text import Document, delimiter, document
 from mocapfix.take import Take
 
-HEADER = 12  # lines, within which the names must come
 FIRST = 2  # the field of the first marker's x, behind frame and time
 AXIS = re.compile(r"x\d*", re.IGNORECASE)
 
@@ -32,7 +30,7 @@ def take(path: Path, data: bytes) -> Take:
     remarked on and not believed.
     """
     text = document(path, data)
-    at = _names_line(text)
+    at = names_line(text, "markers")
     between = delimiter(text.line(at))
     if not between:
         raise text.fault(at, "neither tabs nor commas stand between the names; export it again.")
@@ -59,16 +57,6 @@ def take(path: Path, data: bytes) -> Take:
             notes=(*said, *_markers_said(facts, len(named), points)),
         )
     )
-
-
-def _names_line(text: Document) -> int:
-    """-> the index of the line that begins with Frame#."""
-    for index in range(min(HEADER, len(text.lines))):
-        if text.line(index).lstrip(' "').lower().startswith("frame"):
-            return index
-    if len(text.lines) < HEADER:
-        raise text.fault(len(text.lines) - 1, "the file ends before its markers are named; copy or export it again.")
-    raise ReadError(f"{text.path}: none of its first {HEADER} lines begins with Frame# and names the markers; export it again.")
 
 
 def _facts(text: Document, names: int) -> tuple[int, dict[str, str]]:

@@ -115,10 +115,8 @@ def _picture(before: np.ndarray, after: np.ndarray, body: np.ndarray, across: np
 
 def _left(skeleton: Skeleton, joints: np.ndarray) -> np.ndarray:
     """-> (3,) the level direction to the body's left, which is +X in its rest pose."""
-    rest = np.zeros((len(joints), 3))
-    for j in np.flatnonzero(skeleton.parents >= 0):
-        rest[j] = rest[skeleton.parents[j]] + skeleton.offsets[j]
-    return _level((rest[:, 0] - rest[:, 0].mean()) @ joints)
+    across = skeleton.resting[:, 0]
+    return _level((across - across.mean()) @ joints)
 
 
 def _widest(points: np.ndarray) -> np.ndarray:

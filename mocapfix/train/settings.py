@@ -1,18 +1,11 @@
 """How a prior, or the regressor of twists, is to be trained: what priors/NAME.yaml says."""
 
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, TypeAdapter, ValidationError
+from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
-from mocapfix.errors import SceneError
-from mocapfix.scenes import read_yaml
-
-
-class Stated(BaseModel):
-    """Nothing but what is stated, all of it."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from mocapfix.yaml_form import Stated, checked
 
 
 class LinearSettings(Stated):
@@ -122,8 +115,6 @@ class TwistSettings(Stated):
 
 Settings = LinearSettings | AutoencoderSettings | MixtureSettings
 READER: TypeAdapter[Settings] = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
-TWIST_READER = TypeAdapter(TwistSettings)
-Form = TypeVar("Form")
 
 
 def read(path: Path) -> Settings:
@@ -133,14 +124,4 @@ def read(path: Path) -> Settings:
 
 def read_twist(path: Path) -> TwistSettings:
     """-> the settings of a regressor of twists. Raises SceneError likewise."""
-    return checked(TWIST_READER, path)
-
-
-def checked(reader: TypeAdapter[Form], path: Path) -> Form:
-    """-> what a YAML file says, in the form it must have. Raises SceneError naming the file and the first key that is wrong."""
-    try:
-        return reader.validate_python(read_yaml(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "model"
-        raise SceneError(f"{path}: {key}: {first['msg']}.") from error
+    return checked(TwistSettings, path)

@@ -8,11 +8,10 @@ from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
 from mocapfix.files import replacing
 from mocapfix.take import Take
-from mocapfix.write.original import brought, changed, given_away, original
+from mocapfix.write.original import LARGEST, brought, changed, given_away, original
 
-# The largest coordinate that a 16-bit word holds, and that a float word holds without reading as Cortex's 9999999.
 GONE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual of what is not there
-LARGEST_COUNT, LARGEST_FLOAT = 32_767, 8_999_999
+LARGEST_COUNT = 32_767  # that a 16-bit word holds
 
 
 def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
@@ -30,9 +29,7 @@ def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
     layout = before.layout
     if not isinstance(layout, C3DLayout):
         raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
-    data = original(Path(target), before)
-    if len(data) < layout.start + layout.frames * layout.frame_bytes:
-        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
+    data = original(Path(target), before.path, layout.start + layout.frames * layout.frame_bytes)
     words, came = layout.words(data), brought(before, after)
     frames, markers = np.nonzero(changed(before, after) & ~came)
     samples, stored = _samples(layout, after, frames, markers)
@@ -51,7 +48,7 @@ def _samples(layout: C3DLayout, after: Take, frames: np.ndarray, markers: np.nda
     """-> (n, 4) numbers to store, and (n,) bool: is the position among them?"""
     xyz = after.markers[frames, markers] @ layout.axes / layout.unit
     counts = xyz.astype(np.float32) if layout.is_float else np.rint(xyz / layout.scale)
-    largest = LARGEST_FLOAT if layout.is_float else LARGEST_COUNT
+    largest = LARGEST if layout.is_float else LARGEST_COUNT
     stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)  # all coordinates 0 would read as missing
     deviation = np.full(len(frames), np.nan) if after.deviation is None else after.deviation[frames, markers]
     residual = np.clip(np.nan_to_num(np.rint(deviation / layout.unit / layout.scale), nan=1.0), 1, 255)

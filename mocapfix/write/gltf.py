@@ -27,7 +27,7 @@ def gltf(target: Path, skeleton: Skeleton, motion: Motion, rate: float) -> None:
     """
     import pygltflib as g
 
-    places, packed = _resting(skeleton), _Packed(g)
+    places, packed = skeleton.resting, _Packed(g)
     joints = list(range(len(skeleton.names)))
     mesh, skin = _mesh(g, packed, skeleton, places), _skin(g, packed, places, joints)
     nodes = [
@@ -121,12 +121,3 @@ def _pyramids(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     across *= length / np.linalg.norm(across)
     axes = np.stack([across, along, np.cross(across, along) / length])
     return (start + CORNERS @ axes)[FACES].reshape(-1, 3)
-
-
-def _resting(skeleton: Skeleton) -> np.ndarray:
-    """-> (J, 3) metres: the joints in the rest pose."""
-    places = skeleton.offsets.copy()
-    for j, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            places[j] += places[parent]
-    return places

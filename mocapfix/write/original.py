@@ -1,4 +1,4 @@
-"""What is common to writing a mended copy of an input: its bytes, and which of its samples differ."""
+"""What is common to writing a mended copy of an input: its bytes, which of its samples differ, and what they may be."""
 
 from pathlib import Path
 
@@ -7,20 +7,29 @@ import numpy as np
 from mocapfix.errors import WriteError
 from mocapfix.take import Take
 
+LARGEST = 8_999_999  # file units: a coordinate that does not read as Cortex's 9999999, which is none
 
-def original(target: Path, before: Take) -> bytearray:
-    """-> the bytes of the file that `before` was read from.
+def original(target: Path, source: Path | None, needed: int = 0) -> bytearray:
+    """-> the bytes of the file `source` that what is mended was read from.
 
-    Raises WriteError where `target` is that file, or where it can no longer be read.
+    Raises WriteError where `target` is that file, where it can no longer be read, or where it has fewer bytes than `needed`.
     """
-    if before.path is None or before.layout is None:
-        raise WriteError(f"{before.name}: was not read from a C3D or a text file that mended markers could be put into.")
+    if source is None:
+        raise WriteError(f"{target}: what is mended was not read from a file, so there is none to write a mended copy of.")
     try:
-        if target.exists() and target.samefile(before.path):
+        if target.exists() and target.samefile(source):
             raise WriteError(f"{target}: is the input itself, which stays as it is; choose another folder with --out.")
-        return bytearray(before.path.read_bytes())
+        data = bytearray(source.read_bytes())
     except OSError as error:
-        raise WriteError(f"{before.path}: the original can no longer be read ({error.strerror}); put it back.") from error
+        raise WriteError(f"{source}: the original can no longer be read ({error.strerror}); put it back.") from error
+    if len(data) < needed:
+        raise shorter(source)
+    return data
+
+
+def shorter(source: Path | None) -> WriteError:
+    """-> the error that an input no longer holds what was read from it."""
+    return WriteError(f"{source}: the original has become shorter since it was read; clean it again.")
 
 
 def brought(before: Take, after: Take) -> np.ndarray:

@@ -9,6 +9,7 @@ from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.files import replacing
 from mocapfix.write.numbers import LARGEST, MOST, WIDTH, spelled
+from mocapfix.write.original import original
 
 DECIMALS = 6  # where all of a file's numbers are whole
 
@@ -23,7 +24,9 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
     is not finite, or where `target` cannot be written.
     """
     target = Path(target)
-    data, starts = _original(target, before)
+    if (starts := before.starts) is None:
+        raise WriteError(f"{before.name}: no file holds just these numbers (one in radians does not), to change them there.")
+    data = original(target, before.path, int(starts.max(initial=-1)) + 1)
     same = (values == before.values) | (np.isnan(values) & np.isnan(before.values))
     places, numbers = starts[~same], _as_spelled(before, values)[~same]
     order = np.argsort(places)
@@ -50,21 +53,6 @@ def _as_spelled(before: Animation, values: np.ndarray) -> np.ndarray:
     told = values.copy()
     told[:, turning] = np.radians(values[:, turning])
     return told
-
-
-def _original(target: Path, before: Animation) -> tuple[bytes, np.ndarray]:
-    """-> the input's bytes, and (T, C) where its numbers begin."""
-    if before.path is None or before.starts is None:
-        raise WriteError(f"{before.name}: no file holds just these numbers (one in radians does not), to change them there.")
-    try:
-        if target.exists() and target.samefile(before.path):
-            raise WriteError(f"{target}: is the input itself, which stays as it is; choose another folder with --out.")
-        data = before.path.read_bytes()
-    except OSError as error:
-        raise WriteError(f"{before.path}: the original can no longer be read ({error.strerror}); put it back.") from error
-    if before.starts.size and len(data) <= before.starts.max():
-        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
-    return data, before.starts
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
 from mocapfix.kernels import kinematics
+from mocapfix.kernels.aligned import shortest_turn
 from mocapfix.motion import Motion
 from mocapfix.rig import Rig, pose
 from mocapfix.skeleton import Skeleton
@@ -65,15 +66,8 @@ def _turns(skeleton: Skeleton, ways: dict[str, tuple[str, list[float]]]) -> np.n
         end, way = ways.get(name, ("", []))
         if end in skeleton.names:
             points = turns[j] @ skeleton.offsets[skeleton.index(end)]
-            turns[j] = _least_turn(points, np.array(way, float)) @ turns[j]
+            turns[j] = shortest_turn(points, np.array(way, float)) @ turns[j]
     return turns
-
-
-def _least_turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """-> the smallest rotation that lays one direction on another; none where there is no direction."""
-    if not (np.linalg.norm(before) > 0 and np.linalg.norm(after) > 0):
-        return np.eye(3)
-    return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
 
 
 def _standing(skeleton: Skeleton, turns: np.ndarray) -> tuple[np.ndarray, float]:

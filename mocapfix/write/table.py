@@ -10,10 +10,9 @@ from mocapfix.errors import WriteError
 from mocapfix.files import replacing
 from mocapfix.table_layout import TableLayout
 from mocapfix.take import Take
-from mocapfix.write.original import brought, changed, given_away, original
+from mocapfix.write.original import LARGEST, brought, changed, given_away, original, shorter
 
 AROUND = ' "'  # a field's text
-LARGEST = 8_999_999  # file units, that do not read as Cortex's 9999999
 Edits = dict[int, dict[int, str]]  # by a line's index, then by a field's: what is to stand there
 
 
@@ -30,9 +29,9 @@ def table(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]
     layout = before.layout
     if not isinstance(layout, TableLayout) or not layout.has_places:
         raise WriteError(f"{before.name}: has no place for every sample, so the mended markers cannot be written into a copy.")
-    lines = bytes(original(Path(target), before)).decode(layout.encoding, "replace").split(layout.newline)
+    lines = bytes(original(Path(target), before.path)).decode(layout.encoding, "replace").split(layout.newline)
     if len(lines) <= layout.lines.max():
-        raise WriteError(f"{before.path}: the original has become shorter since it was read; clean it again.")
+        raise shorter(before.path)
     edits, lost = _edits(layout, lines, before, after)
     for index, fields in edits.items():
         lines[index] = _patched(lines[index], layout.delimiter, fields)

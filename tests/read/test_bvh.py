@@ -115,11 +115,14 @@ def test_a_frame_of_several_lines_that_is_torn_is_named(tmp_path):
         read(tmp_path, wrapped.removesuffix("7.2000\n"))
 
 
-def test_files_that_are_not_there_are_named(tmp_path):
+def test_files_that_are_not_there_or_hold_nothing_are_named(tmp_path):
     with pytest.raises(ReadError, match="there is no such file"):
         bvh.animation(tmp_path / "b.bvh")
-    with pytest.raises(ReadError, match="cannot be read"):
+    with pytest.raises(ReadError, match="is a folder"):
         bvh.animation(tmp_path)
+    (tmp_path / "b.bvh").write_bytes(b"")
+    with pytest.raises(ReadError, match="is empty"):
+        bvh.animation(tmp_path / "b.bvh")
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,10 @@ def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
     np.testing.assert_array_equal(take.columns, [0, 1, 2])
 
 
-@pytest.mark.parametrize(("units", "metres"), [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), (None, 0.001), (["mm", "mm"], 0.001)])
+@pytest.mark.parametrize(
+    ("units", "metres"),
+    [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), ("Meters", 1.0), ("in", 0.0254), (None, 0.001), (["mm", "mm"], 0.001)],
+)
 def test_units(tmp_path, units, metres):
     take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:UNITS": units, "POINT:Y_SCREEN": "+Y"})
     np.testing.assert_allclose(take.markers, STANDING * metres, rtol=1e-6)
@@ -76,8 +79,8 @@ def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
     expected = np.ones((4, 3), bool)
     expected[0, 0] = expected[1, 1] = False
     if is_float:
-        xyz[2, 2], xyz[3, 0], xyz[3, 1] = 9999999, np.nan, np.inf
-        expected[2, 2] = expected[3, 0] = expected[3, 1] = False
+        xyz[1, 2], xyz[2, 2], xyz[3, 0], xyz[3, 1] = -9999.99, 9999999, np.nan, np.inf
+        expected[1, 2] = expected[2, 2] = expected[3, 0] = expected[3, 1] = False
     take = take_of(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
     np.testing.assert_array_equal(take.seen, expected)
     np.testing.assert_array_equal(np.isnan(take.markers).all(-1), ~expected)

@@ -1,8 +1,9 @@
 import pytest
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import METRES, unit_of, whole, written
+from mocapfix.read.cells import unit_of, whole, written
 from mocapfix.read.text import document
+from mocapfix.read.units import METRES
 
 
 @pytest.mark.parametrize(
@@ -26,7 +27,9 @@ def test_what_is_missing_is_spelled_as_it_is_most_often(absent, missing):
     assert written(["1.0"], absent, 0.001)[1] == missing
 
 
-@pytest.mark.parametrize(("name", "metres"), [("Millimetres", 0.001), (" cm ", 0.01), ("Feet", 0.3048), ("IN", 0.0254)])
+@pytest.mark.parametrize(
+    ("name", "metres"), [("Millimetres", 0.001), (" cm ", 0.01), ("Feet", 0.3048), ("IN", 0.0254), ("inches", 0.0254)]
+)
 def test_units(tmp_path, name, metres):
     assert unit_of(document(tmp_path, b"units"), 0, name) == metres
 

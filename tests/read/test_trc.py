@@ -38,7 +38,9 @@ def test_a_unit_that_is_not_named_is_remarked_on(tmp_path):
     assert take.notes == ("The header names no unit; mm is taken, as is usual.",)
 
 
-@pytest.mark.parametrize("missing", ["", " ", "NaN", "nan", "-nan", "9999999.00000", "-9999.99", "0.000", "1.#QNAN", "null"])
+@pytest.mark.parametrize(
+    "missing", ["", " ", "NaN", "nan", "-nan", "-nan(ind)", "9999999.00000", "-9999.99", "0.000", "1.#QNAN", "null"]
+)
 def test_what_is_missing_is_nan_however_it_is_spelled(tmp_path, missing):
     xyz = STANDING.copy()
     xyz[1, 2] = xyz[3, 0] = np.nan

@@ -143,6 +143,8 @@ def test_the_input_is_never_the_target_nor_touched(tmp_path):
 def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
     before = take_in(tmp_path, (84, True))
     with pytest.raises(WriteError, match="was not read from a C3D"):
+        write.c3d(tmp_path / "after.c3d", replace(before, layout=None), before)
+    with pytest.raises(WriteError, match="was not read from a file"):
         write.c3d(tmp_path / "after.c3d", replace(before, path=None), before)
     with pytest.raises(WriteError, match=r"nowhere.*cannot be written"):
         write.c3d(tmp_path / "nowhere" / "after.c3d", before, before)

@@ -102,5 +102,7 @@ def test_the_input_is_never_written_and_must_be_as_it_was(figure, tmp_path):
     (tmp_path / "in.bvh").unlink()
     with pytest.raises(WriteError, match="can no longer be read"):
         patched(tmp_path / "out.bvh", figure, figure.values)
-    with pytest.raises(WriteError, match="no file holds just these numbers"):
+    with pytest.raises(WriteError, match="was not read from a file"):
         patched(tmp_path / "out.bvh", replace(figure, path=None), figure.values)
+    with pytest.raises(WriteError, match="no file holds just these numbers"):
+        patched(tmp_path / "out.bvh", replace(figure, starts=None), figure.values)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
-from mocapfix.fitted import shortest
+from mocapfix.kernels.aligned import shortest_turn
 from mocapfix.skeleton import Skeleton, cmu31
 from mocapfix.train.recordings.recording import Recording, step
 
@@ -66,7 +66,7 @@ def resting(skeleton: Skeleton) -> np.ndarray:
         if (bone := name.removeprefix(side)) in REST:
             child = int(np.flatnonzero(skeleton.parents == j)[0])
             there = np.array(REST[bone]) * [1.0 if side == "Left" else -1.0, 1.0, 1.0]
-            turns[j] = shortest(skeleton.offsets[child], there)
+            turns[j] = shortest_turn(skeleton.offsets[child], there)
         elif name.endswith(("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")):
             turns[j] = turns[skeleton.parents[j]]
     return turns
