@@ -19,7 +19,7 @@ def replacing(target: Path) -> Iterator[Path]:
     try:
         handle, name = mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
-        raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder with --out.") from error
+        raise WriteError(f"{target}: cannot be written ({error.strerror}); choose another folder.") from error
     os.close(handle)
     part = Path(name)
     try:

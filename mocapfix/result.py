@@ -168,7 +168,9 @@ def check_free(
     own: Sequence[str] = ("",),
 ) -> tuple[Path, ...]:
     """-> the outputs, of each one's `own` stem. Raises WriteError where one is there already and must not be replaced, or would
-    replace the input, or another."""
+    replace the input, or another, or where the folder is a file."""
+    if folder.exists() and not folder.is_dir():
+        raise WriteError(f"{folder}: cannot be made a folder (it is a file); choose another with --out.")
     if len({each.casefold() for each in own}) < len(own):
         raise WriteError(f"{source}: the files of two of its people would be called the same; give one of them another name.")
     found = (outputs_in(folder, stem, source, options, each) for each in own)

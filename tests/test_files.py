@@ -36,7 +36,7 @@ def test_a_missing_folder_is_named_with_what_to_do(tmp_path):
     with pytest.raises(WriteError) as error, replacing(target):
         pass
     assert str(target) in str(error.value)
-    assert "--out" in str(error.value)
+    assert "choose another folder" in str(error.value)
 
 
 def test_a_full_disk_is_a_write_error(tmp_path):

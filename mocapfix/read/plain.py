@@ -21,6 +21,7 @@ TIME = re.compile(r"(time|seconds)(\b|_).*", re.IGNORECASE)
 MILLISECONDS = re.compile(r".*(\b|_)(ms|msecs?|milliseconds?)(\b|_).*", re.IGNORECASE)
 NO_ROOM = 20  # what spans more of its units is no capture in metres
 LOOKED_AT = 50  # frames
+LEAP = 2.5  # times the usual step in time; rounded times may take two at once
 
 
 def recognises(head: bytes, path: Path) -> bool:
@@ -41,11 +42,15 @@ def take(path: Path, data: bytes) -> Take:
     between = delimiter(text.line(0))
     cells = text.cells(0, between)
     points = _points(cells)
+    if not points:
+        raise text.fault(0, "names no marker's X, Y and Z side by side; export it again.")
     rows = list(filled_rows(text, 1, between))
     frame = next((i for i, cell in enumerate(cells) if FRAME.fullmatch(cell)), None)
     time = next((i for i, cell in enumerate(cells) if TIME.fullmatch(cell)), None)
     if time is None:
         raise text.fault(0, "no column is the time, so nothing tells the frame rate; add a column Time in seconds.")
+    if frame is None:
+        _check_times(text, rows, between, time)
     fields = np.array([field for field, _, _ in points])[:, None] + np.arange(3)
     unit, said = next((unit for _, _, unit in points if unit), ""), ()
     if not unit:
@@ -63,6 +68,15 @@ def take(path: Path, data: bytes) -> Take:
             notes=said,
         )
     )
+
+
+def _check_times(text: Document, rows: list[int], between: str, time: int) -> None:
+    """Raise ReadError, naming the line, where times go back or leave frames out: without frame numbers nothing else tells."""
+    steps = np.diff(numbers(text, rows, between, decimal_sign(text, rows, between), np.array([time]))[:, 0])
+    usual = np.median(steps) if len(steps) else 0.0
+    if (odd := np.flatnonzero((steps < 0) | ((steps > LEAP * usual) & (usual > 0)))).size:
+        step = f"the time goes on by {steps[odd[0]]:g}, elsewhere by {usual:g}"
+        raise text.fault(rows[odd[0] + 1], f"{step}; export the trial whole, or with its frame numbers.")
 
 
 def _points(cells: list[str]) -> list[tuple[int, str, str]]:

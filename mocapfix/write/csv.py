@@ -20,6 +20,7 @@ def csv(target: str | Path, take: Take) -> None:
     form = own(take)
     with replacing(Path(target)) as part, part.open("w", encoding="utf-8", newline="") as file:
         writer = rows.writer(file, lineterminator="\n")
-        writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{form.name}" for label in take.labels for axis in "XYZ")])
+        labels = (" ".join(label.split()) for label in take.labels)  # one that holds a line's end would end the line of names
+        writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{form.name}" for label in labels for axis in "XYZ")])
         for t, row in enumerate(form.coordinates(take.markers).reshape(take.frames, -1).tolist()):
             writer.writerow([take.frame_number(t), f"{t / take.rate:.6f}", *cells_of(row, DECIMALS[form.name])])

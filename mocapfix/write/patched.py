@@ -25,7 +25,7 @@ def patched(target: str | Path, before: Animation, values: np.ndarray) -> None:
     """
     target = Path(target)
     if (starts := before.starts) is None:
-        raise WriteError(f"{before.name}: no file holds just these numbers (one in radians does not), to change them there.")
+        raise WriteError(f"{before.name}: no file holds just these numbers, to change them there.")
     data = original(target, before.path, int(starts.max(initial=-1)) + 1)
     same = (values == before.values) | (np.isnan(values) & np.isnan(before.values))
     places, numbers = starts[~same], _as_spelled(before, values)[~same]

@@ -62,3 +62,23 @@ def test_without_times_there_is_no_rate(tmp_path):
 def test_a_first_line_that_ends_otherwise_than_the_rest_is_refused(tmp_path):
     with pytest.raises(ReadError, match=r"walk\.csv, line 1: ends otherwise than the other lines"):
         take_of(tmp_path, text().replace("\n", "\r", 1))
+
+
+@pytest.mark.parametrize("times", [(0, 0.02, 0.04, 0.5), (0, 0.02, 0.04, 0.03)])
+def test_times_that_leave_frames_out_or_go_back_are_refused_where_no_frame_is_numbered(tmp_path, times):
+    names, *rows = text(lead=("Time",)).splitlines(keepends=True)
+    rows = [f"{time},{row.partition(',')[2]}" for time, row in zip(times, rows, strict=True)]
+    with pytest.raises(ReadError, match=r"walk\.csv, line 5: the time goes on by"):
+        take_of(tmp_path, "".join([names, *rows]))
+
+
+@pytest.mark.parametrize("rate", [59.94, 75, 96, 120, 240, 1000])
+def test_times_may_be_rounded_to_a_hundredth_of_a_second(tmp_path, rate):
+    names, row = text(lead=("Time",)).splitlines(keepends=True)[:2]
+    rows = [f"{t / rate:.2f},{row.partition(',')[2]}" for t in range(300)]
+    assert take_of(tmp_path, "".join([names, *rows])).rate == pytest.approx(rate, rel=0.04)
+
+
+def test_names_in_broken_quotes_are_refused(tmp_path):
+    with pytest.raises(ReadError, match="line 1: names no marker's X, Y and Z"):
+        take_of(tmp_path, '"' + text())
