@@ -22,7 +22,7 @@ class Kind(NamedTuple):
     """
 
     name: str
-    recognises: Callable[[bytes, Path], bool]
+    recognises: Callable[[bytes], bool]
     take: Callable[[Path, bytes], Take]
 
 
@@ -51,7 +51,7 @@ def take(path: str | Path, up: str | None = None) -> Take:
     data = file_bytes(path)
     head = beginning(data)
     for kind in KINDS:
-        if kind.recognises(head, path):
+        if kind.recognises(head):
             found = kind.take(path, data)
             return turned(found, up) if up else found
     names = ", ".join(kind.name for kind in KINDS)

@@ -28,7 +28,7 @@ BONES = b":bonedata"
 BEGINS = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be an AMC, or the ASF that goes with one?"""
     lower = head.lower()
     keywords = b":fully-specified", b":degrees", b":radians"  # a file that was cut off may have no more

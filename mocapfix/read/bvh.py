@@ -25,7 +25,7 @@ FRAMES = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 TIME = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be a BVH?"""
     return head.lstrip()[:9].upper() == b"HIERARCHY"
 

@@ -19,7 +19,7 @@ USUAL = "mm"  # where POINT:UNITS says nothing
 MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be a C3D?"""
     return len(head) > 1 and head[1] == MAGIC and b"\0" in head
 

@@ -19,7 +19,7 @@ MEASURED = "marker"
 EXPECTED_ONLY = "The file holds no measured markers, only the places that its bodies expect them at; export Markers as well."
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be one?"""
     return head[:20].lower().replace(b'"', b"").startswith(b"format version")
 

@@ -24,7 +24,7 @@ NAMELESS = re.compile(r"|Marker-\d+|Unlabell?ed.*", re.IGNORECASE)  # what a mar
 METRES = 1.0
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be one?"""
     return any(VERSION.match(line) for line in head_lines(head))
 

@@ -22,7 +22,7 @@ SECTIONS = {TRAJECTORIES, "model outputs", "devices", "joints", "segments", "ana
 AROUND = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
     lines = [line.strip(AROUND).lower() for line in head_lines(head)]
     return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in pairwise(lines))

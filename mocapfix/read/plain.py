@@ -24,7 +24,7 @@ LOOKED_AT = 50  # frames
 LEAP = 2.5  # times the usual step in time; rounded times may take two at once
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be one?"""
     line = head_lines(head)[0]
     between = delimiter(line)

@@ -24,7 +24,7 @@ OTHERS = {"BODY_NAMES": "rigid bodies (6D)", "NO_OF_BODIES": "rigid bodies (6D)"
 OTHERS |= {"NO_OF_SAMPLES": "analog signals", "SKELETON_NAMES": "a skeleton", "NO_OF_SKELETONS": "a skeleton"}
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be a Qualisys export, of trajectories or of something else?"""
     first = head.lstrip().split(b"\t", 1)[0]
     return first in (b"NO_OF_FRAMES", b"NO_OF_CAMERAS", b"NO_OF_SAMPLES", b"NO_OF_SKELETONS", b"MARKER_NAMES")

@@ -18,7 +18,7 @@ FIRST = 2  # the field of the first marker's x, behind frame and time
 AXIS = re.compile(r"x\d*", re.IGNORECASE)
 
 
-def recognises(head: bytes, path: Path) -> bool:
+def recognises(head: bytes) -> bool:
     """-> does a file that begins so claim to be a TRC?"""
     return head.lstrip()[:12].lower() in (b"pathfiletype", b"datarate\tcam", b"datarate,cam")
 
