@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix import marker_set, people, prior, read
+from mocapfix import animated, marker_set, people, prior, read
 from mocapfix.calibrate import learn, unlabelled
 from mocapfix.calibrate.learn import Learnt
 from mocapfix.clock import Progress
@@ -72,6 +72,7 @@ def learnt(
     tell = progress or (lambda stage: None)
     tell("read")
     take = read.take(path, up)
+    animated.check_markers(take)
     if subject_prefix is not None:
         (take,) = people.parts(take, None, subject_prefix)
     take, labels, strangers = somebody(take.only(take.measured))

@@ -238,6 +238,7 @@ def test_faults_of_files_are_sentences(walk, mocapfix, tmp_path, brief):
     said(mocapfix(*clean, "--hierarchy", "smpl"), "smpl: does not fit walk.bvh")
     said(mocapfix("clean", brief.path, "--out", tmp_path, "--hierarchy", "cmu"), "has markers and no joints")
     said(mocapfix("calibrate", walk.path, "-o", tmp_path / "s.yaml"), "has joints and no markers to learn from")
+    said(mocapfix("marker-set", "learn", walk.path, "-o", tmp_path / "s.yaml"), "has joints and no markers to learn from")
     said(mocapfix(*clean, "--refill"), "has joints and no markers, of which --refill tells")
     said(mocapfix(*clean, "--keep", "Tail"), "has no joint Tail to keep; its joints are Hips")
     said(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
