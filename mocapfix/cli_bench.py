@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from mocapfix.cli_bench_animations import animations
 from mocapfix.cli_bench_faults import faults
 from mocapfix.cli_bench_hybrik import hybrik
 from mocapfix.cli_bench_prior import PRIOR_BENCHES
@@ -90,6 +91,7 @@ BENCHES = {
     "uncertainty": uncertainty,
     "calibration": calibration,
     "faults": faults,
+    "animations": animations,
     "hybrik": hybrik,
     **PRIOR_BENCHES,
 }

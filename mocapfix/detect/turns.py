@@ -79,4 +79,4 @@ def _lasting(first: int, last: int, rate: float) -> str:
 
 
 def _sure(each: shifts.Shift) -> float:
-    return round(float(1 - 5 / each.plain), 3)
+    return round(float(1 - 10 / each.plain), 3)
