@@ -83,7 +83,7 @@ def _trials(data: Path | None, count: int) -> Iterator[Performance]:
     """Yield so many performances, of the test people's as unlike ones as may be."""
     if data is None:
         for n in range(count):
-            subject = person(np.random.default_rng(n))
+            subject = person(np.random.default_rng(n), crooked=True)
             yield Performance(motions.compose(subject, 10.0 + n, RATE), RATE, f"composed {n + 1}")
         return
     long = [each for each in performed(Path(data) / "test.npz") if each.motion.frames >= LEAST * each.rate]
