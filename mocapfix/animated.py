@@ -86,7 +86,7 @@ def clean_animation(
 
 
 def axes(animation: Animation, joint: int) -> str:
-    """-> a joint's axes of rotation, the outermost first, as "ZYX"; "" where it has none of its own or they are not the world's."""
+    """-> a joint's axes of rotation, the outermost first, as "ZYX"; "" where it has none of its own."""
     return "".join("XYZ"[axis] for axis in animation.turning(joint)[1])
 
 

@@ -51,7 +51,7 @@ class AnimatedResult:
         targets = self.outputs(folder)
         source, target = self.before.path, next(iter(targets.values()))
         if source and target.exists() and target.samefile(source):
-            raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder than its own with --out.")
+            raise WriteError(f"{source}: is the input itself and is never replaced; choose another folder with --out.")
         check_not_there(targets.values(), overwrite)
         make_folder(folder)
         try:

@@ -13,7 +13,7 @@ from mocapfix.console import DONE, Json, out, staged
 
 def animations(
     data: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, whose test people are taken; by default motion is composed")
+        Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, its test people; by default motion is composed")
     ] = None,
     trials: Annotated[int, tyro.conf.arg(metavar="N", help="how many trials each kind of fault is put into")] = 12,
     seed: Annotated[int, tyro.conf.arg(metavar="N", help="which faults are drawn (a number)")] = 0,
@@ -27,7 +27,8 @@ def animations(
     if as_json:
         sys.stdout.write(json.dumps(said, indent=1) + "\n")
         return DONE
-    table = Table("joint error, mm", "faults", "found", "linear", "mended, told where", "mended, found", "of linear: told", "found")
+    told = ("mended, told where", "mended, found", "of linear: told", "found")
+    table = Table("joint error, mm", "faults", "found", "linear", *told)
     for kind, lengths in said["rows"].items():
         for length, row in lengths.items():
             errors = [f"{row[f'{way}_mm']:.1f}" for way in ("linear", "told", "found")]

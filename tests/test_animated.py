@@ -45,7 +45,8 @@ def test_a_sound_animation_comes_back_byte_for_byte(sound, tmp_path):
     result = clean_animation(bvh.animation(sound))
     outputs = result.write(tmp_path)
     assert outputs["bvh"].read_bytes() == sound.read_bytes()
-    assert result.changes == () and result.report["fill"]["mended"] == 0
+    assert result.changes == ()
+    assert result.report["fill"]["mended"] == 0
 
 
 def test_a_flip_is_undone_and_all_other_lines_stay(sound, flipped, tmp_path):
@@ -59,9 +60,12 @@ def test_a_flip_is_undone_and_all_other_lines_stay(sound, flipped, tmp_path):
     after, truth = bvh.animation(outputs["bvh"]).world()[0], bvh.animation(sound).world()[0]
     assert np.linalg.norm(after - truth, axis=-1).max() < 0.005
     report = json.loads(outputs["report.json"].read_text())
-    assert report["faults"][0]["kind"] == "flip" and report["fill"]["mended"] == 24
-    assert result.take.deviation is not None and (result.take.deviation[SPAN, 21] > 0).sum() in (0, 24)
-    assert outputs["report.html"].stat().st_size > 1000 and outputs["rrd"].stat().st_size > 1000
+    assert [fault["kind"] for fault in report["faults"]] == ["flip"]
+    assert report["fill"]["mended"] == 24
+    assert result.take.deviation is not None
+    unsure = result.take.deviation[:, result.before.index("LeftForeArm")]
+    assert np.flatnonzero(unsure > 0).tolist() == list(range(200, 224))
+    assert min(outputs[kind].stat().st_size for kind in ("report.html", "rrd")) > 1000
 
 
 def test_what_is_decided_against_stays_as_it_was(flipped, tmp_path):
@@ -77,8 +81,9 @@ def test_what_is_decided_against_stays_as_it_was(flipped, tmp_path):
 
 def test_only_what_may_be_touched_is(flipped):
     read = bvh.animation(flipped)
-    for options, only in ((FillOptions(keep=("LeftForeArm",)), ()), (FillOptions(frames=(1, 150)), ()), (FillOptions(), ("pop",))):
-        assert (clean_animation(read, options=options, only=only).after.values == read.values).all()
+    for options in (FillOptions(keep=("LeftForeArm",)), FillOptions(frames=(1, 150))):
+        assert (clean_animation(read, options=options).after.values == read.values).all()
+    assert (clean_animation(read, only=("pop",)).after.values == read.values).all()
     part = clean_animation(read, options=FillOptions(frames=(1, 210)))
     assert np.flatnonzero((part.after.values != read.values).any(1)).tolist() == list(range(200, 210))
 

@@ -16,7 +16,7 @@ from mocapfix.bench.limb import Performance, performed
 from mocapfix.clock import Progress
 from mocapfix.detect import turns as detected
 from mocapfix.errors import SceneError
-from mocapfix.faults import Fault
+from mocapfix.faults import Fault, Kind
 from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
 from mocapfix.skeleton import cmu31
@@ -27,7 +27,9 @@ from mocapfix.train.recordings.recording import RATE
 
 LEAST = 3.4  # seconds of a performance that has room for faults
 WAYS = ("linear", "told", "found")
-TOLD_AS = {"flip": "flip", "pop": "pop", "jitter": "jitter", "limb lost": "gap", "figure lost": "gap", "root off": "spike"}
+TOLD_AS: dict[str, Kind] = {
+    "flip": "flip", "pop": "pop", "jitter": "jitter", "limb lost": "gap", "figure lost": "gap", "root off": "spike",
+}  # fmt: skip
 TREMBLE = np.radians(3.0)
 
 

@@ -44,7 +44,7 @@ def found(steps: np.ndarray, rest: np.ndarray, absent: np.ndarray, rate: float) 
     shortest = max(2, round(SHORTEST * rate))
     found = [Lost(courses, a, b, ABSENT) for (a, b), courses in _together(absent, np.ones_like(moving))]
     for (a, b), courses in _together(zero, moving):
-        inner = 0 < a and b < len(rest) - 1
+        inner = a > 0 and b < len(rest) - 1
         if inner and (_leaps(steps[a - 1 :: -1], courses) & _leaps(steps[b:], courses)).any():
             found.append(Lost(courses, a, b, ZERO))
     for (a, b), courses in _together(held & ~_over(found, zero.shape), moving):

@@ -109,7 +109,7 @@ def _left(way: Undoing, still: np.ndarray, inside: np.ndarray, at: np.ndarray) -
 
 
 def _background(size: np.ndarray, rate: float, least: float) -> np.ndarray:
-    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; also about what they are a
-    quarter of the time, for toes and thumbs stick and slip."""
+    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; at least about what
+    they are a quarter of the time, too, for toes and thumbs stick and slip."""
     least = max(least, 1.5 * float(np.quantile(size, 0.75)))
     return np.maximum(1.5 * median_filter(size, 2 * round(AROUND * rate) + 1, mode="nearest"), least)

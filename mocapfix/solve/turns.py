@@ -110,7 +110,7 @@ def _bridge(work: Mended, parents: np.ndarray, gone: np.ndarray, whole: np.ndarr
     """Lead what is `gone` (T, N) and not yet found across, the whole figure or each joint for itself, in place."""
     left = gone & (work.way == AS_IT_IS)
     sound = ~gone.any(1)
-    for first, last in runs(whole & sound.any()):
+    for first, last in runs(whole & bool(sound.any())):
         span, mask = slice(first, last + 1), left[first : last + 1]
         place, local, of_place, variance = bridged.figure(parents, work.root, work.local, sound, first, last, rate)
         work.root[span] = np.where(mask[:, -1:], place, work.root[span])

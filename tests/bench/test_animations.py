@@ -38,7 +38,8 @@ def test_linear_interpolation_is_exact_on_steady_turns():
     struck_root, struck = root.copy(), local.copy()
     struck_root[10:20], struck[10:20] = np.nan, np.nan
     found = animations.interpolated(struck_root, struck, put)
-    assert np.abs(found[0] - root).max() < 1e-12 and np.abs(found[1] - local).max() < 1e-12
+    assert np.abs(found[0] - root).max() < 1e-12
+    assert np.abs(found[1] - local).max() < 1e-12
 
 
 def test_what_is_turned_back_is_far_better_than_interpolated():

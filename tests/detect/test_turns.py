@@ -62,7 +62,8 @@ def test_a_joint_that_trembles_is_told_with_its_size():
     faults = found(composed().root, local)
     kind, joint, first, last = only(faults)
     assert (kind, joint) == ("jitter", ARM)
-    assert abs(first - 200) <= 3 and abs(last - 229) <= 3
+    assert abs(first - 200) <= 3
+    assert abs(last - 229) <= 3
     assert np.radians(2) < faults[0].severity < np.radians(4)
 
 
@@ -72,7 +73,8 @@ def test_a_lost_limb_is_one_fault(how):
     local[SPAN, joints] = local[199, joints] if how == "held" else np.eye(3) if how == 0.0 else np.nan
     faults = found(composed().root, local)
     assert {fault.kind for fault in faults} == {"stuck" if how == "held" else "gap"}
-    assert ARM in faults[0].markers and (faults[0].first, faults[0].last) == (200, 229)
+    assert ARM in faults[0].markers
+    assert (faults[0].first, faults[0].last) == (200, 229)
 
 
 def test_a_frozen_figure_is_one_fault_of_everything():
@@ -91,8 +93,8 @@ def test_a_rest_pose_before_the_motion_and_a_hold_after_it_are_no_faults():
 
 
 def test_a_figure_that_stands_still_on_purpose_is_not_frozen():
-    ease = np.round(300 * (0.5 - 0.5 * np.cos(np.pi * np.clip(np.r_[np.linspace(0, 1, 150), np.ones(60), np.linspace(1, 0, 150)], 0, 1))))
-    at = ease.astype(int)
+    ease = 0.5 - 0.5 * np.cos(np.pi * np.r_[np.linspace(0, 1, 150), np.ones(60), np.linspace(1, 0, 150)])
+    at = np.round(300 * ease).astype(int)
     steps = turns.travelled(composed().root[at], composed().rotations[at])
     assert not [each for each in lost.found(*steps, np.zeros(steps[1].shape, bool), RATE) if each.last - each.first > 30]
 

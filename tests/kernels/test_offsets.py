@@ -16,7 +16,7 @@ def swinging() -> Rotation:
 
 
 def test_a_product_is_scipys():
-    a, b = Rotation.random(20, rng=1), Rotation.random(20, rng=2)
+    a, b = (Rotation.random(20, rng=np.random.default_rng(seed)) for seed in (1, 2))
     ours = Rotation.from_quat(offsets.product(a.as_quat(), b.as_quat()))
     assert (ours * (a * b).inv()).magnitude().max() < 1e-12
 

@@ -54,7 +54,9 @@ def test_what_was_put_in_goes_and_what_was_sound_stays(kind):
 def test_nothing_wrong_nothing_done():
     truth = composed()
     mended = turns.mended(SKELETON.parents, truth.root, truth.rotations, ["ZYX"] * 31, [], RATE)
-    assert (mended.local == truth.rotations).all() and (mended.root == truth.root).all() and not mended.way.any()
+    assert (mended.local == truth.rotations).all()
+    assert (mended.root == truth.root).all()
+    assert not mended.way.any()
 
 
 def test_a_joint_that_is_never_there_stays_so_without_harm():
@@ -64,4 +66,5 @@ def test_a_joint_that_is_never_there_stays_so_without_harm():
     gap = as_faults(damaged(truth, SKELETON, RATE, "limb lost", "long", np.random.default_rng(0))[1][0], 31)[0]
     whole = type(gap)("gap", 5, 0, truth.frames - 1, np.nan, "")
     mended = turns.mended(SKELETON.parents, truth.root, local, ["ZYX"] * 31, [whole], RATE)
-    assert np.isfinite(mended.local).all() and not mended.way[:, 5].any()
+    assert np.isfinite(mended.local).all()
+    assert not mended.way[:, 5].any()
