@@ -38,7 +38,7 @@ def found(steps: np.ndarray, rest: np.ndarray, absent: np.ndarray, rate: float) 
     steps   (T - 1, N) how far each goes from frame to frame, radians or metres, NaN where not known
     rest    (T, N) how far each is from its rest, likewise;  absent  (T, N) where there is no number
     """
-    held, zero = np.vstack([steps[:1] < 0, steps < EXACT]), rest < EXACT
+    held, zero = np.vstack([np.zeros((1, steps.shape[1]), bool), steps < EXACT]), rest < EXACT
     moving = held.mean(0) < OFTEN  # the others hardly ever do, so that it tells nothing where they do not
     held, zero = held & moving, zero & moving
     shortest = max(2, round(SHORTEST * rate))
