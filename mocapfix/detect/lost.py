@@ -40,14 +40,14 @@ def found(steps: np.ndarray, rest: np.ndarray, absent: np.ndarray, rate: float) 
     """
     held, zero = np.vstack([np.zeros((1, steps.shape[1]), bool), steps < EXACT]), rest < EXACT
     moving = held.mean(0) < OFTEN  # the others hardly ever do, so that it tells nothing where they do not
-    held, zero = held & moving, zero & moving
+    held, zero = held & moving, zero & moving  # (a joint that rests for a while is at its limit, and not held)
     shortest = max(2, round(SHORTEST * rate))
     found = [Lost(courses, a, b, ABSENT) for (a, b), courses in _together(absent, np.ones_like(moving))]
     for (a, b), courses in _together(zero, moving):
         inner = a > 0 and b < len(rest) - 1
         if inner and (_leaps(steps[a - 1 :: -1], courses) & _leaps(steps[b:], courses)).any():
             found.append(Lost(courses, a, b, ZERO))
-    for (a, b), courses in _together(held & ~_over(found, zero.shape), moving):
+    for (a, b), courses in _together(held & ~zero & ~_over(found, zero.shape), moving):
         if (b - a + 1 >= shortest or len(courses) == len(moving)) and b < len(rest) - 1 and _leaps(steps[b:], courses).any():
             found.append(Lost(courses, a, b, HELD))
     return sorted(found, key=lambda each: each.first)
