@@ -14,7 +14,7 @@ from mocapfix.take import runs
 
 WINDOW, SHORTEST = 0.2, 0.15  # seconds: over which the size is measured, and that a tremble lasts
 FEWEST, WIDEST = 5, 7  # frames: of a tremble, and at least of the window, for a kink as of a foot that lands shows in three
-SMALLEST, SWAY = np.radians(1.0), 14.0  # radians, and rad/s^2: of a tremble, and what motion may leave; it tells at low rates only
+SMALLEST, SWAY = np.radians(1.0), 14.0  # radians, and rad/s^2: of a tremble; what motion may leave, at low rates only
 MEDIAN = 1.27  # times the median of the squares of three axes is their mean
 RATIO, OFTEN = 4.0, 3.0  # times the joint's own tremble over the take, by its median; by what it does a fifth of the time
 WHITE = 0.35  # of the size that second differences tell, squared
