@@ -15,9 +15,9 @@ from mocapfix.take import runs
 
 WINDOW, SHORTEST = 0.2, 0.15  # seconds: over which the size is measured, and that a tremble lasts
 FEWEST, WIDEST = 5, 7  # frames: of a tremble, and at least of the window, for a kink as of a foot that lands shows in three
-SMALLEST, SWAY = np.radians(1.0), 14.0  # radians, and rad/s^2: of a tremble; what motion may leave, at low rates only
+SMALLEST, SWAY = np.radians(1.0), 7.0  # radians, and rad/s^2: of a tremble; what motion may leave, at low rates only
 MEDIAN = 1.27  # times the median of the squares of three axes is their mean
-RATIO, OFTEN = 4.0, 1.0  # times the joint's own tremble over the take, by its median; by what it does a fifth of the time
+RATIO = 4.0  # times the joint's own tremble over the take, by its median
 WHITE = 0.35, 0.7  # of the size that second differences tell, squared: of a moment, and of the whole tremble
 STEADY = 0.5  # of the size, squared, that its median tells
 ROUND = 0.1  # of the size about the axis of the most that there is about that of the least
@@ -47,8 +47,8 @@ def found(course: np.ndarray, usable: np.ndarray, rate: float) -> list[Tremble]:
         return []
     window = max(WIDEST, round(WINDOW * rate)) | 1
     size, against = (MEDIAN * median_filter(np.nan_to_num(each), window) for each in (fourth, second))
-    own, often = np.sqrt(MEDIAN * np.median(fourth[told])), np.sqrt(np.quantile(size[told], 0.8))
-    limit = max(SMALLEST + SWAY / rate**2, RATIO * own, OFTEN * often) ** 2
+    own = np.sqrt(MEDIAN * np.median(fourth[told]))
+    limit = max(SMALLEST + SWAY / rate**2, RATIO * own) ** 2
     trembles = (size > limit) & (size > WHITE[0] * against)
     kept = []
     faintly = binary_closing(np.nan_to_num(fourth) > max(FAINT * limit, RATIO * own**2), np.ones(4))
