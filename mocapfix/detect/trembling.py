@@ -22,6 +22,7 @@ WHITE = 0.35, 0.7  # of the size that second differences tell, squared: of a mom
 STEADY = 0.5  # of the size, squared, that its median tells
 ROUND = 0.1  # of the size about the axis of the most that there is about that of the least
 ALONE = 2.0  # times what one moment in a hundred has elsewhere, a tremble about a single axis is larger
+FLAT = 0.33
 MANY = 8  # frames of a tremble about a single axis
 FAINT = 0.15  # of the smallest size that counts, squared: where a tremble has begun or not yet ended
 POWER = {2: 6.0, 4: 70.0}  # the squares of the binomial coefficients, summed
@@ -84,7 +85,8 @@ def _is_one(about: dict[int, np.ndarray], tremble: Tremble) -> bool:
     if axes[0] > ROUND**2 * axes[2]:
         return True
     elsewhere = _squares(np.delete(about[4], slice(max(0, tremble.first - 4), tremble.last + 5), axis=0))
-    return len(inside) >= MANY and len(elsewhere) > 0 and bool(size > ALONE**2 * np.quantile(elsewhere, 0.99))
+    enough = len(inside) >= MANY or axes[1] > FLAT**2 * axes[2]
+    return enough and len(elsewhere) > 0 and bool(size > ALONE**2 * np.quantile(elsewhere, 0.99))
 
 
 def _squares(fourth: np.ndarray) -> np.ndarray:
