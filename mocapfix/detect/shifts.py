@@ -16,10 +16,10 @@ STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
 AROUND = 0.5  # seconds to either side, over which it is seen how lively a course is
 STEP = 4.0  # times what is usual, a third difference is large
 LEFT, GAIN = 12.0, 15.0  # times what is usual: the mean square that may be left, and that must go
-PLAIN, FIRM = 40.0, 0.3  # how much more must go than is left, which counts as so much at least
+PLAIN, FIRM = 30.0, 0.3  # how much more must go than is left, which counts as so much at least
 SLOW = 2.0  # seconds after which that must be twice as much: two steps by chance are the likelier the longer one waits
 ALIKE = 16.0  # the power of two steps of one shift, at most times that of the other
-SHARE = 0.05  # of the squares may be left
+SHARE, CLEAR = 0.05, 0.004  # of the squares may be left; with so few left it does not matter how much that is
 MOST = 250  # steps of a course that are looked at, the largest
 LONGEST, SHORT = 3.0, 0.3  # seconds: no shift is longer; from where on a longer one is the less likely
 
@@ -90,7 +90,7 @@ def _tested(
     scale, freedom = float((usual[rows] ** 2).mean()), len(rows) - 1
     gain = (before - left) / len(rows) / scale
     plain = gain / (FIRM + left / freedom / scale)
-    if left / freedom > LEFT * scale or gain < GAIN or left > SHARE * before:
+    if left > SHARE * before or gain < GAIN or (left > CLEAR * before and left / freedom > LEFT * scale):
         return None
     return Shift(first, last, amount, plain)
 
