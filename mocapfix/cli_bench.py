@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from mocapfix.cli_bench_animations import animations
 from mocapfix.cli_bench_faults import faults
 from mocapfix.cli_bench_hybrik import hybrik
 from mocapfix.cli_bench_prior import PRIOR_BENCHES
@@ -107,6 +108,7 @@ BENCHES = {
     "calibration": calibration,
     "faults": faults,
     "files": files,
+    "animations": animations,
     "hybrik": hybrik,
     **PRIOR_BENCHES,
 }

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 
-APART = 0.8  # seconds between two faults, and before the first and after the last
+APART, BESIDE = 2.0, 0.8  # seconds between two faults; before the first and after the last
 LENGTHS = {"moment": (0.0, 0.03), "short": (0.2, 0.5), "long": (0.5, 1.0)}  # seconds
 TREMBLE = np.radians(3.0)
 LIMBS = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"), ("ForeArm", "Hand"), ("Leg", "Foot"))
@@ -38,11 +38,11 @@ def damaged(
     """
     root, local, put = motion.root.copy(), motion.rotations.copy(), []
     least, most = LENGTHS[length]
-    at = round(APART * rate)
+    at = round(BESIDE * rate)
     while True:
         frames = max(1, round(rng.uniform(least, most) * rate))
-        first = at + int(rng.integers(round(APART * rate)))
-        if first + frames + round(APART * rate) > motion.frames:
+        first = at + int(rng.integers(round(BESIDE * rate)))
+        if first + frames + round(BESIDE * rate) > motion.frames:
             break
         last = first + frames - 1
         joints = KINDS[kind](root, local, skeleton, slice(first, last + 1), rng)

@@ -14,7 +14,7 @@ import numpy as np
 from mocapfix.take import runs
 
 ABSENT, ZERO, HELD = "has no numbers", "is at zero", "is held at one value"
-SHORTEST = 0.1  # seconds of one value; of the whole figure one frame is enough
+SHORTEST = 0.1  # seconds of one value; of several joints together one frame is enough
 EXACT = 1e-9  # radians or metres: what a value spelled once more may differ by
 LEAP = np.radians(1.0)  # or 17 mm: a smaller one does not show
 QUICKER = 2.0  # than before it or after it, a leap is
@@ -38,17 +38,18 @@ def found(steps: np.ndarray, rest: np.ndarray, absent: np.ndarray, rate: float) 
     steps   (T - 1, N) how far each goes from frame to frame, radians or metres, NaN where not known
     rest    (T, N) how far each is from its rest, likewise;  absent  (T, N) where there is no number
     """
-    held, zero = np.vstack([steps[:1] < 0, steps < EXACT]), rest < EXACT
+    held, zero = np.vstack([np.zeros((1, steps.shape[1]), bool), steps < EXACT]), rest < EXACT
     moving = held.mean(0) < OFTEN  # the others hardly ever do, so that it tells nothing where they do not
-    held, zero = held & moving, zero & moving
+    held, zero = held & moving, zero & moving  # (a joint that rests for a while is at its limit, and not held)
     shortest = max(2, round(SHORTEST * rate))
     found = [Lost(courses, a, b, ABSENT) for (a, b), courses in _together(absent, np.ones_like(moving))]
     for (a, b), courses in _together(zero, moving):
         inner = a > 0 and b < len(rest) - 1
         if inner and (_leaps(steps[a - 1 :: -1], courses) & _leaps(steps[b:], courses)).any():
             found.append(Lost(courses, a, b, ZERO))
-    for (a, b), courses in _together(held & ~_over(found, zero.shape), moving):
-        if (b - a + 1 >= shortest or len(courses) == len(moving)) and b < len(rest) - 1 and _leaps(steps[b:], courses).any():
+    for (a, b), courses in _together(held & ~zero & ~_over(found, zero.shape), moving):
+        enough = b - a + 1 >= shortest or len(courses) > 1  # no two joints come to rest to the last digit in one frame
+        if enough and b < len(rest) - 1 and _leaps(steps[b:], courses).any():
             found.append(Lost(courses, a, b, HELD))
     return sorted(found, key=lambda each: each.first)
 

@@ -15,10 +15,11 @@ from mocapfix.kernels.offsets import Undoing
 STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
 AROUND = 0.5  # seconds to either side, over which it is seen how lively a course is
 STEP = 4.0  # times what is usual, a third difference is large
-LEFT, GAIN, PLAIN = 6.0, 40.0, 12.0  # times what is usual: the mean square that may be left, that must go; how much more goes
-SLOW = 0.5  # seconds after which that must be twice as much: two steps by chance are the likelier the longer one waits
+LEFT, GAIN = 12.0, 15.0  # times what is usual: the mean square that may be left, and that must go
+PLAIN, FIRM = 30.0, 0.3  # how much more must go than is left, which counts as so much at least
+SLOW = 2.0  # seconds after which that must be twice as much: two steps by chance are the likelier the longer one waits
 ALIKE = 16.0  # the power of two steps of one shift, at most times that of the other
-SHARE = 0.1  # of the squares may be left
+SHARE, CLEAR = 0.05, 0.004  # of the squares may be left; with so few left it does not matter how much that is
 MOST = 250  # steps of a course that are looked at, the largest
 LONGEST, SHORT = 3.0, 0.3  # seconds: no shift is longer; from where on a longer one is the less likely
 
@@ -88,8 +89,8 @@ def _tested(
     left, amount = min(_left(way, still, inside, at) for way in ways)
     scale, freedom = float((usual[rows] ** 2).mean()), len(rows) - 1
     gain = (before - left) / len(rows) / scale
-    plain = gain / (1 + left / freedom / scale)
-    if left / freedom > LEFT * scale or gain < GAIN or left > SHARE * before:
+    plain = gain / (FIRM + left / freedom / scale)
+    if left > SHARE * before or gain < GAIN or (left > CLEAR * before and left / freedom > LEFT * scale):
         return None
     return Shift(first, last, amount, plain)
 
@@ -108,7 +109,7 @@ def _left(way: Undoing, still: np.ndarray, inside: np.ndarray, at: np.ndarray) -
 
 
 def _background(size: np.ndarray, rate: float, least: float) -> np.ndarray:
-    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; also about what they are a
-    quarter of the time, for toes and thumbs stick and slip."""
+    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; at least about what
+    they are a quarter of the time, too, for toes and thumbs stick and slip."""
     least = max(least, 1.5 * float(np.quantile(size, 0.75)))
     return np.maximum(1.5 * median_filter(size, 2 * round(AROUND * rate) + 1, mode="nearest"), least)

@@ -1,8 +1,8 @@
 """A joint that trembles for a while, each frame by itself.
 
-Differences of the fourth order hold nearly nothing of what bodies do, and eight times the tremble. Where they are large, the
-second ones say whether the joint trembles or only moves fast: of a tremble both tell the same size, of motion the second a far
-greater.
+Differences of the fourth order hold nearly nothing of what bodies do, and eight times the tremble. Where they are large, two
+things tell a tremble from a joint that only moves fast. A tremble is as large by its second differences as by its fourth, motion
+by the second far greater. And a tremble is about all axes, while a body that kicks, lands or claps jerks a joint about one.
 """
 
 from typing import NamedTuple
@@ -10,14 +10,20 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import binary_closing, median_filter
 
+from mocapfix.kernels.offsets import product
 from mocapfix.take import runs
 
 WINDOW, SHORTEST = 0.2, 0.15  # seconds: over which the size is measured, and that a tremble lasts
 FEWEST, WIDEST = 5, 7  # frames: of a tremble, and at least of the window, for a kink as of a foot that lands shows in three
-SMALLEST, SWAY = np.radians(1.0), 14.0  # radians, and rad/s^2: of a tremble, and what motion may leave; it tells at low rates only
+SMALLEST, SWAY = np.radians(1.0), 7.0  # radians, and rad/s^2: of a tremble; what motion may leave, at low rates only
 MEDIAN = 1.27  # times the median of the squares of three axes is their mean
-RATIO, OFTEN = 4.0, 3.0  # times the joint's own tremble over the take, by its median; by what it does a fifth of the time
-WHITE = 0.35  # of the size that second differences tell, squared
+RATIO = 4.0  # times the joint's own tremble over the take, by its median
+WHITE = 0.35, 0.7  # of the size that second differences tell, squared: of a moment, and of the whole tremble
+STEADY = 0.5  # of the size, squared, that its median tells
+ROUND = 0.1  # of the size about the axis of the most that there is about that of the least
+ALONE = 2.0  # times what one moment in a hundred has elsewhere, a tremble about a single axis is larger
+FLAT = 0.33
+MANY = 8  # frames of a tremble about a single axis
 FAINT = 0.15  # of the smallest size that counts, squared: where a tremble has begun or not yet ended
 POWER = {2: 6.0, 4: 70.0}  # the squares of the binomial coefficients, summed
 
@@ -34,31 +40,57 @@ def found(course: np.ndarray, usable: np.ndarray, rate: float) -> list[Tremble]:
     """-> where a joint trembles: its course (T, 4), twice its quaternions without changes of sign, where `usable` (T,)."""
     if len(course) < 2 * FEWEST:
         return []
-    fourth, second = (_told(course, usable, order) for order in (4, 2))
-    known = ~np.isnan(fourth)
-    if not known.any():
+    known = np.where(usable[:, None], course, np.nan)
+    about = {order: _about_axes(known, order) for order in POWER}
+    fourth, second = ((about[order] ** 2).sum(1) / (3 * POWER[order]) for order in (4, 2))
+    told = ~np.isnan(fourth)
+    if not told.any():
         return []
     window = max(WIDEST, round(WINDOW * rate)) | 1
     size, against = (MEDIAN * median_filter(np.nan_to_num(each), window) for each in (fourth, second))
-    own, often = np.sqrt(MEDIAN * np.median(fourth[known])), np.sqrt(np.quantile(size[known], 0.8))
-    limit = max(SMALLEST + SWAY / rate**2, RATIO * own, OFTEN * often) ** 2
-    trembles = (size > limit) & (size > WHITE * against)
+    own = np.sqrt(MEDIAN * np.median(fourth[told]))
+    limit = max(SMALLEST + SWAY / rate**2, RATIO * own) ** 2
+    trembles = (size > limit) & (size > WHITE[0] * against)
     kept = []
-    about = binary_closing(np.nan_to_num(fourth) > max(FAINT * limit, RATIO * own**2), np.ones(4))
-    for a, b in runs(trembles | about):
+    faintly = binary_closing(np.nan_to_num(fourth) > max(FAINT * limit, RATIO * own**2), np.ones(4))
+    for a, b in runs(trembles | faintly):
         if trembles[a : b + 1].any():
             first, last = a + 1, b - 1  # the outermost differences reach a frame beyond
-            enough = last - first + 1 >= max(FEWEST, round(SHORTEST * rate))
-            if enough and np.nanmean(fourth[first : last + 1]) > limit:
-                kept.append(Tremble(int(first), int(last), float(np.sqrt(np.nanmean(fourth[first : last + 1])))))
+            if last - first + 1 >= max(FEWEST, round(SHORTEST * rate)):
+                each = Tremble(int(first), int(last), float(np.sqrt(np.nanmean(fourth[first : last + 1]))))
+                if each.size**2 > limit and _is_one(about, each):
+                    kept.append(each)
     return _apart(kept)
 
 
-def _told(course: np.ndarray, usable: np.ndarray, order: int) -> np.ndarray:
-    """-> (T,) the square of the tremble per axis that differences of an order about each frame tell; NaN where they do not."""
-    known = np.where(usable[:, None], course, np.nan)
-    square = (np.diff(known, order, axis=0) ** 2).sum(1) / (3 * POWER[order])
-    return np.pad(square, order // 2, constant_values=np.nan)
+def _about_axes(course: np.ndarray, order: int) -> np.ndarray:
+    """-> (T, 3) the differences of an order about each frame, radians in the joint's own axes; NaN where they are not known."""
+    beside = order // 2
+    turned = product(course[beside:-beside] / 2 * [-1, -1, -1, 1], np.diff(course, order, axis=0))
+    return np.pad(turned[:, :3], ((beside, beside), (0, 0)), constant_values=np.nan)
+
+
+def _is_one(about: dict[int, np.ndarray], tremble: Tremble) -> bool:
+    """-> bool: is it white, steady, and about all axes or like nothing else that the joint does?"""
+    spread = {}
+    for order, reach in ((4, 0), (2, 1)):
+        rows = about[order][max(0, tremble.first - reach) : tremble.last + 1 + reach]
+        rows = rows[~np.isnan(rows[:, 0])]
+        spread[order] = rows.T @ rows / max(len(rows), 1) / POWER[order]
+    size = np.trace(spread[4])
+    inside = _squares(about[4][tremble.first : tremble.last + 1])
+    if size < WHITE[1] * np.trace(spread[2]) or MEDIAN * np.median(inside) < STEADY * size:
+        return False
+    axes = np.linalg.eigvalsh(spread[4])
+    if axes[0] > ROUND**2 * axes[2]:
+        return True
+    elsewhere = _squares(np.delete(about[4], slice(max(0, tremble.first - 4), tremble.last + 5), axis=0))
+    enough = len(inside) >= MANY or axes[1] > FLAT**2 * axes[2]
+    return enough and len(elsewhere) > 0 and bool(size > ALONE**2 * np.quantile(elsewhere, 0.99))
+
+
+def _squares(fourth: np.ndarray) -> np.ndarray:
+    return (fourth[~np.isnan(fourth[:, 0])] ** 2).sum(1) / POWER[4]
 
 
 def _apart(trembles: list[Tremble]) -> list[Tremble]:

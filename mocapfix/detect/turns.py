@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mocapfix.detect import lost, shifts, trembling
-from mocapfix.faults import Fault
+from mocapfix.faults import Fault, Kind
 from mocapfix.kernels import offsets, quaternions
 
 TURN = np.radians(0.5), np.radians(8.0)  # third difference that any joint may have, and the smallest pop
@@ -55,7 +55,7 @@ def _of_lost(each: lost.Lost, labels: Sequence[str], rate: float) -> Fault:
     what = "The whole figure" if len(each.courses) == len(labels) else ", ".join(labels[n] for n in each.courses[:4])
     what += f" and {len(each.courses) - 4} more" if 4 < len(each.courses) < len(labels) else ""
     reason = f"{what}: {each.how} {_lasting(each.first, each.last, rate)}."
-    kind = "stuck" if each.how == lost.HELD else "gap"
+    kind: Kind = "stuck" if each.how == lost.HELD else "gap"
     return Fault(kind, each.courses[0], each.first, each.last, np.nan, reason, 1.0, each.courses[1:])
 
 
@@ -64,7 +64,8 @@ def _of_joint(joint: int, label: str, turns: np.ndarray, usable: np.ndarray, ord
     faults, steady = [], usable.copy()
     course = 2 * turns
     for each in shifts.found(course, offsets.of_turns(turns, order), usable, rate, *TURN):
-        kind, what = ("flip", "turned over") if each.amount > FLIP else ("pop", "off")
+        kind: Kind = "flip" if each.amount > FLIP else "pop"
+        what = "turned over" if kind == "flip" else "off"
         reason = f"{label} is {what} by {np.degrees(each.amount):.0f} degrees {_lasting(each.first, each.last, rate)}."
         faults.append(Fault(kind, joint, each.first, each.last, each.amount, reason, _sure(each)))
         steady[[each.first - 1, each.first, each.last, each.last + 1]] = False
@@ -80,4 +81,4 @@ def _lasting(first: int, last: int, rate: float) -> str:
 
 
 def _sure(each: shifts.Shift) -> float:
-    return round(float(1 - 5 / each.plain), 3)
+    return round(float(1 - 10 / each.plain), 3)

@@ -1,4 +1,4 @@
-"""A tremble smoothed away: each trembling frame is one more moment that a Gaussian process over the take knows, though not well."""
+"""A tremble smoothed away: each trembling frame is one more moment that a Gaussian process over the take knows, not well."""
 
 import numpy as np
 

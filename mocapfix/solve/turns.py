@@ -18,7 +18,7 @@ from mocapfix.solve.people import People
 from mocapfix.take import runs
 
 EXACT = 1e-8  # rad^2: the variance of what nobody doubts
-MOVES = 1e-3  # radians: a joint that turns less over the whole take rests
+MOVES = 1e-3  # radians: a joint that never turns by more rests
 WAYS = ("", "its own motion, turned back", "its own motion, smoothed", "moments alike", "the course around it")
 AS_IT_IS, TURNED_BACK, SMOOTHED, RECALLED, BRIDGED = range(len(WAYS))
 
@@ -59,12 +59,12 @@ def mended(
         if fault.kind in ("pop", "flip", "spike"):
             _turn_back(work, fault, unsound, orders, rate)
             unsound[fault.frames, fault.marker] = False
-    moving = np.flatnonzero(np.abs(np.diff(local, axis=0)).max((0, 2, 3)) > MOVES)
+    moving = np.flatnonzero(np.ptp(local, axis=0).max((1, 2)) > MOVES)
     for fault in faults:
         if fault.kind == "jitter":
             _smooth(work, fault, unsound, moving, rate)
     unsound &= gone
-    whole = gone[:, moving].mean(1) > recall.MOST
+    whole = gone[:, moving].sum(1) > recall.MOST * len(moving)
     _recall(work, gone & ~whole[:, None], moving, rate, people)
     _bridge(work, parents, gone, whole, rate)
     return work
@@ -100,6 +100,8 @@ def _recall(work: Mended, gone: np.ndarray, moving: np.ndarray, rate: float, peo
     """Recall the joints that are `gone` (T, N) below the root, in place."""
     joints = gone[:, :-1].copy()
     joints[:, 0] = False
+    if not joints.any():
+        return
     free = np.zeros(joints.shape[1], bool)
     free[[0, *moving]] = True
     variance = np.full(joints.shape, EXACT)
@@ -111,8 +113,8 @@ def _recall(work: Mended, gone: np.ndarray, moving: np.ndarray, rate: float, peo
 def _bridge(work: Mended, parents: np.ndarray, gone: np.ndarray, whole: np.ndarray, rate: float) -> None:
     """Lead what is `gone` (T, N) and not yet found across, the whole figure or each joint for itself, in place."""
     left = gone & (work.way == AS_IT_IS)
-    sound = ~gone.any(1)
-    for first, last in runs(whole & sound.any()):
+    sound = np.logical_not(gone.any(axis=1))
+    for first, last in runs(whole) if np.any(sound) else ():
         span, mask = slice(first, last + 1), left[first : last + 1]
         place, local, of_place, variance = bridged.figure(parents, work.root, work.local, sound, first, last, rate)
         work.root[span] = np.where(mask[:, -1:], place, work.root[span])

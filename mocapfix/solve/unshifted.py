@@ -8,12 +8,14 @@ from mocapfix.kernels.offsets import Undoing
 BESIDE = 0.3  # seconds on either side of each edge that are asked
 
 
-def turns(quaternions_: np.ndarray, sound: np.ndarray, first: int, last: int, order: str, rate: float) -> tuple[np.ndarray, float]:
+def turns(
+    turned: np.ndarray, sound: np.ndarray, first: int, last: int, order: str, rate: float
+) -> tuple[np.ndarray, float]:
     """-> the quaternions (n, 4) of one joint over first..last without what is off there, and the variance of that, rad^2 per
-    axis. quaternions (T, 4); sound (T,): which are to be believed; order: the joint's axes of rotation, as "ZYX"."""
-    inside = continuous(quaternions_[first : last + 1])
+    axis. turned (T, 4): its quaternions; sound (T,): which are to be believed; order: the joint's axes of rotation, as "ZYX"."""
+    inside = continuous(turned[first : last + 1])
     beside = _beside(sound, first, last, rate)
-    known = continuous(quaternions_[beside])
+    known = continuous(turned[beside])
     found, variance = _undone(2 * known, beside, offsets.of_turns(inside, order), first, last, rate)
     return found / np.linalg.norm(found, axis=1, keepdims=True), variance
 

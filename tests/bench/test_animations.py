@@ -1,0 +1,55 @@
+"""The bench of animations: the baseline is what it says, and mending is better where nothing is hidden."""
+
+import numpy as np
+import pytest
+
+from mocapfix.bench import animations
+from mocapfix.bench.injected_turns import KINDS, LENGTHS, Put, damaged
+from mocapfix.errors import SceneError
+from mocapfix.skeleton import cmu31
+
+SKELETON = cmu31().skeleton
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_a_fault_is_where_it_says_and_nowhere_else(kind):
+    (trial,) = animations._trials(None, 1)
+    struck, put = damaged(trial.motion, SKELETON, trial.rate, kind, "long", np.random.default_rng(0))
+    assert put
+    sound = np.ones(len(struck.root), bool)
+    for each in put:
+        seconds = (each.last - each.first + 1) / trial.rate
+        assert LENGTHS["long"][0] - 0.04 < seconds < LENGTHS["long"][1] + 0.04
+        sound[each.first : each.last + 1] = False
+    assert (struck.root[sound] == trial.motion.root[sound]).all()
+    assert (struck.rotations[sound] == trial.motion.rotations[sound]).all()
+    same = (struck.rotations[~sound] == trial.motion.rotations[~sound]).all((1, 2, 3))
+    assert not (same & (struck.root[~sound] == trial.motion.root[~sound]).all(1)).all()
+
+
+def test_linear_interpolation_is_exact_on_steady_turns():
+    from scipy.spatial.transform import Rotation
+
+    t = np.arange(30)
+    local = np.tile(np.eye(3), (30, 31, 1, 1))
+    local[:, 3] = Rotation.from_euler("X", 0.02 * t[:, None]).as_matrix()
+    root = np.outer(t, [0.01, 0.0, 0.02])
+    put = [Put("figure lost", tuple(range(31)), 10, 19)]
+    struck_root, struck = root.copy(), local.copy()
+    struck_root[10:20], struck[10:20] = np.nan, np.nan
+    found = animations.interpolated(struck_root, struck, put)
+    assert np.abs(found[0] - root).max() < 1e-12
+    assert np.abs(found[1] - local).max() < 1e-12
+
+
+def test_what_is_turned_back_is_far_better_than_interpolated():
+    said = animations.measure(None, 1, kinds=("flip", "root off"))
+    for lengths in said["rows"].values():
+        assert lengths["long"]["told_over_linear"] < 1 / 3
+        assert lengths["long"]["found"] == 1
+    assert said["touched"] < 0.01
+
+
+def test_no_trial_is_refused():
+    with pytest.raises(SceneError, match="At least one trial"):
+        animations.measure(None, 0)

@@ -1,0 +1,106 @@
+"""What is wrong with turns: all kinds are found where they were put, and nothing else."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix.detect import lost, turns
+from mocapfix.faults import Fault
+from mocapfix.motion import Motion
+from mocapfix.skeleton import cmu31
+from mocapfix.synthetic import motions
+from mocapfix.synthetic.truth import person
+
+RATE = 60.0
+SPAN = slice(200, 230)
+NAMES = cmu31().skeleton.names
+ARM = NAMES.index("LeftForeArm")
+
+
+@cache
+def composed() -> Motion:
+    return motions.compose(person(np.random.default_rng(3), crooked=True), 8.0, RATE)
+
+
+def found(root: np.ndarray, local: np.ndarray) -> list[Fault]:
+    return turns.found(NAMES, root, local, ["ZYX"] * len(NAMES), RATE)
+
+
+def only(faults: list[Fault]) -> tuple[str, int, int, int]:
+    assert len(faults) == 1, faults
+    return faults[0].kind, faults[0].marker, faults[0].first, faults[0].last
+
+
+def test_sound_motion_has_no_faults():
+    assert found(composed().root, composed().rotations) == []
+
+
+@pytest.mark.parametrize(("degrees", "kind"), [(25.0, "pop"), (-40.0, "pop"), (180.0, "flip")])
+@pytest.mark.parametrize("own", [True, False])
+def test_a_joint_that_is_off_for_a_while_is_told_to_the_frame(degrees, kind, own):
+    local, turn = composed().rotations.copy(), Rotation.from_euler("X", degrees, degrees=True).as_matrix()
+    local[SPAN, ARM] = local[SPAN, ARM] @ turn if own else turn @ local[SPAN, ARM]
+    faults = found(composed().root, local)
+    assert only(faults) == (kind, ARM, 200, 229)
+    assert faults[0].severity == pytest.approx(np.radians(abs(degrees)), abs=np.radians(2))
+    assert "LeftForeArm" in faults[0].reason
+
+
+def test_whole_turns_of_the_angles_turn_nothing_and_are_no_fault():
+    angles = Rotation.from_matrix(composed().rotations[:, ARM]).as_euler("ZYX", degrees=True)
+    angles[SPAN] = np.stack([angles[SPAN, 0] + 180, 180 - angles[SPAN, 1], angles[SPAN, 2] - 180], axis=1)
+    local = composed().rotations.copy()
+    local[:, ARM] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+    assert found(composed().root, local) == []
+
+
+def test_a_joint_that_trembles_is_told_with_its_size():
+    local, rng = composed().rotations.copy(), np.random.default_rng(0)
+    local[SPAN, ARM] = local[SPAN, ARM] @ Rotation.from_rotvec(rng.normal(0, np.radians(3), (30, 3))).as_matrix()
+    faults = found(composed().root, local)
+    kind, joint, first, last = only(faults)
+    assert (kind, joint) == ("jitter", ARM)
+    assert abs(first - 200) <= 3
+    assert abs(last - 229) <= 3
+    assert np.radians(2) < faults[0].severity < np.radians(4)
+
+
+@pytest.mark.parametrize("how", [np.nan, 0.0, "held"])
+def test_a_lost_limb_is_one_fault(how):
+    local, joints = composed().rotations.copy(), [ARM, ARM + 1]
+    local[SPAN, joints] = local[199, joints] if how == "held" else np.eye(3) if how == 0.0 else np.nan
+    faults = found(composed().root, local)
+    assert {fault.kind for fault in faults} == {"stuck" if how == "held" else "gap"}
+    assert ARM in faults[0].markers
+    assert (faults[0].first, faults[0].last) == (200, 229)
+
+
+def test_a_frozen_figure_is_one_fault_of_everything():
+    root, local = composed().root.copy(), composed().rotations.copy()
+    root[SPAN], local[SPAN] = root[199], local[199]
+    faults = found(root, local)
+    assert only(faults) == ("stuck", 0, 200, 229)
+    assert len(faults[0].markers) == len(NAMES) + 1
+
+
+def test_a_rest_pose_before_the_motion_and_a_hold_after_it_are_no_faults():
+    root, local = composed().root.copy(), composed().rotations.copy()
+    root[0], local[0] = 0, np.eye(3)
+    root[-40:], local[-40:] = root[-40], local[-40]
+    assert found(root, local) == []
+
+
+def test_a_figure_that_stands_still_on_purpose_is_not_frozen():
+    ease = 0.5 - 0.5 * np.cos(np.pi * np.r_[np.linspace(0, 1, 150), np.ones(60), np.linspace(1, 0, 150)])
+    at = np.round(300 * ease).astype(int)
+    steps = turns.travelled(composed().root[at], composed().rotations[at])
+    assert not [each for each in lost.found(*steps, np.zeros(steps[1].shape, bool), RATE) if each.last - each.first > 30]
+
+
+def test_a_root_that_is_off_is_a_fault_of_its_place():
+    root = composed().root.copy()
+    root[SPAN] += [0.2, 0.0, 0.1]
+    kind, course, first, last = only(found(root, composed().rotations))
+    assert (kind, course, first, last) == ("spike", len(NAMES), 200, 229)
