@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix.bench.injected_turns import KINDS, Put, damaged
+from mocapfix.bench.injected_turns import KINDS, LENGTHS, Put, damaged
 from mocapfix.bench.limb import Performance, performed
 from mocapfix.clock import Progress
 from mocapfix.detect import turns as detected
@@ -30,6 +30,7 @@ WAYS = ("linear", "told", "found")
 TOLD_AS: dict[str, Kind] = {
     "flip": "flip", "pop": "pop", "jitter": "jitter", "limb lost": "gap", "figure lost": "gap", "root off": "spike",
 }  # fmt: skip
+NO_TREMBLE = "jitter", "1 frame"  # what trembles in one frame has popped
 TREMBLE = np.radians(3.0)
 
 
@@ -66,15 +67,16 @@ def measure(
         for fault in _found(trial.motion, trial.rate):
             alarms[fault.kind] = alarms.get(fault.kind, 0) + 1
         for k, kind in enumerate(kinds):
-            for m, length in enumerate(("short", "long")):
-                rng = np.random.default_rng([seed, n, k, m])
-                touched.append(_scored(trial, kind, length, rng, tallies.setdefault((kind, length), Tally())))
+            for m, length in enumerate(LENGTHS):
+                if (kind, length) != NO_TREMBLE:
+                    rng = np.random.default_rng([seed, n, k, m])
+                    touched.append(_scored(trial, kind, length, rng, tallies.setdefault((kind, length), Tally())))
     rows: dict[str, dict] = {}
     for (kind, length), tally in tallies.items():
         if tally.errors["linear"]:
             rows.setdefault(kind, {})[length] = tally.row()
     pooled = {}
-    for length in ("short", "long"):
+    for length in LENGTHS:
         sums = {way: sum(sum(t.errors[way]) for (_, own), t in tallies.items() if own == length) for way in WAYS}
         pooled[length] = {way: sums[way] / sums["linear"] for way in WAYS[1:]} if sums["linear"] else {}
     per_minute = {kind: 60 * count / seconds for kind, count in sorted(alarms.items())}

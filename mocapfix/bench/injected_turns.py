@@ -14,7 +14,7 @@ from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 
 APART, BESIDE = 2.0, 0.8  # seconds between two faults; before the first and after the last
-LENGTHS = {"moment": (0.0, 0.03), "short": (0.2, 0.5), "long": (0.5, 1.0)}  # seconds
+LENGTHS = {"1 frame": (0.0, 0.0), "short": (0.2, 0.5), "long": (0.5, 1.0)}  # seconds
 TREMBLE = np.radians(3.0)
 LIMBS = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"), ("ForeArm", "Hand"), ("Leg", "Foot"))
 TURNING = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand", "Neck", "Head", "LowerBack", "Spine", "Shoulder")

@@ -19,11 +19,10 @@ SMALLEST, SWAY = np.radians(1.0), 7.0  # radians, and rad/s^2: of a tremble; wha
 MEDIAN = 1.27  # times the median of the squares of three axes is their mean
 RATIO = 4.0  # times the joint's own tremble over the take, by its median
 WHITE = 0.35, 0.7  # of the size that second differences tell, squared: of a moment, and of the whole tremble
-STEADY = 0.5  # of the size, squared, that its median tells
-ROUND = 0.1  # of the size about the axis of the most that there is about that of the least
-ALONE = 2.0  # times what one moment in a hundred has elsewhere, a tremble about a single axis is larger
-FLAT = 0.33
-MANY = 8  # frames of a tremble about a single axis
+STEADY, JERKY = 0.4, 0.15  # of the size, squared, that its median tells: about all axes, about fewer
+ROUND = 0.14  # of the size about the axis of the most that there is about that of the least
+ALONE = 2.0  # times what one moment in a hundred has elsewhere, a tremble not about all axes is larger
+MANY, FLAT = 8, 0.33  # frames of a tremble about a single axis: less than that share of it is about the next one
 FAINT = 0.15  # of the smallest size that counts, squared: where a tremble has begun or not yet ended
 POWER = {2: 6.0, 4: 70.0}  # the squares of the binomial coefficients, summed
 
@@ -71,7 +70,8 @@ def _about_axes(course: np.ndarray, order: int) -> np.ndarray:
 
 
 def _is_one(about: dict[int, np.ndarray], tremble: Tremble) -> bool:
-    """-> bool: is it white, steady, and about all axes or like nothing else that the joint does?"""
+    """-> bool: is it white, steady, and about all axes or like nothing else that the joint does? about: differences (T, 3) by
+    their order."""
     spread = {}
     for order, reach in ((4, 0), (2, 1)):
         rows = about[order][max(0, tremble.first - reach) : tremble.last + 1 + reach]
@@ -79,10 +79,11 @@ def _is_one(about: dict[int, np.ndarray], tremble: Tremble) -> bool:
         spread[order] = rows.T @ rows / max(len(rows), 1) / POWER[order]
     size = np.trace(spread[4])
     inside = _squares(about[4][tremble.first : tremble.last + 1])
-    if size < WHITE[1] * np.trace(spread[2]) or MEDIAN * np.median(inside) < STEADY * size:
-        return False
     axes = np.linalg.eigvalsh(spread[4])
-    if axes[0] > ROUND**2 * axes[2]:
+    all_round = axes[0] > ROUND**2 * axes[2]
+    if size < WHITE[1] * np.trace(spread[2]) or MEDIAN * np.median(inside) < (STEADY if all_round else JERKY) * size:
+        return False
+    if all_round:
         return True
     elsewhere = _squares(np.delete(about[4], slice(max(0, tremble.first - 4), tremble.last + 5), axis=0))
     enough = len(inside) >= MANY or axes[1] > FLAT**2 * axes[2]
@@ -90,6 +91,7 @@ def _is_one(about: dict[int, np.ndarray], tremble: Tremble) -> bool:
 
 
 def _squares(fourth: np.ndarray) -> np.ndarray:
+    """-> (n,) the squares of the tremble that fourth differences (T, 3) tell, where they are known."""
     return (fourth[~np.isnan(fourth[:, 0])] ** 2).sum(1) / POWER[4]
 
 

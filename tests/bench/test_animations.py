@@ -27,6 +27,13 @@ def test_a_fault_is_where_it_says_and_nowhere_else(kind):
     assert not (same & (struck.root[~sound] == trial.motion.root[~sound]).all(1)).all()
 
 
+def test_a_fault_of_one_frame_is_in_one_frame():
+    (trial,) = animations._trials(None, 1)
+    put = damaged(trial.motion, SKELETON, trial.rate, "pop", "1 frame", np.random.default_rng(0))[1]
+    assert put
+    assert all(each.first == each.last for each in put)
+
+
 def test_linear_interpolation_is_exact_on_steady_turns():
     from scipy.spatial.transform import Rotation
 
@@ -46,7 +53,7 @@ def test_what_is_turned_back_is_far_better_than_interpolated():
     said = animations.measure(None, 1, kinds=("flip", "root off"))
     for lengths in said["rows"].values():
         assert lengths["long"]["told_over_linear"] < 1 / 3
-        assert lengths["long"]["found"] == 1
+        assert lengths["long"]["found"] == lengths["1 frame"]["found"] == 1
     assert said["touched"] < 0.01
 
 

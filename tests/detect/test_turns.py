@@ -67,6 +67,29 @@ def test_a_joint_that_trembles_is_told_with_its_size():
     assert np.radians(2) < faults[0].severity < np.radians(4)
 
 
+@pytest.mark.parametrize("axes", [(1, 0, 0), (1, 0.6, 0)])
+def test_a_joint_that_is_often_jerked_about_an_axis_or_two_does_not_tremble(axes):
+    local, rng = composed().rotations.copy(), np.random.default_rng(2)
+    for first in range(40, 440, 60):
+        by = rng.normal(0, np.radians(3), (12, 1)) * axes
+        local[first : first + 12, ARM] = local[first : first + 12, ARM] @ Rotation.from_rotvec(by).as_matrix()
+    assert [fault for fault in found(composed().root, local) if fault.kind == "jitter"] == []
+
+
+def test_a_tremble_about_one_axis_is_told_where_nothing_else_is_like_it():
+    local, rng = composed().rotations.copy(), np.random.default_rng(0)
+    local[SPAN, ARM] = local[SPAN, ARM] @ Rotation.from_rotvec(rng.normal(0, np.radians(6), (30, 1)) * [1, 0, 0]).as_matrix()
+    assert only([fault for fault in found(composed().root, local) if fault.kind == "jitter"])[:2] == ("jitter", ARM)
+
+
+@pytest.mark.parametrize("limb", [[0], [0, 1]])
+def test_several_joints_that_are_held_in_one_frame_are_lost_there(limb):
+    steps, rest = np.full((60, 8), 0.01), np.ones((61, 8))
+    steps[30, limb], steps[31, limb] = 0.0, 0.05
+    faults = lost.found(steps, rest, np.zeros(rest.shape, bool), RATE)
+    assert [each[:3] for each in faults] == ([((0, 1), 31, 31)] if len(limb) > 1 else [])
+
+
 @pytest.mark.parametrize("how", [np.nan, 0.0, "held"])
 def test_a_lost_limb_is_one_fault(how):
     local, joints = composed().rotations.copy(), [ARM, ARM + 1]
