@@ -10,7 +10,7 @@ demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
 test: $(VENV)/installed-dev
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest --numprocesses 2 # in two processes, for most of the time one of them compiles
 
 # Blender as a Python module, for tests/blender; apart, for it wants a NumPy of its own. It needs the very Python 3.11.
 blender: .blender/installed
