@@ -1,4 +1,4 @@
-from contextlib import suppress
+import re
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +182,13 @@ def test_displacements_are_told_from_places(tmp_path):
 @settings(max_examples=200)
 @given(st.binary(max_size=6), st.integers(0, len(TEXT)), st.integers(0, 120))
 def test_a_file_with_any_fault_is_read_or_refused_in_a_sentence(tmp_path_factory, put, at, dropped):
-    data = TEXT.encode()
-    with suppress(ReadError):
-        read(tmp_path_factory.getbasetemp(), data[:at] + put + data[at + dropped :]).world()
+    data, folder = TEXT.encode(), tmp_path_factory.getbasetemp()
+    found, refused = None, ""
+    try:
+        found = read(folder, data[:at] + put + data[at + dropped :])
+    except ReadError as error:
+        refused = str(error)
+    if found is None:
+        assert re.match(rf"{re.escape(str(folder))}/\w+\.bvh\b.*[.)]$", refused, re.DOTALL)
+    else:
+        assert found.world()[0].shape == (found.frames, len(found.names), 3)
