@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from mocapfix.errors import SceneError
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
-from mocapfix.yaml_form import Joint, Stated, checked
+from mocapfix.yaml_form import Joint, Stated, checked, named
 
 SIGNS = re.compile(r"[\W_]+")  # what does not count in a name, nor does its case
 NEEDED = ("Hips", "Spine1") + tuple(side + bone for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Arm", "ForeArm"))
@@ -160,12 +159,7 @@ def load(name_or_path: str | Path) -> Style:
 
     Raises SceneError: no such style (the message lists those there are), or a file with a wrong key, named by its path.
     """
-    styles = {style.name: style for style in shipped()}
-    if str(name_or_path) in styles:
-        return styles[str(name_or_path)]
-    if not Path(name_or_path).is_file():
-        raise SceneError(f"{name_or_path}: no such style of names; name one of {', '.join(styles)}, or give a YAML file.")
-    return _read(Path(name_or_path))
+    return named(name_or_path, {style.name: style for style in shipped()}, "style of names", _read)
 
 
 def _read(path: Path) -> Style:

@@ -1,5 +1,6 @@
 """Files in YAML that people write and mend: held against the form they must have, and written so that they can be read."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -11,6 +12,7 @@ from mocapfix.scenes import read_yaml
 from mocapfix.skeleton import cmu31
 
 Form = TypeVar("Form", bound=BaseModel)
+Found = TypeVar("Found")
 WORDS = {  # for what pydantic says to programmers
     "extra_forbidden": "there is no such key; look for a slip in its name",
     "missing": "is missing",
@@ -43,6 +45,18 @@ def checked(form: type[Form] | TypeAdapter[Form], path: Path) -> Form:
         key = ".".join(str(part) for part in first["loc"]) or known.get("discriminator", "the file").strip("'")
         said = WORDS[first["type"]].format(**known) if first["type"] in WORDS else first["msg"].removeprefix("Value error, ")
         raise SceneError(f"{path}: {key}: {said}.") from error
+
+
+def named(name_or_path: str | Path, shipped: Mapping[str, Found], what: str, read: Callable[[Path], Found]) -> Found:
+    """-> of what travels with mocapfix, by name, the one that is meant; or what `read` makes of a YAML file of the same form.
+
+    Raises SceneError where there is none of the name: the message says `what` it would be, and lists those there are.
+    """
+    if (known := shipped.get(str(name_or_path))) is not None:
+        return known
+    if not Path(name_or_path).is_file():
+        raise SceneError(f"{name_or_path}: no such {what}; name one of {', '.join(shipped)}, or give a YAML file.")
+    return read(Path(name_or_path))
 
 
 def _known_joint(name: str) -> str:

@@ -1,8 +1,12 @@
 """Text files of marker takes as each vendor writes them, made for tests to read and patch."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
+import pytest
+
+from mocapfix.errors import ReadError
 
 LABELS = ("Jim:LFHD", "Jim:LANK", "Jim:LFIN")
 # One person standing in mm, Z up: head, ankle, hand over four frames.
@@ -126,3 +130,12 @@ def motive_rows(xyz: np.ndarray, names: Sequence[str], hand: str = "righthanded"
         lines.append(",".join(["frame", str(t), f"{t / 120:.8f}", str(bodies), *body, str(len(there)), *there]))
         lines.append(f'rigidbody,{t},{t / 120:.8f},"Rigid Body 1",1,0,0')
     return "\r\n".join(lines) + "\r\n"
+
+
+def assert_refused(take_of: Callable[[Path, str], object], folder: Path, text: str, words: str) -> None:
+    """What `take_of` makes of a text in a folder is one sentence that names the file there and says `words`."""
+    with pytest.raises(ReadError) as error:
+        take_of(folder, text)
+    assert str(error.value).startswith(str(folder / "walk."))
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)

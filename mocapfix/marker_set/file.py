@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
-from mocapfix.errors import SceneError
 from mocapfix.files import replacing
 from mocapfix.marker_set.labels import folded, listed
 from mocapfix.marker_set.nominal import MarkerSet
 from mocapfix.scenes import folder
 from mocapfix.skeleton import cmu31
 from mocapfix.subject import Subject
-from mocapfix.yaml_form import Joint, Line, Stated, Vector, checked, dumped
+from mocapfix.yaml_form import Joint, Line, Stated, Vector, checked, dumped, named
 
 DIGITS = 4  # a tenth of a millimetre: nobody sticks a marker on more exactly
 
@@ -31,13 +30,9 @@ def load(name_or_path: str | Path) -> MarkerSet:
 
     Raises SceneError: no such set (the message lists those there are), or a file with a wrong key, named by its path.
     """
-    sets = {each.name: each for each in shipped()}
-    called = sets | {also: each for each in shipped() for also in each.also_called}
-    if str(name_or_path) in called:
-        return called[str(name_or_path)]
-    if not Path(name_or_path).is_file():
-        raise SceneError(f"{name_or_path}: no such marker set; name one of {', '.join(sets)}, or give a YAML file.")
-    return _read(Path(name_or_path))
+    called = {each.name: each for each in shipped()}
+    called |= {also: each for each in shipped() for also in each.also_called}
+    return named(name_or_path, called, "marker set", _read)
 
 
 def of_subject(subject: Subject) -> MarkerSet:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import read
-from mocapfix.errors import ReadError
-from tests.text_files import STANDING, motive_rows
+from tests.text_files import STANDING, assert_refused, motive_rows
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
 NAMES = ("Body-Head", "Body-LeftFoot", "Marker-42")
@@ -54,8 +53,4 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
-    text, words = BAD[case]
-    with pytest.raises(ReadError) as error:
-        take_of(tmp_path, text)
-    assert str(error.value).startswith(str(tmp_path / "walk.csv"))
-    assert words in str(error.value)
+    assert_refused(take_of, tmp_path, *BAD[case])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import read
-from mocapfix.errors import ReadError
-from tests.text_files import LABELS, STANDING, nexus, workstation
+from tests.text_files import LABELS, STANDING, assert_refused, nexus, workstation
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
 OUTPUTS = "Model Outputs\n120\n,,Jim:LKneeAngles,,\nFrame,Sub Frame,X,Y,Z\n,,deg,deg,deg\n695,0,1,2,3\n696,0,1,2,3\n\n"
@@ -68,8 +67,4 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
-    text, words = BAD[case]
-    with pytest.raises(ReadError) as error:
-        take_of(tmp_path, text)
-    assert str(error.value).startswith(str(tmp_path / "walk.csv"))
-    assert words in str(error.value)
+    assert_refused(take_of, tmp_path, *BAD[case])

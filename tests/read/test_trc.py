@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import read
-from mocapfix.errors import ReadError
-from tests.text_files import LABELS, STANDING, trc
+from tests.text_files import LABELS, STANDING, assert_refused, trc
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
 
@@ -124,9 +123,4 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
-    text, words = BAD[case]
-    with pytest.raises(ReadError) as error:
-        take_of(tmp_path, text)
-    assert str(error.value).startswith(str(tmp_path / "walk.trc"))
-    assert words in str(error.value)
-    assert "\n" not in str(error.value)
+    assert_refused(take_of, tmp_path, *BAD[case])
