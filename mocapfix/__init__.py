@@ -3,7 +3,7 @@
 From Python:
 
     import mocapfix
-    result = mocapfix.clean("walk.c3d")  # .take .faults .subject .motion .report; .people where it shows several
+    result = mocapfix.pipeline.clean("walk.c3d")  # .take .faults .subject .motion .report; .people where it shows several
     result.write("walk.mocapfix")
 
 The names are imported when they are asked for: what a take needs is half a second of libraries, what --help needs is none.
@@ -14,26 +14,27 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
-    from mocapfix.fill import FillOptions
-    from mocapfix.outputs import OutputOptions
-    from mocapfix.pipeline import calibrated, clean
-    from mocapfix.result import Result
+    from mocapfix.fill.gap_filling import FillOptions
+    from mocapfix.pipeline import calibrate, clean, inspect
+    from mocapfix.result import CleaningResult
     from mocapfix.take import Take
+    from mocapfix.write.output_options import OutputOptions
 
-__all__ = ["FillOptions", "MocapfixError", "OutputOptions", "Result", "Take", "calibrated", "clean"]
+__all__ = ["CleaningResult", "FillOptions", "MocapfixError", "OutputOptions", "Take", "calibrate", "clean", "inspect"]
 
-HOMES = {
-    "FillOptions": "fill",
+MODULE_OF_NAME = {
+    "CleaningResult": "result",
+    "FillOptions": "fill.gap_filling",
     "MocapfixError": "errors",
-    "OutputOptions": "outputs",
-    "Result": "result",
+    "OutputOptions": "write.output_options",
     "Take": "take",
-    "calibrated": "pipeline",
+    "calibrate": "pipeline",
     "clean": "pipeline",
+    "inspect": "pipeline",
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in HOMES:
+    if name not in MODULE_OF_NAME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{MODULE_OF_NAME[name]}"), name)

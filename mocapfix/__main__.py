@@ -15,10 +15,10 @@ def main() -> None:
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     gc.disable()
-    from mocapfix import cli
+    from mocapfix.cli import app
 
     try:
-        cli.main()
+        app.run_command_line()
     finally:
         gc.freeze()
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.kernels import eulers
-from mocapfix.take import runs
+from mocapfix.kernels import euler_angles
+from mocapfix.take import find_runs
 
-AXES = "XYZ"
+AXIS_LETTERS = "XYZ"
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,19 @@ class Animation:
     names: tuple[str, ...]
     parents: np.ndarray
     offsets: np.ndarray
-    ends: tuple[np.ndarray, ...]
+    end_sites: tuple[np.ndarray, ...]
     channels: tuple[tuple[str, ...], ...]
     values: np.ndarray
     rate: float
     path: Path | None = None
     first_frame: int = 1
-    starts: np.ndarray | None = None
-    unit: float = 0.01
-    axes: np.ndarray = field(default_factory=lambda: np.eye(3))
-    rest: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
-    added: np.ndarray = field(default_factory=lambda: np.zeros(1, bool))
-    skeleton: Path | None = None
-    radians: bool = False
+    value_byte_offsets: np.ndarray | None = None
+    unit_m: float = 0.01
+    rotation_y_up_file: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rest_rotations: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
+    is_position_added: np.ndarray = field(default_factory=lambda: np.zeros(1, bool))
+    skeleton_path: Path | None = None
+    uses_radians: bool = False
     notes: tuple[str, ...] = ()
 
     @property
@@ -68,10 +68,10 @@ class Animation:
         return self.path.name if self.path else "the animation"
 
     @property
-    def begins_posed(self) -> bool:
+    def has_reference_pose(self) -> bool:
         """Is the first frame a pose put before the motion, as CMU's BVH release has a T-pose? Its angles are whole degrees,
         those of the next frame are not."""
-        turning = np.concatenate([self.turning(joint)[0] for joint in range(len(self.names))])
+        turning = np.concatenate([self.get_rotation_channels(joint)[0] for joint in range(len(self.names))])
         first, second = (self.values[frame, turning] for frame in (0, min(1, self.frames - 1)))
         return bool((first == np.round(first)).all() and (second != np.round(second)).any())
 
@@ -79,57 +79,57 @@ class Animation:
         return self.names.index(name)
 
     @cached_property
-    def columns(self) -> tuple[np.ndarray, ...]:
+    def joint_columns(self) -> tuple[np.ndarray, ...]:
         """For each joint the columns of `values` that are its channels."""
         stops = np.cumsum([len(each) for each in self.channels])
         return tuple(np.arange(stop - len(each), stop) for each, stop in zip(self.channels, stops, strict=True))
 
-    def turning(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    def get_rotation_channels(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """-> a joint's columns that are rotations, and the axis of each (0, 1 or 2), the outermost first."""
-        return self._of_kind(joint, "rotation")
+        return self._select_channels(joint, "rotation")
 
-    def moving(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
+    def get_position_channels(self, joint: int) -> tuple[np.ndarray, np.ndarray]:
         """-> a joint's columns that are positions, and the axis of each."""
-        return self._of_kind(joint, "position")
+        return self._select_channels(joint, "position")
 
-    def _of_kind(self, joint: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    def _select_channels(self, joint: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
         own = [at for at, name in enumerate(self.channels[joint]) if name.endswith(kind)]
-        return self.columns[joint][own], np.array([AXES.index(self.channels[joint][at][0]) for at in own], int)
+        return self.joint_columns[joint][own], np.array([AXIS_LETTERS.index(self.channels[joint][at][0]) for at in own], int)
 
-    def rotations(self) -> np.ndarray:
+    def compute_local_rotations(self) -> np.ndarray:
         """-> (T, J, 3, 3) each joint's axes in its parent's (the root's in the world), Y up; the identity in the rest pose."""
         out = np.empty((self.frames, len(self.names), 3, 3))
-        for joint, (_, rest) in enumerate(self._own()):
-            columns, axes = self.turning(joint)
-            turned = self.axes @ rest
-            out[:, joint] = turned @ eulers.matrices(np.radians(self.values[:, columns]), axes) @ turned.T
+        for joint, (_, rest) in enumerate(self._list_joint_conventions()):
+            columns, axes = self.get_rotation_channels(joint)
+            turned = self.rotation_y_up_file @ rest
+            out[:, joint] = turned @ euler_angles.compute_euler_matrices(np.radians(self.values[:, columns]), axes) @ turned.T
         return out
 
-    def places(self) -> np.ndarray:
+    def compute_local_positions(self) -> np.ndarray:
         """-> (T, J, 3) metres: each joint in its parent's axes (the root in the world), Y up."""
         out = np.tile(self.offsets, (self.frames, 1, 1))
-        for joint, (added, rest) in enumerate(self._own()):
-            columns, axes = self.moving(joint)
+        for joint, (added, rest) in enumerate(self._list_joint_conventions()):
+            columns, axes = self.get_position_channels(joint)
             if added:
                 out[:, joint] += self.values[:, columns] @ rest[:, axes].T
             else:
                 out[:, joint, axes] = self.values[:, columns]
             if "Length" in self.channels[joint]:
-                longer = self.values[:, self.columns[joint][self.channels[joint].index("Length")]]
+                longer = self.values[:, self.joint_columns[joint][self.channels[joint].index("Length")]]
                 for child in np.flatnonzero(self.parents == joint):
                     out[:, child] += longer[:, None] * self.offsets[child] / np.linalg.norm(self.offsets[child])
-        return out @ self.axes.T * self.unit
+        return out @ self.rotation_y_up_file.T * self.unit_m
 
-    def world(self) -> tuple[np.ndarray, np.ndarray]:
+    def compute_world_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """-> positions (T, J, 3) in metres and rotations (T, J, 3, 3) of the joints in the world, Y up."""
-        return carried(self.parents, self.places(), self.rotations())
+        return compose_transforms(self.parents, self.compute_local_positions(), self.compute_local_rotations())
 
-    def resting(self) -> np.ndarray:
+    def compute_rest_positions(self) -> np.ndarray:
         """-> (J, 3) metres: the joints in the rest pose, Y up, the root at its offset."""
-        places = self.offsets @ self.axes.T * self.unit
-        return carried(self.parents, places[None], np.tile(np.eye(3), (1, len(places), 1, 1)))[0][0]
+        places = self.offsets @ self.rotation_y_up_file.T * self.unit_m
+        return compose_transforms(self.parents, places[None], np.tile(np.eye(3), (1, len(places), 1, 1)))[0][0]
 
-    def with_rotations(self, joints: np.ndarray, frames: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    def replace_rotations(self, joints: np.ndarray, frames: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """-> (T, C) the values with some joints (n,) in some frames (m,) turned as rotations (m, n, 3, 3) say, as
         `rotations()` gives them; all else stays.
 
@@ -137,59 +137,63 @@ class Animation:
         start of the animation backwards from the frame after it; over all frames they go on from what the first had. A joint
         that is free in fewer than three axes comes as near as these let it.
         """
-        values, own = self.values.copy(), self._own()
+        values, own = self.values.copy(), self._list_joint_conventions()
         for at, joint in enumerate(joints):
-            columns, axes = self.turning(int(joint))
-            resting = self.axes @ own[joint][1]
+            columns, axes = self.get_rotation_channels(int(joint))
+            resting = self.rotation_y_up_file @ own[joint][1]
             turned = resting.T @ rotations[:, at] @ resting
-            for run, among, beside in _stretches(self.frames, frames):
+            for run, among, beside in _iterate_runs(self.frames, frames):
                 near = np.nan_to_num(np.radians(values[beside, columns]))
-                values[run[:, None], columns] = np.degrees(eulers.followed(np.ascontiguousarray(turned[among]), axes, near))
+                values[run[:, None], columns] = np.degrees(
+                    euler_angles.compute_continuous_euler_angles(np.ascontiguousarray(turned[among]), axes, near)
+                )
         return values
 
-    def with_places(self, joints: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def replace_positions(self, joints: np.ndarray, frames: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """-> (T, C) the values with some joints (n,) in some frames (m,) at places (m, n, 3), as `places()` gives them.
 
         Joints without positions of their own stay where they are.
         """
         values = self.values.copy()
-        told = places @ self.axes / self.unit
-        own = self._own()
+        told = positions @ self.rotation_y_up_file / self.unit_m
+        own = self._list_joint_conventions()
         for at, joint in enumerate(joints):
-            (columns, axes), (added, rest) = self.moving(int(joint)), own[joint]
+            (columns, axes), (added, rest) = self.get_position_channels(int(joint)), own[joint]
             place = (told[:, at] - self.offsets[joint]) @ rest if added else told[:, at]
             values[np.asarray(frames)[:, None], columns] = place[:, axes]
         return values
 
-    def with_values(self, values: np.ndarray) -> "Animation":
+    def replace_values(self, values: np.ndarray) -> "Animation":
         """-> the same animation moved by other numbers (T, C)."""
         return replace(self, values=values)
 
-    def _own(self) -> list[tuple[bool, np.ndarray]]:
+    def _list_joint_conventions(self) -> list[tuple[bool, np.ndarray]]:
         """-> for each joint whether its positions are added, and (3, 3) its rest."""
         count = len(self.names)
-        return list(zip(np.broadcast_to(self.added, count), np.broadcast_to(self.rest, (count, 3, 3)), strict=True))
+        return list(
+            zip(np.broadcast_to(self.is_position_added, count), np.broadcast_to(self.rest_rotations, (count, 3, 3)), strict=True)
+        )
 
 
-def carried(parents: np.ndarray, places: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compose_transforms(parents: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """-> positions (T, J, 3) and rotations (T, J, 3, 3) in the world, where places (T, J, 3) and local rotations
     (T, J, 3, 3) in the parents' axes carry the joints of a tree, parents before children."""
-    position, rotation = places.copy(), local.copy()
+    position, rotation = positions.copy(), rotations.copy()
     for joint, parent in enumerate(parents):
         if parent >= 0:
-            position[:, joint] = position[:, parent] + (rotation[:, parent] @ places[:, joint, :, None])[..., 0]
-            rotation[:, joint] = rotation[:, parent] @ local[:, joint]
+            position[:, joint] = position[:, parent] + (rotation[:, parent] @ positions[:, joint, :, None])[..., 0]
+            rotation[:, joint] = rotation[:, parent] @ rotations[:, joint]
     return position, rotation
 
 
-def _stretches(total: int, frames: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+def _iterate_runs(frame_count: int, frames: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
     """-> for each run of frames: the frames in the order in which they are followed, where each is in `frames`, and the
     frame they start from."""
-    among = np.full(total, -1)
+    among = np.full(frame_count, -1)
     among[frames] = np.arange(len(frames))
-    for first, last in runs(among >= 0):
+    for first, last in find_runs(among >= 0):
         own = np.arange(first, last + 1)
-        if first == 0 and last + 1 < total:
+        if first == 0 and last + 1 < frame_count:
             yield own[::-1], among[own[::-1]], last + 1
         else:
             yield own, among[own], max(first - 1, 0)

@@ -3,18 +3,20 @@
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
 
-from mocapfix.faults import LABELS, OTHERS_FILLS, REPLACED, Fault, Fragment, Moved
+from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
 from mocapfix.take import Take
 
+# MERGED: mocapfix.changes
 Decision = Literal["accept", "reject", "keep"]
 
 
 @dataclass(frozen=True)
-class State:
+class SampleState:
     """An interval's samples at one time: how many are missing, and how far, by the median, the others lie from where the solved
     body has the marker, in millimetres (None where nobody knows)."""
 
@@ -44,34 +46,39 @@ class Change:
     samples: int
     why: str
     method: str
-    before: State
-    after: State
+    before: SampleState
+    after: SampleState
     predicted_mm: float | None
     decision: Decision = "accept"
 
 
-def concerned(fault: Fault, count: int) -> list[int]:
+def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:
     """-> of a take's `count` markers those whose samples a fault is about."""
     donor = (fault.donor,) if isinstance(fault, Fragment) else ()
-    return list(dict.fromkeys(m for m in (*fault.markers, *donor) if m < count))
+    return list(dict.fromkeys(m for m in (*fault.markers, *donor) if m < marker_count))
 
 
-def samples(fault: Fault, labelled: Take) -> np.ndarray:
+def build_affected_mask(fault: Fault, relabelled: Take) -> np.ndarray:
     """-> (T, M) bool: the samples that a fault is about, in a take whose labels are right; what is missing among samples that
     are judged faulty is a gap's matter."""
-    mask = np.zeros(labelled.seen.shape, bool)
-    mask[fault.frames, concerned(fault, len(labelled.labels))] = True
-    return mask & labelled.seen if fault.kind in (*REPLACED, *OTHERS_FILLS) else mask
+    mask = np.zeros(relabelled.visible.shape, bool)
+    mask[fault.frame_slice, list_affected_markers(fault, len(relabelled.labels))] = True
+    return mask & relabelled.visible if fault.kind in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS) else mask
 
 
-def differs(before: Take, after: Take) -> np.ndarray:
+def compare_samples(before: Take, after: Take) -> np.ndarray:
     """-> (T, M) bool: is the sample another one, or gone, or there, or did it come from elsewhere?"""
-    same = (before.markers == after.markers).all(-1) | ~before.seen & ~after.seen
-    return ~same | (before.sources != after.sources) & (before.seen | after.seen)
+    same = (before.markers == after.markers).all(-1) | ~before.visible & ~after.visible
+    return ~same | (before.source_points != after.source_points) & (before.visible | after.visible)
 
 
-def made(
-    before: Take, labelled: Take, after: Take, faults: Iterable[Fault], body: np.ndarray | None, ways: np.ndarray
+def build_changes(
+    before: Take,
+    relabelled: Take,
+    after: Take,
+    faults: Iterable[Fault],
+    body_markers: np.ndarray | None,
+    fill_methods: np.ndarray,
 ) -> list[tuple[Change, Fault]]:
     """-> an entry for every fault of which something was made, in the order of the faults.
 
@@ -79,60 +86,92 @@ def made(
     body  (T, M, 3) metres: where the solved body has the markers, NaN where it has none; None without one
     ways  (T, M) how each sample was found that was filled, "" for others
     """
-    changed, found, names = differs(before, after), [], {}
+    changed, found, names = compare_samples(before, after), [], {}
     for fault in faults:
-        where = samples(fault, labelled)
-        count = 0 if isinstance(fault, Moved) else int(changed[where].sum())
-        if not count and not isinstance(fault, Moved):
+        where = build_affected_mask(fault, relabelled)
+        count = 0 if isinstance(fault, MarkerShift) else int(changed[where].sum())
+        if not count and not isinstance(fault, MarkerShift):
             continue
-        label, first = before.label(fault.marker), before.frame_number(fault.first)
+        label, first = before.get_label(fault.marker), before.get_frame_number(fault.first)
         name = f"{fault.kind}-{label}-{first}".replace(" ", "-")
         names[name] = names.get(name, 0) + 1
         change = Change(
             id=name if names[name] == 1 else f"{name}-{names[name]}",
             kind=fault.kind,
-            markers=tuple(before.label(m) for m in _named(fault)),
+            markers=tuple(before.get_label(m) for m in _list_named_markers(fault)),
             first=first,
-            last=before.frame_number(fault.last),
+            last=before.get_frame_number(fault.last),
             samples=count,
             why=fault.reason,
-            method=_method(fault, before, ways[where]),
-            before=_state(before if of_labels(fault) else labelled, where, body),
-            after=_state(after, where, body),
-            predicted_mm=_predicted(after, where),
+            method=_describe_method(fault, before, fill_methods[where]),
+            before=_measure_state(before if affects_labels(fault) else relabelled, where, body_markers),
+            after=_measure_state(after, where, body_markers),
+            predicted_mm=_compute_predicted_error_mm(after, where),
         )
         found.append((change, fault))
     return found
 
 
-def _named(fault: Fault) -> tuple[int, ...]:
+def _list_named_markers(fault: Fault) -> tuple[int, ...]:
     donor = (fault.donor,) if isinstance(fault, Fragment) else ()
     return tuple(dict.fromkeys((*fault.markers, *donor)))
 
 
-def of_labels(fault: Fault) -> bool:
+def affects_labels(fault: Fault) -> bool:
     """Is it about whose the samples are?"""
-    return fault.kind in LABELS or isinstance(fault, Fragment)
+    return fault.kind in LABEL_KINDS or isinstance(fault, Fragment)
 
 
-def _method(fault: Fault, take: Take, ways: np.ndarray) -> str:
-    if fault.kind in LABELS:
+def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
+    if fault.kind in LABEL_KINDS:
         return "labels exchanged back"
     if isinstance(fault, Fragment):
-        return f"samples of {take.label(fault.donor)} taken over"
-    if isinstance(fault, Moved):
+        return f"samples of {take.get_label(fault.donor)} taken over"
+    if isinstance(fault, MarkerShift):
         return "given its new place on the body; its samples stay as measured"
-    found = Counter(way for way in ways.ravel() if way)
+    found = Counter(way for way in fill_methods.ravel() if way)
     return f"estimated, mostly from {found.most_common(1)[0][0]}" if found else "taken out"
 
 
-def _state(take: Take, where: np.ndarray, body: np.ndarray | None) -> State:
-    off = np.full(1, np.nan) if body is None else np.linalg.norm(take.markers[where] - body[where], axis=-1)
+def _measure_state(take: Take, mask: np.ndarray, body_markers: np.ndarray | None) -> SampleState:
+    off = np.full(1, np.nan) if body_markers is None else np.linalg.norm(take.markers[mask] - body_markers[mask], axis=-1)
     known = off[~np.isnan(off)]
-    return State(int((~take.seen[where]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
+    return SampleState(int((~take.visible[mask]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
 
 
-def _predicted(take: Take, where: np.ndarray) -> float | None:
-    deviation = np.zeros(0) if take.deviation is None else take.deviation[where]
+def _compute_predicted_error_mm(take: Take, mask: np.ndarray) -> float | None:
+    deviation = np.zeros(0) if take.sample_sd is None else take.sample_sd[mask]
     known = deviation[~np.isnan(deviation)]
     return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None
+
+
+# MERGED: mocapfix.left
+# What a cleaning leaves empty.
+@dataclass(frozen=True)
+class UnfilledRun:
+    """Samples that stay missing: a marker over first..last (indices into the take, inclusive), and why."""
+
+    marker: int
+    first: int
+    last: int
+    reason: str
+
+
+def expand_unfilled_reasons(unfilled: Iterable[UnfilledRun], shape: tuple[int, int]) -> np.ndarray:
+    """-> `shape` (T, M) object: why each sample is left empty, "" where nobody said."""
+    said = np.full(shape, "", object)
+    for each in unfilled:
+        said[each.first : each.last + 1, each.marker] = each.reason
+    return said
+
+
+def find_unfilled_runs(take: Take, reasons: np.ndarray) -> tuple[UnfilledRun, ...]:
+    """-> what is missing in a take, in runs of one reason each, by marker and first frame; `said` (T, M) as `reasons`."""
+    found = []
+    for m in range(len(take.labels)):
+        for reason, frames in groupby(np.flatnonzero(~take.visible[:, m]), key=lambda t, m=m: reasons[t, m]):
+            each = list(frames)
+            breaks = np.flatnonzero(np.diff(each) > 1)
+            for a, b in zip([0, *(breaks + 1)], [*breaks, len(each) - 1], strict=True):
+                found.append(UnfilledRun(m, int(each[a]), int(each[b]), reason))
+    return tuple(sorted(found, key=lambda one: (one.marker, one.first)))

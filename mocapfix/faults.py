@@ -9,18 +9,27 @@ import numpy as np
 
 from mocapfix.take import Take
 
-Kind = Literal[
+FaultKind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
-MISSING: tuple[Kind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-REPLACED: tuple[Kind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
-OTHERS_FILLS: tuple[Kind, ...] = ("straight", "computed")  # told; replaced, where the rest contradicts them, on request
-LABELS: tuple[Kind, ...] = ("swap", "mislabelled")
-PLACES: tuple[Kind, ...] = ("moved", "drift")
-MENDED = ("gap", *REPLACED, *OTHERS_FILLS, *LABELS, "fragment")  # what --only may name; a gap stands for all that is missing
-SURE = 0.6  # confidence from which on labels are changed
+MISSING_KINDS: tuple[FaultKind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
+REPLACED_SAMPLE_KINDS: tuple[FaultKind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
+EXTERNAL_FILL_KINDS: tuple[FaultKind, ...] = (
+    "straight",
+    "computed",
+)  # told; replaced, where the rest contradicts them, on request
+LABEL_KINDS: tuple[FaultKind, ...] = ("swap", "mislabelled")
+SHIFT_KINDS: tuple[FaultKind, ...] = ("moved", "drift")
+REPAIRABLE_KINDS = (
+    "gap",
+    *REPLACED_SAMPLE_KINDS,
+    *EXTERNAL_FILL_KINDS,
+    *LABEL_KINDS,
+    "fragment",
+)  # what --only may name; a gap stands for all that is missing
+MIN_LABEL_CONFIDENCE = 0.6  # confidence from which on labels are changed
 
 
 @dataclass(frozen=True)
@@ -36,25 +45,25 @@ class Fault:
     unit    the severity's: metres, or radians of the turn of an animation's joint
     """
 
-    kind: Kind
+    kind: FaultKind
     marker: int
     first: int
     last: int
     severity: float
     reason: str
     confidence: float = 1.0
-    others: tuple[int, ...] = ()
-    unit: Literal["m", "rad"] = "m"
+    other_markers: tuple[int, ...] = ()
+    severity_unit: Literal["m", "rad"] = "m"
 
     @property
     def markers(self) -> tuple[int, ...]:
-        return (self.marker, *self.others)
+        return (self.marker, *self.other_markers)
 
     @property
-    def frames(self) -> slice:
+    def frame_slice(self) -> slice:
         return slice(self.first, self.last + 1)
 
-    def meets(self, other: "Fault") -> bool:
+    def overlaps(self, other: "Fault") -> bool:
         """Do the two share a sample?"""
         return self.first <= other.last and other.first <= self.last and not set(self.markers).isdisjoint(other.markers)
 
@@ -74,13 +83,13 @@ class Fragment(Fault):
 
 
 @dataclass(frozen=True)
-class Moved(Fault):
+class MarkerShift(Fault):
     """A marker that from `first` on is elsewhere on its segment, to the end of the take.
 
     settled  the frame from which it is at its new place: `first` where it was knocked, later where it slides
     """
 
-    settled: int = 0
+    settled_frame: int = 0
 
 
 @dataclass(frozen=True)
@@ -89,37 +98,37 @@ class Faults:
 
     items: tuple[Fault, ...] = ()
 
-    def of(self, *kinds: Kind) -> list[Fault]:
+    def select_kinds(self, *kinds: FaultKind) -> list[Fault]:
         """-> the faults of these kinds."""
         return [fault for fault in self.items if fault.kind in kinds]
 
-    def with_more(self, more: Iterable[Fault]) -> "Faults":
+    def add_faults(self, more: Iterable[Fault]) -> "Faults":
         """-> these and more, in order."""
         return Faults(tuple(sorted((*self.items, *more), key=lambda fault: (fault.marker, fault.first))))
 
-    def doubted(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
+    def compute_faulty_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
         """-> (T, M) bool: samples that are there but judged faulty, by faults of these kinds, so neither believed nor kept."""
-        return over(self.of(*kinds), take.seen.shape) & take.seen
+        return build_fault_mask(self.select_kinds(*kinds), take.visible.shape) & take.visible
 
-    def believed(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
+    def compute_inlier_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
         """-> (T, M) bool: samples that are there and not judged faulty, by faults of these kinds."""
-        return take.seen & ~self.doubted(take, kinds)
+        return take.visible & ~self.compute_faulty_mask(take, kinds)
 
-    def heard(self, take: Take, kinds: Sequence[Kind] = REPLACED) -> np.ndarray:
+    def compute_solver_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
         """-> (T, M) bool: samples that the body listens to: also those that tremble, for they do so about where the marker is.
 
         They are replaced all the same; but a limb whose markers all tremble is not a limb that was lost.
         """
-        return self.believed(take, [kind for kind in kinds if kind != "jitter"])
+        return self.compute_inlier_mask(take, [kind for kind in kinds if kind != "jitter"])
 
     def counts(self) -> dict[str, int]:
         """-> how many faults of each kind."""
         return dict(Counter(fault.kind for fault in self.items))
 
 
-def over(faults: Iterable[Fault], shape: tuple[int, ...]) -> np.ndarray:
+def build_fault_mask(faults: Iterable[Fault], shape: tuple[int, ...]) -> np.ndarray:
     """-> `shape` (T, M) bool: the samples of the faults' markers over their frames."""
     mask = np.zeros(shape, bool)
     for fault in faults:
-        mask[fault.frames, list(fault.markers)] = True
+        mask[fault.frame_slice, list(fault.markers)] = True
     return mask

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STATUS = (
+STATUS_TEXTS = (
     "solved: the step became smaller than it could matter",
     "solved: the iterations ran out while still improving a little",
     "poor: the markers lie far from the body; look at labels and swaps in these frames",
@@ -30,17 +30,17 @@ class Motion:
     joint_deviation  (T, J) metres: likewise of the joints' places
     """
 
-    root: np.ndarray
-    rotations: np.ndarray
+    root_position: np.ndarray
+    local_rotations: np.ndarray
     status: np.ndarray
     iterations: np.ndarray
-    deviation: np.ndarray
-    joint_deviation: np.ndarray
+    marker_sd: np.ndarray
+    joint_sd: np.ndarray
 
-    def at(self, frames: np.ndarray) -> "Motion":
+    def select_frames(self, frames: np.ndarray) -> "Motion":
         """-> the motion of some frames alone, by index."""
         return Motion(*(np.ascontiguousarray(field[frames]) for field in vars(self).values()))
 
     @property
-    def frames(self) -> int:
-        return len(self.root)
+    def frame_count(self) -> int:
+        return len(self.root_position)

@@ -1,19 +1,43 @@
-"""The 31-joint CMU skeleton: names, tree and the lengths of an average body.
-
-Rest pose and joint axes are those of CMU's own motion (a T-pose facing +Z, Y up, every joint's axes along the
-world's), so that CMU motion and mocapfix motion compare. Lengths are anatomical: the thorax and the wrists, which
-CMU's BVH release drops, are there.
-"""
+"""How people's bones differ: the shape parameters of a body (SCOPE, Eqs. 1 and 60-64)."""
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from mocapfix import shape
-from mocapfix.scenes import folder, load_yaml
+from mocapfix.errors import SceneError
+from mocapfix.files.shipped import find_shipped_folder, read_shipped_yaml, read_yaml
 
-CMU31 = "skeletons/cmu31.yaml"
+
+# MERGED: mocapfix.shape
+def load_shape_components(path: Path, joint_names: tuple[str, ...]) -> np.ndarray:
+    """-> (P, J, 3) metres: one standard deviation of each component of people's bone offsets, in the parents' axes.
+
+    joints  J names; a component leaves those alone that it does not name
+
+    Raises SceneError with the file and the component that does not say what it must.
+    """
+    said = read_yaml(path).get("components")
+    if not isinstance(said, list):
+        raise SceneError(f"{path}: components must be a list.")
+    components = np.zeros((len(said), len(joint_names), 3))
+    for p, component in enumerate(said):
+        try:
+            for name, offset in component.items():
+                components[p, joint_names.index(name)] = [float(length) for length in offset]
+        except (AttributeError, TypeError, ValueError) as error:
+            raise SceneError(f"{path}: components.{p} must give joints of the skeleton three lengths each ({error}).") from error
+    return components
+
+
+# MERGED: mocapfix.skeleton
+# The 31-joint CMU skeleton: names, tree and the lengths of an average body.
+#
+# Rest pose and joint axes are those of CMU's own motion (a T-pose facing +Z, Y up, every joint's axes along the
+# world's), so that CMU motion and mocapfix motion compare. Lengths are anatomical: the thorax and the wrists, which
+# CMU's BVH release drops, are there.
+CMU31_FILE = "skeletons/cmu31.yaml"
 
 
 @dataclass(frozen=True)
@@ -32,12 +56,12 @@ class Skeleton:
     ends: np.ndarray
 
     @property
-    def size(self) -> float:
+    def total_length_m(self) -> float:
         """Metres, of all offsets together: by its ratio to another skeleton's a person is so many times as large."""
         return float(np.linalg.norm(self.offsets))
 
     @property
-    def resting(self) -> np.ndarray:
+    def rest_positions(self) -> np.ndarray:
         """(J, 3) metres: the joints in the rest pose, the root at its offset."""
         places = self.offsets.copy()
         for joint, parent in enumerate(self.parents):
@@ -45,12 +69,12 @@ class Skeleton:
                 places[joint] += places[parent]
         return places
 
-    def index(self, name: str) -> int:
+    def find_joint(self, name: str) -> int:
         return self.names.index(name)
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyModel:
     """The skeleton with what calibration and solving know of any body.
 
     groups  G named groups of joints whose offsets have one scale in common (left and right together)
@@ -60,23 +84,23 @@ class Body:
     """
 
     skeleton: Skeleton
-    groups: dict[str, tuple[int, ...]]
-    shapes: np.ndarray
-    free: np.ndarray
+    bone_groups: dict[str, tuple[int, ...]]
+    shape_components: np.ndarray
+    free_joints: np.ndarray
 
 
 @cache
-def cmu31() -> Body:
+def load_cmu31_body() -> BodyModel:
     """-> the average body over the CMU subjects, left and right alike, from scenes/skeletons/cmu31.yaml."""
-    data, skeleton = load_yaml(CMU31), average()
-    groups = {name: tuple(skeleton.index(j) for j in joints) for name, joints in data["groups"].items()}
+    data, skeleton = read_shipped_yaml(CMU31_FILE), load_cmu31_skeleton()
+    groups = {name: tuple(skeleton.find_joint(j) for j in joints) for name, joints in data["groups"].items()}
     free = np.array([name not in data["fixed"] for name in skeleton.names])
-    return Body(skeleton, groups, shape.load(folder("priors") / "shape.yaml", skeleton.names), free)
+    return BodyModel(skeleton, groups, load_shape_components(find_shipped_folder("priors") / "shape.yaml", skeleton.names), free)
 
 
-def average() -> Skeleton:
+def load_cmu31_skeleton() -> Skeleton:
     """-> the skeleton of `cmu31` alone, which its shapes are fitted about."""
-    joints = load_yaml(CMU31)["joints"]
+    joints = read_shipped_yaml(CMU31_FILE)["joints"]
     names = tuple(joint["name"] for joint in joints)
     parents = np.array([names.index(j["parent"]) if j["parent"] else -1 for j in joints])
     offsets = np.array([joint["offset"] for joint in joints], float)

@@ -27,9 +27,9 @@ class Subject:
     marker_set: str
     labels: tuple[str, ...]
     joints: np.ndarray
-    places: np.ndarray
-    spread: np.ndarray
-    frames: int = 0
+    marker_offsets: np.ndarray
+    marker_spread: np.ndarray
+    frame_count: int = 0
     joint_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
     marker_sd: np.ndarray = field(default_factory=lambda: np.zeros(0))
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mocapfix.c3d_layout import C3DLayout
-from mocapfix.table_layout import TableLayout
+from mocapfix.files.layouts import C3dLayout, TableLayout
 
 if TYPE_CHECKING:
     from mocapfix.animation import Animation
@@ -41,16 +40,16 @@ class Take:
     rate: float
     first_frame: int = 1
     path: Path | None = None
-    layout: "C3DLayout | TableLayout | Animation | None" = None
-    columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    others: tuple[str, ...] = ()
+    layout: "C3dLayout | TableLayout | Animation | None" = None
+    point_columns: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    other_labels: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
-    deviation: np.ndarray | None = None
+    sample_sd: np.ndarray | None = None
     computed: np.ndarray | None = None
-    blind: np.ndarray | None = None
-    source: np.ndarray | None = None
-    subjects: tuple[str, ...] = ()
-    person: str = ""
+    uncaptured: np.ndarray | None = None
+    relabelled_points: np.ndarray | None = None
+    subject_names: tuple[str, ...] = ()
+    subject_name: str = ""
     notes: tuple[str, ...] = ()
 
     @property
@@ -58,19 +57,19 @@ class Take:
         return len(self.markers)
 
     @property
-    def seen(self) -> np.ndarray:
+    def visible(self) -> np.ndarray:
         """(T, M) bool: is the sample there?"""
         return ~np.isnan(self.markers[..., 0])
 
     @property
     def name(self) -> str:
         name = self.path.name if self.path else "the take"
-        return f"{name} ({self.person})" if self.person else name
+        return f"{name} ({self.subject_name})" if self.subject_name else name
 
     @property
-    def stem(self) -> str:
+    def output_stem(self) -> str:
         """What is written of the take is named by this: "walk", or "walk.Jim" where it is one person's."""
-        stem, whose = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.person)
+        stem, whose = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.subject_name)
         return f"{stem}.{whose}" if whose else stem
 
     @property
@@ -79,83 +78,87 @@ class Take:
         return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
 
     @property
-    def owners(self) -> tuple[str, ...]:
+    def marker_subjects(self) -> tuple[str, ...]:
         """Whose each marker is: Jim's, of "Jim:LFHD"; else the only person's whom the file lists; "" where nobody is named."""
         prefixes = [label.rpartition(":")[0].strip() for label in self.labels]
-        alone = self.subjects[0] if len(self.subjects) == 1 and not any(prefixes) else ""
+        alone = self.subject_names[0] if len(self.subject_names) == 1 and not any(prefixes) else ""
         return tuple(prefix or alone for prefix in prefixes)
 
     @property
     def measured(self) -> np.ndarray:
         """(T, M) bool: is the sample there, and did cameras see it?"""
-        return self.seen if self.computed is None else self.seen & ~self.computed
+        return self.visible if self.computed is None else self.visible & ~self.computed
 
-    def label(self, index: int) -> str:
+    def get_label(self, index: int) -> str:
         """A marker's label or, from their number on, that of an unlabelled trajectory."""
         if index < len(self.labels) or self.unlabelled is None:
             return self.labels[index]
         return self.unlabelled.labels[index - len(self.labels)]
 
-    def frame_number(self, index: int) -> int:
+    def get_frame_number(self, index: int) -> int:
         """The file's own number of the frame at `index`."""
         return self.first_frame + int(index)
 
-    def worn(self, columns: np.ndarray, believed: np.ndarray) -> "Take":
+    def select(self, marker_indices: np.ndarray, mask: np.ndarray) -> "Take":
         """-> the K markers at `columns` (K,) alone, in that order, NaN where `believed` (T, M) is False or a column is -1."""
-        there = columns >= 0
-        markers = np.full((self.frames, len(columns), 3), np.nan)
-        kept = np.where(believed[..., None], self.markers, np.nan)
-        markers[:, there] = kept[:, columns[there]]
-        labels = tuple(self.labels[c] if c >= 0 else "" for c in columns)
-        return Take(markers, labels, self.rate, self.first_frame, self.path, person=self.person)
+        there = marker_indices >= 0
+        markers = np.full((self.frames, len(marker_indices), 3), np.nan)
+        kept = np.where(mask[..., None], self.markers, np.nan)
+        markers[:, there] = kept[:, marker_indices[there]]
+        labels = tuple(self.labels[c] if c >= 0 else "" for c in marker_indices)
+        return Take(markers, labels, self.rate, self.first_frame, self.path, subject_name=self.subject_name)
 
-    def part(self, which: np.ndarray, person: str) -> "Take":
+    def extract_markers(self, marker_indices: np.ndarray, subject_name: str) -> "Take":
         """-> the markers at `which` (K,) as a take of the same file: what is written of it changes these markers alone."""
         given = {name: getattr(self, name) for name in ("deviation", "computed", "blind", "source")}
         return replace(
             self,
-            markers=self.markers[:, which],
-            labels=tuple(self.labels[m] for m in which),
-            columns=self.points[which],
-            person=person,
-            **{name: each[:, which] for name, each in given.items() if each is not None},
+            markers=self.markers[:, marker_indices],
+            labels=tuple(self.labels[m] for m in marker_indices),
+            columns=self.point_indices[marker_indices],
+            subject_name=subject_name,
+            **{name: each[:, marker_indices] for name, each in given.items() if each is not None},
         )
 
-    def of_part(self, part: "Take") -> np.ndarray:
+    def find_marker_indices(self, part: "Take") -> np.ndarray:
         """-> (K,) the index here of each marker of a part of this take."""
-        index = {int(point): m for m, point in enumerate(self.points)}
-        return np.array([index[int(point)] for point in part.points], int)
+        index = {int(point): m for m, point in enumerate(self.point_indices)}
+        return np.array([index[int(point)] for point in part.point_indices], int)
 
-    def only(self, believed: np.ndarray) -> "Take":
+    def masked(self, mask: np.ndarray) -> "Take":
         """The same take with the samples `believed` (T, M) alone, NaN elsewhere."""
-        return replace(self, markers=np.where(believed[..., None], self.markers, np.nan))
+        return replace(self, markers=np.where(mask[..., None], self.markers, np.nan))
 
-    def exchanged(self, ring: tuple[int, ...], first: int, last: int) -> "Take":
+    def exchange_labels(self, label_cycle: tuple[int, ...], first_frame_index: int, last_frame_index: int) -> "Take":
         """-> over first..last the samples that are under each next marker's label of the ring (of the first, for the last)
         put under its own; they change places and nothing else. For two, twice is not at all, bit for bit."""
-        frames, own, carrier = slice(first, last + 1), list(ring), list(ring[1:] + ring[:1])
+        frames, own, carrier = (
+            slice(first_frame_index, last_frame_index + 1),
+            list(label_cycle),
+            list(label_cycle[1:] + label_cycle[:1]),
+        )
         given = {name: getattr(self, name) for name in ("markers", "deviation", "computed", "blind")}
-        changed = {name: each.copy() for name, each in given.items() if each is not None} | {"source": self.sources.copy()}
+        changed = {name: each.copy() for name, each in given.items() if each is not None} | {"source": self.source_points.copy()}
         for each in changed.values():
             each[frames, own] = each[frames, carrier]
         return replace(self, **changed)
 
     @property
-    def points(self) -> np.ndarray:
+    def point_indices(self) -> np.ndarray:
         """(M,) the file's point that each marker is."""
-        return self.columns if len(self.columns) else np.arange(len(self.labels))
+        return self.point_columns if len(self.point_columns) else np.arange(len(self.labels))
 
     @property
-    def sources(self) -> np.ndarray:
+    def source_points(self) -> np.ndarray:
         """(T, M) the file's point that each sample came from."""
-        return np.tile(self.points, (self.frames, 1)) if self.source is None else self.source
+        return np.tile(self.point_indices, (self.frames, 1)) if self.relabelled_points is None else self.relabelled_points
 
-    def with_markers(self, markers: np.ndarray, deviation: np.ndarray | None = None) -> "Take":
+    def replace_markers(self, markers: np.ndarray, sample_sd: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""
-        return replace(self, markers=markers, deviation=deviation)
+        return replace(self, markers=markers, sample_sd=sample_sd)
 
 
-def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+def find_runs(mask: np.ndarray) -> list[tuple[int, int]]:
     """-> the runs of True in `mask` (T,) as (first, last) indices, both inclusive."""
     edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
     return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from mocapfix import cli, pipeline, subject_file, synthetic, write
-from mocapfix.pipeline import Result
-from mocapfix.synthetic import Truth
+from mocapfix import pipeline, synthetic, write
+from mocapfix.calibrate import subject_file
+from mocapfix.cli import app
+from mocapfix.pipeline import CleaningResult
+from mocapfix.synthetic import SyntheticTake
 from tests import muddled as muddling
 from tests.c3d_files import c3d_bytes
 from tests.muddled import FEET_UP, Muddled
@@ -26,9 +28,9 @@ FIRST = 301  # the file's number of the brief take's first frame
 class Cleaned:
     """A composed take, its file, and what came of it."""
 
-    truth: Truth
+    truth: SyntheticTake
     path: Path
-    result: Result
+    result: CleaningResult
     outputs: dict[str, Path]
 
 
@@ -45,9 +47,9 @@ class Brief:
     labels: tuple[str, ...]
 
 
-def struck_by_hand(truth: Truth) -> Truth:
+def struck_by_hand(truth: SyntheticTake) -> SyntheticTake:
     """The take with other damage: single markers' gaps only, all of them inside; 8 of 1 to 1.5 s, 60 short ones, spikes."""
-    rng, (frames, count), rate = np.random.default_rng(3), truth.struck.shape, truth.rate
+    rng, (frames, count), rate = np.random.default_rng(3), truth.missing_mask.shape, truth.rate
     struck, shift = np.zeros((frames, count), bool), np.zeros((frames, count, 3))
     for marker in rng.permutation(count)[:8]:
         length = round(rate * rng.uniform(1.0, 1.5))
@@ -62,15 +64,15 @@ def struck_by_hand(truth: Truth) -> Truth:
         first, way = rng.integers(20, frames - 20), rng.normal(size=3)
         if not struck[first - 6 : first + 9, marker].any():
             shift[first : first + rng.integers(1, 4), marker] = way / np.linalg.norm(way) * rng.uniform(0.04, 0.3)
-    damaged = np.where(struck[..., None], np.nan, truth.markers + shift)
-    return replace(truth, struck=struck, damaged=damaged, moved=(shift != 0).any(axis=2))
+    damaged = np.where(struck[..., None], np.nan, truth.marker_positions + shift)
+    return replace(truth, missing_mask=struck, damaged_positions=damaged, spike_mask=(shift != 0).any(axis=2))
 
 
 @pytest.fixture(scope="session")
 def cleaned(tmp_path_factory) -> Cleaned:
     folder = tmp_path_factory.mktemp("cleaned")
-    truth, path = struck_by_hand(synthetic.take(seed=3, seconds=6.0)), folder / "somebody.c3d"
-    synthetic.write(path, truth)
+    truth, path = struck_by_hand(synthetic.compose_take(seed=3, seconds=6.0)), folder / "somebody.c3d"
+    synthetic.write_synthetic_take(path, truth)
     result = pipeline.clean(path)
     return Cleaned(truth, path, result, result.write(folder / "somebody.mocapfix"))
 
@@ -84,18 +86,18 @@ def brief(cleaned, tmp_path_factory) -> Brief:
     markers[20, labels.index("STRN")] += [0.2, 0.0, 0.0]
     path = folder / "brief.c3d"
     path.write_bytes(as_c3d(markers, labels, first=FIRST))
-    subject_file.save(folder / "known.yaml", cleaned.result.subject)
+    subject_file.write_subject(folder / "known.yaml", cleaned.result.subject)
     return Brief(path, folder / "known.yaml", markers, labels)
 
 
 @pytest.fixture(scope="session")
 def muddled(tmp_path_factory) -> Muddled:
     folder = tmp_path_factory.mktemp("muddled")
-    truth, path, output = synthetic.take(seed=3, seconds=3.0), folder / "muddled.c3d", folder / "cleaned.c3d"
+    truth, path, output = synthetic.compose_take(seed=3, seconds=3.0), folder / "muddled.c3d", folder / "cleaned.c3d"
     muddling.write(path, truth)
     result = pipeline.clean(path, subject=truth.subject)
-    assert write.c3d(output, result.before, result.take) == []
-    return Muddled(path, truth.subject, truth.markers, result, output)
+    assert write.c3d(output, result.input_take, result.take) == []
+    return Muddled(path, truth.subject, truth.marker_positions, result, output)
 
 
 def as_c3d(markers: np.ndarray, labels, first: int = 1, rate: float = 120.0) -> bytes:
@@ -111,7 +113,7 @@ def mocapfix(capsys):
 
     def run(*arguments):
         with pytest.raises(SystemExit) as left:
-            cli.main([str(each) for each in arguments])
+            app.run_command_line([str(each) for each in arguments])
         said = capsys.readouterr()
         return left.value.code, said.out, said.err
 

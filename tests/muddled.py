@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix import read
-from mocapfix.c3d_layout import C3DLayout
-from mocapfix.result import Result
+from mocapfix.files.layouts import C3dLayout
+from mocapfix.read import capture
+from mocapfix.result import CleaningResult
 from mocapfix.subject import Subject
-from mocapfix.synthetic import Truth
-from mocapfix.take import Take, runs
+from mocapfix.synthetic import SyntheticTake
+from mocapfix.take import Take, find_runs
 from tests.c3d_files import c3d_bytes
 
 FIRST = 301  # the file's number of the first frame
@@ -38,7 +38,7 @@ class Muddled:
     path: Path
     subject: Subject
     truth: np.ndarray
-    result: Result
+    result: CleaningResult
     output: Path
 
 
@@ -48,11 +48,11 @@ def words(shape: tuple[int, int]) -> np.ndarray:
     return CAMERAS + (31 * points + frames) % 256
 
 
-def write(path: Path, truth: Truth) -> None:
+def write(path: Path, truth: SyntheticTake) -> None:
     """Write the take, numbered from FIRST: mm, Z up, floats, with one labelled donor and one that nobody named."""
     labels = [*truth.labels, "RFHD-1", "*12"]
-    markers = np.full((truth.motion.frames, len(labels), 3), np.nan)
-    markers[:, :-2] = truth.markers
+    markers = np.full((truth.motion.frame_count, len(labels), 3), np.nan)
+    markers[:, :-2] = truth.marker_positions
     of = {label: m for m, label in enumerate(labels)}
     markers[20, of["STRN"]] += [0.2, 0.0, 0.0]
     markers[40:60, of["RELB"]] = np.nan
@@ -68,27 +68,27 @@ def write(path: Path, truth: Truth) -> None:
 
 def sample_words(path: Path) -> np.ndarray:
     """-> (T, P, 4) the words of every point of a file."""
-    layout = read.take(path).layout
-    assert isinstance(layout, C3DLayout)
-    return layout.words(path.read_bytes())
+    layout = capture.read_capture(path).layout
+    assert isinstance(layout, C3dLayout)
+    return layout.view_words(path.read_bytes())
 
 
 def columns(take: Take) -> dict[str, int]:
     """-> the file's point of each marker and unlabelled trajectory."""
-    named = dict(zip(take.labels, take.columns.tolist(), strict=True))
+    named = dict(zip(take.labels, take.point_columns.tolist(), strict=True))
     loose = take.unlabelled
-    return named | (dict(zip(loose.labels, loose.columns.tolist(), strict=True)) if loose else {})
+    return named | (dict(zip(loose.labels, loose.point_columns.tolist(), strict=True)) if loose else {})
 
 
 def differing(one: Path, other: Path) -> set[tuple[str, int, int]]:
     """-> the runs of samples any of whose bits differ: point, first and last index. All other bytes must be the same."""
-    take = read.take(one)
+    take = capture.read_capture(one)
     old, new = (sample_words(path) for path in (one, other))
     differs = (old.view("u4") != new.view("u4")).any(-1)
     rest = [bytearray(path.read_bytes()) for path in (one, other)]
-    assert isinstance(take.layout, C3DLayout)
+    assert isinstance(take.layout, C3dLayout)
     for data in rest:
-        take.layout.words(data)[differs] = 0
+        take.layout.view_words(data)[differs] = 0
     assert rest[0] == rest[1]
-    names = {column: label for each in (take, read.take(other)) for label, column in columns(each).items()}
-    return {(names[p], first, last) for p in range(differs.shape[1]) for first, last in runs(differs[:, p])}
+    names = {column: label for each in (take, capture.read_capture(other)) for label, column in columns(each).items()}
+    return {(names[p], first, last) for p in range(differs.shape[1]) for first, last in find_runs(differs[:, p])}

@@ -11,11 +11,14 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix import animated, cli, joint_points, pipeline, synthetic, write
+from mocapfix import pipeline, synthetic, write
 from mocapfix.animation import Animation
-from mocapfix.fill import FillOptions
+from mocapfix.animations import clean as animated
+from mocapfix.animations import joint_points
+from mocapfix.cli import app
+from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.read import amc, bvh
-from mocapfix.write.patched import patched
+from mocapfix.write.animation_patch import patch_animation
 
 CAPTURES = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "captures"
 ARM = ("RightArm", "RightForeArm")
@@ -45,7 +48,7 @@ def damaged(truth: Animation) -> np.ndarray:
         span = slice(first - 1, last)
         for joint in joints:
             where = 0 if kind == "spike" else truth.names.index(joint)
-            columns = truth.moving(0)[0] if kind == "spike" else truth.turning(where)[0]
+            columns = truth.get_position_channels(0)[0] if kind == "spike" else truth.get_rotation_channels(where)[0]
             if kind == "gap":
                 values[span, columns] = 0.0
             elif kind == "jitter":
@@ -58,12 +61,12 @@ def damaged(truth: Animation) -> np.ndarray:
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory) -> Walk:
     folder = tmp_path_factory.mktemp("walk")
-    made = synthetic.take(seed=1, seconds=6.0)
+    made = synthetic.compose_take(seed=1, seconds=6.0)
     write.bvh(folder / "truth.bvh", made.subject.skeleton, made.motion, made.rate)
-    truth = bvh.animation(folder / "truth.bvh")
-    patched(folder / "walk.bvh", truth, damaged(truth))
+    truth = bvh.read_bvh(folder / "truth.bvh")
+    patch_animation(folder / "walk.bvh", truth, damaged(truth))
     with pytest.raises(SystemExit) as left:
-        cli.main(["clean", str(folder / "walk.bvh"), "--also", "gltf,trc", "--bvh-for", "blender", "--fps", "60"])
+        app.run_command_line(["clean", str(folder / "walk.bvh"), "--also", "gltf,trc", "--bvh-for", "blender", "--fps", "60"])
     assert left.value.code == 0
     outputs = {path.name.removeprefix("walk."): path for path in (folder / "walk.mocapfix").iterdir()}
     return Walk(truth, folder / "walk.bvh", outputs)
@@ -72,13 +75,13 @@ def walk(tmp_path_factory) -> Walk:
 def off(truth: Animation, rotations: np.ndarray, joints: tuple[str, ...], first: int, last: int) -> float:
     """-> degrees, root mean square, over the file's frames."""
     own, span = [truth.names.index(joint) for joint in joints], slice(first - 1, last)
-    turned = np.swapaxes(truth.rotations()[span, own], -1, -2) @ rotations[span, own]
+    turned = np.swapaxes(truth.compute_local_rotations()[span, own], -1, -2) @ rotations[span, own]
     return float(np.degrees(np.sqrt((Rotation.from_matrix(turned.reshape(-1, 3, 3)).magnitude() ** 2).mean())))
 
 
 def bridged(truth: Animation, joints: tuple[str, ...], first: int, last: int) -> np.ndarray:
     """-> the rotations with these joints turned evenly across the damage."""
-    local, ends = truth.rotations().copy(), np.array([first - 2, last])
+    local, ends = truth.compute_local_rotations().copy(), np.array([first - 2, last])
     for j in (truth.names.index(joint) for joint in joints):
         local[first - 1 : last, j] = Slerp(ends, Rotation.from_matrix(local[ends, j]))(np.arange(first - 1, last)).as_matrix()
     return local
@@ -109,17 +112,17 @@ def test_the_faults_are_found_where_they_are_and_nowhere_else(walk):
 
 
 def test_mended_joints_are_nearer_to_the_truth_than_turned_evenly_across(walk):
-    mended = bvh.animation(walk.outputs["bvh"])
+    mended = bvh.read_bvh(walk.outputs["bvh"])
     for joints, first, last, kind in DAMAGE:
         if kind == "spike":
-            apart = (mended.places() - walk.truth.places())[first - 1 : last, 0]
+            apart = (mended.compute_local_positions() - walk.truth.places())[first - 1 : last, 0]
             assert np.abs(apart).max() < 0.002
         elif kind == "jitter":  # the truth is smooth, so that nothing is better than bridging it
-            was = off(walk.truth, bvh.animation(walk.path).rotations(), joints, first, last)
-            assert off(walk.truth, mended.rotations(), joints, first, last) < 0.9 * was
+            was = off(walk.truth, bvh.read_bvh(walk.path).compute_local_rotations(), joints, first, last)
+            assert off(walk.truth, mended.compute_local_rotations(), joints, first, last) < 0.9 * was
         else:
             even = off(walk.truth, bridged(walk.truth, joints, first, last), joints, first, last)
-            assert off(walk.truth, mended.rotations(), joints, first, last) <= max(even, 0.2)
+            assert off(walk.truth, mended.compute_local_rotations(), joints, first, last) <= max(even, 0.2)
 
 
 def test_all_else_is_as_it_was_to_the_byte(walk):
@@ -129,7 +132,7 @@ def test_all_else_is_as_it_was_to_the_byte(walk):
     touched = {head + frame - 1 for _, first, last, _ in DAMAGE for frame in range(first, last + 1)}
     assert {n for n, (a, b) in enumerate(zip(before, after, strict=True)) if a != b} <= touched
     words = [line.split() for line in (before[head + 329], after[head + 329])]
-    own = set(walk.truth.turning(walk.truth.names.index("LeftUpLeg"))[0])
+    own = set(walk.truth.get_rotation_channels(walk.truth.names.index("LeftUpLeg"))[0])
     assert {n for n, (a, b) in enumerate(zip(*words, strict=True)) if a != b} <= own
 
 
@@ -168,12 +171,12 @@ def test_a_decision_gives_the_old_bytes_back(walk, mocapfix, tmp_path, decision)
 def test_only_what_may_be_touched_is(walk, asked, kinds):
     result = pipeline.clean(walk.path, **asked)
     assert {each.kind for each in result.changes} == kinds
-    before, after = (joint_points.moved(take).values for take in (result.before, result.take))
+    before, after = (joint_points.get_animation(take).values for take in (result.input_take, result.take))
     changed = {frame + 1 for frame in np.flatnonzero((before != after).any(1))}
     assert changed <= {frame for _, first, last, kind in DAMAGE if kind in kinds for frame in range(first, last + 1)}
     if "gap" not in kinds:
-        assert {each.marker for each in result.left} == {result.before.labels.index(joint) for joint in ARM}
-        assert all(each.reason for each in result.left)
+        assert {each.marker for each in result.unfilled_runs} == {result.input_take.labels.index(joint) for joint in ARM}
+        assert all(each.reason for each in result.unfilled_runs)
 
 
 def test_the_page_speaks_of_joints(walk):
@@ -205,7 +208,7 @@ def test_a_figure_that_is_nobodys_is_cleaned_all_the_same(walk, mocapfix, tmp_pa
     (tmp_path / "parts.yaml").write_text("\n".join(known))
     found = pipeline.clean(tmp_path / "crane.bvh", hierarchy=tmp_path / "parts.yaml")
     assert found.motion is not None
-    assert found.motion.frames == walk.truth.frames
+    assert found.motion.frame_count == walk.truth.frames
 
 
 def said(done, *sentences: str) -> None:
@@ -266,14 +269,14 @@ def test_an_amc_comes_back_as_one_with_its_skeleton(walk, tmp_path):
     made = pipeline.clean(walk.path, only=("flip",))
     assert made.subject is not None
     assert made.motion is not None
-    write.asf_amc(tmp_path / "walk.asf", tmp_path / "walk.amc", made.subject.skeleton, made.motion, made.before.rate, 7)
+    write.write_asf_amc(tmp_path / "walk.asf", tmp_path / "walk.amc", made.subject.skeleton, made.motion, made.input_take.rate, 7)
     found = pipeline.clean(tmp_path / "walk.amc")
     outputs = found.write(tmp_path / "out")
     assert {"amc", "asf", "bvh", "report.json"} <= set(outputs)
     assert outputs["asf"].read_bytes() == (tmp_path / "walk.asf").read_bytes()
     kinds = {(each.kind, each.first) for each in found.changes}
     assert ("pop", 330 + 6) in kinds
-    before, after = (amc.animation(path) for path in (tmp_path / "walk.amc", outputs["amc"]))
+    before, after = (amc.read_amc(path) for path in (tmp_path / "walk.amc", outputs["amc"]))
     differing = np.flatnonzero((before.values != after.values).any(1)) + 1
     assert set(differing) <= {frame for _, first, last, _ in DAMAGE for frame in range(first, last + 1)}
 
@@ -281,15 +284,15 @@ def test_an_amc_comes_back_as_one_with_its_skeleton(walk, tmp_path):
 def test_numbers_that_are_not_there_are_missing_and_found_again(walk, tmp_path):
     words = [line.split(" ") for line in walk.path.read_text().split("\n")]
     head = next(n for n, line in enumerate(words) if line[0] == "Frame") + 1
-    own = walk.truth.turning(walk.truth.names.index("LeftForeArm"))[0]
+    own = walk.truth.get_rotation_channels(walk.truth.names.index("LeftForeArm"))[0]
     for frame in range(100, 130):
         for column in own:
             words[head + frame][column] = "nan"
     (tmp_path / "holes.bvh").write_text("\n".join(" ".join(line) for line in words))
     result = pipeline.clean(tmp_path / "holes.bvh", only=("gap",))
-    elbow = result.before.labels.index("LeftForeArm")
-    assert not result.before.seen[100:130, elbow].any()
-    assert np.isfinite(joint_points.moved(result.take).values).all()
+    elbow = result.input_take.labels.index("LeftForeArm")
+    assert not result.input_take.visible[100:130, elbow].any()
+    assert np.isfinite(joint_points.get_animation(result.take).values).all()
     assert "nan" not in result.write(tmp_path / "out")["bvh"].read_text()
 
 
@@ -305,21 +308,21 @@ def test_a_sound_capture_comes_back_byte_for_byte(name, tmp_path):
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
 def test_a_damaged_capture_is_mended_where_it_was_damaged(tmp_path):
-    truth = bvh.animation(CAPTURES / "cmu/06_01.bvh")
+    truth = bvh.read_bvh(CAPTURES / "cmu/06_01.bvh")
     values = truth.values.copy()
-    leg = truth.turning(truth.names.index("LeftUpLeg"))[0]
+    leg = truth.get_rotation_channels(truth.names.index("LeftUpLeg"))[0]
     values[150, leg[0]] += 40
-    arm = np.concatenate([truth.turning(truth.names.index(joint))[0] for joint in ARM])
+    arm = np.concatenate([truth.get_rotation_channels(truth.names.index(joint))[0] for joint in ARM])
     values[250:290, arm] = 0
-    patched(tmp_path / "in.bvh", truth, values)
+    patch_animation(tmp_path / "in.bvh", truth, values)
     result = pipeline.clean(tmp_path / "in.bvh")
     told = [(each.kind, each.markers[0], each.first, each.last) for each in result.changes]
     assert [each for each in told if "Thumb" not in each[1]] == [  # CMU's own thumbs turn over now and then
         ("pop", "LeftUpLeg", 151, 151),
         ("gap", "RightArm", 251, 290),
     ]
-    mended = joint_points.moved(result.take)
-    assert off(truth, mended.rotations(), ("LeftUpLeg",), 151, 151) < 1.5
+    mended = joint_points.get_animation(result.take)
+    assert off(truth, mended.compute_local_rotations(), ("LeftUpLeg",), 151, 151) < 1.5
     even = off(truth, bridged(truth, ARM, 251, 290), ARM, 251, 290)
-    assert off(truth, mended.rotations(), ARM, 251, 290) < even
-    assert animated.found(mended) == []
+    assert off(truth, mended.compute_local_rotations(), ARM, 251, 290) < even
+    assert animated.detect_animation_faults(mended) == []

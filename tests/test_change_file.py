@@ -9,10 +9,10 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import change_file
-from mocapfix.changes import Change, Decision, State
+from mocapfix.changes import Change, Decision, SampleState
 from mocapfix.errors import SceneError
-from mocapfix.faults import Fault, Fragment, Moved
+from mocapfix.faults import Fault, Fragment, MarkerShift
+from mocapfix.report import review_file
 from mocapfix.take import Take
 
 FIRST = 101
@@ -28,8 +28,8 @@ def change(kind="spike", markers=("C7",), first=110, last=112, decision: Decisio
         "samples": 3,
         "why": "It jumps: \u00e4 \U0001f600.",
         "method": "estimated",
-        "before": State(0, 81.3),
-        "after": State(0, None),
+        "before": SampleState(0, 81.3),
+        "after": SampleState(0, None),
     }
     return Change(
         f"{kind}-{markers[0]}-{first}", kind, tuple(markers), first, last, predicted_mm=1.2, decision=decision, **(said | given)
@@ -38,8 +38,8 @@ def change(kind="spike", markers=("C7",), first=110, last=112, decision: Decisio
 
 def decided(tmp_path, *changes):
     path = tmp_path / "walk.changes.yaml"
-    change_file.save(path, take(), changes)
-    return change_file.load(path, take())
+    review_file.write_review_file(path, take(), changes)
+    return review_file.read_review_file(path, take())
 
 
 def test_a_decision_comes_back_with_indices_into_the_take(tmp_path):
@@ -60,9 +60,9 @@ words = st.text(st.characters(codec="utf-8", exclude_categories=["Cs", "Cc"]), m
     decision=st.sampled_from(["reject", "keep"]),
 )
 def test_whatever_is_said_of_a_change_is_read_back_as_it_was(tmp_path_factory, why, method, missing, off, decision):
-    was = change(why=why, method=method, before=State(missing, off), decision=decision)
+    was = change(why=why, method=method, before=SampleState(missing, off), decision=decision)
     (found,) = decided(tmp_path_factory.mktemp("said"), was)
-    assert found.as_change() == replace(was, samples=0, after=was.before)  # a change that was not made
+    assert found.to_change() == replace(was, samples=0, after=was.before)  # a change that was not made
 
 
 def test_a_file_without_changes_decides_nothing(tmp_path):
@@ -84,7 +84,7 @@ def test_the_file_says_how_to_decide_and_is_in_the_files_own_frames(tmp_path):
 def broken(tmp_path, *keys, value=None, drop=False) -> Path:
     """-> a changes file in which what is at `keys` is another value, or is not there"""
     path = tmp_path / "walk.changes.yaml"
-    change_file.save(path, take(), [change("gap", ("RBAC",)), change()])
+    review_file.write_review_file(path, take(), [change("gap", ("RBAC",)), change()])
     said = yaml.safe_load(path.read_text(encoding="utf-8"))
     inner = said
     for key in keys[:-1]:
@@ -122,7 +122,7 @@ def broken(tmp_path, *keys, value=None, drop=False) -> Path:
 def test_each_fault_of_the_form_is_named_by_file_and_key(tmp_path, keys, value, sentence):
     path = broken(tmp_path, *keys, value=value)
     with pytest.raises(SceneError) as error:
-        change_file.load(path, take())
+        review_file.read_review_file(path, take())
     assert str(error.value).startswith(f"{path}: {sentence}")
     assert str(error.value).endswith(".")
     assert "\n" not in str(error.value)
@@ -132,7 +132,7 @@ def test_each_fault_of_the_form_is_named_by_file_and_key(tmp_path, keys, value, 
 def test_a_key_that_is_missing_is_named(tmp_path, keys):
     path = broken(tmp_path, *keys, drop=True)
     with pytest.raises(SceneError, match=rf"{'.'.join(map(str, keys))}: is missing\.$"):
-        change_file.load(path, take())
+        review_file.read_review_file(path, take())
 
 
 @pytest.mark.parametrize("text", ["", "take: [", "just words", "- a\n- list\n", "take: walk.c3d\n\tframes: 3\n", "\x00"])
@@ -140,14 +140,14 @@ def test_what_is_no_yaml_of_this_form_is_a_sentence(tmp_path, text):
     path = tmp_path / "walk.changes.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as error:
-        change_file.load(path, take())
+        review_file.read_review_file(path, take())
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_file_that_is_not_there_is_a_sentence(tmp_path):
     with pytest.raises(SceneError, match=r"gone\.yaml: cannot be read"):
-        change_file.load(tmp_path / "gone.yaml", take())
+        review_file.read_review_file(tmp_path / "gone.yaml", take())
 
 
 # what a decision is about, and what it vouches for
@@ -155,14 +155,14 @@ def test_a_file_that_is_not_there_is_a_sentence(tmp_path):
 
 def test_a_decision_is_about_the_fault_of_its_kind_marker_and_frames(tmp_path):
     (found,) = decided(tmp_path, change())
-    assert found.about(Fault("spike", 1, 11, 13, 0.1, ""))  # found somewhat later than it was
-    assert not found.about(Fault("spike", 1, 12, 13, 0.1, ""))
-    assert not found.about(Fault("spike", 2, 9, 11, 0.1, ""))
-    assert not found.about(Fault("ghost", 1, 9, 11, 0.1, ""))
+    assert found.matches(Fault("spike", 1, 11, 13, 0.1, ""))  # found somewhat later than it was
+    assert not found.matches(Fault("spike", 1, 12, 13, 0.1, ""))
+    assert not found.matches(Fault("spike", 2, 9, 11, 0.1, ""))
+    assert not found.matches(Fault("ghost", 1, 9, 11, 0.1, ""))
 
 
 def test_what_is_kept_is_no_fault_and_all_else_may_be(tmp_path):
-    stands = change_file.vouched(take(), decided(tmp_path, change("swap", ("Jim:LFHD", "C7"), 110, 119, "keep")))
+    stands = review_file.build_fault_filter(take(), decided(tmp_path, change("swap", ("Jim:LFHD", "C7"), 110, 119, "keep")))
     assert not stands(Fault("swap", 0, 9, 18, 0.1, "", 1.0, (1,)))
     assert not stands(Fault("spike", 1, 18, 20, 0.1, ""))
     assert not stands(Fragment("fragment", 2, 5, 10, 0.1, "", donor=1))
@@ -173,11 +173,11 @@ def test_what_is_kept_is_no_fault_and_all_else_may_be(tmp_path):
 
 @pytest.mark.parametrize("decision", ["reject", "keep"])
 def test_a_move_that_is_not_accepted_is_none_and_spikes_after_it_are_looked_for(tmp_path, decision):
-    stands = change_file.vouched(take(), decided(tmp_path, change("moved", ("C7",), 110, 150, decision)))
-    assert not stands(Moved("moved", 1, 10, 49, 0.04, "", settled=10))
-    assert stands(Moved("moved", 2, 10, 49, 0.04, "", settled=10))
+    stands = review_file.build_fault_filter(take(), decided(tmp_path, change("moved", ("C7",), 110, 150, decision)))
+    assert not stands(MarkerShift("moved", 1, 10, 49, 0.04, "", settled_frame=10))
+    assert stands(MarkerShift("moved", 2, 10, 49, 0.04, "", settled_frame=10))
     assert stands(Fault("spike", 1, 20, 20, 0.1, ""))
 
 
 def test_what_is_rejected_is_still_a_fault(tmp_path):
-    assert change_file.vouched(take(), decided(tmp_path, change()))(Fault("spike", 1, 9, 11, 0.1, ""))
+    assert review_file.build_fault_filter(take(), decided(tmp_path, change()))(Fault("spike", 1, 9, 11, 0.1, ""))

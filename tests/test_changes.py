@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix.changes import State, concerned, differs, made, samples
-from mocapfix.faults import REPLACED, Fault, Fragment, Moved
+from mocapfix.changes import SampleState, build_affected_mask, build_changes, compare_samples, list_affected_markers
+from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
 from mocapfix.take import Take
 
 NAN = np.nan
@@ -18,13 +18,13 @@ def take() -> Take:
     """-> A (missing in 5-8), B, and A-1 (seen in 5-8 only), numbered from 101; *4 that nobody named"""
     markers = np.zeros((FRAMES, 3, 3))
     markers[5:9, 0] = markers[:5, 2] = markers[9:, 2] = NAN
-    loose = Take(np.ones((FRAMES, 1, 3)), ("*4",), 100.0, columns=np.array([3]))
-    return Take(markers, ("A", "Jim:B", "A-1"), 100.0, 101, columns=np.arange(3), unlabelled=loose)
+    loose = Take(np.ones((FRAMES, 1, 3)), ("*4",), 100.0, point_columns=np.array([3]))
+    return Take(markers, ("A", "Jim:B", "A-1"), 100.0, 101, point_columns=np.arange(3), unlabelled=loose)
 
 
 def entries(before, after, *faults, labelled=None, body=None):
-    ways = np.where(differs(before, after) & after.seen, "the body", "")
-    return [change for change, _ in made(before, labelled or before, after, faults, body, ways)]
+    ways = np.where(compare_samples(before, after) & after.visible, "the body", "")
+    return [change for change, _ in build_changes(before, labelled or before, after, faults, body, ways)]
 
 
 GAP = Fault("gap", 0, 5, 8, 0.1, "A is not seen.")
@@ -37,16 +37,16 @@ def test_an_entry_in_the_files_own_frames_with_numbers_before_and_after():
     deviation = np.full((FRAMES, 3), NAN)
     deviation[5:9, 0] = 0.002
     body = np.zeros((FRAMES, 3, 3))
-    (change,) = entries(before, replace(after, deviation=deviation), GAP, body=body)
+    (change,) = entries(before, replace(after, sample_sd=deviation), GAP, body=body)
     assert (change.id, change.kind, change.markers, change.first, change.last) == ("gap-A-106", "gap", ("A",), 106, 109)
     assert (change.samples, change.why, change.decision) == (4, "A is not seen.", "accept")
-    assert (change.before, change.after) == (State(4, None), State(0, 3.0))
+    assert (change.before, change.after) == (SampleState(4, None), SampleState(0, 3.0))
     assert change.predicted_mm == pytest.approx(np.sqrt(3) * 2.0, abs=0.05)  # a distance: three axes
     assert change.method == "estimated, mostly from the body"
 
 
 def test_what_nothing_was_made_of_has_no_entry_but_a_move_has():
-    knocked = Moved("moved", 1, 10, 19, 0.04, "Knocked.", settled=10)
+    knocked = MarkerShift("moved", 1, 10, 19, 0.04, "Knocked.", settled_frame=10)
     assert [change.kind for change in entries(take(), take(), GAP, SWAP, knocked)] == ["moved"]
 
 
@@ -77,40 +77,48 @@ def test_a_fragment_names_its_donor_and_concerns_it_where_it_is_a_marker(donor, 
         after.markers[5:9, 2] = before.markers[5:9, 2]
     (change,) = entries(before, after, piece)
     assert (change.markers, change.method, change.samples) == (("A", name), f"samples of {name} taken over", count)
-    assert concerned(piece, 3) == ([0, 2] if donor == 2 else [0])
+    assert list_affected_markers(piece, 3) == ([0, 2] if donor == 2 else [0])
 
 
 def test_a_spike_in_a_swap_is_told_by_the_sample_that_is_its_markers():
     """Under A's label lies B's sample, 1 m off; A's own, under B's, is 0.2 m off."""
     before = take()
     before.markers[12:16, 0], before.markers[12:16, 1, 1] = 1.0, 0.2
-    labelled = before.exchanged((0, 1), 12, 15)
-    after = labelled.with_markers(labelled.markers.copy())
+    labelled = before.exchange_labels((0, 1), 12, 15)
+    after = labelled.replace_markers(labelled.markers.copy())
     after.markers[13, 0] = 0.0
     change = entries(before, after, SWAP, Fault("spike", 0, 13, 13, 0.2, ""), labelled=labelled, body=np.zeros((FRAMES, 3, 3)))[1]
-    assert (change.before, change.after) == (State(0, 200.0), State(0, 0.0))
+    assert (change.before, change.after) == (SampleState(0, 200.0), SampleState(0, 0.0))
 
 
 def test_samples_that_came_from_elsewhere_differ_though_they_lie_in_one_place():
     before = take()
-    assert differs(before, before.exchanged((0, 1), 12, 15)).sum() == 8
-    assert differs(before, before.exchanged((0, 1), 5, 8)).sum() == 8  # one of the two is missing before, the other after
-    assert not differs(before, take()).any()
+    assert compare_samples(before, before.exchange_labels((0, 1), 12, 15)).sum() == 8
+    assert (
+        compare_samples(before, before.exchange_labels((0, 1), 5, 8)).sum() == 8
+    )  # one of the two is missing before, the other after
+    assert not compare_samples(before, take()).any()
 
 
 def test_what_is_missing_on_both_sides_does_not_differ():
     before = take()
     before.markers[5:9, 1] = NAN
-    assert not differs(before, before.exchanged((0, 1), 5, 8)).any()
+    assert not compare_samples(before, before.exchange_labels((0, 1), 5, 8)).any()
 
 
 masks = arrays(bool, (FRAMES, 3), elements=st.booleans())
 
 
-@given(seen=masks, kind=st.sampled_from([*REPLACED, "gap"]), marker=st.integers(0, 2), a=st.integers(0, 19), b=st.integers(0, 19))
+@given(
+    seen=masks,
+    kind=st.sampled_from([*REPLACED_SAMPLE_KINDS, "gap"]),
+    marker=st.integers(0, 2),
+    a=st.integers(0, 19),
+    b=st.integers(0, 19),
+)
 def test_a_faults_samples_are_its_markers_over_its_frames_and_what_is_missing_among_faulty_ones_is_not(seen, kind, marker, a, b):
     fault = Fault(kind, marker, min(a, b), max(a, b), 0.1, "")
     shown = Take(np.where(seen[..., None], 1.0, NAN).repeat(3, 2), tuple("ABC"), 100.0)
     wanted = np.zeros(seen.shape, bool)
     wanted[fault.first : fault.last + 1, marker] = True
-    np.testing.assert_array_equal(samples(fault, shown), wanted if kind == "gap" else wanted & seen)
+    np.testing.assert_array_equal(build_affected_mask(fault, shown), wanted if kind == "gap" else wanted & seen)

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from mocapfix.cli_clean import between
+from mocapfix.cli.clean import parse_frame_range
 from tests.c3d_files import c3d_bytes
 from tests.conftest import as_c3d
 
@@ -207,7 +207,7 @@ def test_wrong_usage_is_status_2(mocapfix, arguments, sentence):
     [(":", None), ("100:250", (100, 250)), ("100:", (100, 2**62)), (":250", (-(2**62), 250)), ("7:7", (7, 7))],
 )
 def test_frames_are_first_to_last(said, meant):
-    assert between(said) == meant
+    assert parse_frame_range(said) == meant
 
 
 # bad input

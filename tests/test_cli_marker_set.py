@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, synthetic
+from mocapfix import marker_sets, synthetic
 from tests.conftest import as_c3d
 
 
 def test_the_shipped_sets_are_listed(mocapfix):
     status, out, _ = mocapfix("marker-set", "list")
     assert status == 0
-    assert all(each.name in out for each in marker_set.shipped())
+    assert all(each.name in out for each in marker_sets.load_shipped_marker_sets())
 
 
 def test_a_set_is_shown_by_segment(mocapfix):
@@ -25,10 +25,10 @@ def test_a_set_is_shown_by_segment(mocapfix):
 
 @pytest.fixture(scope="module")
 def wave(tmp_path_factory):
-    truth, path = synthetic.take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
-    floor = truth.damaged[:, :1] * 0 + [0.3, 0.01, 0.2]
+    truth, path = synthetic.compose_take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
+    floor = truth.damaged_positions[:, :1] * 0 + [0.3, 0.01, 0.2]
     labels = [f"{label}!" if label in ("LUPA", "RSHN") else label for label in truth.labels]
-    path.write_bytes(as_c3d(np.concatenate([truth.damaged, floor], axis=1), [*labels, "Floor"], rate=truth.rate))
+    path.write_bytes(as_c3d(np.concatenate([truth.damaged_positions, floor], axis=1), [*labels, "Floor"], rate=truth.rate))
     return path
 
 
@@ -39,7 +39,7 @@ def test_a_set_is_learnt_saved_and_not_written_over(mocapfix, wave, tmp_path):
     assert status == 0
     assert "41 markers" in said
     assert "left out: Floor moves by" in said
-    learnt = marker_set.load(path)
+    learnt = marker_sets.load_marker_set(path)
     assert (learnt.name, len(learnt.labels), "Floor" in learnt.labels) == ("mine", 41, False)
     assert {"LUPA!", "RSHN!"} <= set(learnt.labels)
     text = path.read_text()

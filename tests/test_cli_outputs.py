@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from mocapfix.kinds import ALSO
-from mocapfix.scenes import RIGS
+from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.write.output_formats import OPTIONAL_FORMATS
 
 
 def test_help_names_every_kind_and_every_program(mocapfix):
@@ -13,8 +13,8 @@ def test_help_names_every_kind_and_every_program(mocapfix):
     told = " ".join(out.replace("│", " ").split())
     assert status == 0
     assert "--bvh-for PROGRAM,..." in told
-    assert f"a BVH more for each: {', '.join(RIGS)}, or a rig's .yaml" in told
-    assert f"files of other kinds beside the usual: {', '.join(ALSO)}" in told
+    assert f"a BVH more for each: {', '.join(RIG_NAMES)}, or a rig's .yaml" in told
+    assert f"files of other kinds beside the usual: {', '.join(OPTIONAL_FORMATS)}" in told
     assert "--fps N" in told
 
 

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import pytest
 
-from mocapfix import scenes, subject_file, synthetic
-from mocapfix.keypoints import example
+from mocapfix import synthetic
+from mocapfix.calibrate import subject_file
+from mocapfix.files import shipped
+from mocapfix.keypoints import example_film
 
 
 def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said, _, _ = example.film("coco", 0.3, 10.0)
+    said, _, _ = example_film.compose_example_film("coco", 0.3, 10.0)
     (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n")
     status, out, _ = mocapfix("run", "mine.yaml")
@@ -59,16 +61,21 @@ def test_the_demo_that_ships_is_composed_and_cleaned(mocapfix, tmp_path):
 
 def test_the_session_that_ships_calibrates_once_and_cleans_each_take_by_that(mocapfix, tmp_path):
     scene = tmp_path / "session.yaml"
-    scene.write_bytes((scenes.folder("scenes") / "session.yaml").read_bytes())
+    scene.write_bytes((shipped.find_shipped_folder("scenes") / "session.yaml").read_bytes())
     for name, start in (("rom", 0), ("walk1", 120), ("walk2", 240), ("other", 0)):
-        truth = synthetic.take(seed=1, seconds=3.0)
+        truth = synthetic.compose_take(seed=1, seconds=3.0)
         some = slice(start, start + 120)
-        cut = replace(truth, markers=truth.markers[some], damaged=truth.damaged[some], struck=truth.struck[some])
-        synthetic.write(tmp_path / f"{name}.c3d", cut)
+        cut = replace(
+            truth,
+            marker_positions=truth.marker_positions[some],
+            damaged_positions=truth.damaged_positions[some],
+            missing_mask=truth.missing_mask[some],
+        )
+        synthetic.write_synthetic_take(tmp_path / f"{name}.c3d", cut)
     status, out, err = mocapfix("run", scene, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
     assert "Jim's session: 3 takes." in out
-    subjects = [subject_file.load(tmp_path / "out" / f"{name}.subject.yaml") for name in ("rom", "walk1", "walk2")]
+    subjects = [subject_file.read_subject(tmp_path / "out" / f"{name}.subject.yaml") for name in ("rom", "walk1", "walk2")]
     assert len({each.skeleton.offsets.tobytes() for each in subjects}) == 1
     assert not (tmp_path / "out" / "other.c3d").exists()
 

@@ -9,14 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import change_file, decisions, pipeline, read, write
-from mocapfix.changes import differs
-from mocapfix.clock import Clock
-from mocapfix.faults import Fault, Faults, Fragment, Moved
-from mocapfix.fill import FillOptions
-from mocapfix.looks import Looked
-from mocapfix.scenes import START
-from mocapfix.take import Take, runs
+from mocapfix import pipeline, write
+from mocapfix.changes import compare_samples
+from mocapfix.detect.loop import DetectionState
+from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.files.shipped import DEFAULT_INIT_METHOD
+from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.read import capture
+from mocapfix.repair import apply_decisions
+from mocapfix.report import review_file
+from mocapfix.report.stage_timer import StageTimer
+from mocapfix.take import Take, find_runs
 from tests.muddled import FIRST, FRAGMENT, GAP, INSIDE, LOOSE, SPIKE, SWAP, WRONG, differing
 
 NAN = np.nan
@@ -33,27 +36,27 @@ def decided(muddled, folder, **by_decision) -> Path:
     decision = {each: said for said, ids in by_decision.items() for each in ids}
     changes = [replace(change, decision=decision.get(change.id, "accept")) for change in muddled.result.changes]
     path = folder / "decided.changes.yaml"
-    change_file.save(path, muddled.result.before, changes)
+    review_file.write_review_file(path, muddled.result.before, changes)
     return path
 
 
 def again(muddled, folder, **asked):
     """-> the take cleaned with other wishes, and as a C3D."""
     result, output = pipeline.clean(muddled.path, subject=muddled.subject, **asked), folder / "again.c3d"
-    assert write.c3d(output, result.before, result.take) == []
+    assert write.c3d(output, result.input_take, result.take) == []
     return result, output
 
 
 @pytest.fixture(scope="module")
 def muddled_taken(muddled):
     """-> decisions.taken of the muddled take, to be called with touch, only and decided"""
-    take = read.take(muddled.path)
-    known, worn_set, _ = pipeline.wearing(take, None, muddled.subject)
-    how = pipeline.wanted("none", 1.0, START, ())
-    looked, parts, body = pipeline.understood(take, worn_set, known, how, lambda fault: True, Clock())
+    take = capture.read_capture(muddled.path)
+    known, worn_set, _ = pipeline.select_subject(take, None, muddled.subject)
+    how = pipeline.build_settings("none", 1.0, DEFAULT_INIT_METHOD, ())
+    looked, parts, body = pipeline.detect_and_fit(take, worn_set, known, how, lambda fault: True, StageTimer())
     assert body
-    whole, _, ways = pipeline.filled(looked, parts, body, FillOptions())
-    return partial(decisions.taken, take, looked, whole, body.of_take(parts), ways)
+    whole, _, ways = pipeline.fill_gaps(looked, parts, body, FillOptions())
+    return partial(apply_decisions.apply_decisions, take, looked, whole, body.expand_to_take(parts), ways)
 
 
 def test_one_of_each_is_wrong_and_all_of_it_is_put_right(muddled):
@@ -82,8 +85,8 @@ def test_what_is_rejected_is_not_made_and_nothing_else_differs(muddled, tmp_path
 def test_any_of_them_may_be_rejected_and_only_some_kinds_asked_for(muddled, muddled_taken, tmp_path_factory, rejected, only):
     folder = tmp_path_factory.mktemp("some")
     before = muddled.result.before
-    decided_upon = change_file.load(decided(muddled, folder, reject=rejected), before)
-    after, told = muddled_taken(np.ones(before.seen.shape, bool), tuple(only), decided_upon)
+    decided_upon = review_file.read_review_file(decided(muddled, folder, reject=rejected), before)
+    after, told = muddled_taken(np.ones(before.visible.shape, bool), tuple(only), decided_upon)
     write.c3d(folder / "some.c3d", before, after)
     made = {each for each in set(WRONG) - rejected if not only or each.split("-")[0] in only}
     alone = {("LWRB", 250, 250)} if SWAP in made else set()
@@ -99,7 +102,7 @@ def test_what_is_kept_is_believed(muddled, tmp_path):
     result, output = again(muddled, tmp_path, changes=decided(muddled, tmp_path, keep=[SPIKE, SWAP]))
     assert differing(muddled.path, output) == touched({GAP, FRAGMENT, LOOSE})
     assert {fault.kind for fault in result.faults.items} == {"gap", "fragment"}
-    labels, error = result.before.labels, result.error
+    labels, error = result.input_take.labels, result.residual_m
     assert error is not None
     assert error[20, labels.index("STRN")] > 0.1  # the body was held against it, where a faulty sample is not
     assert error[222:288, labels.index("LWRA")].min() > 0.02
@@ -131,15 +134,15 @@ def four(**given) -> Take:
 
 
 def all_made(before, looked, whole, only=(), touch=None, decided=()):
-    ways = np.where(differs(looked.take, whole), "guessing", "")
-    touch = np.ones(before.seen.shape, bool) if touch is None else touch
-    return decisions.taken(before, looked, whole, None, ways, touch, only, decided)
+    ways = np.where(compare_samples(looked.take, whole), "guessing", "")
+    touch = np.ones(before.visible.shape, bool) if touch is None else touch
+    return apply_decisions.apply_decisions(before, looked, whole, None, ways, touch, only, decided)
 
 
 def different(one: Take, other: Take):
     """-> {label: runs}"""
-    where = differs(one, other)
-    return {label: runs(where[:, m]) for m, label in enumerate(one.labels) if where[:, m].any()}
+    where = compare_samples(one, other)
+    return {label: find_runs(where[:, m]) for m, label in enumerate(one.labels) if where[:, m].any()}
 
 
 def filled(take: Take, *intervals) -> Take:
@@ -147,7 +150,7 @@ def filled(take: Take, *intervals) -> Take:
     markers = take.markers.copy()
     for m, first, last in intervals:
         markers[first : last + 1, m] = -1.0
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +169,7 @@ def test_what_nothing_comes_of_is_no_change_and_takes_none_back(remark, only):
     before.markers[5:10, :2] = NAN
     gaps = (Fault("gap", 0, 5, 9, 0.1, "Hidden."), Fault("gap", 1, 5, 9, 0.1, "Hidden."))
     whole = filled(before, (0, 5, 9), (1, 5, 9))
-    after, told = all_made(before, Looked(before, (), Faults((remark, *gaps))), whole, only)
+    after, told = all_made(before, DetectionState(before, (), Faults((remark, *gaps))), whole, only)
     assert [change.kind for change in told] == ["gap", "gap"]
     assert different(before, after) == {"A": [(5, 9)], "B": [(5, 9)]}
 
@@ -175,11 +178,11 @@ def test_a_gap_within_a_rejected_burst_is_filled_all_the_same():
     before = four()
     before.markers[8:10, 0] = NAN
     burst, gap = Fault("jitter", 0, 5, 14, 0.01, "It trembles."), Fault("gap", 0, 8, 9, 0.01, "Hidden.")
-    whole, looked = filled(before, (0, 5, 14)), Looked(before, (), Faults((burst, gap)))
+    whole, looked = filled(before, (0, 5, 14)), DetectionState(before, (), Faults((burst, gap)))
     after, told = all_made(before, looked, whole)
     assert {change.kind: change.samples for change in told} == {"jitter": 8, "gap": 2}
     change = next(change for change in told if change.kind == "jitter")
-    rejected = change_file.Decided(change_file.plain([change])[0], (0,), 5, 14, "reject")
+    rejected = review_file.ReviewedChange(review_file.serialize_changes([change])[0], (0,), 5, 14, "reject")
     after, told = all_made(before, looked, whole, decided=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}
     assert {change.kind: change.samples for change in told} == {"jitter": 0, "gap": 2}
@@ -188,32 +191,32 @@ def test_a_gap_within_a_rejected_burst_is_filled_all_the_same():
 def test_of_two_swaps_that_meet_one_may_be_refused_and_no_sample_is_doubled():
     before = four()
     first, second = Fault("swap", 0, 0, 9, 0.1, "One.", 1.0, (1,)), Fault("swap", 1, 5, 14, 0.1, "Other.", 1.0, (2,))
-    righted = before.exchanged((0, 1), 0, 9).exchanged((1, 2), 5, 14)
-    looked = Looked(righted, (first, second), Faults())
+    righted = before.exchange_labels((0, 1), 0, 9).exchange_labels((1, 2), 5, 14)
+    looked = DetectionState(righted, (first, second), Faults())
     for kept, swap in ((0, second), (2, first)):
-        touch = np.ones(before.seen.shape, bool)
+        touch = np.ones(before.visible.shape, bool)
         touch[:, kept] = False
         after, told = all_made(before, looked, righted, touch=touch)
-        np.testing.assert_array_equal(after.markers, before.exchanged(swap.markers, swap.first, swap.last).markers)
+        np.testing.assert_array_equal(after.markers, before.exchange_labels(swap.markers, swap.first, swap.last).markers)
         assert [(change.kind, change.samples) for change in told] == [("swap", 20)]
 
 
 def test_a_moved_marker_is_an_entry_without_samples():
     before = four()
     before.markers[12:14, 0] = NAN
-    knocked, gap = Moved("moved", 0, 10, 19, 0.04, "Knocked.", settled=10), Fault("gap", 0, 12, 13, 0.01, "Hidden.")
-    _, told = all_made(before, Looked(before, (), Faults((knocked, gap))), filled(before, (0, 12, 13)), only=("gap",))
+    knocked, gap = MarkerShift("moved", 0, 10, 19, 0.04, "Knocked.", settled_frame=10), Fault("gap", 0, 12, 13, 0.01, "Hidden.")
+    _, told = all_made(before, DetectionState(before, (), Faults((knocked, gap))), filled(before, (0, 12, 13)), only=("gap",))
     assert {change.kind: change.samples for change in told} == {"moved": 0, "gap": 2}
 
 
 def test_another_programs_fill_stays_where_ours_agrees_with_it():
     before = four()
     straight = Fault("straight", 0, 5, 9, 0.01, "Laid.")
-    looked = Looked(before, (), Faults((straight,)))
+    looked = DetectionState(before, (), Faults((straight,)))
     for off, differing_runs in ((0.001, {}), (0.1, {"A": [(5, 9)]})):
-        whole = replace(filled(before), deviation=np.full(before.seen.shape, NAN))
+        whole = replace(filled(before), deviation=np.full(before.visible.shape, NAN))
         whole.markers[5:10, 0] += off
-        assert whole.deviation is not None
-        whole.deviation[5:10, 0] = 0.001
+        assert whole.sample_sd is not None
+        whole.sample_sd[5:10, 0] = 0.001
         after, _ = all_made(before, looked, whole)
         assert different(before, after) == differing_runs

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.faults import MISSING, Fault, Faults
+from mocapfix.faults import MISSING_KINDS, Fault, Faults
 from mocapfix.take import Take
 
 
@@ -26,26 +26,26 @@ def faults():
 
 
 def test_doubted_are_the_faulty_samples_that_are_there(take, faults):
-    found = {(int(t), int(m)) for t, m in np.argwhere(faults.doubted(take))}
+    found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_faulty_mask(take))}
     assert found == {(6, 0), (3, 1), (4, 1), (9, 2)}
 
 
 def test_every_sample_is_missing_doubted_or_believed_and_only_one_of_them(take, faults):
-    together = (~take.seen).astype(int) + faults.doubted(take) + faults.believed(take)
+    together = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.believed(take)
     np.testing.assert_array_equal(together, 1)
     assert faults.believed(take).sum() == 30 - 5 - 4
 
 
 def test_the_body_listens_to_what_trembles_but_not_to_spikes(take, faults):
-    assert faults.heard(take)[3:5, 1].all()
-    found = {(int(t), int(m)) for t, m in np.argwhere(faults.heard(take) & faults.doubted(take))}
+    assert faults.compute_solver_mask(take)[3:5, 1].all()
+    found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_solver_mask(take) & faults.compute_faulty_mask(take))}
     assert found == {(3, 1), (4, 1)}
-    assert not (faults.believed(take) & ~faults.heard(take)).any()
+    assert not (faults.believed(take) & ~faults.compute_solver_mask(take)).any()
 
 
-@pytest.mark.parametrize("kind", MISSING)
+@pytest.mark.parametrize("kind", MISSING_KINDS)
 def test_no_kind_of_gap_casts_doubt_on_a_sample(take, kind):
-    assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).doubted(take).any()
+    assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).compute_faulty_mask(take).any()
 
 
 def test_counts(faults):
@@ -54,4 +54,4 @@ def test_counts(faults):
 
 
 def test_a_take_without_faults_is_believed_where_seen(take):
-    np.testing.assert_array_equal(Faults().believed(take), take.seen)
+    np.testing.assert_array_equal(Faults().compute_inlier_mask(take), take.visible)

@@ -3,13 +3,13 @@ import os
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.files import replacing
+from mocapfix.files.output_files import replace_atomically
 
 
 def test_target_holds_what_was_written(tmp_path):
     target = tmp_path / "walk.bvh"
     target.write_text("old")
-    with replacing(target) as part:
+    with replace_atomically(target) as part:
         part.write_text("new")
         assert target.read_text() == "old"
     assert target.read_text() == "new"
@@ -17,7 +17,7 @@ def test_target_holds_what_was_written(tmp_path):
 
 
 def write_half(target):
-    with replacing(target) as part:
+    with replace_atomically(target) as part:
         part.write_text("half")
         raise RuntimeError("in the middle")
 
@@ -33,7 +33,7 @@ def test_failure_leaves_everything_as_it_was(tmp_path):
 
 def test_a_missing_folder_is_named_with_what_to_do(tmp_path):
     target = tmp_path / "nowhere" / "walk.bvh"
-    with pytest.raises(WriteError) as error, replacing(target):
+    with pytest.raises(WriteError) as error, replace_atomically(target):
         pass
     assert str(target) in str(error.value)
     assert "choose another folder" in str(error.value)
@@ -41,7 +41,7 @@ def test_a_missing_folder_is_named_with_what_to_do(tmp_path):
 
 def test_a_full_disk_is_a_write_error(tmp_path):
     target = tmp_path / "walk.bvh"
-    with pytest.raises(WriteError, match=r"walk\.bvh.*No space left"), replacing(target):
+    with pytest.raises(WriteError, match=r"walk\.bvh.*No space left"), replace_atomically(target):
         raise OSError(28, "No space left on device")
     assert not list(tmp_path.iterdir())
 
@@ -50,6 +50,6 @@ def test_a_full_disk_is_a_write_error(tmp_path):
 def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     usual, target = tmp_path / "usual", tmp_path / "target"
     usual.touch()
-    with replacing(target):
+    with replace_atomically(target):
         pass
     assert target.stat().st_mode == usual.stat().st_mode

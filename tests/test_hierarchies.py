@@ -3,40 +3,40 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import hierarchies
+from mocapfix.animations import joint_mapping
 from mocapfix.errors import SceneError
-from mocapfix.skeleton import cmu31
+from mocapfix.skeleton import load_cmu31_body
 
-OURS = cmu31().skeleton
+OURS = load_cmu31_body().skeleton
 
 
-def tree(style: hierarchies.Style) -> tuple[list[str], np.ndarray]:
+def tree(style: joint_mapping.NamingConvention) -> tuple[list[str], np.ndarray]:
     """-> names and parents of a body that a style knows, each joint by the likeliest of its names that is free."""
     names: dict[int, str] = {}
-    for joint, likely in style.names.items():
+    for joint, likely in style.candidate_names.items():
         free = [name for name in likely if name not in names.values()]
         if free:
-            names[OURS.index(joint)] = free[0]
+            names[OURS.find_joint(joint)] = free[0]
     kept = sorted(names)
     among = np.isin(np.arange(31), kept)
-    above = [hierarchies.ancestor(joint, OURS.parents, among) for joint in kept]
+    above = [joint_mapping.find_ancestor(joint, OURS.parents, among) for joint in kept]
     return [names[joint] for joint in kept], np.array([kept.index(joint) if joint >= 0 else -1 for joint in above])
 
 
 def found(names, parents) -> dict[str, str]:
-    choice = hierarchies.mapped(names, np.asarray(parents))
-    assert choice.mapped is not None, choice.reason
-    return choice.mapped.names(names)
+    choice = joint_mapping.map_joints(names, np.asarray(parents))
+    assert choice.mapping is not None, choice.reason
+    return choice.mapping.names(names)
 
 
-@pytest.mark.parametrize("style", hierarchies.shipped(), ids=lambda style: style.name)
+@pytest.mark.parametrize("style", joint_mapping.load_shipped_conventions(), ids=lambda style: style.name)
 def test_every_style_knows_a_body_of_its_own_and_no_other_knows_more_of_it(style):
     names, parents = tree(style)
-    choice = hierarchies.mapped(names, parents)
-    assert choice.mapped is not None, choice.reason
-    assert (choice.mapped.joints >= 0).sum() == len(names)
+    choice = joint_mapping.map_joints(names, parents)
+    assert choice.mapping is not None, choice.reason
+    assert (choice.mapping.file_joints >= 0).sum() == len(names)
     assert len(names) >= 17
-    np.testing.assert_array_equal(choice.mapped.joints, style.joints(names, parents))
+    np.testing.assert_array_equal(choice.mapping.file_joints, style.joints(names, parents))
 
 
 SPELLED = """Hips Spine Spine1 Spine2 Neck Head HeadTop_End LeftShoulder LeftArm LeftForeArm LeftHand LeftHandThumb1
@@ -87,12 +87,12 @@ def test_a_joint_that_hangs_elsewhere_is_not_taken():
 
 def test_a_body_that_lacks_a_limb_is_not_mapped_and_it_is_said():
     names = [name.replace("RightForeArm", "Prop") for name in MIXAMO]
-    choice = hierarchies.mapped(names, np.array(ABOVE))
-    assert choice.mapped is None
+    choice = joint_mapping.map_joints(names, np.array(ABOVE))
+    assert choice.mapping is None
     assert "MotionBuilder" in choice.reason
     assert "which lacks RightForeArm" in choice.reason
-    nothing = hierarchies.mapped(["a", "b"], np.array([-1, 0]))
-    assert nothing.mapped is None
+    nothing = joint_mapping.map_joints(["a", "b"], np.array([-1, 0]))
+    assert nothing.mapping is None
     assert "none is known" in nothing.reason
 
 
@@ -101,19 +101,19 @@ def test_a_style_may_be_given(tmp_path):
     spelled = {ours: names[MIXAMO.index(theirs)] for ours, theirs in found(MIXAMO, ABOVE).items()}
     lines = ["name: mine", "title: My own", "joints:", *(f"  {ours}: [{theirs}]" for ours, theirs in spelled.items())]
     (tmp_path / "mine.yaml").write_text("\n".join(lines))
-    choice = hierarchies.mapped(names, np.array(ABOVE), tmp_path / "mine.yaml")
-    assert choice.mapped is not None
-    assert choice.mapped.names(names) == spelled
+    choice = joint_mapping.map_joints(names, np.array(ABOVE), tmp_path / "mine.yaml")
+    assert choice.mapping is not None
+    assert choice.mapping.names(names) == spelled
     assert choice.reason == f"My own: {len(spelled)} of the 31 joints were found."
-    assert hierarchies.mapped(MIXAMO, np.array(ABOVE), "cmu").reason.startswith("CMU")
+    assert joint_mapping.map_joints(MIXAMO, np.array(ABOVE), "cmu").reason.startswith("CMU")
 
 
 def test_a_style_that_is_not_as_it_should_be_is_refused(tmp_path):
     with pytest.raises(SceneError, match="no such style of names; name one of acclaim, biped"):
-        hierarchies.load("mayan")
+        joint_mapping.load_naming_convention("mayan")
     (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: [a], Tail: [b]}")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Tail.*there is no joint 'Tail'"):
-        hierarchies.load(tmp_path / "a.yaml")
+        joint_mapping.load_naming_convention(tmp_path / "a.yaml")
     (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}")
     with pytest.raises(SceneError, match=r"a\.yaml: joints\.Hips"):
-        hierarchies.load(Path(tmp_path / "a.yaml"))
+        joint_mapping.load_naming_convention(Path(tmp_path / "a.yaml"))

@@ -17,7 +17,7 @@ def loaded_after(code: str) -> set[str]:
 
 
 def test_the_command_line_alone_needs_none_of_the_heavy_libraries():
-    assert not {"numba", "scipy", "torch", "rerun", "pydantic"} & loaded_after("import mocapfix.cli")
+    assert not {"numba", "scipy", "torch", "rerun", "pydantic"} & loaded_after("import mocapfix.cli.app")
 
 
 def test_cleaning_needs_neither_torch_nor_rerun_before_something_is_shown():

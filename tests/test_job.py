@@ -2,12 +2,13 @@ import re
 
 import pytest
 
-from mocapfix import job, scenes
 from mocapfix.errors import SceneError
-from mocapfix.fill import FillOptions
-from mocapfix.outputs import OutputOptions
+from mocapfix.files import shipped
+from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.jobs import cleaning_job
+from mocapfix.write.output_options import OutputOptions
 
-SHIPPED = scenes.folder("scenes")
+SHIPPED = shipped.find_shipped_folder("scenes")
 
 
 @pytest.fixture
@@ -23,24 +24,24 @@ def scene(tmp_path):
 
 
 def test_what_is_left_out_is_as_the_command_line_has_it(scene):
-    said = job.load(scene(""))
-    assert said.options == FillOptions()
-    assert said.outputs == OutputOptions()
-    assert (said.prior.name, said.start) == (scenes.PRIOR, scenes.START)
+    said = cleaning_job.read_cleaning_job(scene(""))
+    assert said.fill_options == FillOptions()
+    assert said.output_options == OutputOptions()
+    assert (said.prior.name, said.start) == (shipped.DEFAULT_PRIOR_NAME, shipped.DEFAULT_INIT_METHOD)
 
 
 def test_the_session_that_ships_shows_every_key_as_it_is_when_left_out(scene):
-    session, bare = job.load(SHIPPED / "session.yaml"), job.load(scene(""))
+    session, bare = cleaning_job.read_cleaning_job(SHIPPED / "session.yaml"), cleaning_job.read_cleaning_job(scene(""))
     assert session.model_copy(update={"title": "mine", "takes": bare.takes, "subject": None}) == bare
-    written = scenes.read_yaml(SHIPPED / "session.yaml")
-    assert set(written) == set(job.Job.model_fields)
+    written = shipped.read_yaml(SHIPPED / "session.yaml")
+    assert set(written) == set(cleaning_job.CleaningJob.model_fields)
     for key in ("volume", "prior", "fill", "write"):
         assert set(written[key]) == set(type(getattr(bare, key)).model_fields)
 
 
 def test_what_may_be_touched_is_said_in_the_units_of_people(scene):
-    said = job.load(scene("fill: {limit_mm: 60, max_gap: 2, keep: [LFIN], frames: [10, 90], refill: true}"))
-    assert said.options == FillOptions(2.0, ("LFIN",), (10, 90), 0.06, True)
+    said = cleaning_job.read_cleaning_job(scene("fill: {limit_mm: 60, max_gap: 2, keep: [LFIN], frames: [10, 90], refill: true}"))
+    assert said.fill_options == FillOptions(2.0, ("LFIN",), (10, 90), 0.06, True)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +63,7 @@ def test_what_may_be_touched_is_said_in_the_units_of_people(scene):
 def test_a_wrong_key_is_told_by_its_path(scene, lines, message):
     path = scene(lines)
     with pytest.raises(SceneError, match=re.escape(f"{path}: {message}")):
-        job.load(path)
+        cleaning_job.read_cleaning_job(path)
 
 
 @pytest.mark.parametrize(
@@ -78,17 +79,17 @@ def test_a_wrong_key_is_told_by_its_path(scene, lines, message):
 def test_wrong_takes_are_told_by_their_place(scene, takes, message):
     path = scene("", takes)
     with pytest.raises(SceneError, match=re.escape(f"{path}: {message}")):
-        job.load(path)
+        cleaning_job.read_cleaning_job(path)
 
 
 def test_wildcards_find_files_beside_the_scene_each_once_in_order(tmp_path):
     for name in ("b.c3d", "a.c3d", "sub/c.c3d", "rom.c3d"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    found = job.files(tmp_path / "scene.yaml", ["rom.c3d", "*.c3d", "sub/*", "gone.c3d"], "takes")
+    found = cleaning_job.expand_paths(tmp_path / "scene.yaml", ["rom.c3d", "*.c3d", "sub/*", "gone.c3d"], "takes")
     assert [path.relative_to(tmp_path).as_posix() for path in found] == ["rom.c3d", "a.c3d", "b.c3d", "sub/c.c3d", "gone.c3d"]
 
 
 def test_a_wildcard_that_finds_nothing_is_told(tmp_path):
     with pytest.raises(SceneError, match=r"takes: no file in .* is called '\*\.trc'"):
-        job.files(tmp_path / "scene.yaml", ["a.c3d", "*.trc"], "takes")
+        cleaning_job.expand_paths(tmp_path / "scene.yaml", ["a.c3d", "*.trc"], "takes")

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix.left import Left, named, reasons
+from mocapfix.changes import UnfilledRun, expand_unfilled_reasons, find_unfilled_runs
 from mocapfix.take import Take
 
 
@@ -18,12 +18,12 @@ def test_runs_of_one_reason_each_by_marker_and_first_frame():
     said[2:4, 2] = said[5:7, 2] = said[8:, 2] = "too far"
     said[4, 2] = "unsure"
     said[5, 0] = said[0, 0] = "not to be touched"  # the latter is there after all
-    assert named(take(seen), said) == (
-        Left(0, 5, 5, "not to be touched"),
-        Left(2, 2, 3, "too far"),
-        Left(2, 4, 4, "unsure"),
-        Left(2, 5, 6, "too far"),
-        Left(2, 8, 9, "too far"),
+    assert find_unfilled_runs(take(seen), said) == (
+        UnfilledRun(0, 5, 5, "not to be touched"),
+        UnfilledRun(2, 2, 3, "too far"),
+        UnfilledRun(2, 4, 4, "unsure"),
+        UnfilledRun(2, 5, 6, "too far"),
+        UnfilledRun(2, 8, 9, "too far"),
     )
 
 
@@ -33,15 +33,15 @@ shape = (12, 3)
 @given(seen=arrays(bool, shape, elements=st.booleans()), said=arrays(np.int8, shape, elements=st.integers(0, 2)))
 def test_what_is_missing_is_named_once_with_its_reason(seen, said):
     words = np.array(["", "too far", "unsure"], object)[said]
-    left = named(take(seen), words)
-    again = reasons(left, shape)
+    left = find_unfilled_runs(take(seen), words)
+    again = expand_unfilled_reasons(left, shape)
     np.testing.assert_array_equal(again[~seen], words[~seen])
     assert (again[seen] == "").all()
     assert sum(each.last - each.first + 1 for each in left) == (~seen).sum()
     for one in left:
-        assert Left(one.marker, one.last + 1, one.last + 1, one.reason) not in left
+        assert UnfilledRun(one.marker, one.last + 1, one.last + 1, one.reason) not in left
     assert len({(each.marker, each.first) for each in left}) == len(left)
 
 
 def test_nothing_missing_is_nothing_left():
-    assert named(take(np.ones((4, 2), bool)), np.full((4, 2), "", object)) == ()
+    assert find_unfilled_runs(take(np.ones((4, 2), bool)), np.full((4, 2), "", object)) == ()

@@ -6,41 +6,50 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import pipeline, read, write
+from mocapfix import pipeline, write
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.kinds import ALSO
-from mocapfix.outputs import OutputOptions
-from mocapfix.result import Result
-from mocapfix.scenes import RIGS
-from mocapfix.table_layout import TableLayout
+from mocapfix.files.layouts import TableLayout
+from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.read import capture
+from mocapfix.result import CleaningResult
+from mocapfix.write.output_formats import OPTIONAL_FORMATS
+from mocapfix.write.output_options import OutputOptions
 from tests.conftest import FIRST
 from tests.write.read_back import Bvh, smooth_rotations
 
-EVERYTHING = OutputOptions(also=tuple(ALSO), bvh_for=RIGS)
-MOVES = ("bvh", "glb", "asf", "amc", *(f"{name}.bvh" for name in RIGS))
+EVERYTHING = OutputOptions(also=tuple(OPTIONAL_FORMATS), bvh_for=RIG_NAMES)
+MOVES = ("bvh", "glb", "asf", "amc", *(f"{name}.bvh" for name in RIG_NAMES))
 
 
 @pytest.fixture
-def solved(cleaned) -> Result:
+def solved(cleaned) -> CleaningResult:
     """-> half a second of the cleaned take's body, so that writing it is quick"""
     return replace(cleaned.result, motion=cleaned.result.motion.at(np.arange(61)))
 
 
 @pytest.fixture
-def without(cleaned) -> Result:
-    return replace(cleaned.result, subject=None, motion=None, joints=None, error=None)
+def without(cleaned) -> CleaningResult:
+    return replace(cleaned.result, subject=None, motion=None, joint_position_world=None, residual_m=None)
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """The recording and the page are not looked at here, and they cost most of the time."""
-    monkeypatch.setattr("mocapfix.show.comparison", lambda target, shown: target.write_bytes(b"rrd"))
-    monkeypatch.setattr("mocapfix.show.report", lambda target, report, shown: target.write_text("page"))
+    monkeypatch.setattr("mocapfix.report.recording", lambda target, shown: target.write_bytes(b"rrd"))
+    monkeypatch.setattr("mocapfix.report.html_report", lambda target, report, shown: target.write_text("page"))
 
 
 def test_what_is_asked_for_is_written_beside_the_usual(solved, cleaned, tmp_path):
     outputs = solved.write(tmp_path, options=EVERYTHING)
-    assert set(outputs) == set(cleaned.outputs) | {"glb", "npz", "asf", "amc", "trc", "csv", *(f"{name}.bvh" for name in RIGS)}
+    assert set(outputs) == set(cleaned.get_output_paths) | {
+        "glb",
+        "npz",
+        "asf",
+        "amc",
+        "trc",
+        "csv",
+        *(f"{name}.bvh" for name in RIG_NAMES),
+    }
     assert {path.name for path in tmp_path.iterdir()} == {f"somebody.{kind}" for kind in outputs}
     assert all(path.stat().st_size for path in outputs.values())
 
@@ -67,8 +76,8 @@ def test_at_the_take_s_own_rate_nothing_changes(solved, tmp_path, kind):
         assert plain[kind].read_bytes() == asked[kind].read_bytes()
         return
     with np.load(plain[kind]) as first, np.load(asked[kind]) as second:
-        assert first.files == second.files
-        assert all(first[name].tobytes() == second[name].tobytes() for name in first.files)
+        assert first.review_files == second.review_files
+        assert all(first[name].tobytes() == second[name].tobytes() for name in first.review_files)
 
 
 @pytest.mark.parametrize(("fps", "frames", "how"), [(30.0, 16, "one of 4, as solved"), (50.0, 26, "on splines through")])
@@ -104,12 +113,12 @@ def test_of_an_earlier_cleaning_with_a_body_nothing_stays(solved, without, tmp_p
 
 def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, tmp_path):
     source = tmp_path / "brief.trc"
-    write.trc(source, read.take(brief.path))
+    write.trc(source, capture.read_capture(brief.path))
     result = pipeline.clean(source, subject=brief.subject)
     outputs = result.write(tmp_path / "out", options=OutputOptions(also=("c3d", "trc", "npz")))
     assert [path.name for kind, path in outputs.items() if kind in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
     for kind in ("trc", "c3d"):
-        back = read.take(outputs[kind])
+        back = capture.read_capture(outputs[kind])
         assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST)
         np.testing.assert_allclose(back.markers, result.take.markers, atol=2e-5)
     told = source.read_text().splitlines(), outputs["trc"].read_text().splitlines()
@@ -117,11 +126,11 @@ def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, t
 
 
 def test_of_a_table_that_lists_only_what_was_seen_a_plain_one_is_made_and_that_is_said(solved, tmp_path):
-    layout = TableLayout("utf-8", "\n", ",", ".", unit=1.0)
+    layout = TableLayout("utf-8", "\n", ",", ".", unit_m=1.0)
     before = replace(solved.before, layout=layout, path=solved.before.path.with_suffix(".csv"))
     outputs = replace(solved, before=before).write(tmp_path, options=OutputOptions(also=("csv",)))
     assert outputs["csv"].name == "somebody.csv"
-    np.testing.assert_allclose(read.take(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
+    np.testing.assert_allclose(capture.read_capture(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
     assert "somebody.csv lists only what was seen" in outputs["report.json"].read_text()
 
 
@@ -142,7 +151,7 @@ def test_what_is_there_of_another_kind_stops_all_of_them(solved, tmp_path):
 
 
 def test_a_kind_that_is_named_twice_is_written_once():
-    suffixes = [kind.suffix for kind in OutputOptions(also=("npz", "npz"), bvh_for=("cmu", "cmu")).kinds]
+    suffixes = [kind.suffix for kind in OutputOptions(also=("npz", "npz"), bvh_for=("cmu", "cmu")).formats]
     assert (suffixes.count("npz"), suffixes.count("cmu.bvh")) == (1, 1)
 
 

@@ -67,7 +67,7 @@ def test_sdist_is_complete(built: tuple[Path, Path]):
 
 
 def test_installed_package_is_the_wheel_and_finds_its_scenes(scripts: Path, tmp_path: Path):
-    ask = "import mocapfix.scenes as s; print(s.__file__, s.folder('scenes'), s.folder('priors'), sep='\\n')"
+    ask = "import mocapfix.files.shipped as s; print(s.__file__, s.folder('scenes'), s.folder('priors'), sep='\\n')"
     module, scenes, priors = run(scripts / "python", "-c", ask, folder=tmp_path).splitlines()
     package = Path(module).parent
     assert package.is_relative_to(scripts.parent)

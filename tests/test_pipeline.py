@@ -9,22 +9,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import change_file, marker_set, pipeline, read, subject_file, synthetic, write
-from mocapfix.bench.demo import errors
+from mocapfix import marker_sets, pipeline, synthetic, write
+from mocapfix.bench.demo import compute_fill_errors
+from mocapfix.calibrate import subject_file
 from mocapfix.errors import SceneError, TakeError, WriteError
-from mocapfix.fill import FillOptions
-from mocapfix.kernels import kinematics
-from mocapfix.skeleton import cmu31
-from mocapfix.take import runs
+from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.read import capture
+from mocapfix.report import review_file
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
+from mocapfix.take import find_runs
 from tests.conftest import FIRST, as_c3d
 
 KINDS = {"c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd"}
 
 
 def long_gaps(truth):
-    mask = np.zeros_like(truth.struck)
+    mask = np.zeros_like(truth.missing_mask)
     for m in range(mask.shape[1]):
-        for first, last in runs(truth.struck[:, m]):
+        for first, last in find_runs(truth.missing_mask[:, m]):
             mask[first : last + 1, m] = (last - first + 1) / truth.rate >= 0.5
     return mask
 
@@ -32,7 +35,7 @@ def long_gaps(truth):
 def measured(truth, result):
     """-> the demo's table; no arm is lost in these takes"""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
-        return errors(truth, result)
+        return compute_fill_errors(truth, result)
 
 
 def bits(path):
@@ -45,7 +48,7 @@ def lengths(skeleton):
 
 @pytest.fixture(scope="module")
 def known(brief):
-    return subject_file.load(brief.subject)
+    return subject_file.read_subject(brief.subject)
 
 
 # how well
@@ -64,15 +67,15 @@ def test_errors_fall_by_this_factor(cleaned, damage, against_linear, against_cub
 
 def test_everything_missing_is_filled_and_every_spike_found(cleaned):
     fill = cleaned.result.report["fill"]
-    assert fill["missing_before"] == fill["filled"] == cleaned.truth.struck.sum()
+    assert fill["missing_before"] == fill["filled"] == cleaned.truth.missing_mask.sum()
     assert (fill["left_empty"], fill["left"]) == (0, [])
     believed = cleaned.result.faults.believed(cleaned.result.before)
-    np.testing.assert_array_equal(believed, ~cleaned.truth.struck & ~cleaned.truth.moved)
+    np.testing.assert_array_equal(believed, ~cleaned.truth.missing_mask & ~cleaned.truth.moved)
     assert fill["mended"] == cleaned.truth.moved.sum()
 
 
 def test_samples_that_nothing_struck_are_returned_bit_for_bit(cleaned):
-    sound = ~cleaned.truth.struck & ~cleaned.truth.moved
+    sound = ~cleaned.truth.missing_mask & ~cleaned.truth.moved
     before, after = cleaned.result.before.markers[sound], cleaned.result.take.markers[sound]
     assert before.tobytes() == after.tobytes()
     assert np.isnan(cleaned.result.take.deviation[sound]).all()
@@ -90,20 +93,20 @@ def test_joints_are_near_the_true_ones_and_as_smooth(cleaned):
 
 def test_the_subject_is_nearer_to_the_person_than_the_average_body(cleaned):
     found, person = cleaned.result.subject, cleaned.truth.subject
-    nominal = marker_set.load("cmu41")
+    nominal = marker_sets.load_marker_set("cmu41")
 
     def off(skeleton):
         return np.sqrt(((lengths(skeleton) - lengths(person.skeleton)) ** 2).mean())
 
-    assert off(found.skeleton) < 0.75 * off(cmu31().skeleton)
+    assert off(found.skeleton) < 0.75 * off(load_cmu31_body().skeleton)
     assert np.abs(lengths(found.skeleton) - lengths(person.skeleton)).max() < 0.022
     places = np.linalg.norm(found.places - person.places, axis=1).mean()
-    assert places < 0.7 * np.linalg.norm(nominal.places - person.places, axis=1).mean()
+    assert places < 0.7 * np.linalg.norm(nominal.marker_offsets - person.places, axis=1).mean()
 
 
 @pytest.mark.parametrize("lasting", ["short", "long"])
 def test_predicted_deviations_are_honest(cleaned, lasting):
-    where = long_gaps(cleaned.truth) if lasting == "long" else cleaned.truth.struck & ~long_gaps(cleaned.truth)
+    where = long_gaps(cleaned.truth) if lasting == "long" else cleaned.truth.missing_mask & ~long_gaps(cleaned.truth)
     error = np.abs(cleaned.result.take.markers - cleaned.truth.markers)[where]
     deviation = cleaned.result.take.deviation[where][:, None]
     assert 0.45 < (error < deviation).mean() < 0.97  # 0.68 were it normal and exactly known
@@ -113,8 +116,8 @@ def test_predicted_deviations_are_honest(cleaned, lasting):
 
 def test_markers_are_as_far_from_the_body_as_the_report_says(cleaned):
     result = cleaned.result
-    body = kinematics.placed(result.subject, result.motion)[1]
-    columns = marker_set.load("cmu41").columns(result.before.labels)
+    body = kinematics.compute_joint_and_marker_positions(result.subject, result.motion)[1]
+    columns = marker_sets.load_marker_set("cmu41").find_columns(result.before.labels)
     believed = result.faults.believed(result.before)[:, columns]
     distance = np.linalg.norm(result.before.markers[:, columns] - body, axis=-1)[believed]
     said = result.report["solve"]["marker_residual_mm"]
@@ -129,7 +132,7 @@ def test_markers_are_as_far_from_the_body_as_the_report_says(cleaned):
 def test_all_files_are_written_and_the_two_motions_read_back(cleaned):
     assert set(cleaned.outputs) == KINDS
     assert {path.name for path in cleaned.outputs["c3d"].parent.iterdir()} == {f"somebody.{kind}" for kind in KINDS}
-    back = read.take(cleaned.outputs["c3d"])
+    back = capture.read_capture(cleaned.outputs["c3d"])
     np.testing.assert_allclose(back.markers, cleaned.result.take.markers, atol=1e-6)
     assert (back.labels, back.rate, back.first_frame) == (cleaned.truth.labels, cleaned.truth.rate, 1)
     text = cleaned.outputs["bvh"].read_text(encoding="ascii")
@@ -196,7 +199,7 @@ def test_faults_and_gaps_left_carry_the_files_own_frame_numbers(brief, known):
 def test_cleaning_an_output_again_changes_nothing(muddled, tmp_path):
     result = pipeline.clean(muddled.output, subject=muddled.subject)
     assert result.changes == ()
-    assert write.c3d(tmp_path / "again.c3d", result.before, result.take) == []
+    assert write.c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == muddled.output.read_bytes()
 
 
@@ -204,15 +207,15 @@ def test_a_sound_take_comes_back_byte_by_byte(cleaned, tmp_path):
     sound = tmp_path / "sound.c3d"
     sound.write_bytes(as_c3d(cleaned.truth.markers[200:440], cleaned.truth.labels))
     result = pipeline.clean(sound)
-    assert (result.faults.items, result.changes, result.left) == ((), (), ())
-    assert write.c3d(tmp_path / "again.c3d", result.before, result.take) == []
+    assert (result.faults.items, result.changes, result.unfilled_runs) == ((), (), ())
+    assert write.c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == sound.read_bytes()
 
 
 def test_whatever_differs_lies_in_the_intervals_of_the_record(cleaned):
-    before, after = (read.take(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
+    before, after = (capture.read_capture(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
     of = {label: m for m, label in enumerate(before.labels)}
-    told = np.zeros(before.seen.shape, int)
+    told = np.zeros(before.visible.shape, int)
     for change in cleaned.result.report["changes"]:
         frames = slice(change["first"] - before.first_frame, change["last"] - before.first_frame + 1)
         told[frames, [of[label] for label in change["markers"]]] += 1
@@ -230,9 +233,9 @@ KNOCK, SHIFT = 240, (0.0, -0.04, 0.0)  # frame and metres, in the thorax's axes
 @pytest.fixture(scope="module")
 def knocked(tmp_path_factory):
     """-> T10 is knocked 40 mm down in the middle of 8 s, hidden meanwhile, and once before and once after: path and truth"""
-    truth = synthetic.take(seed=3, seconds=8.0, rate=60.0)
+    truth = synthetic.compose_take(seed=3, seconds=8.0, rate=60.0)
     path, marker = tmp_path_factory.mktemp("knocked") / "knocked.c3d", truth.labels.index("T10")
-    where, rotation = truth.markers.copy(), kinematics.world(truth.subject.skeleton, truth.motion)[1]
+    where, rotation = truth.marker_positions.copy(), kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[1]
     where[KNOCK:, marker] += rotation[KNOCK:, truth.subject.joints[marker]] @ np.array(SHIFT)
     seen = where.copy()
     for first, last in HIDDEN:
@@ -251,7 +254,7 @@ def cleaned_without(knocked, **asked):
     hidden = np.zeros(len(where), bool)
     for first, last in HIDDEN:
         hidden[first : last + 1] = True
-    np.testing.assert_array_equal(result.take.markers[~hidden], result.before.markers[~hidden])
+    np.testing.assert_array_equal(result.take.markers[~hidden], result.input_take.markers[~hidden])
     return result, np.linalg.norm(result.take.markers[:, m] - where[:, m], axis=-1)
 
 
@@ -262,18 +265,18 @@ def test_a_knocked_marker_is_found_and_its_gaps_are_filled_at_either_place(knock
     assert (said["moved"].markers, said["moved"].last, said["moved"].samples) == (("T10",), 480, 0)
     for first, last in (HIDDEN[0], HIDDEN[2]):
         assert off[first : last + 1].max() < 0.01
-    assert result.left == ()
-    assert np.linalg.norm(result.joints - knocked[1].joints, axis=-1).mean() < 0.006
+    assert result.unfilled_runs == ()
+    assert np.linalg.norm(result.joint_position_world - knocked[1].joints, axis=-1).mean() < 0.006
 
 
 def test_max_gap_is_held_against_the_gap_and_not_what_is_hidden_of_a_place(knocked):
     result, off = cleaned_without(knocked, options=FillOptions(max_gap=0.25))
     first, last = HIDDEN[1]
     assert not np.isnan(off[first : last + 1]).any()
-    assert [(each.first, each.last, each.reason) for each in result.left] == [
+    assert [(each.first, each.last, each.reason) for each in result.unfilled_runs] == [
         (first, last, "the gap is longer than 0.25 s") for first, last in (HIDDEN[0], HIDDEN[2])
     ]
-    left = [(each.first, each.last) for each in cleaned_without(knocked, options=FillOptions(max_gap=0.15))[0].left]
+    left = [(each.first, each.last) for each in cleaned_without(knocked, options=FillOptions(max_gap=0.15))[0].unfilled_runs]
     assert left == list(HIDDEN)
 
 
@@ -281,9 +284,9 @@ def test_a_move_that_is_rejected_is_none(knocked, tmp_path):
     result, _ = cleaned_without(knocked)
     path = tmp_path / "decided.yaml"
     decided = [replace(each, decision="reject" if each.kind == "moved" else "accept") for each in result.changes]
-    change_file.save(path, result.before, decided)
+    review_file.write_review_file(path, result.input_take, decided)
     result, _ = cleaned_without(knocked, changes=path)
-    assert not result.faults.of("moved", "drift")
+    assert not result.faults.select_kinds("moved", "drift")
     assert {change.kind: change.decision for change in result.changes} == {"gap": "accept", "moved": "reject"}
 
 
@@ -345,29 +348,31 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, k
     assert result.subject is not None
     np.testing.assert_array_equal(result.subject.skeleton.offsets, known.skeleton.offsets)
     np.testing.assert_allclose(result.subject.skeleton.offsets, cleaned.result.subject.skeleton.offsets, atol=1e-7)
-    np.testing.assert_array_equal(result.subject.places, known.places)
+    np.testing.assert_array_equal(result.subject.marker_offsets, known.places)
     assert "calibrate" not in result.report["seconds"]
     assert result.report["take"]["marker_set"] == "cmu41"
 
 
 def test_an_arm_whose_markers_all_tremble_is_not_lost(tmp_path):
-    truth, path = synthetic.take(seed=3, seconds=4.0), tmp_path / "trembling.c3d"
-    arm, shaken = [truth.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")], truth.markers.copy()
+    truth, path = synthetic.compose_take(seed=3, seconds=4.0), tmp_path / "trembling.c3d"
+    arm, shaken = [truth.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")], truth.marker_positions.copy()
     shaken[120:360, arm] += np.random.default_rng(0).normal(0, 0.02, (240, 4, 3))
-    nothing = np.zeros_like(truth.struck)
-    synthetic.write(path, replace(truth, struck=nothing, damaged=shaken, moved=nothing))
+    nothing = np.zeros_like(truth.missing_mask)
+    synthetic.write_synthetic_take(path, replace(truth, missing_mask=nothing, damaged_positions=shaken, spike_mask=nothing))
     result = pipeline.clean(path, subject=truth.subject)
     assert result.faults.counts() == {"jitter": 4}
-    hand = truth.subject.skeleton.index("LeftHand")
-    assert result.joints is not None
-    assert np.linalg.norm(result.joints[120:360, hand] - truth.joints[120:360, hand], axis=1).mean() < 0.015  # lost: 0.025
-    mended = (result.take.markers != result.before.markers).any(axis=2)
+    hand = truth.subject.skeleton.find_joint("LeftHand")
+    assert result.joint_position_world is not None
+    assert (
+        np.linalg.norm(result.joint_position_world[120:360, hand] - truth.joint_positions[120:360, hand], axis=1).mean() < 0.015
+    )  # lost: 0.025
+    mended = (result.take.markers != result.input_take.markers).any(axis=2)
     assert mended[120:360, arm].mean() > 0.9
 
 
 def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):
-    subject = pipeline.calibrated([brief.path, cleaned.path])
-    assert subject.labels == marker_set.load("cmu41").labels
+    subject = pipeline.calibrate([brief.path, cleaned.path])
+    assert subject.labels == marker_sets.load_marker_set("cmu41").labels
     assert np.abs(lengths(subject.skeleton) - lengths(cleaned.truth.subject.skeleton)).max() < 0.025
 
 
@@ -376,7 +381,7 @@ def test_a_take_that_no_set_fits_is_cleaned_without_a_body(cleaned, brief, tmp_p
     names = [f"P{n + 1}" for n in range(41)]
     source.write_bytes(as_c3d(cleaned.truth.damaged, names))
     result = pipeline.clean(source)
-    assert (result.subject, result.motion, result.joints, result.error) == (None, None, None, None)
+    assert (result.subject, result.motion, result.joint_position_world, result.residual_m) == (None, None, None, None)
     assert (result.report["take"]["marker_set"], result.report["subject"], result.report["solve"]) == (None, None, None)
     first, second = result.report["notes"]
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
@@ -388,8 +393,8 @@ def test_a_take_that_no_set_fits_is_cleaned_without_a_body(cleaned, brief, tmp_p
     error = measured(cleaned.truth, result)
     assert error["mocapfix"]["gaps under 0.5 s"] < error["cubic"]["gaps under 0.5 s"] / 2
     assert error["mocapfix"]["one marker lost for 0.5 s and more"] < error["linear"]["one marker lost for 0.5 s and more"] / 4
-    sound = ~cleaned.truth.struck & ~cleaned.truth.moved
-    assert result.before.markers[sound].tobytes() == result.take.markers[sound].tobytes()
+    sound = ~cleaned.truth.missing_mask & ~cleaned.truth.moved
+    assert result.input_take.markers[sound].tobytes() == result.take.markers[sound].tobytes()
 
 
 def test_legs_alone_are_cleaned_without_a_body(cleaned, tmp_path):
@@ -425,7 +430,7 @@ def test_labels_exchanged_throughout_are_put_right_and_where_they_are_kept_the_m
     seen = ~np.isnan(brief.markers[:, a, 0])
     np.testing.assert_allclose(result.take.markers[seen, b], brief.markers[seen, a], atol=1e-6)
     assert result.report["notes"] == []
-    change_file.save(path, result.before, [replace(said, decision="keep")])
+    review_file.write_review_file(path, result.input_take, [replace(said, decision="keep")])
     notes = " ".join(pipeline.clean(source, subject=known, changes=path).report["notes"])
     for label in ("LKNE", "RSHO"):
         assert f"{label} lies more than 60 mm from the body for half the take: is it labelled right?" in notes
@@ -450,7 +455,7 @@ def test_the_start_that_was_chosen_is_gone_from_and_told(brief):
     assert motions["previous"]
     assert motions["registration"]
     assert motions["previous"].iterations.mean() < motions["registration"].iterations.mean() - 1
-    joints = [result.joints for result in results.values()]
+    joints = [result.joint_position_world for result in results.values()]
     assert joints[0] is not None
     assert joints[1] is not None
     np.testing.assert_allclose(joints[1], joints[0], atol=2e-3)

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, record
+from mocapfix import marker_sets
+from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
-from mocapfix.left import Left
-from mocapfix.motion import STATUS, Motion
-from mocapfix.skeleton import cmu31
+from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.report import report_data
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -31,7 +32,7 @@ def plain(value):
 
 @pytest.mark.parametrize("worn", ["cmu41", None])
 def test_the_take(worn):
-    assert plain(record.of_take(take(), worn)) == {
+    assert plain(report_data.build_take_section(take(), worn)) == {
         "file": "walk.c3d",
         "frames": 6,
         "first_frame": 101,
@@ -48,31 +49,31 @@ def sure(reason):
 
 def test_faults_in_the_files_own_frame_numbers():
     items = (Fault("gap", 0, 1, 2, 0.0123456, "Hidden."), Fault("absent", 2, 0, 5, NAN, "Never seen."))
-    assert plain(record.of_faults(take(), Faults(items))) == [
+    assert plain(report_data.build_fault_entries(take(), Faults(items))) == [
         {"kind": "gap", "marker": "Jim:LFHD", "first": 102, "last": 103, "severity_m": 0.01235} | sure("Hidden."),
         {"kind": "absent", "marker": "C7", "first": 101, "last": 106, "severity_m": None} | sure("Never seen."),
     ]
 
 
 def test_no_faults_are_an_empty_list():
-    assert record.of_faults(take(), Faults()) == []
+    assert report_data.build_fault_entries(take(), Faults()) == []
 
 
 def person():
-    worn = marker_set.load("cmu41")
-    return Subject(cmu31().skeleton, worn.name, worn.labels, worn.joints, worn.places, worn.spread, 150)
+    worn = marker_sets.load_marker_set("cmu41")
+    return Subject(load_cmu31_body().skeleton, worn.name, worn.labels, worn.joints, worn.marker_offsets, worn.marker_spread, 150)
 
 
 def test_the_subjects_bones_are_lengths_by_joint():
-    worn, skeleton = marker_set.load("cmu41"), cmu31().skeleton
-    said = plain(record.of_subject(person()))
+    worn, skeleton = marker_sets.load_marker_set("cmu41"), load_cmu31_body().skeleton
+    said = plain(report_data.build_subject_section(person()))
     assert set(said) == {"marker_set", "frames", "bones_m", "spread_m"}
     assert (said["marker_set"], said["frames"]) == ("cmu41", 150)
-    shin = skeleton.index("LeftFoot")
+    shin = skeleton.find_joint("LeftFoot")
     assert said["bones_m"]["LeftFoot"] == pytest.approx(np.linalg.norm(skeleton.offsets[shin]), abs=6e-5)
     assert "Hips" not in said["bones_m"]  # the root has no parent
     assert list(said["spread_m"]) == list(worn.labels)
-    assert said["spread_m"]["LFHD"] == pytest.approx(worn.spread[worn.labels.index("LFHD")], abs=6e-5)
+    assert said["spread_m"]["LFHD"] == pytest.approx(worn.marker_spread[worn.labels.index("LFHD")], abs=6e-5)
 
 
 def test_the_solves_residuals_iterations_and_statuses():
@@ -81,7 +82,7 @@ def test_the_solves_residuals_iterations_and_statuses():
     motion = Motion(np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.array([0, 0, 3, 0, 1, 0]), np.arange(6), np.zeros((6, 3)), sure)
     error = np.full((6, 3), NAN)
     error[:, 0], error[:5, 1] = 0.002, [0.001, 0.002, 0.003, 0.004, 0.005]
-    said = plain(record.of_solve(take(), person(), motion, error, "gaussian", 2.0, "hybrik-x"))
+    said = plain(report_data.build_solve_section(take(), person(), motion, error, "gaussian", 2.0, "hybrik-x"))
     residual = said["marker_residual_mm"]
     assert set(said) == {"marker_residual_mm", "joint_deviation_mm", "start", "prior", "iterations_mean", "status"}
     assert said["start"] == "hybrik-x"
@@ -94,14 +95,14 @@ def test_the_solves_residuals_iterations_and_statuses():
     assert residual["by_marker"]["Jim:RFHD"] == {"mean": 3.0, "p95": 4.8}
     assert set(residual["by_marker"]) == {"Jim:LFHD", "Jim:RFHD"}  # what was never held against the body is not there
     assert said["iterations_mean"] == 2.5
-    assert said["status"] == {STATUS[0]: 4, STATUS[1]: 1, STATUS[3]: 1}
+    assert said["status"] == {STATUS_TEXTS[0]: 4, STATUS_TEXTS[1]: 1, STATUS_TEXTS[3]: 1}
 
 
 def test_a_solve_that_no_marker_could_be_held_against():
     motion = Motion(
         np.zeros((6, 3)), np.zeros((6, 1, 3, 3)), np.full(6, 3), np.zeros(6, int), np.zeros((6, 3)), np.zeros((6, 31))
     )
-    said = plain(record.of_solve(take(), person(), motion, np.full((6, 3), NAN), "none", 1.0, "registration"))
+    said = plain(report_data.build_solve_section(take(), person(), motion, np.full((6, 3), NAN), "none", 1.0, "registration"))
     assert said["prior"] is None
     assert said["marker_residual_mm"] == {"mean": None, "p95": None, "by_marker": {}}
 
@@ -112,14 +113,14 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
     markers[1, 0] = 2.0  # filled
     markers[0, 1] = 3.0  # mended
     markers[5, 1] = NAN  # a doubted sample that nothing could replace
-    left = (Left(0, 2, 2, "too far"), Left(1, 5, 5, "unsure"), Left(2, 0, 5, "never seen"))
+    left = (UnfilledRun(0, 2, 2, "too far"), UnfilledRun(1, 5, 5, "unsure"), UnfilledRun(2, 0, 5, "never seen"))
     deviation = np.full((6, 3), NAN)
     deviation[[1, 0], [0, 1]] = 0.001
     markers[3, 1] = 4.0  # another label's sample
-    source = before.sources.copy()
+    source = before.source_points.copy()
     source[3, 1] = 7
-    after = replace(before.with_markers(markers, deviation), source=source)
-    said = plain(record.of_fill(before, before, after, left))
+    after = replace(before.replace_markers(markers, deviation), relabelled_points=source)
+    said = plain(report_data.build_fill_section(before, before, after, left))
     assert said == {
         "missing_before": 8,
         "filled": 1,
@@ -135,8 +136,8 @@ def test_the_fill_counts_what_was_filled_mended_and_left():
 
 
 def test_every_key_of_the_record_is_in_its_documentation():
-    said = record.__doc__ or ""
-    for made in (record.of_take(take(), None), record.of_fill(take(), take(), take(), ())):
+    said = report_data.__doc__ or ""
+    for made in (report_data.build_take_section(take(), None), report_data.build_fill_section(take(), take(), take(), ())):
         assert all(key in said for key in made)
     assert all(
         key in said

@@ -1,9 +1,9 @@
 import pytest
 
-from mocapfix import rig
 from mocapfix.errors import SceneError
-from mocapfix.scenes import RIGS, folder
-from mocapfix.skeleton import cmu31
+from mocapfix.files.shipped import RIG_NAMES, find_shipped_folder
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.write import rig
 
 # HumanIK's slots that MotionBuilder maps by name, and the joints that Character Studio's specification of BVH names.
 HUMAN_IK = {"Hips", "Spine", "Spine1", "Spine2", "Neck", "Neck1", "Head"} | {
@@ -19,35 +19,35 @@ for side in ("Left", "Right"):
 
 
 def test_every_rig_that_ships_is_named_where_the_command_line_looks():
-    there = {path.stem for path in (folder("scenes") / "rigs").glob("*.yaml")}
-    assert there == {*RIGS, "poses"}
+    there = {path.stem for path in (find_shipped_folder("scenes") / "rigs").glob("*.yaml")}
+    assert there == {*RIG_NAMES, "poses"}
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", RIG_NAMES)
 def test_a_rig_stands_for_joints_that_the_skeleton_has(name):
-    known = set(cmu31().skeleton.names)
-    assert all({joint.joint, joint.axes, joint.end} <= known for joint in rig.load(name).joints)
+    known = set(load_cmu31_body().skeleton.names)
+    assert all({joint.joint, joint.axes, joint.end} <= known for joint in rig.load_rig(name).joints)
 
 
 def test_motionbuilder_s_names_are_those_it_maps_by_itself():
-    told = rig.load("motionbuilder")
+    told = rig.load_rig("motionbuilder")
     assert {joint.name for joint in told.joints} == HUMAN_IK
-    assert (told.rest, told.t_pose) == ("t-pose", True)
+    assert (told.rest_pose, told.starts_with_t_pose) == ("t-pose", True)
 
 
 def test_biped_s_names_and_parents_are_those_of_its_specification_and_its_arms_hang():
-    told = rig.load("3dsmax")
+    told = rig.load_rig("3dsmax")
     assert {joint.name: joint.parent for joint in told.joints} == BIPED
-    assert (told.rest, told.t_pose) == ("arms-down", False)
+    assert (told.rest_pose, told.starts_with_t_pose) == ("arms-down", False)
 
 
 def test_cmu_s_are_the_skeleton_s_own_names_in_its_own_order():
-    assert tuple(joint.name for joint in rig.load("cmu").joints) == cmu31().skeleton.names
-    assert rig.load("cmu").unit == pytest.approx(0.0254 / 0.45)
+    assert tuple(joint.name for joint in rig.load_rig("cmu").joints) == load_cmu31_body().skeleton.names
+    assert rig.load_rig("cmu").unit_m == pytest.approx(0.0254 / 0.45)
 
 
 def test_every_name_of_blender_s_has_its_mirror_image():
-    names = {joint.name for joint in rig.load("blender").joints}
+    names = {joint.name for joint in rig.load_rig("blender").joints}
     sides = {name for name in names if name.startswith(("Left", "Right"))}
     assert {name.replace("Left", "?").replace("Right", "Left").replace("?", "Right") for name in sides} == sides
     assert names - sides == {"Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"}
@@ -55,9 +55,9 @@ def test_every_name_of_blender_s_has_its_mirror_image():
 
 def test_a_name_that_is_no_rig_is_answered_with_those_there_are():
     with pytest.raises(SceneError, match=r"no rig 'maya'; choose of: 3dsmax, blender, cmu, motionbuilder; or give a \.yaml"):
-        rig.load("maya")
+        rig.load_rig("maya")
     with pytest.raises(SceneError, match="no rig 'poses'"):
-        rig.load("poses")
+        rig.load_rig("poses")
 
 
 MINE = """
@@ -88,9 +88,9 @@ joints:
 def test_a_rig_of_one_s_own_is_read_and_a_fault_in_it_is_named(tmp_path, what, instead, said):
     path = tmp_path / "mine.yaml"
     path.write_text(MINE)
-    mine = rig.load(path)
-    assert (mine.name, mine.unit, mine.parents) == ("mine", 0.0254, [-1, 0])
+    mine = rig.load_rig(path)
+    assert (mine.name, mine.unit_m, mine.parents) == ("mine", 0.0254, [-1, 0])
     assert (mine.joints[1].joint, mine.joints[1].axes, mine.joints[1].end) == ("LowerBack", "LowerBack", "Head")
     path.write_text(MINE.replace(what, instead))
     with pytest.raises(SceneError, match=rf"mine\.yaml.*{said}"):
-        rig.load(path)
+        rig.load_rig(path)

@@ -1,30 +1,30 @@
 import pytest
 import yaml
 
-from mocapfix import scenes
 from mocapfix.errors import MocapfixError, SceneError
+from mocapfix.files import shipped
 
 
 @pytest.mark.parametrize(("name", "holds"), [("scenes", "skeletons/cmu31.yaml"), ("priors", "mean-pose.yaml")])
 def test_what_travels_with_mocapfix_is_found(name, holds):
-    assert (scenes.folder(name) / holds).is_file()
+    assert (shipped.find_shipped_folder(name) / holds).is_file()
 
 
 def test_a_folder_inside_the_package_goes_before_the_one_beside_it(tmp_path, monkeypatch):
     package = tmp_path / "mocapfix"
     (tmp_path / "scenes").mkdir()
     package.mkdir()
-    monkeypatch.setattr(scenes.resources, "files", lambda _: package)
-    assert scenes.folder("scenes") == tmp_path / "scenes"
+    monkeypatch.setattr(shipped.resources, "files", lambda _: package)
+    assert shipped.find_shipped_folder("scenes") == tmp_path / "scenes"
     (package / "scenes").mkdir()
-    assert scenes.folder("scenes") == package / "scenes"
+    assert shipped.find_shipped_folder("scenes") == package / "scenes"
 
 
 def test_every_shipped_yaml_is_read():
-    paths = [*scenes.folder("scenes").rglob("*.yaml"), *scenes.folder("priors").glob("*.yaml")]
+    paths = [*shipped.find_shipped_folder("scenes").rglob("*.yaml"), *shipped.find_shipped_folder("priors").glob("*.yaml")]
     assert len(paths) >= 4
-    assert all(scenes.read_yaml(path) == yaml.safe_load(path.read_text(encoding="utf-8")) for path in paths)
-    assert scenes.load_yaml("skeletons/cmu31.yaml")["name"] == "cmu31"
+    assert all(shipped.read_yaml(path) == yaml.safe_load(path.read_text(encoding="utf-8")) for path in paths)
+    assert shipped.read_shipped_yaml("skeletons/cmu31.yaml")["name"] == "cmu31"
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_a_file_that_is_no_mapping_is_told_by_name_and_line(tmp_path, content, s
     path = tmp_path / "set.yaml"
     path.write_bytes(content)
     with pytest.raises(SceneError) as told:
-        scenes.read_yaml(path)
+        shipped.read_yaml(path)
     if "not valid YAML" in said:  # how PyYAML puts it differs between its parsers
         assert str(told.value).startswith(f"{path}{said.split('(')[0]}(")
         assert str(told.value).endswith(").")
@@ -54,12 +54,12 @@ def test_bytes_that_are_no_text_are_told(tmp_path):
     path = tmp_path / "set.yaml"
     path.write_bytes(b"a: \xff\xfe\x80")
     with pytest.raises(SceneError, match=r"set\.yaml: cannot be read \(.*utf-8"):
-        scenes.read_yaml(path)
+        shipped.read_yaml(path)
 
 
 def test_a_file_that_is_not_there_and_a_folder_are_told(tmp_path):
     with pytest.raises(MocapfixError) as told:
-        scenes.read_yaml(tmp_path / "none.yaml")
+        shipped.read_yaml(tmp_path / "none.yaml")
     assert str(told.value) == f"{tmp_path / 'none.yaml'}: cannot be read (No such file or directory)."
     with pytest.raises(SceneError, match="cannot be read"):
-        scenes.read_yaml(tmp_path)
+        shipped.read_yaml(tmp_path)

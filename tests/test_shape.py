@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from mocapfix import shape
+from mocapfix import skeleton
 from mocapfix.errors import SceneError
-from mocapfix.skeleton import average, cmu31
-from mocapfix.train.mirror import mirrored_name
+from mocapfix.skeleton import load_cmu31_body, load_cmu31_skeleton
+from mocapfix.train.training_poses import mirror_joint_name
 
-SHAPES, NAMES = cmu31().shapes, average().names
+SHAPES, NAMES = load_cmu31_body().shape_components, load_cmu31_skeleton().names
 
 
 def test_components_are_listed_joint_by_joint(tmp_path):
     path = tmp_path / "two.yaml"
     path.write_text("components:\n- {b: [1, 2.5, -3]}\n- {a: [0, 0, 0.1], c: [4, 5, 6]}\n")
     expected = [[[0, 0, 0], [1, 2.5, -3], [0, 0, 0]], [[0, 0, 0.1], [0, 0, 0], [4, 5, 6]]]
-    np.testing.assert_array_equal(shape.load(path, ("a", "b", "c")), expected)
+    np.testing.assert_array_equal(skeleton.load_shape_components(path, ("a", "b", "c")), expected)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_wrong_file_names_the_component(tmp_path, text, said):
     path = tmp_path / "wrong.yaml"
     path.write_text(text)
     with pytest.raises(SceneError, match=rf"wrong\.yaml: {said}"):
-        shape.load(path, ("a", "b", "c"))
+        skeleton.load_shape_components(path, ("a", "b", "c"))
 
 
 def test_the_shipped_components_are_a_bodys_and_fall_off():
@@ -47,13 +47,13 @@ def test_the_shipped_components_are_a_bodys_and_fall_off():
 
 
 def test_no_component_is_a_change_of_size():
-    offsets = average().offsets
+    offsets = load_cmu31_skeleton().offsets
     along = np.einsum("pja,ja->p", SHAPES, offsets) / (offsets**2).sum()
     np.testing.assert_allclose(along, 0, atol=1e-4)
 
 
 def test_each_component_is_alike_or_opposite_on_both_sides():
-    other = [NAMES.index(mirrored_name(name)) for name in NAMES]
+    other = [NAMES.index(mirror_joint_name(name)) for name in NAMES]
     mirrored = SHAPES[:, other] * [-1, 1, 1]
     sign = np.sign((mirrored * SHAPES).sum(axis=(1, 2)))
     np.testing.assert_allclose(mirrored, sign[:, None, None] * SHAPES, atol=2e-5)

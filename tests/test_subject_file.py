@@ -7,14 +7,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix import subject_file
+from mocapfix.calibrate import subject_file
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.marker_set import load as load_marker_set
-from mocapfix.skeleton import Skeleton, cmu31
+from mocapfix.marker_sets import load_marker_set as load_marker_set
+from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.subject import Subject
 
 NOMINAL = load_marker_set("cmu41")
-SUBJECT = Subject(cmu31().skeleton, "cmu41", NOMINAL.labels, NOMINAL.joints, NOMINAL.places, NOMINAL.spread, frames=120)
+SUBJECT = Subject(
+    load_cmu31_body().skeleton,
+    "cmu41",
+    NOMINAL.labels,
+    NOMINAL.joints,
+    NOMINAL.marker_offsets,
+    NOMINAL.marker_spread,
+    frame_count=120,
+)
 metres = st.floats(-2, 2)
 
 
@@ -27,20 +35,25 @@ metres = st.floats(-2, 2)
     marker_sd=arrays(float, 41, elements=st.floats(0, 0.1)),
 )
 def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd, marker_sd):
-    average = cmu31().skeleton
+    average = load_cmu31_body().skeleton
     skeleton = Skeleton(average.names, average.parents, offsets, average.ends * 1.0123456)
     path = tmp_path_factory.getbasetemp() / "one.subject.yaml"
     worn = ("cmu41", NOMINAL.labels, NOMINAL.joints, places, spread)
-    subject_file.save(path, Subject(skeleton, *worn, frames, joint_sd, marker_sd))
-    back = subject_file.load(path)
-    assert (back.skeleton.names, back.marker_set, back.labels, back.frames) == (average.names, "cmu41", NOMINAL.labels, frames)
+    subject_file.write_subject(path, Subject(skeleton, *worn, frames, joint_sd, marker_sd))
+    back = subject_file.read_subject(path)
+    assert (back.skeleton.names, back.marker_set, back.labels, back.frame_count) == (
+        average.names,
+        "cmu41",
+        NOMINAL.labels,
+        frames,
+    )
     np.testing.assert_array_equal(back.skeleton.parents, average.parents)
     np.testing.assert_array_equal(back.joints, NOMINAL.joints)
     for ours, theirs in (
         (back.skeleton.offsets, offsets),
         (back.skeleton.ends, skeleton.ends),
-        (back.places, places),
-        (back.spread, spread),
+        (back.marker_offsets, places),
+        (back.marker_spread, spread),
         (back.joint_sd, joint_sd),
         (back.marker_sd, marker_sd),
     ):
@@ -49,7 +62,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
 
 def test_it_can_be_read_by_people(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.save(path, SUBJECT)
+    subject_file.write_subject(path, SUBJECT)
     lines = path.read_text().splitlines()
     assert lines[0].startswith("# A subject of mocapfix")
     assert "metres" in lines[1]
@@ -61,17 +74,17 @@ def test_a_label_that_yaml_might_mistake_comes_back(tmp_path):
     path = tmp_path / "one.subject.yaml"
     odd = ("No", "a: b", "12", "#7", "Möve")
     one = np.zeros(5, int)
-    subject_file.save(path, Subject(cmu31().skeleton, "mine", odd, one, np.zeros((5, 3)), np.ones(5)))
-    assert subject_file.load(path).labels == odd
+    subject_file.write_subject(path, Subject(load_cmu31_body().skeleton, "mine", odd, one, np.zeros((5, 3)), np.ones(5)))
+    assert subject_file.read_subject(path).labels == odd
 
 
 def test_the_order_of_bones_does_not_matter(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.save(path, SUBJECT)
+    subject_file.write_subject(path, SUBJECT)
     data = yaml.safe_load(path.read_text())
     data["bones"] = dict(sorted(data["bones"].items()))
     path.write_text(yaml.safe_dump(data, sort_keys=False))
-    np.testing.assert_array_equal(subject_file.load(path).skeleton.offsets, SUBJECT.skeleton.offsets)
+    np.testing.assert_array_equal(subject_file.read_subject(path).skeleton.offsets, SUBJECT.skeleton.offsets)
 
 
 @pytest.mark.parametrize(
@@ -93,25 +106,25 @@ def test_the_order_of_bones_does_not_matter(tmp_path):
 )
 def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
     path = tmp_path / "one.subject.yaml"
-    subject_file.save(path, SUBJECT)
+    subject_file.write_subject(path, SUBJECT)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {said}"):
-        subject_file.load(path)
+        subject_file.read_subject(path)
 
 
 def test_no_such_file_or_folder(tmp_path):
     with pytest.raises(SceneError, match=r"nobody\.yaml.*No such file"):
-        subject_file.load(tmp_path / "nobody.yaml")
+        subject_file.read_subject(tmp_path / "nobody.yaml")
     with pytest.raises(WriteError, match=r"nobody\.yaml"):
-        subject_file.save(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
+        subject_file.write_subject(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
 
 
 def test_what_cannot_be_written_leaves_the_old_file(tmp_path):
     path = tmp_path / "one.subject.yaml"
-    subject_file.save(path, SUBJECT)
+    subject_file.write_subject(path, SUBJECT)
     before = path.read_bytes()
     with pytest.raises(ValueError, match="argument"):
-        subject_file.save(path, replace(SUBJECT, labels=("LFHD",)))
+        subject_file.write_subject(path, replace(SUBJECT, labels=("LFHD",)))
     assert path.read_bytes() == before

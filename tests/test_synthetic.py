@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix import marker_set, synthetic
+from mocapfix import marker_sets, synthetic
 from mocapfix.errors import WriteError
-from mocapfix.kernels import kinematics
-from mocapfix.skeleton import cmu31
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.synthetic import damage, footsteps, gestures, motions
-from mocapfix.take import runs
+from mocapfix.take import find_runs
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))
 
 
 @pytest.fixture(scope="module")
-def truth() -> synthetic.Truth:
-    return synthetic.take(seed=0)
+def truth() -> synthetic.SyntheticTake:
+    return synthetic.compose_take(seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +38,15 @@ def angle(a, b):
 
 
 @pytest.fixture(scope="module")
-def feet() -> footsteps.Feet:
-    return footsteps.plan(np.arange(0, 20, 1 / 240), stride=0.6, half_width=0.09)
+def feet() -> footsteps.FootMotion:
+    return footsteps.plan_footsteps(np.arange(0, 20, 1 / 240), stride_m=0.6, half_width_m=0.09)
 
 
-@pytest.mark.parametrize(("pivot", "sign"), [(footsteps.TIP, 1), (footsteps.HEEL, -1)])
+@pytest.mark.parametrize(("pivot", "sign"), [(footsteps.TOE_PIVOT_M, 1), (footsteps.HEEL_PIVOT_M, -1)])
 def test_a_standing_foot_rolls_about_a_point_of_the_floor_that_does_not_move(feet, pivot, sign):
     pitch = -feet.rotation[..., 1, 2] * sign  # the sine of how far heel or toes are up
-    point = feet.ankle + feet.rotation @ [0, -footsteps.ANKLE, pivot]
-    rolling = ~feet.swinging & (pitch > -1e-12)
+    point = feet.ankle_position + feet.rotation @ [0, -footsteps.ANKLE_HEIGHT_M, pivot]
+    rolling = ~feet.is_swinging & (pitch > -1e-12)
     both = rolling[1:] & rolling[:-1]
     assert (pitch[rolling] > 0.05).sum() > 100
     assert np.abs(np.diff(point, axis=0)[both]).max() < 1e-9
@@ -54,10 +54,10 @@ def test_a_standing_foot_rolls_about_a_point_of_the_floor_that_does_not_move(fee
 
 
 def test_one_foot_at_least_always_stands_and_walking_there_and_back_ends_at_the_start(feet):
-    assert not feet.swinging.all(axis=1).any()
-    assert feet.swinging.any(axis=1).mean() > 0.3
-    np.testing.assert_allclose(feet.place[-1], feet.place[0], atol=1e-9)
-    np.testing.assert_allclose(feet.yaw[-1], 2 * np.pi)
+    assert not feet.is_swinging.all(axis=1).any()
+    assert feet.is_swinging.any(axis=1).mean() > 0.3
+    np.testing.assert_allclose(feet.floor_position[-1], feet.floor_position[0], atol=1e-9)
+    np.testing.assert_allclose(feet.yaw_rad[-1], 2 * np.pi)
 
 
 # The body
@@ -74,14 +74,14 @@ def test_legs_reach_their_feet(truth, place):
     skeleton = truth.subject.skeleton
     leg = sum(float(np.linalg.norm(skeleton.offsets[skeleton.index(name)])) for name in ("LeftLeg", "LeftFoot"))
     half_width = skeleton.offsets[skeleton.index("LeftUpLeg"), 0]
-    feet = footsteps.plan(np.arange(len(truth.joints)) / RATE, motions.STRIDE * leg, half_width)
+    feet = footsteps.plan_footsteps(np.arange(len(truth.joints)) / RATE, motions.STRIDE_TO_LEG_RATIO * leg, half_width)
     for side, name in enumerate(("LeftFoot", "RightFoot")):
-        assert np.abs(place(name) - feet.ankle[:, side]).max() < 1e-4  # thigh and shin rest in one line to that
+        assert np.abs(place(name) - feet.ankle_position[:, side]).max() < 1e-4  # thigh and shin rest in one line to that
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_joints_move_smoothly(seed):
-    joints = synthetic.take(seed).joints
+    joints = synthetic.compose_take(seed).joint_positions
     speed = np.linalg.norm(np.diff(joints, axis=0), axis=2) * RATE
     acceleration = np.linalg.norm(np.diff(joints, 2, axis=0), axis=2) * RATE**2
     jerk = np.linalg.norm(np.diff(joints, 3, axis=0), axis=2) * RATE**3
@@ -91,16 +91,16 @@ def test_joints_move_smoothly(seed):
 
 
 def test_the_motion_does_not_depend_on_the_rate():
-    slow, fast = synthetic.take(3, rate=60.0), synthetic.take(3, rate=240.0)
-    assert np.abs(slow.joints - fast.joints[::4]).max() < 0.005
+    slow, fast = synthetic.compose_take(3, rate=60.0), synthetic.compose_take(3, rate=240.0)
+    assert np.abs(slow.joint_positions - fast.joint_positions[::4]).max() < 0.005
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_is_below_the_floor(seed):
-    truth = synthetic.take(seed)
+    truth = synthetic.compose_take(seed)
     skeleton = truth.subject.skeleton
-    position, rotation = kinematics.world(skeleton, truth.motion)
-    toes = [skeleton.index(name) for name in ("LeftToeBase", "RightToeBase")]
+    position, rotation = kinematics.compute_world_poses(skeleton, truth.motion)
+    toes = [skeleton.find_joint(name) for name in ("LeftToeBase", "RightToeBase")]
     ends = position[:, toes] + np.einsum("tjab,jb->tja", rotation[:, toes], skeleton.ends[toes])
     assert min(position[..., 1].min(), ends[..., 1].min()) > 0
     assert position[:, toes, 1].min() < 0.07
@@ -135,7 +135,7 @@ def test_then_hands_reach_the_body_crouches_and_turns(place):
     def at(when):
         return round(np.mean(when[1:3]) * RATE)
 
-    left, right, crouch = at(gestures.REACH_LEFT), at(gestures.REACH_RIGHT), at(gestures.CROUCH)
+    left, right, crouch = at(gestures.REACH_LEFT_TIMES_S), at(gestures.REACH_RIGHT_TIMES_S), at(gestures.CROUCH_TIMES_S)
     assert abs(place("LeftHand")[left, 1] - place("LeftArm")[left, 1]) < 0.15
     assert place("LeftHand")[left, 2] - place("LeftArm")[left, 2] > 0.4
     assert place("RightHand")[right, 1] > place("Head")[right, 1]
@@ -148,19 +148,19 @@ def test_then_hands_reach_the_body_crouches_and_turns(place):
 
 
 def test_markers_are_placed_by_hand_on_a_body_of_its_own(truth):
-    nominal = marker_set.load("cmu41")
-    strays = [synthetic.take(seed, 0.1).subject.places - nominal.places for seed in range(10)]
+    nominal = marker_sets.load_marker_set("cmu41")
+    strays = [synthetic.compose_take(seed, 0.1).subject.marker_offsets - nominal.marker_offsets for seed in range(10)]
     assert np.std(strays) == pytest.approx(0.012, rel=0.1)
-    body = cmu31()
+    body = load_cmu31_body()
     own, average = (np.linalg.norm(s.offsets, axis=1) for s in (truth.subject.skeleton, body.skeleton))
-    for joints in body.groups.values():
+    for joints in body.bone_groups.values():
         scales = own[list(joints)] / average[list(joints)]
         assert np.ptp(scales) < 1e-12
         assert 0 < abs(scales[0] - 1) < 0.16
 
 
 def test_a_crooked_person_has_bones_of_their_own_on_either_side():
-    straight, crooked = (synthetic.take(7, 0.5, crooked=which).subject for which in (False, True))
+    straight, crooked = (synthetic.compose_take(7, 0.5, asymmetric=which).subject for which in (False, True))
     lengths = [np.linalg.norm(one.skeleton.offsets, axis=1) for one in (straight, crooked)]
     names = straight.skeleton.names
     thighs = [names.index("LeftLeg"), names.index("RightLeg")]
@@ -180,12 +180,12 @@ def test_a_crooked_person_has_bones_of_their_own_on_either_side():
 
 
 def test_skin_slides_by_millimetres_and_smoothly():
-    truth = synthetic.take(2, seconds=20.0)
-    rigid = kinematics.placed(truth.subject, truth.motion)[1]
-    slide = truth.markers - rigid
+    truth = synthetic.compose_take(2, seconds=20.0)
+    rigid = kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)[1]
+    slide = truth.marker_positions - rigid
     assert np.std(slide) == pytest.approx(0.004, rel=0.05)
     lag = round(0.3 * RATE)
-    rotation = kinematics.world(truth.subject.skeleton, truth.motion)[1][:, truth.subject.joints]
+    rotation = kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[1][:, truth.subject.joints]
     local = np.einsum("tkba,tkb->tka", rotation, slide)
     assert np.mean(local[lag:] * local[:-lag]) / np.var(local) == pytest.approx(np.exp(-1), abs=0.05)
     noise = np.diff(local, 2, axis=0)  # what smooth sliding leaves: three samples' noise, 1 + 4 + 1 variances
@@ -197,44 +197,46 @@ def test_skin_slides_by_millimetres_and_smoothly():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_damage_is_where_it_is_said_to_be_and_nowhere_else(seed):
-    truth = synthetic.take(seed)
-    np.testing.assert_array_equal(np.isnan(truth.damaged).any(axis=2), truth.struck)
-    untouched = ~truth.struck & ~truth.moved
-    np.testing.assert_array_equal(truth.damaged[untouched], truth.markers[untouched])
-    assert not (truth.struck & truth.moved).any()
-    jump = np.linalg.norm(truth.damaged - truth.markers, axis=2)[truth.moved]
+    truth = synthetic.compose_take(seed)
+    np.testing.assert_array_equal(np.isnan(truth.damaged_positions).any(axis=2), truth.missing_mask)
+    untouched = ~truth.missing_mask & ~truth.spike_mask
+    np.testing.assert_array_equal(truth.damaged_positions[untouched], truth.marker_positions[untouched])
+    assert not (truth.missing_mask & truth.spike_mask).any()
+    jump = np.linalg.norm(truth.damaged_positions - truth.marker_positions, axis=2)[truth.spike_mask]
     assert len(jump) > 5
     assert jump.min() > 0.0299
-    assert 0.02 < truth.struck.mean() < 0.12
-    lengths = [last - first + 1 for m in range(truth.struck.shape[1]) for first, last in runs(truth.struck[:, m])]
+    assert 0.02 < truth.missing_mask.mean() < 0.12
+    lengths = [
+        last - first + 1 for m in range(truth.missing_mask.shape[1]) for first, last in find_runs(truth.missing_mask[:, m])
+    ]
     assert sum(length < 0.2 * RATE for length in lengths) >= 15
     assert sum(length >= 0.5 * RATE for length in lengths) >= 7 + 2  # the arm's, the late one, and others
 
 
 def test_one_arm_is_lost_while_it_swings_and_one_marker_comes_late(truth):
-    first, end = (round(second * RATE) for second in damage.ARM_LOST)
-    assert 0 < damage.ARM_LOST[0] < damage.ARM_LOST[1] <= gestures.REACH_LEFT[0]
-    lost = {label for label, gone in zip(truth.labels, truth.struck[first:end].all(axis=0), strict=True) if gone}
+    first, end = (round(second * RATE) for second in damage.ARM_GAP_S)
+    assert 0 < damage.ARM_GAP_S[0] < damage.ARM_GAP_S[1] <= gestures.REACH_LEFT_TIMES_S[0]
+    lost = {label for label, gone in zip(truth.labels, truth.missing_mask[first:end].all(axis=0), strict=True) if gone}
     assert lost >= {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"}
-    assert truth.struck[: round(damage.LATE * RATE)].all(axis=0).sum() >= 1
+    assert truth.missing_mask[: round(damage.LATE_START_S * RATE)].all(axis=0).sum() >= 1
 
 
 def test_a_seed_gives_the_same_take_and_another_seed_another():
-    one, same, other = (synthetic.take(seed, 2.0) for seed in (5, 5, 6))
-    for field in fields(synthetic.Truth):
+    one, same, other = (synthetic.compose_take(seed, 2.0) for seed in (5, 5, 6))
+    for field in fields(synthetic.SyntheticTake):
         if isinstance(value := getattr(one, field.name), np.ndarray):
             np.testing.assert_array_equal(value, getattr(same, field.name))
-    assert np.abs(one.markers - other.markers).max() > 0.01
-    assert (one.struck != other.struck).any()
+    assert np.abs(one.marker_positions - other.marker_positions).max() > 0.01
+    assert (one.missing_mask != other.missing_mask).any()
 
 
 @settings(max_examples=6)
 @given(seconds=st.floats(0.1, 12), rate=st.floats(25, 300), seed=st.integers(0, 2**32))
 def test_any_length_and_rate_gives_a_whole_body(seconds, rate, seed):
-    truth = synthetic.take(seed, seconds, rate)
-    assert truth.damaged.shape == (round(seconds * rate), len(truth.labels), 3)
-    assert np.isfinite(truth.joints).all()
-    assert np.isfinite(truth.markers).all()
+    truth = synthetic.compose_take(seed, seconds, rate)
+    assert truth.damaged_positions.shape == (round(seconds * rate), len(truth.labels), 3)
+    assert np.isfinite(truth.joint_positions).all()
+    assert np.isfinite(truth.marker_positions).all()
 
 
 # The file
@@ -242,7 +244,7 @@ def test_any_length_and_rate_gives_a_whole_body(seconds, rate, seed):
 
 def test_the_file_says_what_the_take_says(truth, tmp_path):
     path = tmp_path / "walk.c3d"
-    synthetic.write(path, truth)
+    synthetic.write_synthetic_take(path, truth)
     file = ezc3d.c3d(str(path))
     point = file["parameters"]["POINT"]
     assert tuple(point["LABELS"]["value"]) == truth.labels
@@ -252,14 +254,14 @@ def test_the_file_says_what_the_take_says(truth, tmp_path):
     assert (header["first_frame"], header["last_frame"]) == (0, len(truth.damaged) - 1)  # counted from 0 by ezc3d
     xyz = file["data"]["points"][:3].transpose(2, 1, 0)
     np.testing.assert_allclose(xyz[..., [1, 2, 0]] / 1000, truth.damaged, atol=1e-6)  # NaN and all; 32-bit floats
-    stored = np.frombuffer(path.read_bytes(), "<f4", truth.struck.size * 4, (point["DATA_START"]["value"][0] - 1) * 512)
-    np.testing.assert_array_equal(stored.reshape(-1, 4)[~truth.struck.ravel(), 3], 0)  # measured, nothing filled
-    np.testing.assert_array_equal(stored.reshape(-1, 4)[truth.struck.ravel()], [[0, 0, 0, -1]] * truth.struck.sum())
+    stored = np.frombuffer(path.read_bytes(), "<f4", truth.missing_mask.size * 4, (point["DATA_START"]["value"][0] - 1) * 512)
+    np.testing.assert_array_equal(stored.reshape(-1, 4)[~truth.missing_mask.ravel(), 3], 0)  # measured, nothing filled
+    np.testing.assert_array_equal(stored.reshape(-1, 4)[truth.missing_mask.ravel()], [[0, 0, 0, -1]] * truth.missing_mask.sum())
 
 
 def test_mocapfix_reads_it_back(truth, tmp_path):
-    read = pytest.importorskip("mocapfix.read")
-    synthetic.write(tmp_path / "walk.c3d", truth)
+    read = pytest.importorskip("mocapfix.read.capture")
+    synthetic.write_synthetic_take(tmp_path / "walk.c3d", truth)
     take = read.take(tmp_path / "walk.c3d")
     assert (take.labels, take.rate, take.first_frame) == (truth.labels, RATE, 1)
     np.testing.assert_allclose(take.markers, truth.damaged, atol=1e-6)
@@ -267,4 +269,4 @@ def test_mocapfix_reads_it_back(truth, tmp_path):
 
 def test_a_folder_that_is_not_there_is_named(truth, tmp_path):
     with pytest.raises(WriteError, match="nowhere"):
-        synthetic.write(tmp_path / "nowhere" / "walk.c3d", truth)
+        synthetic.write_synthetic_take(tmp_path / "nowhere" / "walk.c3d", truth)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.take import Take, runs
+from mocapfix.take import Take, find_runs
 
 
 @pytest.fixture
@@ -18,15 +18,15 @@ def take():
 
 
 def test_a_take_knows_what_was_seen(take):
-    assert take.frames == 4
-    np.testing.assert_array_equal(take.seen, [[True, True], [False, True], [True, True], [True, False]])
+    assert take.frame_count == 4
+    np.testing.assert_array_equal(take.visible, [[True, True], [False, True], [True, True], [True, False]])
 
 
 def test_frames_are_shown_by_the_files_own_numbers(take):
-    assert take.frame_number(0) == 100
-    assert take.frame_number(np.int64(3)) == 103
-    assert type(take.frame_number(np.int64(3))) is int  # goes into JSON
-    assert Take(take.markers, take.labels, 120.0).frame_number(0) == 1
+    assert take.get_frame_number(0) == 100
+    assert take.get_frame_number(np.int64(3)) == 103
+    assert type(take.get_frame_number(np.int64(3))) is int  # goes into JSON
+    assert Take(take.markers, take.labels, 120.0).get_frame_number(0) == 1
 
 
 def test_names_and_labels(take):
@@ -38,29 +38,29 @@ def test_names_and_labels(take):
 
 def test_a_part_is_a_take_of_the_same_file_with_those_markers_alone(take):
     """The whole's markers are the file's points 4 and 6; the part's is the second of them, wherever it is asked."""
-    seen = take.seen
-    whole = replace(take, columns=np.array([4, 6]), computed=~seen, blind=seen, deviation=np.where(seen, 0.1, np.nan))
+    seen = take.visible
+    whole = replace(take, columns=np.array([4, 6]), computed=~seen, uncaptured=seen, sample_sd=np.where(seen, 0.1, np.nan))
     part = whole.part(np.array([1]), "A/B")
-    assert (part.labels, part.owners, part.person, part.name, part.stem) == (
+    assert (part.labels, part.marker_subjects, part.subject_name, part.name, part.stem) == (
         ("A:B:RANK",), ("A:B",), "A/B", "walk.c3d (A/B)", "walk.A_B"
     )  # fmt: skip
     np.testing.assert_array_equal(part.markers, whole.markers[:, [1]])
     np.testing.assert_array_equal(part.computed, ~seen[:, [1]])
-    np.testing.assert_array_equal(part.blind, seen[:, [1]])
-    np.testing.assert_array_equal(part.sources, np.full((4, 1), 6))
-    np.testing.assert_array_equal(whole.of_part(part), [1])
-    np.testing.assert_array_equal(take.of_part(take.part(np.array([1, 0]), "both")), [1, 0])
-    assert (take.stem, Take(take.markers, take.labels, 120.0).stem) == ("walk", "take")
+    np.testing.assert_array_equal(part.uncaptured, seen[:, [1]])
+    np.testing.assert_array_equal(part.source_points, np.full((4, 1), 6))
+    np.testing.assert_array_equal(whole.find_marker_indices(part), [1])
+    np.testing.assert_array_equal(take.find_marker_indices(take.part(np.array([1, 0]), "both")), [1, 0])
+    assert (take.stem, Take(take.markers, take.labels, 120.0).output_stem) == ("walk", "take")
 
 
 def test_other_positions_make_another_take(take):
     deviation = np.full((4, 2), 0.001)
-    other = take.with_markers(np.zeros((4, 2, 3)), deviation)
-    assert other.seen.all()
-    assert other.deviation is deviation
+    other = take.replace_markers(np.zeros((4, 2, 3)), deviation)
+    assert other.visible.all()
+    assert other.sample_sd is deviation
     assert (other.labels, other.rate, other.first_frame, other.path) == (take.labels, take.rate, 100, take.path)
-    assert take.deviation is None
-    assert not take.seen.all()
+    assert take.sample_sd is None
+    assert not take.visible.all()
     with pytest.raises(FrozenInstanceError):
         take.rate = 60.0
 
@@ -70,13 +70,13 @@ def test_other_positions_make_another_take(take):
     [([], []), ([0], []), ([1], [(0, 0)]), ([1, 1, 0, 1], [(0, 1), (3, 3)]), ([0, 1, 1, 0], [(1, 2)])],
 )
 def test_runs_of_known_masks(mask, expected):
-    assert runs(np.array(mask, bool)) == expected
+    assert find_runs(np.array(mask, bool)) == expected
 
 
 @given(st.lists(st.booleans(), max_size=60))
 def test_runs_make_up_the_mask_and_none_touches_the_next(drawn):
     mask, again = np.array(drawn, bool), np.zeros(len(drawn), bool)
-    found = runs(mask)
+    found = find_runs(mask)
     for first, last in found:
         assert first <= last
         again[first : last + 1] = True
@@ -92,25 +92,25 @@ def test_what_is_exchanged_back_is_the_take_bit_for_bit(drawn):
     rng = np.random.default_rng(0)
     markers, deviation, computed = rng.normal(size=(41, 5, 3)), rng.random((41, 5)), rng.random((41, 5)) < 0.1
     markers[rng.random((41, 5)) < 0.3] = np.nan
-    take = Take(markers, tuple("ABCDE"), 100.0, columns=np.array([3, 1, 8, 9, 0]), deviation=deviation, computed=computed)
+    take = Take(markers, tuple("ABCDE"), 100.0, point_columns=np.array([3, 1, 8, 9, 0]), sample_sd=deviation, computed=computed)
     done, again = [(tuple(order[:size]), min(a, b), max(a, b)) for order, size, a, b in drawn], take
     for ring, first, last in done:
-        again = again.exchanged(ring, first, last)
+        again = again.exchange_labels(ring, first, last)
     for ring, first, last in reversed(done):
-        again = again.exchanged(ring[::-1], first, last)
+        again = again.exchange_labels(ring[::-1], first, last)
     for name in ("markers", "deviation", "computed", "sources"):
         np.testing.assert_array_equal(getattr(again, name), getattr(take, name))
     for ring, first, last in [each for each in done if len(each[0]) == 2][:1]:
-        twice = take.exchanged(ring, first, last).exchanged(ring, first, last)
+        twice = take.exchange_labels(ring, first, last).exchange_labels(ring, first, last)
         np.testing.assert_array_equal(twice.markers, markers)
 
 
 def test_a_ring_puts_each_sample_under_its_own_label(take):
-    three = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, columns=np.array([4, 5, 6]))
-    back = three.exchanged((0, 2, 1), 0, 0)  # the sample of a is under c's label, c's under b's, b's under a's
+    three = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, point_columns=np.array([4, 5, 6]))
+    back = three.exchange_labels((0, 2, 1), 0, 0)  # the sample of a is under c's label, c's under b's, b's under a's
     np.testing.assert_array_equal(back.markers[0], three.markers[0, [2, 0, 1]])
-    np.testing.assert_array_equal(back.sources[0], [6, 4, 5])
-    assert three.source is None
+    np.testing.assert_array_equal(back.source_points[0], [6, 4, 5])
+    assert three.relabelled_points is None
 
 
 def test_what_a_program_put_there_was_not_measured(take):
@@ -124,4 +124,4 @@ def test_what_a_program_put_there_was_not_measured(take):
 def test_unlabelled_trajectories_are_counted_on_from_the_labels(take):
     loose = Take(take.markers, ("*1", "*2"), 1.0)
     both = Take(take.markers, take.labels, 1.0, unlabelled=loose)
-    assert [both.label(i) for i in range(4)] == [*take.labels, "*1", "*2"]
+    assert [both.get_label(i) for i in range(4)] == [*take.labels, "*1", "*2"]

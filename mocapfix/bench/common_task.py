@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocapfix.kernels import kinematics
+from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.motion import Motion
-from mocapfix.scenes import load_yaml
 from mocapfix.skeleton import Skeleton
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 
 
@@ -28,37 +28,37 @@ class CommonTask:
     """
 
     subject: Subject
-    rate: float
-    mean: np.ndarray
-    pull: float
+    rate_hz: float
+    mean_angles: np.ndarray
+    mean_pose_weight: float
     takes: dict[str, np.ndarray]
-    starts: dict[str, np.ndarray]
-    positions: np.ndarray
+    root_starts: dict[str, np.ndarray]
+    joint_positions: np.ndarray
 
-    def error(self, root: np.ndarray, rotations: np.ndarray) -> float:
+    def compute_joint_error(self, root: np.ndarray, rotations: np.ndarray) -> float:
         """-> mean distance of the joints from the truth, metres, over the frames solved: root (T, 3), rotations (T, J, 3, 3)."""
-        found = kinematics.world(self.subject.skeleton, posed(root, rotations))[0]
-        return float(np.linalg.norm(found - self.positions[: len(root)], axis=-1).mean())
+        found = kinematics.compute_world_poses(self.subject.skeleton, build_pose_motion(root, rotations))[0]
+        return float(np.linalg.norm(found - self.joint_positions[: len(root)], axis=-1).mean())
 
 
-def make() -> CommonTask:
+def build_common_task() -> CommonTask:
     """-> the task as its scene says."""
-    scene = load_yaml("bench/common-task.yaml")
+    scene = read_shipped_yaml("bench/common-task.yaml")
     rng = np.random.default_rng(scene["seed"])
-    subject, mean = body(scene), np.array([joint.get("mean", [0.0] * 3) for joint in scene["joints"]])
+    subject, mean = build_task_subject(scene), np.array([joint.get("mean", [0.0] * 3) for joint in scene["joints"]])
     seconds = np.arange(scene["frames"]) / scene["rate"]
     root = np.stack([about + swing * np.sin(2 * np.pi * hz * seconds) for about, swing, hz in scene["way"]], axis=1)
-    truth = posed(root, turned(swung(scene, mean, seconds, rng)))
-    positions, clean = kinematics.placed(subject, truth)
-    takes = {"clean": clean, "noisy": worn(scene, clean, rng)}
-    rest = turned(mean)[None]
-    placed = kinematics.placed(subject, posed(np.zeros((1, 3)), rest))[1][0]
+    truth = build_pose_motion(root, compute_zyx_rotations(generate_joint_angles(scene, mean, seconds, rng)))
+    positions, clean = kinematics.compute_joint_and_marker_positions(subject, truth)
+    takes = {"clean": clean, "noisy": corrupt_markers(scene, clean, rng)}
+    rest = compute_zyx_rotations(mean)[None]
+    placed = kinematics.compute_joint_and_marker_positions(subject, build_pose_motion(np.zeros((1, 3)), rest))[1][0]
     pelvis = [subject.labels.index(label) for label in scene["start"]]
     starts = {name: np.nanmean(markers[:, pelvis] - placed[pelvis], axis=1) for name, markers in takes.items()}
     return CommonTask(subject, scene["rate"], mean, scene["pull"], takes, starts, positions)
 
 
-def body(scene: dict) -> Subject:
+def build_task_subject(scene: dict) -> Subject:
     """-> the scene's joints and markers."""
     joints, markers = scene["joints"], scene["markers"]
     names = tuple(joint["name"] for joint in joints)
@@ -70,19 +70,19 @@ def body(scene: dict) -> Subject:
     return Subject(skeleton, "", tuple(marker["label"] for marker in markers), on, places, np.zeros(len(on)))
 
 
-def swung(scene: dict, mean: np.ndarray, seconds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def generate_joint_angles(scene: dict, mean_angles: np.ndarray, times_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """-> (T, J, 3) radians: every joint's angles about z, y, x at every moment."""
-    swing, angles = np.array([joint["swing"] for joint in scene["joints"]]), np.zeros((len(seconds), *mean.shape))
+    swing, angles = np.array([joint["swing"] for joint in scene["joints"]]), np.zeros((len(times_s), *mean_angles.shape))
     for band in scene["bands"]:
         hertz, phase = rng.uniform(band["from"], band["to"], swing.shape), rng.uniform(0, 2 * np.pi, swing.shape)
-        angles += band["part"] * swing * np.sin(2 * np.pi * hertz * seconds[:, None, None] + phase)
-    angles += mean
+        angles += band["part"] * swing * np.sin(2 * np.pi * hertz * times_s[:, None, None] + phase)
+    angles += mean_angles
     knees = [j for j, joint in enumerate(scene["joints"]) if joint["name"] in scene["unbending"]]
     angles[:, knees, 2] = np.maximum(angles[:, knees, 2], 0.0)
     return angles
 
 
-def worn(scene: dict, clean: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def corrupt_markers(scene: dict, clean: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """-> the clean take (T, M, 3) with noise, and a part of its samples lost in runs."""
     frames, count = clean.shape[:2]
     lost, run = np.zeros((frames, count), bool), round(scene["missing"]["seconds"] * scene["rate"])
@@ -94,7 +94,7 @@ def worn(scene: dict, clean: np.ndarray, rng: np.random.Generator) -> np.ndarray
     return noisy
 
 
-def turned(angles: np.ndarray) -> np.ndarray:
+def compute_zyx_rotations(angles: np.ndarray) -> np.ndarray:
     """-> rotations Rz Ry Rx (..., 3, 3) of angles (..., 3) about z, y, x.
 
     Written out, for the peer turns 31 joints at a time: several times as fast as scipy's Rotation for so few.
@@ -108,7 +108,7 @@ def turned(angles: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
-def posed(root: np.ndarray, rotations: np.ndarray) -> Motion:
+def build_pose_motion(root: np.ndarray, rotations: np.ndarray) -> Motion:
     """-> poses root (T, 3), rotations (T, J, 3, 3) as a motion of which nothing else is known."""
     nothing = np.zeros(len(root), int)
     return Motion(root, rotations, nothing, nothing, np.zeros((len(root), 0)), np.zeros((len(root), 0)))

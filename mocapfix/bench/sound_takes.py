@@ -14,66 +14,71 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix import synthetic
-from mocapfix.bench.limb import Performance, motion, performed
+from mocapfix.bench.lost_limbs import PerformedMotion, build_known_motion, read_performed_motions
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.motion import Motion
-from mocapfix.synthetic import Truth
-from mocapfix.synthetic.truth import person, worn
+from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
 
-RATE, SECONDS = 120.0, 20.0  # of a take; of a recording that is longer, the beginning
-SHORTEST = 8.0  # seconds: of what is shorter no take is made
+SOUND_TAKE_RATE_HZ, SOUND_TAKE_DURATION_S = 120.0, 20.0  # of a take; of a recording that is longer, the beginning
+MIN_RECORDING_S = 8.0  # seconds: of what is shorter no take is made
 
 
-def sound(data: Path | None, count: int) -> Iterator[tuple[str, Truth]]:
+def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator[tuple[str, SyntheticTake]]:
     """Yield `count` takes by name: composed, or performed where `data` holds the motion, as many as there are.
 
     Raises SceneError where less than one is asked for, ReadError where `data` holds no test.npz of motion long enough.
     """
-    if count < 1:
-        raise SceneError(f"There must be at least one take to put faults into, not {count}.")
-    if data is None:
-        for seed in range(count):
-            yield f"seed {seed}", undamaged(synthetic.take(seed, SECONDS, RATE, crooked=True))
+    if take_count < 1:
+        raise SceneError(f"There must be at least one take to put faults into, not {take_count}.")
+    if motion_folder is None:
+        for seed in range(take_count):
+            yield (
+                f"seed {seed}",
+                remove_damage(synthetic.compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)),
+            )
         return
-    chosen = of_everybody(list(performed(data / "test.npz")), count)
+    chosen = choose_performances(list(read_performed_motions(motion_folder / "test.npz")), take_count)
     if not chosen:
-        raise ReadError(f"{data / 'test.npz'}: holds no recording of {SHORTEST:g} s or longer.")
+        raise ReadError(f"{motion_folder / 'test.npz'}: holds no recording of {MIN_RECORDING_S:g} s or longer.")
     for number, performance in enumerate(chosen):
-        yield performance.name, acted(performance, np.random.default_rng(number))
+        yield performance.name, perform_take(performance, np.random.default_rng(number))
 
 
-def undamaged(truth: Truth) -> Truth:
+def remove_damage(truth: SyntheticTake) -> SyntheticTake:
     """-> the take as it would be had nothing gone wrong."""
-    nothing = np.zeros_like(truth.struck)
-    return replace(truth, damaged=truth.markers, struck=nothing, moved=nothing)
+    nothing = np.zeros_like(truth.missing_mask)
+    return replace(truth, damaged_positions=truth.marker_positions, missing_mask=nothing, spike_mask=nothing)
 
 
-def of_everybody(performances: list[Performance], count: int) -> list[Performance]:
+def choose_performances(performances: list[PerformedMotion], take_count: int) -> list[PerformedMotion]:
     """-> `count` recordings that are long enough: everybody's longest first, then everybody's second."""
-    ranked: list[tuple[int, Performance]] = []
+    ranked: list[tuple[int, PerformedMotion]] = []
     for _, each in groupby(performances, lambda performance: performance.name.split("_")[0]):
-        theirs = sorted(each, key=lambda performance: -_seconds(performance))
-        ranked += [(rank, one) for rank, one in enumerate(theirs) if _seconds(one) >= SHORTEST]
-    return [one for _, one in sorted(ranked, key=lambda pair: pair[0])][:count]
+        theirs = sorted(each, key=lambda performance: -_compute_duration_s(performance))
+        ranked += [(rank, one) for rank, one in enumerate(theirs) if _compute_duration_s(one) >= MIN_RECORDING_S]
+    return [one for _, one in sorted(ranked, key=lambda pair: pair[0])][:take_count]
 
 
-def acted(performance: Performance, rng: np.random.Generator) -> Truth:
+def perform_take(performance: PerformedMotion, rng: np.random.Generator) -> SyntheticTake:
     """-> the recording as a take of a drawn person who does the same."""
-    subject, moves = person(rng, crooked=True), faster(performance)
-    joints, markers = worn(rng, subject, moves, RATE)
+    subject, moves = draw_subject(rng, asymmetric=True), resample_performance(performance)
+    joints, markers = simulate_markers(rng, subject, moves, SOUND_TAKE_RATE_HZ)
     nothing = np.zeros(markers.shape[:2], bool)
-    return Truth(moves, subject, joints, markers, markers, nothing, nothing, subject.labels, RATE)
+    return SyntheticTake(moves, subject, joints, markers, markers, nothing, nothing, subject.labels, SOUND_TAKE_RATE_HZ)
 
 
-def faster(performance: Performance) -> Motion:
+def resample_performance(performance: PerformedMotion) -> Motion:
     """-> the first SECONDS of its motion at RATE: splines through its frames, of rotations as of places, with no kinks."""
-    count = min(performance.motion.frames, round(SECONDS * performance.rate))
-    was = np.arange(count) / performance.rate
-    now = np.arange(round(was[-1] * RATE) + 1) / RATE
-    turns = performance.motion.rotations[:count]
+    count = min(performance.motion.frame_count, round(SOUND_TAKE_DURATION_S * performance.rate_hz))
+    was = np.arange(count) / performance.rate_hz
+    now = np.arange(round(was[-1] * SOUND_TAKE_RATE_HZ) + 1) / SOUND_TAKE_RATE_HZ
+    turns = performance.motion.local_rotations[:count]
     between = [RotationSpline(was, Rotation.from_matrix(turns[:, j]))(now).as_matrix() for j in range(turns.shape[1])]
-    return motion(make_interp_spline(was, performance.motion.root[:count])(now), np.ascontiguousarray(np.stack(between, 1)))
+    return build_known_motion(
+        make_interp_spline(was, performance.motion.root_position[:count])(now), np.ascontiguousarray(np.stack(between, 1))
+    )
 
 
-def _seconds(performance: Performance) -> float:
-    return performance.motion.frames / performance.rate
+def _compute_duration_s(performance: PerformedMotion) -> float:
+    return performance.motion.frame_count / performance.rate_hz

@@ -10,29 +10,37 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.small import matrix, product, put, times, transposed
-from mocapfix.kernels.twist_swing import between, dot, plus, square_root, swing, told, twist
+from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
+from mocapfix.kernels.swing_twist import (
+    add_scaled,
+    compute_dot,
+    compute_square_root,
+    compute_swing,
+    compute_twist,
+    compute_twist_evidence,
+    solve_two_bone_joint,
+)
 
-NAIVE, ADAPTIVE, X = 0, 1, 2  # HybrIK, Algorithms 1 and 2; HybrIK-X, 3.2.3
-SHORT = 0.01  # metres: so near to a joint, markers that ride on it do not tell where it points
+HYBRIK_NAIVE, HYBRIK_ADAPTIVE, HYBRIK_X = 0, 1, 2  # HybrIK, Algorithms 1 and 2; HybrIK-X, 3.2.3
+MIN_LEVER_M = 0.01  # metres: so near to a joint, markers that ride on it do not tell where it points
 
 
-class Bones(NamedTuple):
+class HybrikSkeleton(NamedTuple):
     """A skeleton of J joints with the P points that each joint turns, joint after joint; Q points in all may be seen."""
 
     parents: np.ndarray  # (J,)
     offsets: np.ndarray  # (J, 3) metres
-    turns: np.ndarray  # (J,) bool: whether the joint is turned; else it stays as it is given
-    first: np.ndarray  # (J + 1,) where each joint's points begin, and the end
-    source: np.ndarray  # (P,) which of the Q points seen it is; the first J are the joints
-    place: np.ndarray  # (P, 3) metres: where it rests in the joint's axes
-    child: np.ndarray  # (P,) bool: a child, which gives the swing
-    tells: np.ndarray  # (P,) bool: off the bone's axis, so that it tells the twist
-    spread: np.ndarray  # (P,) m^2 per axis: how far it may be from its place anyway
-    ahead: np.ndarray  # (J,) the conflict joint two bones on, which HybrIK-X reaches exactly; -1 for none
+    is_solved: np.ndarray  # (J,) bool: whether the joint is turned; else it stays as it is given
+    first_point: np.ndarray  # (J + 1,) where each joint's points begin, and the end
+    point_index: np.ndarray  # (P,) which of the Q points seen it is; the first J are the joints
+    rest_position: np.ndarray  # (P, 3) metres: where it rests in the joint's axes
+    is_child: np.ndarray  # (P,) bool: a child, which gives the swing
+    constrains_twist: np.ndarray  # (P,) bool: off the bone's axis, so that it tells the twist
+    position_variance: np.ndarray  # (P,) m^2 per axis: how far it may be from its place anyway
+    conflict_joint: np.ndarray  # (J,) the conflict joint two bones on, which HybrIK-X reaches exactly; -1 for none
 
 
-class Seen(NamedTuple):
+class HybrikObservations(NamedTuple):
     """Where the points are; one row of `variance` or `twists` may serve all frames."""
 
     points: np.ndarray  # (T, Q, 3) metres, a number of it NaN where unknown
@@ -41,7 +49,7 @@ class Seen(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def recur_frames(bones, way, seen, root, local, missed, first, stop):
+def solve_hybrik_frames(bones, way, seen, root, local, missed, first, stop):
     """Turn `local` (T, J, 3, 3), whose roots are right, in place, in the frames first..stop - 1.
 
     missed (T,): by how many metres the worst end that HybrIK-X should reach is out of reach; less than 0: too near
@@ -53,103 +61,113 @@ def recur_frames(bones, way, seen, root, local, missed, first, stop):
         twists = seen.twists[t % len(seen.twists)]
         missed[t] = 0.0
         for j in range(joints):
-            _place(bones, j, root[t], local[t], position, rotation)
-            if bones.turns[j]:
-                miss = _turn(bones, way, j, points, variance, twists, local[t], position, rotation)
+            _compute_world_pose(bones, j, root[t], local[t], position, rotation)
+            if bones.is_solved[j]:
+                miss = _solve_joint(bones, way, j, points, variance, twists, local[t], position, rotation)
                 if abs(miss) > abs(missed[t]):
                     missed[t] = miss
 
 
 @njit(cache=True)
-def _place(bones, j, root, local, position, rotation):
+def _compute_world_pose(bones, j, root, local, position, rotation):
     """Write the world place of one joint from its parent's."""
     p = bones.parents[j]
     if p < 0:
         position[j, 0], position[j, 1], position[j, 2] = root[0], root[1], root[2]
-        put(matrix(local, j), rotation, j)
+        store_matrix(load_matrix(local, j), rotation, j)
     else:
-        carried = times(matrix(rotation, p), bones.offsets[j, 0], bones.offsets[j, 1], bones.offsets[j, 2])
-        position[j, 0], position[j, 1], position[j, 2] = plus(_row(position, p), 1.0, carried)
-        put(product(matrix(rotation, p), matrix(local, j)), rotation, j)
+        carried = multiply_vector(load_matrix(rotation, p), bones.offsets[j, 0], bones.offsets[j, 1], bones.offsets[j, 2])
+        position[j, 0], position[j, 1], position[j, 2] = add_scaled(_read_vector(position, p), 1.0, carried)
+        store_matrix(multiply_matrices(load_matrix(rotation, p), load_matrix(local, j)), rotation, j)
 
 
 @njit(cache=True)
-def _turn(bones, way, j, points, variance, twists, local, position, rotation):
+def _solve_joint(bones, way, j, points, variance, twists, local, position, rotation):
     """Turn one joint towards its points. -> by how much a conflict joint is missed, metres"""
-    parent = transposed(matrix(rotation, bones.parents[j]))
-    here = _row(position, j)
-    origin = _row(points, j) if way == NAIVE and _known(points, j) else here
+    parent = transpose_matrix(load_matrix(rotation, bones.parents[j]))
+    here = _read_vector(position, j)
+    origin = _read_vector(points, j) if way == HYBRIK_NAIVE and _is_known(points, j) else here
     place, there, weight, missed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
     for i in range(bones.first[j], bones.first[j + 1]):
         if bones.child[i]:
-            known, target, miss = _target(bones, way, j, bones.source[i], points, variance, here, rotation)
+            known, target, miss = _compute_child_target(bones, way, j, bones.point_index[i], points, variance, here, rotation)
             if known:
-                w = 1.0 / (variance[bones.source[i]] + bones.spread[i])
-                place, there = plus(place, w, _row(bones.place, i)), plus(there, w, plus(target, -1.0, origin))
+                w = 1.0 / (variance[bones.point_index[i]] + bones.spread[i])
+                place, there = (
+                    add_scaled(place, w, _read_vector(bones.rest_position, i)),
+                    add_scaled(there, w, add_scaled(target, -1.0, origin)),
+                )
                 weight, missed = weight + w, miss if abs(miss) > abs(missed) else missed
-    if dot(place, place) <= (SHORT * weight) ** 2:  # nothing is known, or its middle is the joint itself
+    if compute_dot(place, place) <= (MIN_LEVER_M * weight) ** 2:  # nothing is known, or its middle is the joint itself
         return 0.0
-    swung = swing(place, times(parent, there[0], there[1], there[2]))
-    back = product(transposed(swung), parent)
+    swung = compute_swing(place, multiply_vector(parent, there[0], there[1], there[2]))
+    back = multiply_matrices(transpose_matrix(swung), parent)
     cosine, sine = twists[j, 0], twists[j, 1]
     for i in range(bones.first[j], bones.first[j + 1]):
-        k = bones.source[i]
-        if bones.tells[i] and _known(points, k):
-            off = plus(_row(points, k), -1.0, origin if bones.child[i] else here)
-            c, s = told(place, _row(bones.place, i), times(back, off[0], off[1], off[2]))
+        k = bones.point_index[i]
+        if bones.constrains_twist[i] and _is_known(points, k):
+            off = add_scaled(_read_vector(points, k), -1.0, origin if bones.child[i] else here)
+            c, s = compute_twist_evidence(
+                place, _read_vector(bones.rest_position, i), multiply_vector(back, off[0], off[1], off[2])
+            )
             w = 1.0 / (variance[k] + bones.spread[i])
             cosine, sine = cosine + w * c, sine + w * s
     if cosine == 0.0 and sine == 0.0:  # as much says one turn as the opposite
         cosine = 1.0
-    put(product(swung, twist(place, cosine, sine)), local, j)
-    put(product(matrix(rotation, bones.parents[j]), matrix(local, j)), rotation, j)
+    store_matrix(multiply_matrices(swung, compute_twist(place, cosine, sine)), local, j)
+    store_matrix(multiply_matrices(load_matrix(rotation, bones.parents[j]), load_matrix(local, j)), rotation, j)
     return missed
 
 
 @njit(cache=True)
-def _target(bones, way, j, child, points, variance, here, rotation):
+def _compute_child_target(bones, way, j, child, points, variance, here, rotation):
     """-> whether it is known where a child should be; that; and by how much the conflict joint beyond it is missed."""
-    end, target = bones.ahead[j], _row(points, child)
-    if way != X or end < 0 or bones.parents[end] != child or not _known(points, end):
-        return _known(points, child), target, 0.0
-    if not _known(points, child):  # where the joint as it is given would put it
-        rest = times(matrix(rotation, j), bones.offsets[child, 0], bones.offsets[child, 1], bones.offsets[child, 2])
-        target = plus(here, 1.0, rest)
-    upper, lower = _length(bones.offsets, child), _length(bones.offsets, end)
-    met, missed = between(here, target, _subtree_root(bones, end, points, variance), upper, lower)
+    end, target = bones.conflict_joint[j], _read_vector(points, child)
+    if way != HYBRIK_X or end < 0 or bones.parents[end] != child or not _is_known(points, end):
+        return _is_known(points, child), target, 0.0
+    if not _is_known(points, child):  # where the joint as it is given would put it
+        rest = multiply_vector(
+            load_matrix(rotation, j), bones.offsets[child, 0], bones.offsets[child, 1], bones.offsets[child, 2]
+        )
+        target = add_scaled(here, 1.0, rest)
+    upper, lower = _compute_length(bones.offsets, child), _compute_length(bones.offsets, end)
+    met, missed = solve_two_bone_joint(here, target, _compute_subtree_root(bones, end, points, variance), upper, lower)
     return True, met, missed
 
 
 @njit(cache=True)
-def _subtree_root(bones, j, points, variance):
+def _compute_subtree_root(bones, j, points, variance):
     """-> where the sub-tree that hangs on a conflict joint puts it.
 
     The joint and its children are one rigid rod: what they are too far or too near to one another, each takes its share of.
     """
     place, there, weight = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
     for i in range(bones.first[j], bones.first[j + 1]):
-        k = bones.source[i]
-        if bones.child[i] and _known(points, k):
+        k = bones.point_index[i]
+        if bones.child[i] and _is_known(points, k):
             w = 1.0 / (variance[k] + bones.spread[i])
-            place, there = plus(place, w, _row(bones.place, i)), plus(there, w, plus(_row(points, k), -1.0, _row(points, j)))
+            place, there = (
+                add_scaled(place, w, _read_vector(bones.rest_position, i)),
+                add_scaled(there, w, add_scaled(_read_vector(points, k), -1.0, _read_vector(points, j))),
+            )
             weight += w
-    apart = square_root(dot(there, there))
+    apart = compute_square_root(compute_dot(there, there))
     if apart == 0.0:
-        return _row(points, j)
+        return _read_vector(points, j)
     share = 1.0 / (weight + 1.0 / variance[j])  # times `weight`, by which `there` still is to be divided
-    return plus(_row(points, j), share * (1.0 - square_root(dot(place, place)) / apart), there)
+    return add_scaled(_read_vector(points, j), share * (1.0 - compute_square_root(compute_dot(place, place)) / apart), there)
 
 
 @njit(cache=True)
-def _known(points, k):
+def _is_known(points, k):
     return not math.isnan(points[k, 0] + points[k, 1] + points[k, 2])
 
 
 @njit(cache=True)
-def _row(m, j):
+def _read_vector(m, j):
     return m[j, 0], m[j, 1], m[j, 2]
 
 
 @njit(cache=True)
-def _length(m, j):
-    return square_root(dot(_row(m, j), _row(m, j)))
+def _compute_length(m, j):
+    return compute_square_root(compute_dot(_read_vector(m, j), _read_vector(m, j)))

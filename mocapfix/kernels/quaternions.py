@@ -9,12 +9,12 @@ import math
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.rotation import of_quaternion, quaternion
-from mocapfix.kernels.small import matrix, put
+from mocapfix.kernels.lie import convert_matrix_to_quaternion, convert_quaternion_to_matrix
+from mocapfix.kernels.small_matrices import load_matrix, store_matrix
 
 
 @njit(cache=True)
-def of_joint(rotations, joint, known):
+def extract_joint_quaternions(rotations, joint, known):
     """-> (T, 4) the quaternions of rotations[:, joint] (T, J, 3, 3): of the two that mean the same turn, the one that lies
     nearer the last frame that is `known` (T,), before there is one the first that is. Where no frame is, all count as known.
     """
@@ -22,7 +22,7 @@ def of_joint(rotations, joint, known):
     out = np.empty((frames, 4))
     nearest = 0
     for t in range(frames - 1, -1, -1):
-        x, y, z, w = quaternion(matrix(rotations[t], joint))
+        x, y, z, w = convert_matrix_to_quaternion(load_matrix(rotations[t], joint))
         length = math.sqrt(x * x + y * y + z * z + w * w)
         out[t, 0], out[t, 1], out[t, 2], out[t, 3] = x / length, y / length, z / length, w / length
         if unknown or known[t]:
@@ -40,15 +40,15 @@ def of_joint(rotations, joint, known):
 
 
 @njit(cache=True)
-def into_joint(quaternions, joint, rotations):
+def store_joint_quaternions(quaternions, joint, rotations):
     """Write quaternions (T, 4) of any length but 0 into rotations[:, joint] (T, J, 3, 3) as matrices."""
     for t in range(len(quaternions)):
         x, y, z, w = quaternions[t, 0], quaternions[t, 1], quaternions[t, 2], quaternions[t, 3]
-        put(of_quaternion(x, y, z, w), rotations[t], joint)
+        store_matrix(convert_quaternion_to_matrix(x, y, z, w), rotations[t], joint)
 
 
 @njit(cache=True)
-def vectors(quaternions, reference):
+def compute_relative_rotation_vectors(quaternions, reference):
     """-> (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4), each as turned on from `reference` (4,).
 
     All of unit length; the vector v means exp(v) reference.

@@ -17,64 +17,64 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.pose import copy
-from mocapfix.kernels.small import along, cholesky, cholesky_solve, inverse_3, inverse_of_cholesky
+from mocapfix.kernels.forward_kinematics import copy_array
+from mocapfix.kernels.small_matrices import factor_cholesky, invert_cholesky, invert_symmetric_3x3, multiply_rows, solve_cholesky
 
-HARDLY = 1e-3  # 1/m^2 or 1/rad^2: holds an unknown that nothing else does, so that its variance is large, not infinite
+MIN_INFORMATION = 1e-3  # 1/m^2 or 1/rad^2: holds an unknown that nothing else does, so that its variance is large, not infinite
 
 
-class Step(NamedTuple):
+class PoseStep(NamedTuple):
     """A change of pose."""
 
     twist: np.ndarray  # (J, 6) every body's twist; the root's is its own step
-    turn: np.ndarray  # (J, 3) every joint's turn in world axes; zero for the root and joints that are not free
+    joint_turn: np.ndarray  # (J, 3) every joint's turn in world axes; zero for the root and joints that are not free
     shared: np.ndarray  # (P,)
 
 
-class Factors(NamedTuple):
+class SweepFactors(NamedTuple):
     """What `factor` leaves."""
 
     h: np.ndarray  # (J, 6, 6) each body's curvature with its descendants'; the root's inverted
-    cross: np.ndarray  # (J, 6, P) likewise between its twist and the shared unknowns
+    h_twist_shared: np.ndarray  # (J, 6, P) likewise between its twist and the shared unknowns
     gain: np.ndarray  # (J, 6, 3) H S (S'HS + own)^-1
-    inverse: np.ndarray  # (J, 3, 3) (S'HS + own)^-1
-    yielding: np.ndarray  # (J, 3, P) how a joint's turn gives way to the shared unknowns; the root's whole twist: root
-    root: np.ndarray  # (6, P)
-    shared: np.ndarray  # (P, P) the shared unknowns' curvature with all poses eliminated, its Cholesky factor
+    joint_inverse: np.ndarray  # (J, 3, 3) (S'HS + own)^-1
+    joint_gain_shared: np.ndarray  # (J, 3, P) how a joint's turn gives way to the shared unknowns; the root's whole twist: root
+    root_gain_shared: np.ndarray  # (6, P)
+    shared_cholesky: np.ndarray  # (P, P) the shared unknowns' curvature with all poses eliminated, its Cholesky factor
 
 
 @njit(cache=True)
-def empty_step(joints, unknowns):
+def allocate_step(joints, unknowns):
     """-> room for a step."""
-    return Step(np.zeros((joints, 6)), np.zeros((joints, 3)), np.zeros(unknowns))
+    return PoseStep(np.zeros((joints, 6)), np.zeros((joints, 3)), np.zeros(unknowns))
 
 
 @njit(cache=True)
-def empty_factors(joints, unknowns):
+def allocate_factors(joints, unknowns):
     """-> room for the factors of any frame's model."""
-    return Factors(
+    return SweepFactors(
         np.empty((joints, 6, 6)), np.empty((joints, 6, unknowns)), np.zeros((joints, 6, 3)), np.zeros((joints, 3, 3)),
         np.zeros((joints, 3, unknowns)), np.empty((6, unknowns)), np.empty((unknowns, unknowns)),
     )  # fmt: skip
 
 
 @njit(cache=True)
-def factor(tree, system, mu, f):
+def factorise_tree(tree, system, mu, f):
     """Eliminate every joint's turn, the root's twist and the shared unknowns, in this order, into `f`.
 
     mu  Marquardt damping, added to the diagonal of every unknown
     """
     parents, free, arm, own = tree.parents, tree.free, system.arm, system.own
-    h, gain, inverse, unknowns = f.h, f.gain, f.inverse, len(system.shared)
-    copy(system.h, h)
+    h, gain, inverse, unknowns = f.h, f.gain, f.joint_inverse, len(system.shared)
+    copy_array(system.h, h)
     if unknowns:
         f.cross.fill(0)
-        copy(system.own_cross[0], f.cross[0, :3])  # the root's own turn is part of its twist
-        copy(system.shared, f.shared)
+        copy_array(system.own_cross[0], f.cross[0, :3])  # the root's own turn is part of its twist
+        copy_array(system.shared, f.shared)
     for i in range(len(parents) - 1, 0, -1):
         p = parents[i]
         if len(tree.shape):
-            carry_shift(i, system.shift, h, f.cross, f.shared)
+            transfer_shared_shift(i, system.shift, h, f.cross, f.shared)
         if not free[i]:
             for a in range(6):
                 for b in range(6):
@@ -92,12 +92,12 @@ def factor(tree, system, mu, f):
             inverse[i, 1, b] = gain[i, 1, b] - z * gain[i, 3, b] + x * gain[i, 5, b] + own[i, 1, b]
             inverse[i, 2, b] = gain[i, 2, b] + y * gain[i, 3, b] - x * gain[i, 4, b] + own[i, 2, b]
             inverse[i, b, b] += mu
-        l10, l20, l21, d0, d1, d2 = ldl = inverse_3(inverse, i)
+        l10, l20, l21, d0, d1, d2 = ldl = invert_symmetric_3x3(inverse, i)
         for a in range(6):  # H S L^-T: with it the differences keep the digits that they would lose with an explicit inverse
             gain[i, a, 1] -= l10 * gain[i, a, 0]
             gain[i, a, 2] -= l20 * gain[i, a, 0] + l21 * gain[i, a, 1]
         if unknowns:
-            yield_to(i, p, arm, system.own_cross, gain, ldl, f.cross, f.yielding, f.shared)
+            eliminate_joint_shared(i, p, arm, system.own_cross, gain, ldl, f.cross, f.yielding, f.shared)
         for a in range(5, -1, -1):
             g0, g1, g2 = gain[i, a, 0] * d0, gain[i, a, 1] * d1, gain[i, a, 2] * d2
             for b in range(a + 1):  # rows below are gains by now, those up to a not yet
@@ -109,14 +109,14 @@ def factor(tree, system, mu, f):
             gain[i, a, 0], gain[i, a, 1], gain[i, a, 2] = g0 - l10 * g1 - l20 * g2, g1, g2
     for a in range(6):
         h[0, a, a] += mu
-    cholesky(h[0])
+    factor_cholesky(h[0])
     if unknowns:
         eliminate_root(mu, h[0], f.cross[0], f.root, f.shared)
-    inverse_of_cholesky(h[0])
+    invert_cholesky(h[0])
 
 
 @njit(cache=True)
-def yield_to(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
+def eliminate_joint_shared(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
     """Eliminate joint i's turn from what its body shares with the P unknowns; u (J, 6, 3) holds H S L^-T."""
     x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
     l10, l20, l21, d0, d1, d2 = ldl
@@ -144,7 +144,7 @@ def yield_to(i, p, arm, own_cross, u, ldl, cross, yielding, shared):
 
 
 @njit(cache=True)
-def carry_shift(i, shift, h, cross, shared):
+def transfer_shared_shift(i, shift, h, cross, shared):
     """Write body i's quadratic as one of its twist before the shared unknowns move its joint."""
     for c in range(len(shared)):
         sx, sy, sz = shift[i, 0, c], shift[i, 1, c], shift[i, 2, c]
@@ -160,14 +160,14 @@ def carry_shift(i, shift, h, cross, shared):
 
 
 @njit(cache=True)
-def take(times, row, out):
+def subtract_row(times, row, out):
     """Take so many times a row (P,) from another, `out`."""
     for c in range(len(row)):
         out[c] -= times * row[c]
 
 
 @njit(cache=True)
-def divide(row, by):
+def divide_row(row, by):
     """Divide a row (P,) in place."""
     for c in range(len(row)):
         row[c] /= by
@@ -176,11 +176,11 @@ def divide(row, by):
 @njit(cache=True)
 def eliminate_root(mu, lower, cross, root, shared):
     """Eliminate the root's twist, whose curvature is L L', from the shared unknowns' and factor what is left."""
-    copy(cross, root)
+    copy_array(cross, root)
     for a in range(6):  # L^-1 cross
         for b in range(a):
-            take(lower[a, b], root[b], root[a])
-        divide(root[a], lower[a, a])
+            subtract_row(lower[a, b], root[b], root[a])
+        divide_row(root[a], lower[a, a])
     for c in range(len(shared)):
         r0, r1, r2, r3, r4, r5 = root[0, c], root[1, c], root[2, c], root[3, c], root[4, c], root[5, c]
         for d in range(c + 1):
@@ -189,21 +189,21 @@ def eliminate_root(mu, lower, cross, root, shared):
         shared[c, c] += mu
     for a in range(5, -1, -1):  # L^-T of it
         for b in range(a + 1, 6):
-            take(lower[b, a], root[b], root[a])
-        divide(root[a], lower[a, a])
-    cholesky(shared)
+            subtract_row(lower[b, a], root[b], root[a])
+        divide_row(root[a], lower[a, a])
+    factor_cholesky(shared)
 
 
 @njit(cache=True)
-def solve(tree, system, f, g, b, step):
+def solve_tree(tree, system, f, g, b, step):
     """Minimise 1/2 x'Hx + gradient'x with what `factor` left. -> nothing; writes the step.
 
     g            (J, 6) gradient on each body's twist; spoilt
     b            (J, 3) gradient on each joint's own turn
     step.shared  (P,) in: gradient on the shared unknowns
     """
-    arm, gain, inverse, shift = system.arm, f.gain, f.inverse, system.shift
-    twist, turn, shared, shapes = step.twist, step.turn, step.shared, len(tree.shape)
+    arm, gain, inverse, shift = system.arm, f.gain, f.joint_inverse, system.shift
+    twist, turn, shared, shapes = step.twist, step.joint_turn, step.shared, len(tree.shape)
     for i in range(len(tree.parents) - 1, 0, -1):
         p = tree.parents[i]
         for c in range(shapes):
@@ -234,7 +234,7 @@ def solve(tree, system, f, g, b, step):
                 w0 -= gain[i, a, 0] * twist[p, a]
                 w1 -= gain[i, a, 1] * twist[p, a]
                 w2 -= gain[i, a, 2] * twist[p, a]
-            y0, y1, y2 = along(f.yielding[i], shared)
+            y0, y1, y2 = multiply_rows(f.yielding[i], shared)
             w0, w1, w2 = w0 - y0, w1 - y1, w2 - y2
         turn[i, 0], turn[i, 1], turn[i, 2] = w0, w1, w2
         x, y, z = arm[i, 0], arm[i, 1], arm[i, 2]
@@ -259,9 +259,9 @@ def solve_root(f, g, step):
         for a in range(6):
             shared[c] -= f.root[a, c] * g[0, a]
         shared[c] = -shared[c]
-    cholesky_solve(f.shared, shared)
+    solve_cholesky(f.shared, shared)
     for a in range(6):
         for c in range(len(shared)):
             twist[0, a] -= f.root[a, c] * shared[c]
     for a in range(3):
-        step.turn[0, a] = 0.0
+        step.joint_turn[0, a] = 0.0

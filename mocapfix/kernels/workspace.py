@@ -5,59 +5,59 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels.low_rank import Answers, empty_answers
-from mocapfix.kernels.pose import Pose, copy, empty_pose
-from mocapfix.kernels.sweep import Factors, Step, empty_factors, empty_step
-from mocapfix.kernels.system import System, empty_system
+from mocapfix.kernels.forward_kinematics import FramePose, allocate_pose, copy_array
+from mocapfix.kernels.low_rank import RowResponses, allocate_row_responses
+from mocapfix.kernels.normal_equations import NormalEquations, allocate_equations
+from mocapfix.kernels.sweep import PoseStep, SweepFactors, allocate_factors, allocate_step
 
 
-class Workspace(NamedTuple):
+class SolveWorkspace(NamedTuple):
     """All that the solve of a frame writes on the way; made once for many frames."""
 
-    pose: Pose
-    new: Pose
-    system: System
-    factors: Factors
-    step: Step
-    answers: Answers | None  # where there are rows
+    pose: FramePose
+    trial_pose: FramePose
+    system: NormalEquations
+    factors: SweepFactors
+    step: PoseStep
+    row_responses: RowResponses | None  # where there are rows
     g: np.ndarray  # (J, 6) spare
-    b: np.ndarray  # (J, 3) spare
+    g_joint: np.ndarray  # (J, 3) spare
 
 
 @njit(cache=True)
-def workspace(joints, unknowns, rows):
+def allocate_workspace(joints, unknowns, rows):
     """-> room to solve frames of so many joints, unknowns shared by the joints, and rows (None for none).
 
     None spares those who have no rows the compilation of what is done with them.
     """
-    return Workspace(
-        empty_pose(joints, unknowns), empty_pose(joints, unknowns), empty_system(joints, unknowns, rows),
-        empty_factors(joints, unknowns), empty_step(joints, unknowns), empty_answers(joints, unknowns, rows),
+    return SolveWorkspace(
+        allocate_pose(joints, unknowns), allocate_pose(joints, unknowns), allocate_equations(joints, unknowns, rows),
+        allocate_factors(joints, unknowns), allocate_step(joints, unknowns), allocate_row_responses(joints, unknowns, rows),
         np.empty((joints, 6)), np.empty((joints, 3)),
     )  # fmt: skip
 
 
 @njit(cache=True)
-def place(source, target):
+def copy_pose(source, target):
     """Copy a pose."""
-    copy(source.root, target.root)
-    copy(source.local, target.local)
-    copy(source.shared, target.shared)
-    copy(source.position, target.position)
-    copy(source.rotation, target.rotation)
+    copy_array(source.root, target.root)
+    copy_array(source.local, target.local)
+    copy_array(source.shared, target.shared)
+    copy_array(source.position, target.position)
+    copy_array(source.rotation, target.rotation)
 
 
 @njit(cache=True)
-def load(root, local, shared, t, pose):
+def load_pose(root, local, shared, t, pose):
     """Copy frame t of poses root (T, 3), local (T, J, 3, 3), shared (T, P) into `pose`."""
-    copy(root[t], pose.root)
-    copy(local[t], pose.local)
-    copy(shared[t], pose.shared)
+    copy_array(root[t], pose.root)
+    copy_array(local[t], pose.local)
+    copy_array(shared[t], pose.shared)
 
 
 @njit(cache=True)
-def store(pose, root, local, shared, t):
+def store_pose(pose, root, local, shared, t):
     """The reverse of `load`."""
-    copy(pose.root, root[t])
-    copy(pose.local, local[t])
-    copy(pose.shared, shared[t])
+    copy_array(pose.root, root[t])
+    copy_array(pose.local, local[t])
+    copy_array(pose.shared, shared[t])

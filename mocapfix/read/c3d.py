@@ -5,26 +5,34 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
-from mocapfix.read.axes import ENOUGH_FRAMES, to_y_up
-from mocapfix.read.computed import blind, computed
-from mocapfix.read.labels import marker_columns, unlabelled_columns
-from mocapfix.read.parameters import Parameters, parameters
-from mocapfix.read.places import there
-from mocapfix.read.units import METRES, metres
+from mocapfix.files.layouts import C3dLayout
+from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
+from mocapfix.read.coordinates import (
+    MAX_INSPECTED_FRAMES,
+    METRES_PER_UNIT,
+    estimate_rotation_y_up,
+    find_valid_points,
+    get_metres_per_unit,
+)
+from mocapfix.read.point_types import (
+    detect_computed_samples,
+    detect_uncaptured_samples,
+    find_marker_columns,
+    find_unlabelled_columns,
+)
 from mocapfix.take import Take
 
-USUAL = "mm"  # where POINT:UNITS says nothing
-MAGIC, BLOCK = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
+DEFAULT_C3D_UNIT = "mm"  # where POINT:UNITS says nothing
+C3D_MAGIC_BYTE, C3D_BLOCK_BYTES = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
 
 
-def recognises(head: bytes) -> bool:
+def is_c3d(head: bytes) -> bool:
     """-> does a file that begins so claim to be a C3D?"""
-    return len(head) > 1 and head[1] == MAGIC and b"\0" in head
+    return len(head) > 1 and head[1] == C3D_MAGIC_BYTE and b"\0" in head
 
 
-def take(path: Path, data: bytes) -> Take:
+def read_c3d(path: Path, data: bytes) -> Take:
     """-> the take in a C3D file's bytes.
 
     Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: by a residual below 0, or by coordinates that are
@@ -33,42 +41,42 @@ def take(path: Path, data: bytes) -> Take:
 
     Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
     """
-    if len(data) < 2 * BLOCK:
+    if len(data) < 2 * C3D_BLOCK_BYTES:
         raise ReadError(f"{path}: is a C3D's first {len(data)} bytes, without its data; copy it again or export it anew.")
     try:
-        said = parameters(data)
+        said = read_c3d_parameters(data)
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
-    layout, notes = _layout(path, said, len(data))
-    values = _values(layout, data)
+    layout, notes = _build_layout(path, said, len(data))
+    values = _decode_values(layout, data)
     words = np.ascontiguousarray(values[..., 3])
-    seen = there(values[..., :3]) & ~(words < 0)
-    labels = [*said.labels[: layout.points], *[""] * (layout.points - len(said.labels))]
-    columns = marker_columns(labels, said.outputs, seen, words)
+    seen = find_valid_points(values[..., :3]) & ~(words < 0)
+    labels = [*said.labels[: layout.point_count], *[""] * (layout.point_count - len(said.labels))]
+    columns = find_marker_columns(labels, said.model_outputs, seen, words)
     if not len(columns):
-        raise ReadError(f"{path}: none of its {layout.points} points is a labelled marker; label them and export it again.")
-    step = max(1, layout.frames // ENOUGH_FRAMES)
-    few = _metres(values[::step], seen[::step], columns, layout.unit, np.eye(3))
-    axes = to_y_up(said.vertical, [labels[i] for i in columns], few)
+        raise ReadError(f"{path}: none of its {layout.point_count} points is a labelled marker; label them and export it again.")
+    step = max(1, layout.frame_count // MAX_INSPECTED_FRAMES)
+    few = _convert_to_metres(values[::step], seen[::step], columns, layout.unit_m, np.eye(3))
+    axes = estimate_rotation_y_up(said.screen_axis, [labels[i] for i in columns], few)
 
     def of(points: np.ndarray, **more) -> Take:
-        markers = _metres(values, seen, points, layout.unit, axes)
-        return Take(markers, tuple(labels[i] for i in points), said.rate, said.first_frame, path, columns=points, **more)
+        markers = _convert_to_metres(values, seen, points, layout.unit_m, axes)
+        return Take(markers, tuple(labels[i] for i in points), said.rate, said.first_frame, path, point_columns=points, **more)
 
-    nameless, markers = unlabelled_columns(labels, said.outputs, seen), set(columns.tolist())
+    nameless, markers = find_unlabelled_columns(labels, said.model_outputs, seen), set(columns.tolist())
     return of(
         columns,
-        layout=replace(layout, axes=axes),
-        others=tuple(label for i, label in enumerate(labels) if i not in markers),
+        layout=replace(layout, rotation_y_up_file=axes),
+        other_labels=tuple(label for i, label in enumerate(labels) if i not in markers),
         unlabelled=of(nameless) if len(nameless) else None,
-        computed=computed(words, seen)[:, columns],
-        blind=blind(words[:, columns], seen[:, columns]),
-        subjects=said.subjects,
+        computed=detect_computed_samples(words, seen)[:, columns],
+        uncaptured=detect_uncaptured_samples(words[:, columns], seen[:, columns]),
+        subject_names=said.subject_names,
         notes=notes,
     )
 
 
-def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: float, axes: np.ndarray) -> np.ndarray:
+def _convert_to_metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: float, axes: np.ndarray) -> np.ndarray:
     """-> (T, K, 3) metres of the points (K,) in other axes, NaN where not `seen` (T, P); `values` (T, P, 4) are in file units.
 
     Axes are a permutation, and taking numbers in another order is many times faster than a product.
@@ -79,56 +87,72 @@ def _metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: floa
     return markers
 
 
-def _layout(path: Path, said: Parameters, size: int) -> tuple[C3DLayout, tuple[str, ...]]:
+def _build_layout(path: Path, said: C3dParameters, size: int) -> tuple[C3dLayout, tuple[str, ...]]:
     """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
-    unit = metres(said.units or USUAL)
-    if said.points == 0:
+    unit = get_metres_per_unit(said.unit_name or DEFAULT_C3D_UNIT)
+    if said.point_count == 0:
         raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
-    if said.points != said.header_points:
+    if said.point_count != said.header_point_count:
         raise ReadError(
-            f"{path}: holds {said.header_points} points by its header and {said.points} by POINT:USED; export it again."
+            f"{path}: holds {said.header_point_count} points by its header and {said.point_count} by POINT:USED; export it again."
         )
     if unit is None:
-        raise ReadError(f"{path}: POINT:UNITS is {said.units!r}; set it to one of {', '.join(METRES)}.")
+        raise ReadError(f"{path}: POINT:UNITS is {said.unit_name!r}; set it to one of {', '.join(METRES_PER_UNIT)}.")
     if not (np.isfinite(said.rate) and said.rate > 0):
         raise ReadError(f"{path}: POINT:RATE is {said.rate:g}; set it to the frames a second.")
-    if not np.isfinite(said.scale) or said.scale == 0:
-        raise ReadError(f"{path}: POINT:SCALE is {said.scale:g}, which gives no coordinates; export it again.")
-    is_float = said.scale < 0
-    frame_bytes = (4 * said.points + said.analog) * (4 if is_float else 2)
-    frames = _frames(path, said, size, frame_bytes)
-    note = f"The header promises {said.promised} frames and {frames} are there."
-    layout = C3DLayout(said.processor, is_float, abs(said.scale), said.start, frame_bytes, said.points, frames, unit, np.eye(3))
-    return layout, () if frames in (said.promised, said.header_frames) else (note,)
+    if not np.isfinite(said.scale_factor) or said.scale_factor == 0:
+        raise ReadError(f"{path}: POINT:SCALE is {said.scale_factor:g}, which gives no coordinates; export it again.")
+    is_float = said.scale_factor < 0
+    frame_bytes = (4 * said.point_count + said.analog_values_per_frame) * (4 if is_float else 2)
+    frames = _count_frames(path, said, size, frame_bytes)
+    note = f"The header promises {said.declared_frame_count} frames and {frames} are there."
+    layout = C3dLayout(
+        said.processor_type,
+        is_float,
+        abs(said.scale_factor),
+        said.data_start_byte,
+        frame_bytes,
+        said.point_count,
+        frames,
+        unit,
+        np.eye(3),
+    )
+    return layout, () if frames in (said.declared_frame_count, said.header_frame_count) else (note,)
 
 
-def _frames(path: Path, said: Parameters, size: int, frame_bytes: int) -> int:
+def _count_frames(path: Path, said: C3dParameters, size: int, frame_bytes: int) -> int:
     """How many frames the file of `size` bytes has: what is promised, if it is there.
 
     A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
     is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
     may, with a block. A file may also hold more frames than a word can promise, and say so nowhere.
     """
-    held = max(0, size - said.start) // frame_bytes
-    if said.promised < 1:
+    held = max(0, size - said.data_start_byte) // frame_bytes
+    if said.declared_frame_count < 1:
         raise ReadError(f"{path}: holds no frames; export the trial again.")
-    if said.promised <= held:
-        return held if said.saturated and (held - said.promised) * frame_bytes >= BLOCK else said.promised
-    if said.header_frames > 0 and 0 <= size - said.start - said.header_frames * frame_bytes < BLOCK:
-        return said.header_frames
-    if held and not (size - said.start) % frame_bytes and size % BLOCK:
+    if said.declared_frame_count <= held:
+        return (
+            held
+            if said.is_count_saturated and (held - said.declared_frame_count) * frame_bytes >= C3D_BLOCK_BYTES
+            else said.declared_frame_count
+        )
+    if said.header_frame_count > 0 and 0 <= size - said.data_start_byte - said.header_frame_count * frame_bytes < C3D_BLOCK_BYTES:
+        return said.header_frame_count
+    if held and not (size - said.data_start_byte) % frame_bytes and size % C3D_BLOCK_BYTES:
         return held
-    raise ReadError(f"{path}: is cut off: {said.promised} frames are promised, {held} are there; copy or export it again.")
+    raise ReadError(
+        f"{path}: is cut off: {said.declared_frame_count} frames are promised, {held} are there; copy or export it again."
+    )
 
 
-def _values(layout: C3DLayout, data: bytes) -> np.ndarray:
+def _decode_values(layout: C3dLayout, data: bytes) -> np.ndarray:
     """-> (T, P, 4): X Y Z in file units and the residual word."""
-    words = layout.words(data)
-    is_vax = layout.is_float and layout.processor == 85
+    words = layout.view_words(data)
+    is_vax = layout.is_float and layout.processor_type == 85
     if is_vax:  # a VAX F float is an IEEE one times 4 with its 16-bit halves swapped
         words = ((words >> 16) | (words << 16)).view("<f4")
     with np.errstate(invalid="ignore"):  # damaged bytes may spell a NaN that signals
         values = words.astype(float) / (4 if is_vax else 1)
     if not layout.is_float:
-        values[..., :3] *= layout.scale
+        values[..., :3] *= layout.scale_factor
     return values

@@ -12,81 +12,91 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import rate_of, unit_of
-from mocapfix.read.table import Sheet, take_of, triples
-from mocapfix.read.text import Document, delimiter, document, head_lines
+from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
+from mocapfix.read.marker_table import MarkerTable, find_xyz_triples, read_marker_table
+from mocapfix.read.table_cells import parse_rate, parse_unit
 from mocapfix.take import Take
 
-TRAJECTORIES = "trajectories"
-SECTIONS = {TRAJECTORIES, "model outputs", "devices", "joints", "segments", "analog", "forces", "events", "force plates"}
-AROUND = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
+TRAJECTORY_SECTION = "trajectories"
+SECTION_NAMES = {
+    TRAJECTORY_SECTION,
+    "model outputs",
+    "devices",
+    "joints",
+    "segments",
+    "analog",
+    "forces",
+    "events",
+    "force plates",
+}
+SECTION_PADDING = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
 
 
-def recognises(head: bytes) -> bool:
+def is_nexus_csv(head: bytes) -> bool:
     """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
-    lines = [line.strip(AROUND).lower() for line in head_lines(head)]
-    return any(name in SECTIONS and rate[:1].isdecimal() for name, rate in pairwise(lines))
+    lines = [line.strip(SECTION_PADDING).lower() for line in split_head_lines(head)]
+    return any(name in SECTION_NAMES and rate[:1].isdecimal() for name, rate in pairwise(lines))
 
 
-def take(path: Path, data: bytes) -> Take:
+def read_nexus_csv(path: Path, data: bytes) -> Take:
     """-> the take in the file's bytes: its section of trajectories, of which velocities and accelerations are left.
 
     Raises ReadError, naming file and line, where it has no such section.
     """
-    text = document(path, data)
-    sections = _sections(text)
-    at = next((index for index, name in sections.items() if name == TRAJECTORIES), None)
+    text = parse_document(path, data)
+    sections = _find_sections(text)
+    at = next((index for index, name in sections.items() if name == TRAJECTORY_SECTION), None)
     if at is None:
         raise ReadError(f"{path}: holds {', '.join(sorted({*sections.values()}))} and no trajectories; export those with it.")
-    axes, between = _axes_line(text, at)
-    names, letters = text.cells(axes - 1, between), text.cells(axes, between)
+    axes, between = _find_axes_line(text, at)
+    names, letters = text.split_cells(axes - 1, between), text.split_cells(axes, between)
     names += [""] * (len(letters) - len(names))
-    first = [i for i in triples(letters) if names[i]]
+    first = [i for i in find_xyz_triples(letters) if names[i]]
     if not first:
-        raise text.fault(axes - 1, "names no markers; export the trajectories with their labels.")
-    units = _units(text, axes + 1, between)
-    rows = _rows(text, axes + 1 + (units is not None), between, sections)
+        raise text.build_error(axes - 1, "names no markers; export the trajectories with their labels.")
+    units = _read_units(text, axes + 1, between)
+    rows = _find_section_lines(text, axes + 1 + (units is not None), between, sections)
     if not rows:
-        raise text.fault(axes, "no frames follow; export the trial again.")
-    rate = re.sub(r"[^\d.]+.*", "", text.cells(at + 1, between)[0])
-    return take_of(
-        Sheet(
+        raise text.build_error(axes, "no frames follow; export the trial again.")
+    rate = re.sub(r"[^\d.]+.*", "", text.split_cells(at + 1, between)[0])
+    return read_marker_table(
+        MarkerTable(
             document=text,
             delimiter=between,
-            rows=rows,
-            frame=0,
-            fields=np.array(first)[:, None] + np.arange(3),
+            line_indices=rows,
+            frame_field=0,
+            field_indices=np.array(first)[:, None] + np.arange(3),
             labels=[names[i] for i in first],
-            unit=unit_of(text, axes + 1, next((cell for cell in (units or [])[first[0] :] if cell), "mm")),
-            rate=rate_of(text, at + 1, rate),
+            unit_m=parse_unit(text, axes + 1, next((cell for cell in (units or [])[first[0] :] if cell), "mm")),
+            rate=parse_rate(text, at + 1, rate),
         )
     )
 
 
-def _sections(text: Document) -> dict[int, str]:
+def _find_sections(text: TextDocument) -> dict[int, str]:
     """-> the name of each section, in lower case, by the index of its first line."""
-    names = ((index, text.line(index).strip(AROUND).lower()) for index in range(len(text.lines)))
-    return {index: name for index, name in names if name in SECTIONS}
+    names = ((index, text.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(text.lines)))
+    return {index: name for index, name in names if name in SECTION_NAMES}
 
 
-def _axes_line(text: Document, at: int) -> tuple[int, str]:
+def _find_axes_line(text: TextDocument, at: int) -> tuple[int, str]:
     """-> the index of the line over the numbers of the section that begins at `at`, and what stands between its fields."""
     for index in range(at + 2, min(at + 5, len(text.lines))):
-        between = delimiter(text.line(index)) or ","
-        if text.cells(index, between)[0].lower().startswith(("frame", "field", "sample")):
+        between = detect_delimiter(text.get_line(index)) or ","
+        if text.split_cells(index, between)[0].lower().startswith(("frame", "field", "sample")):
             return index, between
-    raise text.fault(at, "no line that begins with Frame follows and names the axes; export the trajectories again.")
+    raise text.build_error(at, "no line that begins with Frame follows and names the axes; export the trajectories again.")
 
 
-def _units(text: Document, index: int, between: str) -> list[str] | None:
+def _read_units(text: TextDocument, index: int, between: str) -> list[str] | None:
     """-> the cells of the line of units, None where numbers follow at once."""
     if index >= len(text.lines):
         return None
-    cells = text.cells(index, between)
+    cells = text.split_cells(index, between)
     return cells if not cells[0] and any(cells) else None
 
 
-def _rows(text: Document, start: int, between: str, ends: Container[int]) -> list[int]:
+def _find_section_lines(text: TextDocument, start: int, between: str, ends: Container[int]) -> list[int]:
     """-> the indices of the lines up to a blank one or the next section."""
     rows = []
     for index in range(start, len(text.lines)):

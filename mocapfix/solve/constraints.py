@@ -10,32 +10,32 @@ from typing import TypeAlias
 
 import numpy as np
 
-Vector: TypeAlias = Sequence[float] | np.ndarray
-HERE = (0.0, 0.0, 0.0)
+ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
+JOINT_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Position:
+class PositionConstraint:
     """A point of a joint's body is `at` (3,) metres in the world; sd metres per axis."""
 
     joint: str
-    at: Vector
+    position: ConstraintVector
     sd: float = 0.01
-    place: Vector = HERE
+    offset: ConstraintVector = JOINT_ORIGIN
 
 
 @dataclass(frozen=True)
-class Direction:
+class DirectionConstraint:
     """The bone from a joint to its child `to` points along `seen` (3,), of whatever length; sd radians."""
 
     joint: str
-    to: str
-    seen: Vector
+    child: str
+    direction: ConstraintVector
     sd: float = 0.1
 
 
 @dataclass(frozen=True)
-class Orientation:
+class OrientationConstraint:
     """A joint's axes in the world are `rotation` (3, 3): it carries the joint's axes into the world's; sd radians per axis."""
 
     joint: str
@@ -44,17 +44,17 @@ class Orientation:
 
 
 @dataclass(frozen=True)
-class Distance:
+class DistanceConstraint:
     """Points of two joints' bodies are `length` metres apart; sd metres."""
 
     joints: tuple[str, str]
-    length: float
+    distance: float
     sd: float = 0.01
-    places: tuple[Vector, Vector] = (HERE, HERE)
+    offsets: tuple[ConstraintVector, ConstraintVector] = (JOINT_ORIGIN, JOINT_ORIGIN)
 
 
 @dataclass(frozen=True)
-class Camera:
+class ConstraintCamera:
     """A camera whose axes are x to the right, y down, z ahead: camera = rotation @ world + translation.
 
     rotation     (3, 3)
@@ -64,21 +64,21 @@ class Camera:
     """
 
     rotation: np.ndarray
-    translation: Vector
+    translation: ConstraintVector
     scale: float
-    centre: Vector = (0.0, 0.0)
+    centre: ConstraintVector = (0.0, 0.0)
     perspective: bool = True
 
 
 @dataclass(frozen=True)
-class Seen:
+class PixelConstraint:
     """A point of a joint's body as a camera sees it, at `pixel` (2,); sd pixels per axis."""
 
     joint: str
-    camera: Camera
-    pixel: Vector
+    camera: ConstraintCamera
+    pixel: ConstraintVector
     sd: float = 3.0
-    place: Vector = HERE
+    offset: ConstraintVector = JOINT_ORIGIN
 
 
-Constraint: TypeAlias = Position | Direction | Orientation | Distance | Seen
+Constraint: TypeAlias = PositionConstraint | DirectionConstraint | OrientationConstraint | DistanceConstraint | PixelConstraint

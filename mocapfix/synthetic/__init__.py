@@ -8,7 +8,6 @@ truth       a person, their motion, their markers before and after the damage
 c3d         the damaged take as a file
 """
 
-from mocapfix.synthetic.c3d import write
-from mocapfix.synthetic.truth import Truth, take
+from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_take, write_synthetic_take
 
-__all__ = ["Truth", "take", "write"]
+__all__ = ["SyntheticTake", "compose_take", "write_synthetic_take"]

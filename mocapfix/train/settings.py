@@ -5,10 +5,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
-from mocapfix.yaml_form import Stated, checked
+from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 
 
-class LinearSettings(Stated):
+class GaussianSettings(StrictModel):
     """Probabilistic principal components.
 
     title       one line, for the card
@@ -19,16 +19,16 @@ class LinearSettings(Stated):
 
     model: Literal["linear"]
     title: str
-    test: frozenset[str]
-    unseen: frozenset[str]
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
     components: PositiveInt | Literal["all"]
 
 
-class AutoencoderSettings(Stated):
+class AutoencoderSettings(StrictModel):
     """An autoencoder; title, test and unseen as in LinearSettings.
 
     seed        of weights, order and corruption
-    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.prior.network.Shape
+    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.pose_prior.network.NetworkArchitecture
     initial     standard deviation of the weights at the start; null for torch's own
     epochs      times that every pose is seen
     batch       poses in a step
@@ -36,36 +36,36 @@ class AutoencoderSettings(Stated):
     falling     "cosine", to zero at the end; or a factor every 2,000 steps
     decay       AdamW's, of weights
     norm        times the norm of all weights is added to the loss (MNN-IK, Eq. 3.2)
-    loss        "paper", squares and the norm (MNN-IK, Eq. 3.2); or "evidence", see mocapfix.train.evidence
+    loss        "paper", squares and the norm (MNN-IK, Eq. 3.2); or "evidence", see mocapfix.train.autoencoder
     balance     0: poses are shown as they come; 1: those of every subject as often; between, between
     denoising   part of the poses that the network is shown corrupted, to learn the way back to people's
     """
 
     model: Literal["autoencoder"]
     title: str
-    test: frozenset[str]
-    unseen: frozenset[str]
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
     seed: int
-    features: Literal["continuous", "euler", "vectors"]
-    gives: Literal["euler", "vectors"]
-    hidden: tuple[PositiveInt, ...]
-    code: PositiveInt
-    astray: Annotated[int, Field(ge=0)]
+    input_features: Literal["continuous", "euler", "vectors"]
+    output_features: Literal["euler", "vectors"]
+    hidden_widths: tuple[PositiveInt, ...]
+    code_size: PositiveInt
+    residual_directions: Annotated[int, Field(ge=0)]
     activation: Literal["silu", "relu"]
-    straight: bool
-    initial: PositiveFloat | None
+    skip_connection: bool
+    initial_weight_sd: PositiveFloat | None
     epochs: PositiveInt
-    batch: PositiveInt
-    rate: PositiveFloat
-    falling: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
-    decay: Annotated[float, Field(ge=0)]
-    norm: Annotated[float, Field(ge=0)]
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    rate_schedule: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
+    weight_decay: Annotated[float, Field(ge=0)]
+    norm_weight: Annotated[float, Field(ge=0)]
     loss: Literal["paper", "evidence"]
-    balance: Annotated[float, Field(ge=0, le=1)]
-    denoising: Annotated[float, Field(ge=0, le=1)]
+    subject_balance: Annotated[float, Field(ge=0, le=1)]
+    corrupted_share: Annotated[float, Field(ge=0, le=1)]
 
 
-class MixtureSettings(Stated):
+class MixtureSettings(StrictModel):
     """A mixture of Gaussians; title, test and unseen as in LinearSettings.
 
     seed        of where the fits begin
@@ -78,17 +78,17 @@ class MixtureSettings(Stated):
 
     model: Literal["mixture"]
     title: str
-    test: frozenset[str]
-    unseen: frozenset[str]
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
     seed: int
-    variance: Annotated[float, Field(gt=0, lt=1)]
+    variance_share: Annotated[float, Field(gt=0, lt=1)]
     components: PositiveInt
-    fits: PositiveInt
+    restarts: PositiveInt
     tolerance: PositiveFloat
-    most: PositiveInt
+    max_iterations: PositiveInt
 
 
-class TwistSettings(Stated):
+class TwistSettings(StrictModel):
     """The regressor of twists, which is no prior; title, test and unseen as in LinearSettings.
 
     seed     of weights, order, bodies and displacements
@@ -102,26 +102,26 @@ class TwistSettings(Stated):
 
     model: Literal["twist"]
     title: str
-    test: frozenset[str]
-    unseen: frozenset[str]
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
     seed: int
-    hidden: tuple[PositiveInt, ...]
+    hidden_widths: tuple[PositiveInt, ...]
     epochs: PositiveInt
-    batch: PositiveInt
-    rate: PositiveFloat
-    decay: Annotated[float, Field(ge=0)]
-    balance: Annotated[float, Field(ge=0, le=1)]
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: Annotated[float, Field(ge=0)]
+    subject_balance: Annotated[float, Field(ge=0, le=1)]
 
 
-Settings = LinearSettings | AutoencoderSettings | MixtureSettings
-READER: TypeAdapter[Settings] = TypeAdapter(Annotated[Settings, Field(discriminator="model")])
+PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings
+PRIOR_SETTINGS_ADAPTER: TypeAdapter[PriorSettings] = TypeAdapter(Annotated[PriorSettings, Field(discriminator="model")])
 
 
-def read(path: Path) -> Settings:
+def read_prior_settings(path: Path) -> PriorSettings:
     """-> a prior's settings. Raises SceneError naming the file and the key that is not as it must be."""
-    return checked(READER, path)
+    return read_yaml_model(PRIOR_SETTINGS_ADAPTER, path)
 
 
-def read_twist(path: Path) -> TwistSettings:
+def read_twist_settings(path: Path) -> TwistSettings:
     """-> the settings of a regressor of twists. Raises SceneError likewise."""
-    return checked(TwistSettings, path)
+    return read_yaml_model(TwistSettings, path)

@@ -5,15 +5,26 @@ new_c3d, trc, csv    a take as a new file of that kind, whatever it was read fro
 bvh, bvh_for, gltf, asf_amc   a motion;  npz  all that is known, for programs
 """
 
-from mocapfix.write.amc import asf_amc
-from mocapfix.write.bvh import bvh, bvh_for
-from mocapfix.write.c3d import c3d
-from mocapfix.write.csv import csv
-from mocapfix.write.gltf import gltf
-from mocapfix.write.new_c3d import new_c3d
-from mocapfix.write.npz import npz
-from mocapfix.write.patched import patched
-from mocapfix.write.table import table
-from mocapfix.write.trc import trc
+from mocapfix.write.animation_patch import patch_animation
+from mocapfix.write.asf_amc import write_asf_amc
+from mocapfix.write.bvh import write_bvh, write_rig_bvh
+from mocapfix.write.c3d import write_c3d
+from mocapfix.write.c3d_patch import patch_c3d
+from mocapfix.write.gltf import write_gltf
+from mocapfix.write.npz import write_npz
+from mocapfix.write.table_patch import patch_table
+from mocapfix.write.text_tables import write_csv, write_trc
 
-__all__ = ["asf_amc", "bvh", "bvh_for", "c3d", "csv", "gltf", "new_c3d", "npz", "patched", "table", "trc"]
+__all__ = [
+    "patch_animation",
+    "patch_c3d",
+    "patch_table",
+    "write_asf_amc",
+    "write_bvh",
+    "write_c3d",
+    "write_csv",
+    "write_gltf",
+    "write_npz",
+    "write_rig_bvh",
+    "write_trc",
+]

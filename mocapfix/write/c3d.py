@@ -1,66 +1,140 @@
-"""Writing a mended C3D: the original's bytes, with only the changed samples replaced."""
+"""A take as a new C3D: Intel floats, a header, the groups POINT and TRIAL, the samples.
 
+Written here byte by byte (c3d.org, "The C3D file format", sections 2 to 4), for it is nearly the smallest file there can
+be, and the libraries that write C3D lose the residual words or long takes.
+"""
+
+import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import WriteError
-from mocapfix.files import replacing
+from mocapfix.files.output_files import replace_atomically
 from mocapfix.take import Take
-from mocapfix.write.original import LARGEST, brought, changed, given_away, original
+from mocapfix.write.source_file import FileFrame, get_file_frame
 
-GONE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual of what is not there
-LARGEST_COUNT = 32_767  # that a 16-bit word holds
+BLOCK_BYTES = 512  # bytes
+INTEL_PROCESSOR_TYPE = 84  # the processor whose byte order and floats the file has
+RESIDUAL_COUNT_M = 1e-4  # metres in a count of the residual
+MISSING_RESIDUAL, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL = (
+    -1,
+    0,
+    1,
+)  # residual words: not seen; without a residual; put there, nobody knows how surely
+MAX_LABEL_BYTES, MAX_LABELS_PER_PARAMETER, MAX_PARAMETER_BYTES = (
+    255,
+    255,
+    32_000,
+)  # bytes of a label; labels and bytes in one parameter
+MAX_PARAMETER_BLOCKS, MAX_C3D_POINTS, MAX_UINT16 = 255, 65_535, 65_535
+UP_AXIS_NAMES = {0: "+X", 1: "+Y", 2: "+Z"}
+RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # the axis to the right where another one is up
 
 
-def c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
-    """Write `before`'s file to `target` with the markers of `after`; -> (frame, marker) indices that could not be stored.
+def write_c3d(target: str | Path, take: Take) -> None:
+    """Write a take's markers, and behind them its unlabelled trajectories, in the unit and axes that its own file had.
 
-    A sample that came from another label, or from an unlabelled point, brings all of its words with it, bit for bit. Any other
-    that differs gets its new coordinates and its predicted standard deviation (`after.deviation`; 1 where it
-    has none) as residual, in counts clamped to 1..255, camera mask 0. One that is gone gets coordinates 0 and residual -1;
-    so does one that an integer file cannot hold, for the file is never rescaled. Every other byte stays as it is
-    (C3D User Guide, "The 3D Data Section").
+    A measured sample has the residual word 0, one that mocapfix put there its predicted standard deviation in counts of
+    0.1 mm, clamped to 1..255, camera mask 0; one that is not there coordinates 0 and residual -1. More than 255 labels go
+    on in LABELS2 and so on; numbers of frames beyond the header's 65,535 are in TRIAL and POINT:LONG_FRAMES. C3D counts
+    frames from 0 on, so a take that begins before is numbered from 1.
 
-    Raises WriteError where `target` is the input itself, where `before` was not read from a C3D that is still there, or
-    where `target` cannot be written.
+    Raises WriteError where the take has more or longer labels than a C3D can hold, or `target` cannot be written.
     """
-    layout = before.layout
-    if not isinstance(layout, C3DLayout):
-        raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
-    data = original(Path(target), before.path, layout.start + layout.frames * layout.frame_bytes)
-    words, came = layout.words(data), brought(before, after)
-    frames, markers = np.nonzero(changed(before, after) & ~came)
-    samples, stored = _samples(layout, after, frames, markers)
-    theirs = words[np.nonzero(came)[0], after.sources[came]]
-    words[frames, before.columns[markers]] = _encoded(layout, samples)
-    words[np.nonzero(came)[0], before.columns[np.nonzero(came)[1]]] = theirs
-    gone = given_away(before, after)
-    words[gone] = _encoded(layout, np.tile(GONE, (len(gone[0]), 1)))
-    with replacing(Path(target)) as part:
-        part.write_bytes(data)
-    lost = ~stored & ~np.isnan(after.markers[frames, markers]).any(-1)
-    return [(int(t), int(m)) for t, m in zip(frames[lost], markers[lost], strict=True)]
+    target, form = Path(target), get_file_frame(take)
+    labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
+    encoded = [label.encode("utf-8") or b" " for label in labels]
+    if long := next((label for label in encoded if len(label) > MAX_LABEL_BYTES), None):
+        raise WriteError(f"{target}: the label {long.decode()[:30]}... is longer than the 255 bytes a C3D can hold; shorten it.")
+    first = take.first_frame if take.first_frame >= 0 else 1
+    last, points = first + take.frames - 1, len(labels)
+    start = 2 + len(_encode_parameters(form, take, encoded, first, 0)) // BLOCK_BYTES
+    if points > MAX_C3D_POINTS or start - 2 > MAX_PARAMETER_BLOCKS:
+        raise WriteError(f"{target}: {points} points with such labels are more than a C3D can hold; write another format.")
+    scale, ends = RESIDUAL_COUNT_M / form.unit_m, (min(first, MAX_UINT16), min(last, MAX_UINT16))
+    header = struct.pack("<BBHHHHHfHHf", 2, 80, points, 0, *ends, 0, -scale, start, 0, take.rate)
+    with replace_atomically(target) as part, part.open("wb") as file:
+        file.write(_pad_to_block(header) + _encode_parameters(form, take, encoded, first, start))
+        data = _build_words(form, take).tobytes()
+        # Where the header's last frame cannot be said, ezc3d would take what fills the last block for frames.
+        file.write(data if last > MAX_UINT16 else _pad_to_block(data))
 
 
-def _samples(layout: C3DLayout, after: Take, frames: np.ndarray, markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> (n, 4) numbers to store, and (n,) bool: is the position among them?"""
-    xyz = after.markers[frames, markers] @ layout.axes / layout.unit
-    counts = xyz.astype(np.float32) if layout.is_float else np.rint(xyz / layout.scale)
-    largest = LARGEST if layout.is_float else LARGEST_COUNT
-    stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)  # all coordinates 0 would read as missing
-    deviation = np.full(len(frames), np.nan) if after.deviation is None else after.deviation[frames, markers]
-    residual = np.clip(np.nan_to_num(np.rint(deviation / layout.unit / layout.scale), nan=1.0), 1, 255)
-    samples = np.c_[counts, residual]
-    samples[~stored] = GONE
-    return samples, stored
+def _encode_parameters(form: FileFrame, take: Take, labels: Sequence[bytes], first: int, start: int) -> bytes:
+    """-> whole blocks: the groups POINT and TRIAL, with the number of the `start` block of the samples."""
+    last, up = first + take.frames - 1, int(np.abs(form.rotation_y_up_file[1]).argmax())
+    point = [
+        _encode_number("USED", "H", len(labels)),
+        _encode_number("FRAMES", "H", min(take.frames, MAX_UINT16)),
+        _encode_number("LONG_FRAMES", "f", take.frames),
+        _encode_number("DATA_START", "H", start),
+        _encode_number("SCALE", "f", -RESIDUAL_COUNT_M / form.unit_m),
+        _encode_number("RATE", "f", take.rate),
+        _encode_texts("UNITS", [form.unit_name.encode()]),
+        _encode_texts("X_SCREEN", [RIGHT_AXIS_NAMES[up].encode()]),
+        _encode_texts("Y_SCREEN", [UP_AXIS_NAMES[up].encode()]),
+        *_encode_text_series("LABELS", labels),
+        *_encode_text_series("DESCRIPTIONS", [b" "] * len(labels)),
+    ]
+    trial = [
+        _encode_word_pair("ACTUAL_START_FIELD", first),
+        _encode_word_pair("ACTUAL_END_FIELD", last),
+        _encode_number("CAMERA_RATE", "f", take.rate),
+    ]
+    chain = _encode_group(1, "POINT", point) + _encode_group(2, "TRIAL", trial)
+    blocks = len(_pad_to_block(bytes(4) + chain)) // BLOCK_BYTES
+    return _pad_to_block(struct.pack("BBBB", 1, 80, min(blocks, MAX_PARAMETER_BLOCKS), INTEL_PROCESSOR_TYPE) + chain)
 
 
-def _encoded(layout: C3DLayout, samples: np.ndarray) -> np.ndarray:
-    """-> (n, 4) words as the file stores them."""
-    if layout.is_float and layout.processor == 85:
-        # A VAX F float is an IEEE one times 4 with its 16-bit halves swapped.
-        bits = (samples * 4).astype("<f4").view("<u4")
-        return (bits >> 16) | (bits << 16)
-    return samples.astype(layout.word)
+def _pad_to_block(data: bytes) -> bytes:
+    """-> with zeros up to the end of its last block."""
+    return data + bytes(-len(data) % BLOCK_BYTES)
+
+
+def _encode_group(number: int, name: str, parameters: Sequence[tuple[str, bytes]]) -> bytes:
+    """-> the records of a group and of its parameters, without descriptions; a length counts itself and the description's."""
+    head = struct.pack("<bb", len(name), -number) + name.encode("ascii") + struct.pack("<hB", 3, 0)
+    return head + b"".join(
+        struct.pack("<bb", len(each), number) + each.encode("ascii") + struct.pack("<H", len(content) + 3) + content + b"\0"
+        for each, content in parameters
+    )
+
+
+def _encode_number(name: str, form: str, value: float) -> tuple[str, bytes]:
+    """-> an integer ("H") or a float ("f")."""
+    return name, struct.pack("<bB" + form, 4 if form == "f" else 2, 0, value)
+
+
+def _encode_word_pair(name: str, value: int) -> tuple[str, bytes]:
+    """-> a whole number as two 16-bit words, the low one first."""
+    return name, struct.pack("<bBBHH", 2, 1, 2, value % 2**16, value // 2**16 % 2**16)
+
+
+def _encode_texts(name: str, texts: Sequence[bytes]) -> tuple[str, bytes]:
+    width = max(map(len, texts), default=1)
+    shape = [width] if len(texts) == 1 and name != "LABELS" else [width, len(texts)]
+    return name, struct.pack("<bB", -1, len(shape)) + bytes(shape) + b"".join(text.ljust(width) for text in texts)
+
+
+def _encode_text_series(name: str, texts: Sequence[bytes]) -> list[tuple[str, bytes]]:
+    """-> one list over NAME, NAME2, NAME3 ..., each of which holds as much as a parameter can."""
+    most = min(MAX_LABELS_PER_PARAMETER, MAX_PARAMETER_BYTES // max(map(len, texts), default=1))
+    chunks = [texts[i : i + most] for i in range(0, len(texts), most)] or [texts]
+    return [_encode_texts(f"{name}{i + 1 if i else ''}", chunk) for i, chunk in enumerate(chunks)]
+
+
+def _build_words(form: FileFrame, take: Take) -> np.ndarray:
+    """-> (T, P, 4) x, y, z in the file's unit and axes, and the residual word; zeros and -1 where nothing is."""
+    loose = take.unlabelled.markers if take.unlabelled else np.zeros((take.frames, 0, 3))
+    xyz = form.compute_coordinates(np.concatenate([take.markers, loose], axis=1))
+    words = np.zeros((*xyz.shape[:2], 4), "<f4")
+    words[..., :3] = xyz
+    made = np.where(take.measured | ~take.visible, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL).astype(float)
+    if take.sample_sd is not None:
+        residual = np.clip(np.rint(take.sample_sd / RESIDUAL_COUNT_M), 1, 255)
+        made = np.where(np.isnan(residual), made, residual)
+    words[:, : len(take.labels), 3] = made
+    words[np.isnan(xyz).any(-1)] = (0, 0, 0, MISSING_RESIDUAL)
+    return words

@@ -23,16 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix.files import replacing
-from mocapfix.kernels import kinematics, quaternions
-from mocapfix.motion import STATUS, Motion
+from mocapfix.files.output_files import replace_atomically
+from mocapfix.kernels import quaternions
+from mocapfix.motion import STATUS_TEXTS, Motion
 from mocapfix.skeleton import Skeleton
+from mocapfix.solve import kinematics
 from mocapfix.take import Take
 
-FORMAT, UNITS = "mocapfix 1", "metres, seconds, radians; Y up, right-handed; quaternions x, y, z, w"
+NPZ_FORMAT, NPZ_UNITS = "mocapfix 1", "metres, seconds, radians; Y up, right-handed; quaternions x, y, z, w"
 
 
-def npz(
+def write_npz(
     target: Path, take: Take, skeleton: Skeleton | None = None, motion: Motion | None = None, rate: float | None = None
 ) -> None:
     """Write the mended markers of `take` and, where it has a body, its `motion` at `rate` frames a second (by default the
@@ -41,33 +42,33 @@ def npz(
     Raises WriteError where the folder cannot be written.
     """
     arrays = {
-        "format": np.array(FORMAT),
-        "units": np.array(UNITS),
+        "format": np.array(NPZ_FORMAT),
+        "units": np.array(NPZ_UNITS),
         "rate": np.array(float(rate or take.rate)),
         "first_frame": np.array(take.first_frame),
         "labels": np.array(take.labels),
         "markers": take.markers,
-        "marker_sd": np.full(take.seen.shape, np.nan) if take.deviation is None else take.deviation,
+        "marker_sd": np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd,
         "marker_rate": np.array(float(take.rate)),
     }
     if skeleton is not None and motion is not None:
-        arrays |= _body(skeleton, motion)
-    with replacing(Path(target)) as part, part.open("wb") as file:
+        arrays |= _build_body_arrays(skeleton, motion)
+    with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _body(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarray]:
-    known = np.ones(motion.frames, bool)
-    turns = [quaternions.of_joint(motion.rotations, joint, known) for joint in range(len(skeleton.names))]
+def _build_body_arrays(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarray]:
+    known = np.ones(motion.frame_count, bool)
+    turns = [quaternions.extract_joint_quaternions(motion.local_rotations, joint, known) for joint in range(len(skeleton.names))]
     return {
         "names": np.array(skeleton.names),
         "parents": skeleton.parents,
         "offsets": skeleton.offsets,
         "ends": skeleton.ends,
-        "root": motion.root,
+        "root": motion.root_position,
         "rotations": np.stack(turns, axis=1),
-        "joints": kinematics.world(skeleton, motion)[0],
-        "joint_sd": motion.joint_deviation,
+        "joints": kinematics.compute_world_poses(skeleton, motion)[0],
+        "joint_sd": motion.joint_sd,
         "status": motion.status,
-        "status_texts": np.array(STATUS),
+        "status_texts": np.array(STATUS_TEXTS),
     }

@@ -5,22 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import prior, synthetic
+from mocapfix import synthetic
 from mocapfix.bench import calibration
-from mocapfix.skeleton import cmu31
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
-BODY = cmu31()
-MEAN = prior.load("mean-pose", BODY.skeleton)
+BODY = load_cmu31_body()
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.take(2, 2.0, 30.0, crooked=True)
+    return synthetic.compose_take(2, 2.0, 30.0, asymmetric=True)
 
 
 def measured(truth, subject):
-    return calibration.errors(truth, Take(truth.markers, truth.labels, truth.rate), subject, BODY, MEAN)
+    return calibration.compute_calibration_errors(truth, Take(truth.markers, truth.labels, truth.rate), subject, BODY, MEAN)
 
 
 def test_the_truth_has_no_error_but_that_of_the_poses(truth):
@@ -39,13 +40,15 @@ def test_markers_put_elsewhere_take_the_joints_along(truth):
 def test_bones_too_long_are_measured_in_length_and_stubs_are_no_bones():
     longer = replace(BODY.skeleton, offsets=1.1 * BODY.skeleton.offsets)
     lengths = np.linalg.norm(BODY.skeleton.offsets, axis=1)
-    assert calibration.bone_error(longer, BODY.skeleton) == pytest.approx(0.1 * lengths[lengths > calibration.BONE].mean())
+    assert calibration.compute_bone_length_error(longer, BODY.skeleton) == pytest.approx(
+        0.1 * lengths[lengths > calibration.MIN_COMPARED_BONE_LENGTH_M].mean()
+    )
     turned = replace(BODY.skeleton, offsets=BODY.skeleton.offsets[:, [1, 2, 0]])
-    assert calibration.bone_error(turned, BODY.skeleton) == pytest.approx(0.0, abs=1e-12)
+    assert calibration.compute_bone_length_error(turned, BODY.skeleton) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_there_is_a_row_for_everybody_and_one_of_means_and_calibration_helps():
-    rows = calibration.measured(seeds=(3, 4), seconds=5.0)
+    rows = calibration.measure_calibration(seeds=(3, 4), duration_s=5.0)
     assert [row["person"] for row in rows] == ["seed 3", "seed 4", "mean"]
     for key in ("bones_mm", "places_mm", "joints_mm", "carrying_mm"):
         one, other, mean = (float(row[key]) for row in rows)
@@ -58,14 +61,19 @@ def test_there_is_a_row_for_everybody_and_one_of_means_and_calibration_helps():
 
 def test_what_is_left_open_shrinks_with_the_take_and_with_what_is_known(truth):
     worn = Take(truth.markers, truth.labels, truth.rate)
-    short = calibration.left_open(truth, worn, BODY, MEAN)
-    long = synthetic.take(2, 6.0, 30.0, crooked=True)
-    longer = calibration.left_open(long, Take(long.markers, long.labels, long.rate), BODY, MEAN)
-    firm = replace(MEAN, information=MEAN.information * 4, held=MEAN.held * 4, between=MEAN.between / 4)
+    short = calibration.compute_irreducible_joint_sd(truth, worn, BODY, MEAN)
+    long = synthetic.compose_take(2, 6.0, 30.0, asymmetric=True)
+    longer = calibration.compute_irreducible_joint_sd(long, Take(long.marker_positions, long.labels, long.rate), BODY, MEAN)
+    firm = replace(
+        MEAN,
+        information=MEAN.information * 4,
+        locked_information=MEAN.locked_information * 4,
+        between_take_covariance=MEAN.between_take_covariance / 4,
+    )
     assert longer.mean() < short.mean()
-    assert (calibration.left_open(truth, worn, BODY, firm) < short).all()
+    assert (calibration.compute_irreducible_joint_sd(truth, worn, BODY, firm) < short).all()
 
 
 def test_the_mean_length_of_an_error_is_that_of_a_normal_one():
     drawn = np.random.default_rng(0).normal(size=(100_000, 3))
-    assert np.linalg.norm(drawn, axis=1).mean() == pytest.approx(calibration.MEAN_LENGTH, rel=0.01)
+    assert np.linalg.norm(drawn, axis=1).mean() == pytest.approx(calibration.MEAN_NORMAL_VECTOR_LENGTH, rel=0.01)

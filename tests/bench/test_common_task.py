@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import common_task, own, peer
-from mocapfix.take import runs
+from mocapfix.bench import common_task, mocapfix_solver, scipy_solver
+from mocapfix.take import find_runs
 
-TASK = common_task.make()
+TASK = common_task.build_common_task()
 LABELS, NAMES = TASK.subject.labels, TASK.subject.skeleton.names
 HANDS = [
     [-0.2858662424, 0.7328595430, 0.1402946543],
@@ -20,18 +20,18 @@ NOISY, START = [1.1325114353, 1.0739727444, 1.2239774103], [-0.0025025103, 0.929
 
 
 def test_the_task_is_the_one_on_which_other_solvers_were_timed():
-    assert (len(NAMES), len(LABELS), TASK.rate) == (31, 53, 120.0)
-    assert TASK.positions.shape == (600, 31, 3)
-    found = TASK.positions[[0, 299, 599], NAMES.index("RightHandIndex1")]
+    assert (len(NAMES), len(LABELS), TASK.rate_hz) == (31, 53, 120.0)
+    assert TASK.joint_positions.shape == (600, 31, 3)
+    found = TASK.joint_positions[[0, 299, 599], NAMES.index("RightHandIndex1")]
     np.testing.assert_allclose(found, HANDS, atol=1e-9)
     np.testing.assert_allclose(TASK.takes["noisy"][137, LABELS.index("LFIN")], NOISY, atol=1e-9)
-    np.testing.assert_allclose(TASK.starts["noisy"][0], START, atol=1e-9)
+    np.testing.assert_allclose(TASK.root_starts["noisy"][0], START, atol=1e-9)
 
 
 def test_a_tenth_of_the_noisy_take_is_lost_in_runs_of_half_a_second_and_more():
     lost = np.isnan(TASK.takes["noisy"][..., 0])
     assert 0.1 <= lost.mean() < 0.1 + 60 / lost.size
-    assert min(last - first + 1 for marker in lost.T for first, last in runs(marker)) == 60
+    assert min(last - first + 1 for marker in lost.T for first, last in find_runs(marker)) == 60
     assert not np.isnan(TASK.takes["clean"]).any()
 
 
@@ -43,42 +43,57 @@ def test_the_noise_is_two_millimetres_on_every_axis():
 
 def test_bones_keep_their_lengths_and_nothing_moves_faster_than_a_person():
     parents, offsets = TASK.subject.skeleton.parents[1:], TASK.subject.skeleton.offsets[1:]
-    lengths = np.linalg.norm(TASK.positions[:, 1:] - TASK.positions[:, parents], axis=-1)
+    lengths = np.linalg.norm(TASK.joint_positions[:, 1:] - TASK.joint_positions[:, parents], axis=-1)
     np.testing.assert_allclose(lengths, np.tile(np.linalg.norm(offsets, axis=1), (600, 1)), atol=1e-12)
-    speed = np.linalg.norm(np.diff(TASK.takes["clean"], axis=0), axis=-1) * TASK.rate
+    speed = np.linalg.norm(np.diff(TASK.takes["clean"], axis=0), axis=-1) * TASK.rate_hz
     assert 2.0 < speed.max() < 8.0
 
 
 def test_the_error_of_a_body_put_aside_is_how_far():
-    poses = own.solve(TASK, "clean", False)
-    there = TASK.error(poses.root, poses.rotations)
+    poses = mocapfix_solver.solve_with_mocapfix(TASK, "clean", False)
+    there = TASK.compute_joint_error(poses.root_position, poses.rotations)
     assert there < 0.67e-3
-    assert TASK.error(poses.root + [0.3, 0.0, 0.4], poses.rotations) == pytest.approx(0.5, abs=there)
+    assert TASK.compute_joint_error(poses.root_position + [0.3, 0.0, 0.4], poses.rotations) == pytest.approx(0.5, abs=there)
 
 
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_angles_turn_about_z_then_y_then_x(angles):
     expected = Rotation.from_euler("ZYX", angles).as_matrix()
-    np.testing.assert_allclose(common_task.turned(np.array([[angles]]))[0, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(common_task.compute_zyx_rotations(np.array([[angles]]))[0, 0], expected, atol=1e-12)
 
 
 def test_the_peers_jacobian_is_its_markers_derivative():
-    x, below = np.random.default_rng(0).normal(0, 0.4, 96), peer.descendants(TASK)
+    x, below = np.random.default_rng(0).normal(0, 0.4, 96), scipy_solver.find_moving_joints(TASK)
     steps = 1e-6 * np.eye(96)
-    numeric = np.stack([peer.pose(TASK, x + h).markers - peer.pose(TASK, x - h).markers for h in steps], axis=-1) / 2e-6
-    np.testing.assert_allclose(peer.marker_jacobian(peer.pose(TASK, x), below), numeric, atol=1e-8)
+    numeric = (
+        np.stack(
+            [
+                scipy_solver.place_markers(TASK, x + h).marker_positions
+                - scipy_solver.place_markers(TASK, x - h).marker_positions
+                for h in steps
+            ],
+            axis=-1,
+        )
+        / 2e-6
+    )
+    np.testing.assert_allclose(
+        scipy_solver.compute_marker_jacobian(scipy_solver.place_markers(TASK, x), below), numeric, atol=1e-8
+    )
 
 
 def test_the_peer_and_the_sweep_find_nearly_the_same_bodies():
-    theirs, ours = peer.solve(TASK, "noisy", 6), own.solve(TASK, "noisy", False)
+    theirs, ours = scipy_solver.solve_with_scipy(TASK, "noisy", 6), mocapfix_solver.solve_with_mocapfix(TASK, "noisy", False)
     assert theirs.rotations.shape == (6, 31, 3, 3)
-    mine, other = TASK.error(ours.root[:6], ours.rotations[:6]), TASK.error(theirs.root, theirs.rotations)
+    mine, other = (
+        TASK.compute_joint_error(ours.root_position[:6], ours.rotations[:6]),
+        TASK.compute_joint_error(theirs.root_position, theirs.rotations),
+    )
     assert mine == pytest.approx(other, rel=0.05)
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("clean", 0.60, 0.67), ("noisy", 2.15, 2.23)])
 def test_the_sweep_converges_alike_on_one_thread_and_on_all(name, least, most):
-    one, every = own.solve(TASK, name, False), own.solve(TASK, name, True)
-    assert least < 1e3 * TASK.error(one.root, one.rotations) <= most
+    one, every = mocapfix_solver.solve_with_mocapfix(TASK, name, False), mocapfix_solver.solve_with_mocapfix(TASK, name, True)
+    assert least < 1e3 * TASK.compute_joint_error(one.root_position, one.rotations) <= most
     np.testing.assert_array_equal(one.rotations, every.rotations)
-    np.testing.assert_array_equal(one.root, every.root)
+    np.testing.assert_array_equal(one.root_position, every.root_position)

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from mocapfix import cli
-from mocapfix.bench import hybrik, jitter, starts, unseen
+from mocapfix.bench import hybrik, initialisation, joint_noise, unseen_poses
+from mocapfix.cli import app
 
 WAYS = ["naive", "adaptive", "x"]
 PARTS = ["all_mm", "body_mm", "hands_mm"]
@@ -14,17 +14,17 @@ PARTS = ["all_mm", "body_mm", "hands_mm"]
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """Few poses, hardly any frames to time, and one short take for the starts."""
-    poses = unseen.shipped()[::50]
-    monkeypatch.setattr(unseen, "shipped", lambda: poses)
+    poses = unseen_poses.load_unseen_poses()[::50]
+    monkeypatch.setattr(unseen_poses, "shipped", lambda: poses)
     monkeypatch.setattr(hybrik, "FRAMES", 30)
     row = {"frames": 7, "wrong": 1, "astray": 1, "wrong_alone": 2, "unconverged": 3, "iterations": 4.0, "iterations_alone": 5.0}
     row |= {"start_markers_mm": 6.0, "start_joints_mm": None, "start_seconds": 0.125, "seconds": 8.0, "wrong_in": {}}
-    monkeypatch.setattr(starts, "run", lambda **asked: {"composed": {"hybrik-x": row}})
+    monkeypatch.setattr(initialisation, "run", lambda **asked: {"composed": {"hybrik-x": row}})
 
 
 def bench(*arguments):
     with pytest.raises(SystemExit) as left:
-        cli.main(["bench", "hybrik", *map(str, arguments)])
+        app.run_command_line(["bench", "hybrik", *map(str, arguments)])
     return left.value.code
 
 
@@ -37,7 +37,7 @@ def test_the_json_has_the_keys_that_others_read(capsys):
         for ways in said[key].values():
             assert list(ways) == WAYS
             assert all(list(parts) == PARTS for parts in ways.values())
-    assert said["ratios"]["jitter_mm"] == jitter.ratios(said["jitter_mm"])
+    assert said["ratios"]["jitter_mm"] == joint_noise.compute_noise_ratios(said["jitter_mm"])
     assert {"random", "zero", "regressed", "markers"} < set(said["twist"])
     assert all({"joints_mm", "markers_mm"} < set(row) for row in said["twist"].values())
     assert list(said["fps_by_way"]) == WAYS

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from mocapfix.bench import jitter, unseen
-from mocapfix.initialise.closed_form import DEVIATION
-from mocapfix.skeleton import cmu31
+from mocapfix.bench import joint_noise, unseen_poses
+from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M
+from mocapfix.skeleton import load_cmu31_body
 
 IN_A_CUBE = 0.9606  # the mean distance from its middle, as a part of half its edge
 
 
 @pytest.fixture(scope="module")
 def said():
-    return jitter.measure(unseen.shipped()[::2], lambda what: None)
+    return joint_noise.measure_joint_noise(unseen_poses.load_unseen_poses()[::2], lambda what: None)
 
 
 def test_exact_joints_are_met_by_every_way(said):
@@ -21,7 +21,7 @@ def test_exact_joints_are_met_by_every_way(said):
 
 
 def test_adaptive_halves_the_error_of_naive_and_x_that_of_the_hands_again_by_a_tenth(said):
-    for ratios in jitter.ratios(said["jitter_mm"]).values():
+    for ratios in joint_noise.compute_noise_ratios(said["jitter_mm"]).values():
         assert ratios["adaptive_over_naive_all"] < 0.6
         assert ratios["adaptive_over_naive_body"] < 0.66
         assert ratios["x_over_adaptive_hands"] < 0.9
@@ -41,23 +41,23 @@ def test_with_anothers_bones_the_hands_are_met_by_x_alone(said):
 
 
 def test_hands_are_eight_joints_and_the_body_is_the_rest():
-    names = cmu31().skeleton.names
+    names = load_cmu31_body().skeleton.names
     true = np.zeros((2, len(names), 3))
     for name, part in (("LThumb", "hands_mm"), ("LeftForeArm", "body_mm")):
         found = true.copy()
         found[0, names.index(name)] = [0.03, 0, 0.04]
         expected = {"all_mm": 50 / 62, "body_mm": 0, "hands_mm": 0, part: 50 / (2 * (8 if part == "hands_mm" else 23))}
-        assert jitter.parts(found, true) == pytest.approx(expected)
+        assert joint_noise.summarise_body_parts(found, true) == pytest.approx(expected)
 
 
 def test_joints_are_shaken_within_their_cube_and_always_alike():
     true = np.random.default_rng(3).normal(size=(500, 31, 3))
-    task = jitter.shaken(true, 20)
-    off = task.given - true
+    task = joint_noise.add_joint_noise(true, 20)
+    off = task.given_positions - true
     assert 0.0199 < np.abs(off).max() <= 0.02
-    assert task.deviation == pytest.approx(off.std(), rel=0.01)
-    np.testing.assert_array_equal(jitter.shaken(true, 20).given, task.given)
-    assert jitter.shaken(true, 0).deviation == DEVIATION
+    assert task.sd_m == pytest.approx(off.std(), rel=0.01)
+    np.testing.assert_array_equal(joint_noise.add_joint_noise(true, 20).given_positions, task.given_positions)
+    assert joint_noise.add_joint_noise(true, 0).sd_m == DEFAULT_JOINT_SD_M
 
 
 def test_ratios_are_of_what_is_off_only():
@@ -66,4 +66,4 @@ def test_ratios_are_of_what_is_off_only():
         way: {f"{part}_mm": far for part, far in zip(("all", "body", "hands"), row, strict=True)} for way, row in rows.items()
     }
     expected = {"adaptive_over_naive_all": 0.5, "adaptive_over_naive_body": 0.6, "x_over_adaptive_hands": 0.75}
-    assert jitter.ratios({"0": ways, "10": ways}) == {"10": expected}
+    assert joint_noise.compute_noise_ratios({"0": ways, "10": ways}) == {"10": expected}

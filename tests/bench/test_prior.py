@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
-from mocapfix import cli
-from mocapfix.bench import contenders, prior
+from mocapfix.bench import compared_priors, pose_priors
+from mocapfix.cli import app
 from mocapfix.errors import SceneError
-from mocapfix.scenes import PRIOR, folder
+from mocapfix.files.shipped import DEFAULT_PRIOR_NAME, find_shipped_folder
 from tests.train.people import walked, write_bvh
 
 ROW = {"position_mm", "rotation_deg", "position_sd", "rotation_sd"}
@@ -25,19 +25,19 @@ def motion(tmp_path):
 @pytest.fixture
 def linear_only(monkeypatch):
     """The shelf without networks, which would take long."""
-    whole = contenders.shelf
+    whole = compared_priors.load_compared_priors
 
     def shelf(where=None):
         return {name: model for name, model in whole(where).items() if name in ("none", "pca", "gaussian")}
 
-    monkeypatch.setattr(contenders, "shelf", shelf)
-    for module in (prior, contenders):
+    monkeypatch.setattr(compared_priors, "shelf", shelf)
+    for module in (pose_priors, compared_priors):
         monkeypatch.setattr(module, "PRIOR", "gaussian")
 
 
 def bench(*arguments):
     with pytest.raises(SystemExit) as left:
-        cli.main(["bench", "prior", *map(str, arguments)])
+        app.run_command_line(["bench", "prior", *map(str, arguments)])
     return left.value.code
 
 
@@ -60,7 +60,7 @@ def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_t
     weights = tmp_path / "weights"
     weights.mkdir()
     for name in ("pca", "gaussian"):
-        shutil.copy(folder("priors") / f"{name}.safetensors", weights)
+        shutil.copy(find_shipped_folder("priors") / f"{name}.safetensors", weights)
     figure = tmp_path / "pictures" / "curves.png"
     assert bench("--frames", 3, "--data", motion, "--paper-split", weights, "--figure", figure) == 0
     told = capsys.readouterr().out
@@ -71,8 +71,8 @@ def test_the_papers_split_is_measured_with_weights_of_its_own_and_the_table_is_t
 
 def test_what_cannot_be_is_told(motion, tmp_path):
     with pytest.raises(SceneError, match="ask for one at least"):
-        prior.measure(None, 0, None, False, lambda what: None)
+        pose_priors.measure_pose_priors(None, 0, None, False, lambda what: None)
     with pytest.raises(SceneError, match="say with --data where it is"):
-        prior.measure(None, 3, tmp_path, False, lambda what: None)
-    with pytest.raises(SceneError, match=f"holds no {PRIOR}"):
-        prior.measure(motion, 3, tmp_path, False, lambda what: None)
+        pose_priors.measure_pose_priors(None, 3, tmp_path, False, lambda what: None)
+    with pytest.raises(SceneError, match=f"holds no {DEFAULT_PRIOR_NAME}"):
+        pose_priors.measure_pose_priors(motion, 3, tmp_path, False, lambda what: None)

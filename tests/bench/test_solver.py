@@ -7,9 +7,9 @@ import re
 
 import pytest
 
-from mocapfix.bench import solver
-from mocapfix.bench.solver import Effort
-from mocapfix.cli import main
+from mocapfix.bench import solver_speed
+from mocapfix.bench.solver_speed import TimingEffort
+from mocapfix.cli.app import run_command_line
 
 
 @pytest.fixture(scope="module")
@@ -17,10 +17,12 @@ def said():
     """-> what `mocapfix bench solver --json --quick` prints, every time taken once."""
     with pytest.MonkeyPatch.context() as patch:
         written, before = [], dict(os.environ)
-        patch.setattr(solver, "QUICK", Effort(rounds=1, samples=1, directions=1, frames=2))
-        patch.setattr("mocapfix.cli.sys.stdout.write", written.append)
+        patch.setattr(
+            solver_speed, "QUICK", TimingEffort(rounds=1, samples_per_round=1, directions_per_sample=1, scipy_frame_count=2)
+        )
+        patch.setattr("mocapfix.cli.app.sys.stdout.write", written.append)
         with pytest.raises(SystemExit) as left:
-            main(["bench", "solver", "--json", "--quick"])
+            run_command_line(["bench", "solver", "--json", "--quick"])
         assert left.value.code == 0
         assert dict(os.environ) == before
         return json.loads("".join(written))
@@ -51,9 +53,9 @@ def test_the_directions_are_told_by_joints_and_their_ratios_are_ratios(said):
 
 
 def test_the_tables_show_what_was_measured(said, monkeypatch, capsys):
-    monkeypatch.setattr(solver, "alone", lambda quick: said)
+    monkeypatch.setattr(solver_speed, "alone", lambda quick: said)
     with pytest.raises(SystemExit) as left:
-        main(["bench", "solver"])
+        run_command_line(["bench", "solver"])
     shown = capsys.readouterr().out
     assert left.value.code == 0
     assert f"{said['joint_error_mm']['noisy']:.2f}" in shown
@@ -64,7 +66,9 @@ def test_the_tables_show_what_was_measured(said, monkeypatch, capsys):
 def test_the_least_of_the_medians_counts():
     one, other = iter([5.0, 1.0, 4.0, 3.0, 9.0, 2.0]), iter([1.0, 1.0, 1.0, 0.5, 7.0, 7.0])
     samples = [lambda: next(one), lambda: next(other)]
-    assert solver.least(samples, Effort(rounds=2, samples=3, directions=1, frames=1)) == [3.0, 1.0]
+    assert solver_speed.time_samples(
+        samples, TimingEffort(rounds=2, samples_per_round=3, directions_per_sample=1, scipy_frame_count=1)
+    ) == [3.0, 1.0]
 
 
 def test_a_speedup_is_the_geometric_mean_of_one_experiment_on_one_tree():
@@ -72,4 +76,4 @@ def test_a_speedup_is_the_geometric_mean_of_one_experiment_on_one_tree():
         {"experiment": experiment, "joints": joints, "speedup": ratio}
         for experiment, joints, ratio in ((1, 23, 2.0), (1, 23, 8.0), (1, 51, 100.0), (2, 23, 100.0))
     ]
-    assert solver.speedup(rows, 1, 23) == pytest.approx(4.0)
+    assert solver_speed.compute_speedup(rows, 1, 23) == pytest.approx(4.0)

@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.bench import limb, start_ends, start_takes, starts
-from mocapfix.bench.start_ends import End, begun, far, told_of, wrong
-from mocapfix.bench.start_takes import Case
+from mocapfix.bench import initialisation, initialisation_outcomes, initialisation_takes, lost_limbs
+from mocapfix.bench.initialisation_outcomes import (
+    SolveEnd,
+    build_start_motion,
+    find_observed_joints,
+    find_wrong_frames,
+    has_distant_joint,
+)
+from mocapfix.bench.initialisation_takes import InitialisationTake
 from mocapfix.errors import ReadError
-from mocapfix.skeleton import cmu31
-from mocapfix.synthetic import Truth
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.synthetic import SyntheticTake
 from mocapfix.take import Take
 from tests.conftest import as_c3d
 
-NAMES = cmu31().skeleton.names
+NAMES = load_cmu31_body().skeleton.names
 KEYS = {
     "frames", "wrong", "astray", "wrong_alone", "unconverged", "iterations", "iterations_alone", "start_markers_mm",
     "start_joints_mm", "start_seconds", "seconds", "wrong_in",
@@ -24,56 +30,56 @@ KEYS = {
 
 
 @pytest.fixture(scope="module")
-def truth() -> Truth:
-    return synthetic.take(seed=5, seconds=1.5)
+def truth() -> SyntheticTake:
+    return synthetic.compose_take(seed=5, seconds=1.5)
 
 
 @pytest.fixture(scope="module")
 def case(truth):
     """-> a take whose body is the true one"""
-    return Case("walk", Take(truth.markers, truth.labels, truth.rate), truth.subject, truth.joints, truth.motion)
+    return InitialisationTake("walk", Take(truth.markers, truth.labels, truth.rate), truth.subject, truth.joints, truth.motion)
 
 
 def sound(case):
-    return starts.started(case, "registration")
+    return initialisation.start_from_markers(case, "registration")
 
 
 def on_the_moon(case):
     """-> a start 10 km up: from there no marker is heard"""
     start = sound(case)
-    return replace(start, root=start.root + [0.0, 1e4, 0.0])
+    return replace(start, root_position=start.root_position + [0.0, 1e4, 0.0])
 
 
 def upside_down(case):
     start = sound(case)
-    turned = start.rotations.copy()
+    turned = start.local_rotations.copy()
     turned[:, 0] = np.diag([1.0, -1.0, -1.0]) @ turned[:, 0]
-    return replace(start, rotations=turned)
+    return replace(start, local_rotations=turned)
 
 
 @pytest.fixture(scope="module")
 def said(case):
     ways = {"sound": sound, "upside down": upside_down, "moon": on_the_moon}
-    return starts.compared([case], ways, repeats=1)
+    return initialisation.compare_starts([case], ways, repeats=1)
 
 
 def test_a_start_that_leads_nowhere_is_counted_in_every_frame(case, said):
     assert set(said) == {"truth", "sound", "upside down", "moon"}
     for row in said.values():
         assert set(row) == KEYS
-        assert row["frames"] == case.worn.frames
+        assert row["frames"] == case.worn.frame_count
         assert 0 < row["start_seconds"] < row["seconds"]
         assert row["astray"] == row["wrong"]  # from the truth all ends right
     assert (said["sound"]["wrong"], said["sound"]["wrong_alone"], said["sound"]["wrong_in"]) == (0, 0, {})
-    assert said["moon"]["wrong"] == said["moon"]["wrong_alone"] == case.worn.frames
-    assert said["moon"]["wrong_in"] == {"walk": case.worn.frames}
+    assert said["moon"]["wrong"] == said["moon"]["wrong_alone"] == case.worn.frame_count
+    assert said["moon"]["wrong_in"] == {"walk": case.worn.frame_count}
     json.dumps(said, allow_nan=False)
 
 
 def test_what_ends_wrong_from_the_truth_too_is_no_starts_fault(case):
     joints = case.joints.copy()
     joints[5:8] += [0.0, 0.5, 0.0]  # elsewhere than the markers say
-    said = starts.compared([case._replace(joints=joints)], {"sound": sound}, repeats=1)
+    said = initialisation.compare_starts([case._replace(joints=joints)], {"sound": sound}, repeats=1)
     assert {name: (row["wrong"], row["astray"]) for name, row in said.items()} == {"truth": (3, 0), "sound": (3, 0)}
 
 
@@ -89,27 +95,27 @@ def test_where_a_start_lies_and_what_it_costs_is_told(said):
 
 
 def test_a_start_goes_on_from_where_the_frame_before_ended(truth):
-    root, local = truth.motion.root, truth.motion.rotations
-    start = replace(truth.motion, root=root.copy(), rotations=local + 1.0)
-    start.root[2:4] = np.nan
-    found = begun(start, root, local)
-    np.testing.assert_array_equal(found.root[:6], root[[0, 1, 1, 2, 4, 5]])
-    np.testing.assert_array_equal(found.rotations[2:4], local[1:3])
-    np.testing.assert_array_equal(found.rotations[4:], start.rotations[4:])
+    root, local = truth.motion.root_position, truth.motion.rotations
+    start = replace(truth.motion, root_position=root.copy(), rotations=local + 1.0)
+    start.root_position[2:4] = np.nan
+    found = build_start_motion(start, root, local)
+    np.testing.assert_array_equal(found.root_position[:6], root[[0, 1, 1, 2, 4, 5]])
+    np.testing.assert_array_equal(found.local_rotations[2:4], local[1:3])
+    np.testing.assert_array_equal(found.local_rotations[4:], start.rotations[4:])
 
 
 def test_the_truth_says_what_is_wrong_but_only_of_joints_that_markers_tell_of(truth, case):
     joints, hand = truth.joints.copy(), NAMES.index("LeftHandIndex1")
     joints[3, hand] += [0.0, 0.101, 0.0]
     joints[4, hand] += [0.0, 0.099, 0.0]
-    end = End(joints, np.zeros(len(joints)), np.zeros(len(joints), int))
-    assert np.flatnonzero(wrong(case, {"": end})[""]).tolist() == [3]
+    end = SolveEnd(joints, np.zeros(len(joints)), np.zeros(len(joints), int))
+    assert np.flatnonzero(find_wrong_frames(case, {"": end})[""]).tolist() == [3]
     markers = case.worn.markers.copy()
     markers[3, [label.startswith(("LFRM", "LWR", "LFIN")) for label in case.worn.labels]] = np.nan
-    unseen = case._replace(worn=case.worn.with_markers(markers))
-    assert not told_of(unseen)[3, hand]
-    assert told_of(unseen)[3, NAMES.index("LeftFoot")]
-    assert not wrong(unseen, {"": end})[""].any()
+    unseen = case._replace(worn=case.worn.replace_markers(markers))
+    assert not find_observed_joints(unseen)[3, hand]
+    assert find_observed_joints(unseen)[3, NAMES.index("LeftFoot")]
+    assert not find_wrong_frames(unseen, {"": end})[""].any()
 
 
 def test_where_nobody_knows_the_truth_the_pose_that_costs_least_stands_for_it(truth, case):
@@ -118,23 +124,23 @@ def test_where_nobody_knows_the_truth_the_pose_that_costs_least_stands_for_it(tr
     aside, none = truth.joints.copy(), np.zeros(frames, int)
     aside[1:4] += [0.5, 0.0, 0.0]
     costs = np.zeros((2, frames))
-    costs[1, 1], costs[0, 2], costs[1, 3] = 5.0, 5.0, 0.5 * start_ends.SAME
-    found = wrong(unknown, {"one": End(truth.joints, costs[0], none), "other": End(aside, costs[1], none)})
+    costs[1, 1], costs[0, 2], costs[1, 3] = 5.0, 5.0, 0.5 * initialisation_outcomes.MAX_EQUAL_COST_DIFFERENCE
+    found = find_wrong_frames(unknown, {"one": SolveEnd(truth.joints, costs[0], none), "other": SolveEnd(aside, costs[1], none)})
     assert np.flatnonzero(found["one"]).tolist() == [2]
     assert np.flatnonzero(found["other"]).tolist() == [1]
 
 
 def test_far_is_a_tenth_of_a_metre():
     joints, told = np.zeros((1, 2, 3)), np.array([[True, False]])
-    assert not far(joints, joints + [0.09, 0.0, 0.0], told).any()
-    assert far(joints, joints + [0.11, 0.0, 0.0], told).all()
-    assert not far(joints, joints + [0.11, 0.0, 0.0], ~told & False).any()
+    assert not has_distant_joint(joints, joints + [0.09, 0.0, 0.0], told).any()
+    assert has_distant_joint(joints, joints + [0.11, 0.0, 0.0], told).all()
+    assert not has_distant_joint(joints, joints + [0.11, 0.0, 0.0], ~told & False).any()
 
 
 def test_what_is_lost_is_lost_as_it_is_said(case):
-    gone = {name: lost(case, np.random.default_rng(1)) for name, lost in start_takes.LOSSES.items()}
-    on, half = case.subject.joints, round(start_takes.FOR * case.worn.rate)
-    assert start_takes.SHARE <= gone["gaps"].mean() < 0.2
+    gone = {name: lost(case, np.random.default_rng(1)) for name, lost in initialisation_takes.MARKER_LOSSES.items()}
+    on, half = case.subject.joints, round(initialisation_takes.GROUP_LOSS_DURATION_S * case.worn.rate)
+    assert initialisation_takes.SINGLE_GAP_SHARE <= gone["gaps"].mean() < 0.2
     for name in ("a segment lost", "the pelvis lost"):
         carriers = {tuple(np.unique(on[lost])) for lost in gone[name] if lost.any()}
         assert all(len(each) == 1 for each in carriers)
@@ -144,20 +150,20 @@ def test_what_is_lost_is_lost_as_it_is_said(case):
         assert half <= gone[name].any(axis=1).sum() <= 2 * half
     assert {int(j) for j in on[gone["the pelvis lost"].any(axis=0)]} == {0}
     assert 0.3 < gone["half lost"][round(0.5 * case.worn.rate)].mean() < 0.7
-    (damaged,) = start_takes.damaged([case], lambda *_: gone["gaps"])
-    np.testing.assert_array_equal(damaged.worn.seen, case.worn.seen & ~gone["gaps"])
+    (damaged,) = initialisation_takes.damage_takes([case], lambda *_: gone["gaps"])
+    np.testing.assert_array_equal(damaged.take.visible, case.worn.visible & ~gone["gaps"])
 
 
 def test_a_person_who_performs_is_calibrated_and_close_to_who_was_drawn(truth):
-    performance = limb.Performance(truth.motion.at(np.arange(0, truth.motion.frames, 8)), truth.rate / 8, "01_01")
-    (found,) = start_takes.performances([performance], np.random.default_rng(0))
+    performance = lost_limbs.PerformedMotion(truth.motion.at(np.arange(0, truth.motion.frame_count, 8)), truth.rate / 8, "01_01")
+    (found,) = initialisation_takes.perform_subject_recordings([performance], np.random.default_rng(0))
     assert found.name == "01_01"
-    assert found.joints is not None
-    assert found.joints.shape == (performance.motion.frames, len(NAMES), 3)
-    assert found.worn.seen.all()
-    assert found.subject.frames > 0
+    assert found.true_joint_positions is not None
+    assert found.true_joint_positions.shape == (performance.motion.frame_count, len(NAMES), 3)
+    assert found.take.visible.all()
+    assert found.subject.frame_count > 0
     alike = np.linalg.norm(found.subject.skeleton.offsets, axis=1) / np.linalg.norm(
-        start_takes.person(np.random.default_rng(0), crooked=True).skeleton.offsets, axis=1
+        initialisation_takes.draw_subject(np.random.default_rng(0), asymmetric=True).skeleton.offsets, axis=1
     ).clip(1e-9)
     assert alike[NAMES.index("LeftFoot")] == pytest.approx(1.0, abs=0.1)
 
@@ -165,20 +171,20 @@ def test_a_person_who_performs_is_calibrated_and_close_to_who_was_drawn(truth):
 def test_captures_are_read_from_a_folder_and_their_truth_is_not_known(truth, tmp_path):
     (tmp_path / "walk.c3d").write_bytes(as_c3d(truth.markers[:40], truth.labels))
     (tmp_path / "stick.c3d").write_bytes(as_c3d(truth.markers[:, :3], ("A", "B", "C")))
-    (found,) = start_takes.captured(tmp_path)
-    assert (found.name, found.joints, found.motion) == ("walk", None, None)
-    said = starts.compared([found], {"one": sound}, repeats=1)
+    (found,) = initialisation_takes.read_captures(tmp_path)
+    assert (found.name, found.true_joint_positions, found.true_motion) == ("walk", None, None)
+    said = initialisation.compare_starts([found], {"one": sound}, repeats=1)
     assert set(said) == {"one"}
     said = said["one"]
     assert (said["start_joints_mm"], said["wrong"]) == (None, 0)
     with pytest.raises(ReadError, match="holds no capture"):
-        list(start_takes.captured(tmp_path / "elsewhere"))
+        list(initialisation_takes.read_captures(tmp_path / "elsewhere"))
 
 
 def test_every_way_is_measured_on_every_set(monkeypatch, case):
-    monkeypatch.setattr(start_takes, "composed", lambda seeds: [case._replace(name=f"seed {seed}") for seed in seeds])
+    monkeypatch.setattr(initialisation_takes, "composed", lambda seeds: [case._replace(name=f"seed {seed}") for seed in seeds])
     told = []
-    said = starts.run(("registration", "previous"), seeds=[7], repeats=1, progress=told.append)
+    said = initialisation.measure_initialisation(("registration", "previous"), seeds=[7], repeats=1, progress=told.append)
     assert set(said) == {"composed"}
     assert set(said["composed"]) == {"truth", "registration", "previous"}
     assert told == ["composed: seed 7"]
@@ -186,9 +192,9 @@ def test_every_way_is_measured_on_every_set(monkeypatch, case):
 
 
 def test_a_label_that_jumps_to_a_ghost_does_so_one_at_a_time_and_for_a_while(case):
-    (other,) = start_takes.with_ghosts([case])
-    jumped = (other.worn.markers != case.worn.markers).any(axis=2)
+    (other,) = initialisation_takes.add_ghosts([case])
+    jumped = (other.take.markers != case.worn.markers).any(axis=2)
     assert jumped.sum(axis=1).max() == 1
     assert 0.2 < jumped.any(axis=1).mean() < 0.8
-    shift = other.worn.markers[jumped] - case.worn.markers[jumped]
+    shift = other.take.markers[jumped] - case.worn.markers[jumped]
     assert len(np.unique(shift.round(9), axis=0)) <= 2  # in one and a half seconds it jumps once or twice, and stays there

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import rig
-from mocapfix.outputs import OutputOptions
-from mocapfix.scenes import RIGS
+from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.write import rig
+from mocapfix.write.output_options import OutputOptions
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))
@@ -33,7 +33,7 @@ def moments(cleaned) -> np.ndarray:
 def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
     """-> by kind, what Blender makes of everything that is written; "slow" is the BVH at 30 frames a second."""
     folder = tmp_path_factory.mktemp("blender")
-    outputs = cleaned.result.write(folder / "all", options=OutputOptions(also=("gltf",), bvh_for=RIGS))
+    outputs = cleaned.result.write(folder / "all", options=OutputOptions(also=("gltf",), bvh_for=RIG_NAMES))
     slow = cleaned.result.write(folder / "slow", options=OutputOptions(fps=30))
     paths = {kind: outputs[kind] for kind in SCALES} | {"slow": slow["bvh"]}
     jobs = [
@@ -53,13 +53,15 @@ def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
 def lead(kind: str) -> int:
     """-> how many frames come before the motion's first"""
     name = kind.removesuffix(".bvh")
-    return int(name in RIGS and rig.load(name).t_pose)
+    return int(name in RIG_NAMES and rig.load_rig(name).starts_with_t_pose)
 
 
 def joints_of(kind: str, names: tuple[str, ...]) -> dict[str, str]:
     """-> by bone, the skeleton's joint where it begins"""
     name = kind.removesuffix(".bvh")
-    return {joint.name: joint.joint for joint in rig.load(name).joints} if name in RIGS else {each: each for each in names}
+    return (
+        {joint.name: joint.joint for joint in rig.load_rig(name).joints} if name in RIG_NAMES else {each: each for each in names}
+    )
 
 
 @pytest.mark.parametrize("kind", SCALES)

@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.calibrate.attach import Atlas, atlas, attached, still
-from mocapfix.kernels import kinematics
-from mocapfix.marker_set import load, shipped
-from mocapfix.skeleton import cmu31
+from mocapfix.calibrate.marker_attachment import MarkerAtlas, attach_markers, build_marker_atlas, measure_marker_offsets
+from mocapfix.marker_sets import load_marker_set, load_shipped_marker_sets
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 
-SKELETON = cmu31().skeleton
-NAMES, ATLAS = SKELETON.names, atlas(shipped())
+SKELETON = load_cmu31_body().skeleton
+NAMES, ATLAS = SKELETON.names, build_marker_atlas(load_shipped_marker_sets())
 NOTHING = np.zeros((1, len(NAMES)))
 
 
@@ -20,7 +20,9 @@ def posed(frames: int = 60, seed: int = 0, turn: float = 0.4) -> tuple[np.ndarra
     """-> joints (N, J, 3) and rotations (N, J, 3, 3) in the world of a body whose joints all turn by about `turn` radians"""
     rng, joints = np.random.default_rng(seed), len(NAMES)
     local = Rotation.from_rotvec(rng.normal(0, turn, (frames * joints, 3))).as_matrix().reshape(frames, joints, 3, 3)
-    return kinematics.carried(kinematics.tree_of(SKELETON), rng.normal(0, 1, (frames, 3)), np.ascontiguousarray(local))
+    return kinematics.compute_tree_poses(
+        kinematics.build_kinematic_tree(SKELETON), rng.normal(0, 1, (frames, 3)), np.ascontiguousarray(local)
+    )
 
 
 POSITION, ROTATION = posed()
@@ -33,32 +35,32 @@ def riding(joint: str, place) -> np.ndarray:
 
 
 def one(marker: np.ndarray, told: np.ndarray = NOTHING):
-    return attached(marker[:, None], POSITION, ROTATION, ATLAS, NAMES, told)
+    return attach_markers(marker[:, None], POSITION, ROTATION, ATLAS, NAMES, told)
 
 
 @given(st.integers(0, len(ATLAS.joints) - 1), st.integers(0, 2**31))
 def test_a_marker_near_a_place_for_one_is_found_there(which, seed):
     rng = np.random.default_rng(seed)
-    place = ATLAS.places[which] + rng.normal(0, 0.02, 3)
+    place = ATLAS.offsets[which] + rng.normal(0, 0.02, 3)
     found = one(riding(NAMES[ATLAS.joints[which]], place) + rng.normal(0, 0.003, (len(POSITION), 3)))
     assert found.joints[0] == ATLAS.joints[which]
-    assert found.sure[0] > 0.9
-    assert found.strays[0] < 0.006
-    np.testing.assert_allclose(found.places[0], place, atol=0.003)
-    assert found.reasons == ("",)
+    assert found.probability[0] > 0.9
+    assert found.residual_sd[0] < 0.006
+    np.testing.assert_allclose(found.offsets[0], place, atol=0.003)
+    assert found.rejection_reasons == ("",)
 
 
 def test_what_moves_by_itself_is_left_out():
     found = one(np.random.default_rng(1).normal(0, 1, (len(POSITION), 3)))
     assert found.joints[0] == -1
-    assert "and by more against every other segment" in found.reasons[0]
+    assert "and by more against every other segment" in found.rejection_reasons[0]
 
 
 def test_what_is_held_is_left_out_but_not_a_wand_whose_label_tells_its_segment():
     stick = riding("LeftHand", [0.1, 0.0, 0.5])
     found = one(stick)
     assert found.joints[0] == -1
-    assert "it is held, or on a prop" in found.reasons[0]
+    assert "it is held, or on a prop" in found.rejection_reasons[0]
     told = NOTHING.copy()
     told[0, NAMES.index("LeftHand")] = 4.0
     assert NAMES[one(stick, told).joints[0]] == "LeftHand"
@@ -67,40 +69,40 @@ def test_what_is_held_is_left_out_but_not_a_wand_whose_label_tells_its_segment()
 def test_what_is_seldom_or_never_seen_is_left_out():
     marker = riding("Head", [0, 0.2, 0])
     marker[5:] = np.nan
-    assert "seen in 5 of the frames" in one(marker).reasons[0]
+    assert "seen in 5 of the frames" in one(marker).rejection_reasons[0]
     found = one(np.full_like(marker, np.nan))
-    assert (found.reasons, found.joints[0]) == (("is never seen",), -1)
-    assert np.isnan(found.likely[0])
+    assert (found.rejection_reasons, found.joints[0]) == (("is never seen",), -1)
+    assert np.isnan(found.log_likelihood[0])
 
 
 def test_of_a_short_take_few_frames_are_enough():
     marker, few = riding("Head", [0, 0.2, 0])[:, None], slice(0, 6)
-    found = attached(marker[few], POSITION[few], ROTATION[few], ATLAS, NAMES, NOTHING)
-    assert (NAMES[found.joints[0]], found.reasons) == ("Head", ("",))
+    found = attach_markers(marker[few], POSITION[few], ROTATION[few], ATLAS, NAMES, NOTHING)
+    assert (NAMES[found.joints[0]], found.rejection_reasons) == ("Head", ("",))
 
 
 def test_a_tenth_of_the_frames_may_be_wrong():
     marker = riding("RightLeg", [-0.135, -0.133, -0.011])
     marker[:5] += 0.5
     found = one(marker)
-    assert (NAMES[found.joints[0]], found.strays[0] < 0.001) == ("RightLeg", True)
+    assert (NAMES[found.joints[0]], found.residual_sd[0] < 0.001) == ("RightLeg", True)
 
 
 def test_where_nothing_moves_the_place_decides():
     position, rotation = np.repeat(POSITION[:1], 60, axis=0), np.repeat(ROTATION[:1], 60, axis=0)
-    worn = load("cmu41")
-    markers = position[:, worn.joints] + np.einsum("nkab,kb->nka", rotation[:, worn.joints], worn.places)
-    found = attached(markers, position, rotation, ATLAS, NAMES, np.zeros((len(worn.labels), len(NAMES))))
+    worn = load_marker_set("cmu41")
+    markers = position[:, worn.joints] + np.einsum("nkab,kb->nka", rotation[:, worn.joints], worn.marker_offsets)
+    found = attach_markers(markers, position, rotation, ATLAS, NAMES, np.zeros((len(worn.labels), len(NAMES))))
     assert (found.joints == worn.joints).mean() > 0.9
 
 
 def test_stillness_is_measured_in_metres_per_axis():
     noise = np.random.default_rng(2).normal(0, 0.004, (len(POSITION), 3))
-    places, strays = still((riding("Hips", [0.1, 0, 0]) + noise)[:, None], POSITION[:, :1], ROTATION[:, :1])
+    places, strays = measure_marker_offsets((riding("Hips", [0.1, 0, 0]) + noise)[:, None], POSITION[:, :1], ROTATION[:, :1])
     assert strays[0, 0] == pytest.approx(0.0035, rel=0.2)  # the stillest nine tenths of normal noise
     np.testing.assert_allclose(places[0, 0], [0.1, 0, 0], atol=0.002)
 
 
 def test_the_atlas_grows_with_the_body():
-    small = Atlas(np.array([0, 0]), np.array([[0.1, 0, 0], [0.0, 0.1, 0]])).grown(2.0)
-    np.testing.assert_allclose(small.distance(0, np.array([[0.2, 0, 0], [0.2, 0.1, 0]])), [0.0, 0.1])
+    small = MarkerAtlas(np.array([0, 0]), np.array([[0.1, 0, 0], [0.0, 0.1, 0]])).scale(2.0)
+    np.testing.assert_allclose(small.compute_distances(0, np.array([[0.2, 0, 0], [0.2, 0.1, 0]])), [0.0, 0.1])

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.calibrate import frames
+from mocapfix.calibrate import calibration
 
 
 def seen(counts, markers=20):
@@ -20,13 +20,13 @@ def poses(count, rng):
 
 def test_candidates_are_the_well_seen_frames():
     counts = [20, 5, 19, 0, 18, 17, 20, 12]
-    np.testing.assert_array_equal(frames.candidates(seen(counts)), [0, 2, 4, 6])
+    np.testing.assert_array_equal(calibration.select_candidate_frames(seen(counts)), [0, 2, 4, 6])
 
 
 @given(st.integers(1, 3000))
 def test_candidates_lie_evenly_over_the_take(length):
-    found = frames.candidates(seen(np.full(length, 3), markers=3))
-    assert len(found) == min(length, frames.CANDIDATES)
+    found = calibration.select_candidate_frames(seen(np.full(length, 3), markers=3))
+    assert len(found) == min(length, calibration.MAX_CANDIDATE_FRAMES)
     assert (np.diff(found) > 0).all()
     assert found[0] == 0
     assert found[-1] == length - 1 or length == 1
@@ -35,14 +35,17 @@ def test_candidates_lie_evenly_over_the_take(length):
 
 def test_few_poses_are_all_taken():
     rng = np.random.default_rng(0)
-    np.testing.assert_array_equal(frames.varied(poses(frames.CHOSEN, rng), rng), np.arange(frames.CHOSEN))
+    np.testing.assert_array_equal(
+        calibration.select_varied_poses(poses(calibration.MAX_CALIBRATION_FRAMES, rng), rng),
+        np.arange(calibration.MAX_CALIBRATION_FRAMES),
+    )
 
 
 @pytest.mark.parametrize("count", [151, 600])
 def test_varied_poses_are_distinct_sorted_and_as_many_as_wanted(count):
     rng = np.random.default_rng(1)
-    found = frames.varied(poses(count, rng), rng)
-    assert len(found) == frames.CHOSEN
+    found = calibration.select_varied_poses(poses(count, rng), rng)
+    assert len(found) == calibration.MAX_CALIBRATION_FRAMES
     assert (np.diff(found) > 0).all()
     assert found[0] >= 0
     assert found[-1] < count
@@ -53,11 +56,11 @@ def test_poses_unlike_all_others_are_taken_and_the_roots_turn_is_no_difference()
     still = np.tile(np.eye(3), (600, 4, 1, 1)) + rng.normal(0, 1e-6, (600, 4, 3, 3))
     rare = [17, 230, 599]
     still[rare, 2] = Rotation.from_rotvec([[1, 0, 0], [0, 1, 0], [0, 0, 1]]).as_matrix()
-    assert set(rare) <= set(frames.varied(still, np.random.default_rng(0)))
+    assert set(rare) <= set(calibration.select_varied_poses(still, np.random.default_rng(0)))
     still[:, 0] = Rotation.from_rotvec(np.random.default_rng(3).normal(size=(600, 3))).as_matrix()
-    assert set(rare) <= set(frames.varied(still, np.random.default_rng(0)))
+    assert set(rare) <= set(calibration.select_varied_poses(still, np.random.default_rng(0)))
 
 
 def test_poses_all_alike_are_still_chosen_once_each():
-    found = frames.varied(np.tile(np.eye(3), (400, 4, 1, 1)), np.random.default_rng(0))
-    assert len(np.unique(found)) == frames.CHOSEN
+    found = calibration.select_varied_poses(np.tile(np.eye(3), (400, 4, 1, 1)), np.random.default_rng(0))
+    assert len(np.unique(found)) == calibration.MAX_CALIBRATION_FRAMES

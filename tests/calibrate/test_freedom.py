@@ -4,24 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix import marker_set, prior
-from mocapfix.calibrate import freedom
-from mocapfix.skeleton import cmu31
+from mocapfix import marker_sets
+from mocapfix.calibrate import parameters
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
-START = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
-MEAN = prior.load("mean-pose", BODY.skeleton)
-FREE = freedom.of(START, BODY, MEAN)
-TURNING = np.flatnonzero(BODY.free)[1:]
-SHIFTS = slice(-WORN.places.size - 3 * len(TURNING), -3 * len(TURNING))
-BONES = freedom.bones(BODY.skeleton)
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+START = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
+FREE = parameters.build_calibration_parameters(START, BODY, MEAN)
+TURNING = np.flatnonzero(BODY.free_joints)[1:]
+SHIFTS = slice(-WORN.marker_offsets.size - 3 * len(TURNING), -3 * len(TURNING))
+BONES = parameters.list_bones(BODY.skeleton)
 
 
 def unknowns(**parts):
     """-> all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
     shifts (K, 3), turns (F, 3)"""
-    x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shapes), list(BODY.groups)
+    x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shape_components), list(BODY.bone_groups)
     for name, value in parts.items():
         if name == "places":
             x[SHIFTS] = np.ravel(value)
@@ -36,69 +37,75 @@ def unknowns(**parts):
 
 
 def test_nothing_changed_is_the_body_itself():
-    offsets, places, _ = FREE.body(unknowns())
+    offsets, places, _ = FREE.compute_body(unknowns())
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
-    np.testing.assert_array_equal(places, WORN.places)
+    np.testing.assert_array_equal(places, WORN.marker_offsets)
 
 
 def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
-    offsets, places, _ = FREE.body(unknowns(size=0.1, shin=0.2, LeftLeg=-0.2))
+    offsets, places, _ = FREE.compute_body(unknowns(size=0.1, shin=0.2, LeftLeg=-0.2))
     expected = 1.1 * BODY.skeleton.offsets
-    shins = list(BODY.groups["shin"])
+    shins = list(BODY.bone_groups["shin"])
     expected[shins] = 1.3 * BODY.skeleton.offsets[shins]
-    thigh = BODY.skeleton.index("LeftLeg")
+    thigh = BODY.skeleton.find_joint("LeftLeg")
     expected[thigh] = 0.9 * BODY.skeleton.offsets[thigh]
     np.testing.assert_allclose(offsets, expected)
-    np.testing.assert_allclose(places, 1.1 * WORN.places)
+    np.testing.assert_allclose(places, 1.1 * WORN.marker_offsets)
 
 
 def test_places_shift_in_their_joints_axes():
-    shifts = np.random.default_rng(0).normal(0, 0.02, WORN.places.shape)
-    offsets, places, _ = FREE.body(unknowns(places=shifts))
+    shifts = np.random.default_rng(0).normal(0, 0.02, WORN.marker_offsets.shape)
+    offsets, places, _ = FREE.compute_body(unknowns(places=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
-    np.testing.assert_allclose(places, WORN.places + shifts)
+    np.testing.assert_allclose(places, WORN.marker_offsets + shifts)
 
 
 def test_a_bone_is_a_part_of_the_body_it_starts_from():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
-    offsets, *_ = freedom.of(tall, BODY, MEAN).body(unknowns(RightFoot=0.05))
-    shin = BODY.skeleton.index("RightFoot")
+    offsets, *_ = parameters.build_calibration_parameters(tall, BODY, MEAN).body(unknowns(RightFoot=0.05))
+    shin = BODY.skeleton.find_joint("RightFoot")
     np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
 
 
 def test_every_bone_is_there_once_and_the_thorax_carries_three_joints():
-    np.testing.assert_array_equal((BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > freedom.SHORT)
+    np.testing.assert_array_equal(
+        (BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > parameters.MIN_SCALED_BONE_LENGTH_M
+    )
     assert ((BONES != 0).any(2).sum(0) <= 1).all()
-    thorax = BONES[BONES[:, BODY.skeleton.index("Neck")].any(1)][0]
+    thorax = BONES[BONES[:, BODY.skeleton.find_joint("Neck")].any(1)][0]
     carried = [BODY.skeleton.names[j] for j in np.flatnonzero(thorax.any(1))]
     assert carried == ["Neck", "LeftShoulder", "RightShoulder"]
 
 
 def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
-    weights = np.random.default_rng(1).normal(size=len(BODY.shapes))
-    offsets, places, _ = FREE.body(unknowns(shape=weights))
-    np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shapes, 1), atol=1e-15)
-    np.testing.assert_array_equal(places, WORN.places)
-    tall = freedom.of(replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY, MEAN)
-    np.testing.assert_allclose(tall.body(unknowns(shape=weights))[0], 1.2 * offsets)
+    weights = np.random.default_rng(1).normal(size=len(BODY.shape_components))
+    offsets, places, _ = FREE.compute_body(unknowns(shape=weights))
+    np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shape_components, 1), atol=1e-15)
+    np.testing.assert_array_equal(places, WORN.marker_offsets)
+    tall = parameters.build_calibration_parameters(
+        replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY, MEAN
+    )
+    np.testing.assert_allclose(tall.compute_body(unknowns(shape=weights))[0], 1.2 * offsets)
 
 
 def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
     information = np.diag(FREE.information)
     assert information[0] < 1e-5
-    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], freedom.GROUP_SD**-2.0)
-    np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], freedom.LENGTH_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], parameters.BONE_GROUP_SD**-2.0)
+    np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], parameters.INDIVIDUAL_BONE_LENGTH_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
-    np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.spread**-2.0, 3))
+    np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.marker_spread**-2.0, 3))
 
 
 def test_a_take_has_a_mean_pose_of_its_own_and_what_never_turns_does_not_stray():
     turns = np.random.default_rng(2).normal(0, 0.1, (len(TURNING), 3))
-    *_, found = FREE.body(unknowns(turns=turns))
+    *_, found = FREE.compute_body(unknowns(turns=turns))
     np.testing.assert_array_equal(found[TURNING], turns)
     assert not np.delete(found, TURNING, 0).any()
     habits = np.linalg.inv(FREE.information[SHIFTS.stop :, SHIFTS.stop :])
-    np.testing.assert_allclose(habits[:3, :3], MEAN.between[TURNING[0]] + freedom.HABIT_SD**2 * np.eye(3), atol=1e-9)
-    clavicle = 3 * list(TURNING).index(BODY.skeleton.index("LeftShoulder"))
+    np.testing.assert_allclose(
+        habits[:3, :3], MEAN.between_take_covariance[TURNING[0]] + parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9
+    )
+    clavicle = 3 * list(TURNING).index(BODY.skeleton.find_joint("LeftShoulder"))
     its = slice(clavicle, clavicle + 3)
-    np.testing.assert_allclose(habits[its, its], freedom.HABIT_SD**2 * np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(habits[its, its], parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)

@@ -5,22 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import prior, synthetic
-from mocapfix.calibrate import learn, unlabelled
+from mocapfix import synthetic
+from mocapfix.calibrate import marker_set_fit, unlabelled_markers
 from mocapfix.errors import TakeError
-from mocapfix.marker_set import load, words
-from mocapfix.skeleton import cmu31
+from mocapfix.marker_sets import label_words, load_marker_set
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
-BODY, CMU = cmu31(), load("cmu41")
-POSES, LIMITS = prior.load("mean-pose", BODY.skeleton), prior.load_limits(BODY.skeleton)
+BODY, CMU = load_cmu31_body(), load_marker_set("cmu41")
+POSES, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
 NAMELESS = tuple(f"P{m}" for m in range(41))
 HIDDEN = ("LUPA", "RBAC", "LTHI", "RSHN", "RTOE", "LBHD", "RFIN", "LBWT")
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.take(seed=5, seconds=6.0, rate=25.0)
+    return synthetic.compose_take(seed=5, seconds=6.0, rate=25.0)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def take(truth):
 
 def part(kept: list[str]):
     rows = [CMU.labels.index(label) for label in kept]
-    where = {"joints": CMU.joints[rows], "places": CMU.places[rows], "spread": CMU.spread[rows]}
+    where = {"joints": CMU.joints[rows], "places": CMU.marker_offsets[rows], "spread": CMU.marker_spread[rows]}
     return replace(CMU, labels=tuple(kept), aliases=((),) * len(rows), **where)
 
 
@@ -40,40 +41,42 @@ def right(found, truth) -> float:
 
 def test_strangers_among_known_labels_find_their_segment_and_place(truth, take):
     labels = tuple(f"X{label}" if label in HIDDEN else label for label in truth.labels)
-    found = learn.learnt(take, labels, part([label for label in truth.labels if label not in HIDDEN]), 10.0, BODY, POSES)
+    found = marker_set_fit.fit_marker_set(
+        take, labels, part([label for label in truth.labels if label not in HIDDEN]), 10.0, BODY, POSES
+    )
     assert right(found, truth) == 1.0
-    assert found.residual < 0.008
+    assert found.mean_residual_m < 0.008
     size = np.linalg.norm(found.subject.skeleton.offsets) / np.linalg.norm(truth.subject.skeleton.offsets)
     m = [truth.labels.index(label) for label in HIDDEN]
-    off = np.linalg.norm(found.attachment.places[m] / size - truth.subject.places[m], axis=1)
+    off = np.linalg.norm(found.attachment.offsets[m] / size - truth.subject.places[m], axis=1)
     assert np.median(off) < 0.03  # people's places vary by 0.02
     assert set(found.marker_set.labels) == set(labels)
 
 
 def test_a_stick_and_a_marker_on_the_floor_are_left_out(truth, take):
-    hand = BODY.skeleton.index("LeftHand")
+    hand = BODY.skeleton.find_joint("LeftHand")
     joints = truth.joints
-    stick = joints[:, hand] + 3 * (joints[:, hand] - joints[:, BODY.skeleton.index("LeftForeArm")])
+    stick = joints[:, hand] + 3 * (joints[:, hand] - joints[:, BODY.skeleton.find_joint("LeftForeArm")])
     floor = np.tile([0.5, 0.0, 0.5], (len(stick), 1))
-    more = take.with_markers(np.concatenate([take.markers, stick[:, None], floor[:, None]], axis=1))
+    more = take.replace_markers(np.concatenate([take.markers, stick[:, None], floor[:, None]], axis=1))
     more = replace(more, labels=(*truth.labels, "stick", "floor"))
-    found = learn.learnt(more, more.labels, CMU, 10.0, BODY, POSES)
+    found = marker_set_fit.fit_marker_set(more, more.labels, CMU, 10.0, BODY, POSES)
     assert found.marker_set.labels == truth.labels
-    assert "held, or on a prop" in found.attachment.reasons[-2] or "moves by" in found.attachment.reasons[-2]
-    assert "moves by" in found.attachment.reasons[-1]
+    assert "held, or on a prop" in found.attachment.rejection_reasons[-2] or "moves by" in found.attachment.rejection_reasons[-2]
+    assert "moves by" in found.attachment.rejection_reasons[-1]
 
 
 def test_words_alone_find_the_body(truth, take):
     labels = tuple(label.replace("FRM", "Forearm").replace("KNE", "_Knee_out").replace("HEE", "Ferse") for label in truth.labels)
-    guess = words.guessed(labels)
-    assert guess.lack(guess.labels) == ""
-    found = learn.learnt(take, labels, guess, 4.0, BODY, POSES)
+    guess = label_words.guess_marker_set_from_words(labels)
+    assert guess.describe_missing_body(guess.labels) == ""
+    found = marker_set_fit.fit_marker_set(take, labels, guess, 4.0, BODY, POSES)
     assert right(found, truth) > 0.95
-    assert found.residual < 0.008
+    assert found.mean_residual_m < 0.008
 
 
 def test_markers_without_names_find_the_body(truth, take):
-    guess = unlabelled.guessed(take, NAMELESS, BODY, POSES, LIMITS)
+    guess = unlabelled_markers.guess_from_marker_cloud(take, NAMELESS, BODY, POSES, LIMITS)
     rode = dict(zip(NAMELESS, truth.subject.joints, strict=True))
     assert sum(rode[label] == joint for label, joint in zip(guess.labels, guess.joints, strict=True)) > 0.9 * len(NAMELESS)
 
@@ -81,11 +84,11 @@ def test_markers_without_names_find_the_body(truth, take):
 def test_too_few_markers_to_lay_a_body_on_are_told(take):
     few = replace(take, markers=take.markers[:, :12], labels=take.labels[:12])
     with pytest.raises(TakeError, match=r"shows fewer than 20 markers at once.*--like"):
-        unlabelled.guessed(few, NAMELESS[:12], BODY, POSES, LIMITS)
+        unlabelled_markers.guess_from_marker_cloud(few, NAMELESS[:12], BODY, POSES, LIMITS)
 
 
 def test_each_marker_has_a_place_of_its_own():
     distance = np.array([[0.01, 0.02, 0.3], [0.0, 0.1, 0.3], [np.nan] * 3, [0.2, 0.2, 0.2]])
-    assigned, misfit = unlabelled.nearest(distance, 0.15)
+    assigned, misfit = unlabelled_markers.assign_nearest(distance, 0.15)
     assert assigned.tolist() == [1, 0, -1, -1]
     assert misfit == pytest.approx((0.02 + 0.0 + 0.15) / 3)

@@ -4,18 +4,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix import synthetic
-from mocapfix.calibrate.places import FEWEST, with_places
-from mocapfix.kernels import kinematics
+from mocapfix.calibrate.calibration import MIN_MOVED_MARKER_FRAMES, add_moved_markers
+from mocapfix.solve import kinematics
 
 
 @pytest.fixture(scope="module")
 def walk():
-    return synthetic.take(seed=1, seconds=2.0, rate=30.0)
+    return synthetic.compose_take(seed=1, seconds=2.0, rate=30.0)
 
 
 def shown_at(walk, marker, place):
     """-> (T, 3) metres: where that marker is seen if it lies at `place` in its joint's axes"""
-    position, rotation = kinematics.world(walk.subject.skeleton, walk.motion)
+    position, rotation = kinematics.compute_world_poses(walk.subject.skeleton, walk.motion)
     joint = walk.subject.joints[marker]
     return position[:, joint] + rotation[:, joint] @ np.array(place)
 
@@ -28,12 +28,12 @@ def shown_at(walk, marker, place):
 def test_a_new_place_is_found_exactly_though_nearly_half_of_it_is_wrong(walk, markers, place, wrong):
     shown = np.stack([shown_at(walk, m, place) for m in markers], axis=1)
     shown[sorted(wrong)] += 1.0
-    grown, enough = with_places(walk.subject, walk.motion, shown, np.array(markers))
+    grown, enough = add_moved_markers(walk.subject, walk.motion, shown, np.array(markers))
     count = len(walk.subject.labels)
     assert enough.all()
     if not wrong:
-        np.testing.assert_allclose(grown.places[count:], np.tile(place, (len(markers), 1)), atol=1e-12)
-    moved = np.linalg.norm(grown.places[count:] - place, axis=1)
+        np.testing.assert_allclose(grown.marker_offsets[count:], np.tile(place, (len(markers), 1)), atol=1e-12)
+    moved = np.linalg.norm(grown.marker_offsets[count:] - place, axis=1)
     np.testing.assert_array_less(moved, 1e-9)
     assert grown.labels[count:] == tuple(walk.subject.labels[m] for m in markers)
     for name in ("joints", "spread", "marker_sd"):
@@ -42,7 +42,7 @@ def test_a_new_place_is_found_exactly_though_nearly_half_of_it_is_wrong(walk, ma
 
 def test_the_person_stays_as_it_was(walk):
     shown = shown_at(walk, 3, (0.1, 0.0, 0.0))[:, None]
-    grown, _ = with_places(walk.subject, walk.motion, shown, np.array([3]))
+    grown, _ = add_moved_markers(walk.subject, walk.motion, shown, np.array([3]))
     assert grown.skeleton is walk.subject.skeleton
     count = len(walk.subject.labels)
     assert grown.labels[:count] == walk.subject.labels
@@ -50,20 +50,20 @@ def test_the_person_stays_as_it_was(walk):
         np.testing.assert_array_equal(getattr(grown, name)[:count], getattr(walk.subject, name))
 
 
-@pytest.mark.parametrize("seen", [0, FEWEST - 1, FEWEST])
+@pytest.mark.parametrize("seen", [0, MIN_MOVED_MARKER_FRAMES - 1, MIN_MOVED_MARKER_FRAMES])
 def test_a_place_that_is_hardly_seen_is_none(walk, seen):
     shown = np.stack([shown_at(walk, m, (0.0, 0.1, 0.0)) for m in (3, 7)], axis=1)
     shown[seen:, 0] = np.nan
-    grown, enough = with_places(walk.subject, walk.motion, shown, np.array([3, 7]))
-    assert enough.tolist() == [seen >= FEWEST, True]
+    grown, enough = add_moved_markers(walk.subject, walk.motion, shown, np.array([3, 7]))
+    assert enough.tolist() == [seen >= MIN_MOVED_MARKER_FRAMES, True]
     extra = len(grown.labels) - len(walk.subject.labels)
-    assert extra == len(grown.places) - len(walk.subject.places) == enough.sum()
+    assert extra == len(grown.marker_offsets) - len(walk.subject.places) == enough.sum()
     assert grown.labels[-1] == walk.subject.labels[7]
 
 
 def test_where_no_place_is_seen_the_subject_does_not_grow(walk):
     nothing = np.full((walk.motion.frames, 1, 3), np.nan)
-    grown, enough = with_places(walk.subject, walk.motion, nothing, np.array([3]))
+    grown, enough = add_moved_markers(walk.subject, walk.motion, nothing, np.array([3]))
     assert not enough.any()
     assert grown.labels == walk.subject.labels
-    assert grown.places.shape == walk.subject.places.shape
+    assert grown.marker_offsets.shape == walk.subject.places.shape

@@ -4,18 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix import marker_set, prior
-from mocapfix.calibrate import refine
-from mocapfix.kernels import kinematics
-from mocapfix.kernels.shared import Responses
-from mocapfix.skeleton import cmu31
+from mocapfix import marker_sets
+from mocapfix.calibrate import refinement
+from mocapfix.kernels.schur import SharedResponses
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.synthetic import motions
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
-MEAN = prior.load("mean-pose", BODY.skeleton)
-NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
-INDEX = {joint: g for g, joints in enumerate(BODY.groups.values()) for joint in joints}
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
+NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
+INDEX = {joint: g for g, joints in enumerate(BODY.bone_groups.values()) for joint in joints}
 GROUPS = np.array([INDEX.get(joint, -1) for joint in range(len(BODY.skeleton.names))])
 
 
@@ -31,12 +32,12 @@ def person(scales):
 
 def performed(subject, frames=90):
     """-> the markers (N, K, 3) of somebody who walks, reaches and crouches, and the motion"""
-    motion = motions.compose(subject, 9.0, frames / 9.0)
-    return kinematics.placed(subject, motion)[1], motion
+    motion = motions.compose_motion(subject, 9.0, frames / 9.0)
+    return kinematics.compute_joint_and_marker_positions(subject, motion)[1], motion
 
 
 def fitted(markers, start=NOMINAL):
-    return refine.refined(start, BODY, MEAN, markers, refine.posed(start, BODY, MEAN, markers))
+    return refinement.refine_subject(start, BODY, MEAN, markers, refinement.pose_frames(start, BODY, MEAN, markers))
 
 
 def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
@@ -44,8 +45,8 @@ def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
     root = rng.normal(size=(6, 6))
     curvature, bottom = root @ root.T + np.eye(6), rng.normal(size=6)
     gradient = -curvature @ bottom
-    np.testing.assert_allclose(refine.step(curvature, gradient, 0.0), bottom)
-    damped = refine.step(curvature, gradient, 10.0)
+    np.testing.assert_allclose(refinement.compute_damped_step(curvature, gradient, 0.0), bottom)
+    damped = refinement.compute_damped_step(curvature, gradient, 10.0)
     assert np.linalg.norm(damped) < np.linalg.norm(bottom)
     assert damped @ gradient < 0
 
@@ -53,26 +54,26 @@ def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
 def test_the_average_body_stays_itself():
     found = fitted(performed(NOMINAL)[0])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(BODY.skeleton), atol=0.013)  # people's habits bend the wrists
-    assert np.linalg.norm(found.places - WORN.places, axis=1).mean() < 0.006
+    assert np.linalg.norm(found.marker_offsets - WORN.marker_offsets, axis=1).mean() < 0.006
 
 
 def test_longer_legs_are_found_and_both_sides_are_nearly_alike():
-    scales = np.ones(len(BODY.groups))
-    thigh, shin = (GROUPS[BODY.skeleton.index(name)] for name in ("LeftLeg", "LeftFoot"))
+    scales = np.ones(len(BODY.bone_groups))
+    thigh, shin = (GROUPS[BODY.skeleton.find_joint(name)] for name in ("LeftLeg", "LeftFoot"))
     scales[thigh], scales[shin] = 1.08, 0.93
     somebody = person(scales)
     found = fitted(performed(somebody)[0])
     for name in ("LeftLeg", "LeftFoot"):
-        j = BODY.skeleton.index(name)
+        j = BODY.skeleton.find_joint(name)
         true, guess = lengths(somebody.skeleton)[j], lengths(BODY.skeleton)[j]
         assert abs(lengths(found.skeleton)[j] - true) < 0.4 * abs(guess - true)
     left = [j for j, name in enumerate(BODY.skeleton.names) if name.startswith("Left")]
-    right = [BODY.skeleton.index(BODY.skeleton.names[j].replace("Left", "Right")) for j in left]
+    right = [BODY.skeleton.find_joint(BODY.skeleton.names[j].replace("Left", "Right")) for j in left]
     np.testing.assert_allclose(lengths(found.skeleton)[left], lengths(found.skeleton)[right], atol=0.005)
 
 
 def test_a_planted_shape_is_found_again():
-    crooked = BODY.skeleton.offsets + np.tensordot([1.5, -1.0, 0.0, 1.5], BODY.shapes[:4], 1)
+    crooked = BODY.skeleton.offsets + np.tensordot([1.5, -1.0, 0.0, 1.5], BODY.shape_components[:4], 1)
     somebody = replace(NOMINAL, skeleton=replace(BODY.skeleton, offsets=crooked))
     found = fitted(performed(somebody)[0])
     carried = np.unique([*WORN.joints, *BODY.skeleton.parents[WORN.joints]])[1:]  # bones with markers at one end or both
@@ -82,11 +83,11 @@ def test_a_planted_shape_is_found_again():
 
 def test_a_marker_stuck_elsewhere_is_found_there():
     k = WORN.labels.index("LTHI")
-    places = WORN.places.copy()
+    places = WORN.marker_offsets.copy()
     places[k] += [0.02, 0.03, -0.02]
-    somebody = replace(NOMINAL, places=places)
+    somebody = replace(NOMINAL, marker_offsets=places)
     found = fitted(performed(somebody)[0])
-    assert np.linalg.norm(found.places[k] - places[k]) < 0.4 * np.linalg.norm(WORN.places[k] - places[k])
+    assert np.linalg.norm(found.marker_offsets[k] - places[k]) < 0.4 * np.linalg.norm(WORN.marker_offsets[k] - places[k])
 
 
 def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
@@ -94,9 +95,9 @@ def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
     carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
     moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
     bent, pull = np.zeros((2, 3, 0, 3)), np.zeros((0, 3, 3))
-    found = Responses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
+    found = SharedResponses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
     covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
-    joints, markers = refine.doubt(found, np.linalg.inv(covariance))
+    joints, markers = refinement.compute_calibration_sd(found, np.linalg.inv(covariance))
     np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
     np.testing.assert_allclose(markers, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
 
@@ -106,8 +107,8 @@ def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
     found = fitted(markers)
-    assert WORN.spread[k] < found.marker_sd[k] < 1.5 * WORN.spread[k]  # and a little of the forearm's
-    assert (np.delete(found.marker_sd, k) < 0.2 * WORN.spread[k]).all()
+    assert WORN.marker_spread[k] < found.marker_sd[k] < 1.5 * WORN.marker_spread[k]  # and a little of the forearm's
+    assert (np.delete(found.marker_sd, k) < 0.2 * WORN.marker_spread[k]).all()
     assert (found.joint_sd > 0).all()
 
 
@@ -116,11 +117,11 @@ def test_what_is_never_seen_stays_nominal_at_the_bodys_size():
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
     found = fitted(markers)
-    size = (found.places[k] @ WORN.places[k]) / (WORN.places[k] @ WORN.places[k])
+    size = (found.marker_offsets[k] @ WORN.marker_offsets[k]) / (WORN.marker_offsets[k] @ WORN.marker_offsets[k])
     assert 0.98 < size < 1.02
-    np.testing.assert_allclose(found.places[k], size * WORN.places[k], atol=1e-6)
-    assert found.spread[k] == WORN.spread[k]
-    assert (np.delete(found.spread, k) < 0.003).all()  # markers that sit still stray little
+    np.testing.assert_allclose(found.marker_offsets[k], size * WORN.marker_offsets[k], atol=1e-6)
+    assert found.marker_spread[k] == WORN.marker_spread[k]
+    assert (np.delete(found.marker_spread, k) < 0.003).all()  # markers that sit still stray little
 
 
 def test_the_spread_is_what_a_marker_strays():
@@ -129,14 +130,14 @@ def test_the_spread_is_what_a_marker_strays():
     k = WORN.labels.index("LTHI")
     markers[:, k] += rng.normal(0, 0.02, (120, 3))
     found = fitted(markers)
-    assert 0.01 < found.spread[k] < 0.03
-    assert np.median(found.spread) < 0.004
+    assert 0.01 < found.marker_spread[k] < 0.03
+    assert np.median(found.marker_spread) < 0.004
 
 
 def test_the_poses_that_are_given_stay_as_they_are():
     markers, _ = performed(NOMINAL, frames=30)
-    posed = refine.posed(NOMINAL, BODY, MEAN, markers)
+    posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
     was = [field.copy() for field in vars(posed).values()]
-    assert refine.refined(NOMINAL, BODY, MEAN, markers, posed).frames == 30
+    assert refinement.refine_subject(NOMINAL, BODY, MEAN, markers, posed).frame_count == 30
     for before, after in zip(was, vars(posed).values(), strict=True):
         np.testing.assert_array_equal(before, after)

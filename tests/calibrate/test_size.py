@@ -3,25 +3,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, synthetic
-from mocapfix.calibrate import size
-from mocapfix.kernels import kinematics
-from mocapfix.skeleton import cmu31
+from mocapfix import marker_sets, synthetic
+from mocapfix.calibrate import calibration
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 
-WORN, SKELETON = marker_set.load("cmu41"), cmu31().skeleton
+WORN, SKELETON = marker_sets.load_marker_set("cmu41"), load_cmu31_body().skeleton
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return synthetic.take(seed=0, seconds=6.0, rate=30.0).motion
+    return synthetic.compose_take(seed=0, seconds=6.0, rate=30.0).motion
 
 
 def seen(motion, factor, rng):
     """-> markers (T, K, 3) of a body `factor` times the average one in motion, a third of the samples missing, 2 mm of noise"""
     skeleton = replace(SKELETON, offsets=SKELETON.offsets * factor)
-    subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places * factor, WORN.spread)
-    markers = kinematics.placed(subject, replace(motion, root=motion.root * factor))[1]
+    subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets * factor, WORN.marker_spread)
+    markers = kinematics.compute_joint_and_marker_positions(subject, replace(motion, root=motion.root * factor))[1]
     markers += rng.normal(0, 0.002, markers.shape)
     markers[rng.random(markers.shape[:2]) < 1 / 3] = np.nan
     return markers
@@ -30,7 +30,7 @@ def seen(motion, factor, rng):
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.0, 1.2])
 def test_a_scaled_body_in_motion_is_measured(motion, factor):
     markers = seen(motion, factor, np.random.default_rng(0))
-    assert size.ratio(SKELETON, WORN, markers) == pytest.approx(factor, rel=0.02)
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(factor, rel=0.02)
 
 
 def test_half_the_markers_and_some_on_the_wrong_body_do_no_harm(motion):
@@ -38,26 +38,28 @@ def test_half_the_markers_and_some_on_the_wrong_body_do_no_harm(motion):
     markers = seen(motion, 0.9, rng)
     markers[:, rng.permutation(len(WORN.labels))[:20]] = np.nan
     markers[:20] *= 3.0  # an eighth of the take in other units
-    assert size.ratio(SKELETON, WORN, markers) == pytest.approx(0.9, rel=0.03)
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(0.9, rel=0.03)
 
 
 def test_a_take_that_says_nothing_leaves_the_average_body(motion):
     markers = seen(motion, 0.8, np.random.default_rng(2))
-    assert size.ratio(SKELETON, WORN, np.full_like(markers, np.nan)) == 1.0
-    assert size.ratio(SKELETON, WORN, markers[:5]) == 1.0
-    assert size.ratio(SKELETON, WORN, np.random.default_rng(3).normal(size=markers.shape)) == 1.0  # nothing keeps its distance
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.full_like(markers, np.nan)) == 1.0
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers[:5]) == 1.0
+    assert (
+        calibration.estimate_body_size_ratio(SKELETON, WORN, np.random.default_rng(3).normal(size=markers.shape)) == 1.0
+    )  # nothing keeps its distance
 
 
 def test_wrong_units_end_at_the_largest_body_there_is(motion):
-    assert size.ratio(SKELETON, WORN, seen(motion, 100.0, np.random.default_rng(4))) == 1.6
-    assert size.ratio(SKELETON, WORN, np.ones((20, len(WORN.labels), 3))) == 0.3  # all at one point
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, seen(motion, 100.0, np.random.default_rng(4))) == 1.6
+    assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.ones((20, len(WORN.labels), 3))) == 0.3  # all at one point
 
 
 def test_rest_places_are_the_sums_of_the_offsets():
-    places = dict(zip(WORN.labels, size.skeleton_places(SKELETON, WORN), strict=True))
-    shin = WORN.places[WORN.labels.index("LANK")]
-    down = [SKELETON.index(name) for name in ("LHipJoint", "LeftUpLeg", "LeftLeg")]
+    places = dict(zip(WORN.labels, calibration.compute_rest_marker_positions(SKELETON, WORN), strict=True))
+    shin = WORN.marker_offsets[WORN.labels.index("LANK")]
+    down = [SKELETON.find_joint(name) for name in ("LHipJoint", "LeftUpLeg", "LeftLeg")]
     joint = SKELETON.names[WORN.joints[WORN.labels.index("LANK")]]
     if joint == "LeftFoot":
-        down.append(SKELETON.index(joint))
+        down.append(SKELETON.find_joint(joint))
     np.testing.assert_allclose(places["LANK"], SKELETON.offsets[down].sum(0) + shin)

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import calibrate, marker_set, prior, synthetic
+from mocapfix import marker_sets, synthetic
+from mocapfix.calibrate import calibration
 from mocapfix.errors import TakeError
-from mocapfix.kernels import kinematics
-from mocapfix.skeleton import cmu31
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.take import Take
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
-MEAN = prior.load("mean-pose", BODY.skeleton)
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 
 
 def lengths(skeleton):
@@ -20,17 +22,17 @@ def lengths(skeleton):
 
 
 def calibrated(markers, labels=WORN.labels, rate=30.0):
-    return calibrate.subject(Take(markers, labels, rate), WORN, BODY, MEAN)
+    return calibration.calibrate_subject(Take(markers, labels, rate), WORN, BODY, MEAN)
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.take(seed=1, seconds=9.0, rate=20.0)
+    return synthetic.compose_take(seed=1, seconds=9.0, rate=20.0)
 
 
 @pytest.fixture(scope="module")
 def found(truth):
-    return calibrated(np.where((truth.struck | truth.moved)[..., None], np.nan, truth.markers))
+    return calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.markers))
 
 
 def test_bones_and_places_come_nearer_to_the_person(truth, found):
@@ -39,7 +41,7 @@ def test_bones_and_places_come_nearer_to_the_person(truth, found):
 
     assert off(found.skeleton) < 0.7 * off(BODY.skeleton)
     places = np.linalg.norm(found.places - truth.subject.places, axis=1).mean()
-    assert places < 0.75 * np.linalg.norm(WORN.places - truth.subject.places, axis=1).mean()
+    assert places < 0.75 * np.linalg.norm(WORN.marker_offsets - truth.subject.places, axis=1).mean()
 
 
 def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
@@ -47,30 +49,30 @@ def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
     np.testing.assert_array_equal(found.joints, WORN.joints)
     assert found.skeleton.names == BODY.skeleton.names
     np.testing.assert_array_equal(found.skeleton.parents, BODY.skeleton.parents)
-    assert found.frames == 150
+    assert found.frame_count == 150
     limbs = [j for j, name in enumerate(BODY.skeleton.names) if name.endswith(("LeftLeg", "RightLeg", "ForeArm", "Hand"))]
     along = (found.skeleton.offsets * BODY.skeleton.offsets).sum(1)[limbs]  # limbs lie along their own axes
     np.testing.assert_allclose(along, (lengths(found.skeleton) * lengths(BODY.skeleton))[limbs], rtol=1e-6)
 
 
 def test_the_same_take_gives_the_same_subject(truth, found):
-    again = calibrated(np.where((truth.struck | truth.moved)[..., None], np.nan, truth.markers))
+    again = calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.markers))
     np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
-    np.testing.assert_array_equal(again.places, found.places)
+    np.testing.assert_array_equal(again.marker_offsets, found.places)
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.25])
 def test_children_and_giants_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
-    somebody = replace(truth.subject, skeleton=skeleton, places=WORN.places * factor)
+    somebody = replace(truth.subject, skeleton=skeleton, places=WORN.marker_offsets * factor)
     motion = replace(truth.motion, root=truth.motion.root * factor)
-    found = calibrated(kinematics.placed(somebody, motion)[1])
+    found = calibrated(kinematics.compute_joint_and_marker_positions(somebody, motion)[1])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.016)
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
 
 
 def test_scaling_takes_every_length():
-    half = calibrate.scaled(BODY.skeleton, 0.5)
+    half = calibration.scale_skeleton(BODY.skeleton, 0.5)
     np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
     np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
 
@@ -85,9 +87,9 @@ def test_a_take_without_three_markers_in_any_frame_is_refused():
 @pytest.mark.parametrize("frames", [1, 2, 12])
 def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
     found = calibrated(truth.markers[60 : 60 + frames])
-    assert found.frames == frames
+    assert found.frame_count == frames
     np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
-    assert np.isfinite(found.spread).all()
+    assert np.isfinite(found.marker_spread).all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.004])

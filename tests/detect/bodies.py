@@ -26,10 +26,10 @@ def exchanged(take: Take, ring: tuple[int, ...], first: int, last: int) -> Take:
     """-> over first..last the samples of each marker in the ring are under the next one's label."""
     markers, frames = take.markers.copy(), slice(first, last + 1)
     markers[frames, list(ring[1:] + ring[:1])] = markers[frames, list(ring)]
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 def hidden(take: Take, marker: int, first: int, last: int) -> Take:
     markers = take.markers.copy()
     markers[first : last + 1, marker] = np.nan
-    return take.with_markers(markers)
+    return take.replace_markers(markers)

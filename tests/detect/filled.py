@@ -21,9 +21,9 @@ def walking(rate=120.0, seconds=4.0, noise=0.0003):
 
 def as_floats(take):
     """-> the take as a file of 32-bit floats in millimetres keeps it."""
-    return take.with_markers((take.markers * 1000).astype(np.float32).astype(float) / 1000)
+    return take.replace_markers((take.markers * 1000).astype(np.float32).astype(float) / 1000)
 
 
 def as_integers(take, scale=1e-4):
     """-> the take as a file of integers keeps it, in counts of `scale` metres."""
-    return take.with_markers(np.rint(take.markers / scale) * scale)
+    return take.replace_markers(np.rint(take.markers / scale) * scale)

@@ -24,15 +24,15 @@ class Solved(NamedTuple):
 @cache
 def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
     """-> undamaged markers that slide with the skin, and the body that carries them."""
-    truth = synthetic.take(seed, seconds, RATE)
+    truth = synthetic.compose_take(seed, seconds, RATE)
     motion = truth.motion
-    sure = np.full(truth.struck.shape, FAR)
-    known = replace(motion, deviation=sure)
-    return Solved(Take(truth.markers, truth.labels, RATE), truth.subject, known)
+    sure = np.full(truth.missing_mask.shape, FAR)
+    known = replace(motion, marker_sd=sure)
+    return Solved(Take(truth.marker_positions, truth.labels, RATE), truth.subject, known)
 
 
 def displaced(take: Take, marker: int, first: int, last: int, shift) -> Take:
     """-> the marker's samples over first..last lie `shift` (3,) metres from where they were."""
     markers = take.markers.copy()
     markers[first : last + 1, marker] += np.array(shift)
-    return take.with_markers(markers)
+    return take.replace_markers(markers)

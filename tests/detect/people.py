@@ -4,17 +4,17 @@ from functools import cache
 
 import numpy as np
 
-from mocapfix import marker_set, synthetic
+from mocapfix import marker_sets, synthetic
 from mocapfix.take import Take
 
-CMU41 = marker_set.load("cmu41")
+CMU41 = marker_sets.load_marker_set("cmu41")
 
 
 @cache
 def somebody(seed: int = 0, seconds: float = 3.0) -> Take:
     """-> a person who is not the average one, walking and reaching, at 30 Hz; sound."""
-    truth = synthetic.take(seed, seconds, 30.0, crooked=True)
-    return Take(truth.markers, truth.labels, truth.rate)
+    truth = synthetic.compose_take(seed, seconds, 30.0, asymmetric=True)
+    return Take(truth.marker_positions, truth.labels, truth.rate)
 
 
 def columns(take: Take, *labels: str) -> tuple[int, ...]:
@@ -25,7 +25,7 @@ def relabelled(take: Take, *labels: str) -> Take:
     """-> the samples of each marker are under the next one's label, all along; of the last under the first's."""
     ring, markers = columns(take, *labels), take.markers.copy()
     markers[:, ring[1:] + ring[:1]] = take.markers[:, ring]
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 def mirrored(take: Take, *labels: str) -> Take:
@@ -39,4 +39,4 @@ def without(take: Take, *labels: str, first: int = 0, last: int | None = None) -
     """-> these markers are not seen over first..last."""
     markers = take.markers.copy()
     markers[first : None if last is None else last + 1, columns(take, *labels)] = np.nan
-    return take.with_markers(markers)
+    return take.replace_markers(markers)

@@ -1,13 +1,15 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import continuity, distances
-from mocapfix.detect.candidates import groups
+from mocapfix.detect import continuity, marker_distances
+from mocapfix.detect.label_swaps import find_swap_candidates
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take):
-    return groups(continuity.of(take.markers, take.rate), distances.learnt(take.markers))
+    return find_swap_candidates(
+        continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+    )
 
 
 def test_in_a_sound_take_nobody_is_asked():
@@ -43,7 +45,7 @@ def test_a_spike_leads_nowhere():
     take = turning()
     markers = take.markers.copy()
     markers[200:203, 4] += [0.05, 0.3, 0.1]
-    assert among(take.with_markers(markers)) == []
+    assert among(take.replace_markers(markers)) == []
 
 
 def test_a_label_seldom_seen_is_a_fragment_and_not_asked():
@@ -54,4 +56,4 @@ def test_a_label_seldom_seen_is_a_fragment_and_not_asked():
 
 def test_a_take_of_nothing_asks_nobody():
     take = turning()
-    assert among(take.with_markers(np.full(take.markers.shape, np.nan))) == []
+    assert among(take.replace_markers(np.full(take.markers.shape, np.nan))) == []

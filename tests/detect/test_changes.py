@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import changes
-from mocapfix.detect.places import beside
+from mocapfix.detect import ramp_fit
+from mocapfix.detect.ramp_fit import regress_out
 
 
 def made(off, features):
     """-> a place that is `off` (N, 3) beside neighbours' shapes (N, F)."""
-    return beside(features, off, np.arange(len(off)), 0.003)
+    return regress_out(features, off, np.arange(len(off)), 0.003)
 
 
 @pytest.mark.parametrize(("start", "end"), [(99, 100), (60, 140), (0, 199), (150, 198)])
@@ -17,11 +17,11 @@ def test_a_ramp_beside_a_change_of_shape_is_found_exactly(start, end):
     ramp, way = np.clip((np.arange(200) - start) / (end - start), 0, 1), np.array([0.03, -0.01, 0.02])
     there = made(np.outer(ramp, way), shape)
     pairs = np.array([(a, b) for a in range(0, 200, 3) for b in range(a + 1, 200, 7)] + [(start, end)])
-    change = changes.best(there, *pairs.T)
+    change = ramp_fit.fit_best_ramp(there, *pairs.T)
     assert (change.start, change.end) == (start, end)
-    np.testing.assert_allclose(change.way, way, atol=1e-10)
-    np.testing.assert_allclose(change.share(200), ramp, atol=1e-12)
-    assert changes.rest(there, change, 1) < 1e-10
+    np.testing.assert_allclose(change.displacement, way, atol=1e-10)
+    np.testing.assert_allclose(change.compute_progress(200), ramp, atol=1e-12)
+    assert ramp_fit.compute_residual_rms(there, change, 1) < 1e-10
 
 
 def test_what_is_gained_is_what_least_squares_gain():
@@ -29,13 +29,13 @@ def test_what_is_gained_is_what_least_squares_gain():
     off = rng.normal(size=(80, 3))
     off -= off.mean(0)
     there = made(off, np.zeros((80, 1)))
-    change = changes.best(there, np.array([29]), np.array([30]))
+    change = ramp_fit.fit_best_ramp(there, np.array([29]), np.array([30]))
     parts = off[:30] - off[:30].mean(0), off[30:] - off[30:].mean(0)
-    np.testing.assert_allclose(change.gain, (off**2).sum() - sum((part**2).sum() for part in parts), rtol=1e-10)
-    np.testing.assert_allclose(change.way, off[30:].mean(0) - off[:30].mean(0), rtol=1e-10)
+    np.testing.assert_allclose(change.gain_m2, (off**2).sum() - sum((part**2).sum() for part in parts), rtol=1e-10)
+    np.testing.assert_allclose(change.displacement, off[30:].mean(0) - off[:30].mean(0), rtol=1e-10)
 
 
 def test_too_short_a_place_has_no_change():
     there = made(np.zeros((10, 3)), np.zeros((10, 1)))
-    assert changes.sudden(there, 6) is None
-    assert changes.slow(there, 12, 2) is None
+    assert ramp_fit.fit_step(there, 6) is None
+    assert ramp_fit.fit_slow_ramp(there, 12, 2) is None

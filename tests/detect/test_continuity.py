@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import continuity
-from mocapfix.detect.continuity import leap, own_leaps
+from mocapfix.detect.continuity import compute_leap, compute_own_leaps
 
 RATE = 100.0
 
@@ -17,28 +17,28 @@ def falling(frames=60):
 
 
 def test_velocities_arrive_and_leave_over_two_samples():
-    courses = continuity.of(falling(), RATE)
+    courses = continuity.build_trajectories(falling(), RATE)
     t = 30 / RATE
-    np.testing.assert_allclose(courses.before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
-    np.testing.assert_allclose(courses.after[30, 0], [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
-    assert np.isnan(courses.before[0]).all()
-    assert np.isnan(courses.after[-1]).all()
+    np.testing.assert_allclose(courses.velocity_before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
+    np.testing.assert_allclose(courses.velocity_after[30, 0], [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
+    assert np.isnan(courses.velocity_before[0]).all()
+    assert np.isnan(courses.velocity_after[-1]).all()
 
 
 def test_beside_a_gap_one_step_must_do_and_across_it_none_does():
     markers = falling()
     markers[20:30, 0] = np.nan
-    courses = continuity.of(markers, RATE)
-    np.testing.assert_allclose(courses.before[31, 0], (markers[31, 0] - markers[30, 0]) * RATE)
-    assert np.isnan(courses.before[30, 0]).all()
-    assert np.isnan(courses.after[19, 0]).all()
-    assert np.isfinite(courses.before[19, 0]).all()
+    courses = continuity.build_trajectories(markers, RATE)
+    np.testing.assert_allclose(courses.velocity_before[31, 0], (markers[31, 0] - markers[30, 0]) * RATE)
+    assert np.isnan(courses.velocity_before[30, 0]).all()
+    assert np.isnan(courses.velocity_after[19, 0]).all()
+    assert np.isfinite(courses.velocity_before[19, 0]).all()
 
 
 def test_the_last_sample_before_is_known_through_gaps():
     markers = falling(10)
     markers[:2, 0] = markers[5:8, 0] = np.nan
-    last = continuity.of(markers, RATE).last
+    last = continuity.build_trajectories(markers, RATE).previous_frame
     assert last[:, 0].tolist() == [-1, -1, -1, 2, 3, 4, 4, 4, 4, 8]
     assert last[:, 1].tolist() == [-1, *range(9)]
 
@@ -47,14 +47,14 @@ def test_the_last_sample_before_is_known_through_gaps():
 def test_a_constant_acceleration_is_no_leap_even_through_a_gap(first, length):
     markers = falling()
     markers[first : first + length, 0] = np.nan
-    assert own_leaps(continuity.of(markers, RATE)).max() < 0.01
+    assert compute_own_leaps(continuity.build_trajectories(markers, RATE)).max() < 0.01
 
 
 def test_a_leap_counts_as_far_as_it_goes_and_at_most_once():
     for off, least, most in ((0.005, 0.01, 0.15), (0.018, 0.5, 1.0), (0.3, 1.0, 1.0)):
         markers = falling()
         markers[30:, 0] += [0, 0, off]
-        leaps = own_leaps(continuity.of(markers, RATE))[:, 0]
+        leaps = compute_own_leaps(continuity.build_trajectories(markers, RATE))[:, 0]
         assert least <= leaps[30] <= most
         assert leaps[np.r_[:29, 32:60]].max() < 0.01
 
@@ -62,20 +62,20 @@ def test_a_leap_counts_as_far_as_it_goes_and_at_most_once():
 def test_a_leap_to_where_another_goes_on_is_none_for_that_other():
     markers = falling()
     markers[30:] = markers[30:, ::-1].copy()
-    courses = continuity.of(markers, RATE)
-    assert leap(courses, 30, 0, 0) == leap(courses, 30, 1, 1) == 1.0
-    assert leap(courses, 30, 0, 1) < 0.01
-    assert leap(courses, 30, 1, 0) < 0.01
+    courses = continuity.build_trajectories(markers, RATE)
+    assert compute_leap(courses, 30, 0, 0) == compute_leap(courses, 30, 1, 1) == 1.0
+    assert compute_leap(courses, 30, 0, 1) < 0.01
+    assert compute_leap(courses, 30, 1, 0) < 0.01
 
 
 def test_nothing_is_told_where_there_is_nothing_to_compare():
     markers = falling()
     markers[10:50, 0] = np.nan  # 0.4 s: forgotten
     markers[50:, 0] += 1.0
-    courses = continuity.of(markers, RATE)
-    assert leap(courses, 50, 0, 0) == 0.0
-    assert leap(courses, 0, 1, 1) == 0.0  # the take begins
-    assert leap(courses, 20, 1, 0) == 0.0  # not seen
+    courses = continuity.build_trajectories(markers, RATE)
+    assert compute_leap(courses, 50, 0, 0) == 0.0
+    assert compute_leap(courses, 0, 1, 1) == 0.0  # the take begins
+    assert compute_leap(courses, 20, 1, 0) == 0.0  # not seen
 
 
 def test_a_lone_sample_is_judged_leniently():
@@ -86,12 +86,12 @@ def test_a_lone_sample_is_judged_leniently():
     known = falling()
     known[30:34, 0] = np.nan
     known[34:, 0] += [0.04, 0, 0]
-    alone, among = (leap(continuity.of(each, RATE), 34, 0, 0) for each in (markers, known))
+    alone, among = (compute_leap(continuity.build_trajectories(each, RATE), 34, 0, 0) for each in (markers, known))
     assert alone < among
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_the_shortest_takes_have_courses(frames):
-    courses = continuity.of(np.zeros((frames, 3, 3)), RATE)
-    assert courses.before.shape == (frames, 3, 3)
-    assert own_leaps(courses).shape == (frames, 3)
+    courses = continuity.build_trajectories(np.zeros((frames, 3, 3)), RATE)
+    assert courses.velocity_before.shape == (frames, 3, 3)
+    assert compute_own_leaps(courses).shape == (frames, 3)

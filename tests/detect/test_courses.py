@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect.courses import course, onward, smoother
-from mocapfix.detect.pieces import Piece
+from mocapfix.detect.continuity import compute_join_cost, is_smoother, measure_join_error
+from mocapfix.detect.trajectory_segments import TrajectorySegment
 
 RATE = 120.0
 FRAMES = np.arange(240)
@@ -10,7 +10,7 @@ PATH = np.stack([1.5 * FRAMES / RATE, np.sin(FRAMES / RATE * 4), 0 * FRAMES], ax
 
 
 def piece(first, last, off=0.0):
-    return Piece(0, -1, FRAMES[first : last + 1], PATH[first : last + 1] + [0.0, 0.0, off])
+    return TrajectorySegment(0, -1, FRAMES[first : last + 1], PATH[first : last + 1] + [0.0, 0.0, off])
 
 
 def without(first, last):
@@ -22,33 +22,35 @@ def without(first, last):
 def test_a_parabola_is_followed_exactly():
     t = FRAMES / RATE
     fall = np.stack([2 * t, 3 * t - 4.905 * t**2, 0 * t], axis=-1)
-    missed, seconds = onward(FRAMES[:50], fall[:50], FRAMES[56:], fall[56:], RATE)
+    missed, seconds = measure_join_error(FRAMES[:50], fall[:50], FRAMES[56:], fall[56:], RATE)
     assert seconds == pytest.approx(7 / RATE)
     assert missed == pytest.approx(0, abs=1e-3 + 9.81 * 0.0125 * 2 * seconds)  # its velocities are means over 30 ms
 
 
 def test_the_right_course_costs_little_and_a_shifted_one_much():
     path = without(95, 165)
-    assert course(piece(100, 160), path, RATE, 0.3) < 1
-    assert course(piece(100, 160, off=0.05), path, RATE, 0.3) > 9
-    assert course(piece(100, 160, off=5.0), path, RATE, 0.3) == pytest.approx(3.5**2)  # an end has no more say than that
+    assert compute_join_cost(piece(100, 160), path, RATE, 0.3) < 1
+    assert compute_join_cost(piece(100, 160, off=0.05), path, RATE, 0.3) > 9
+    assert compute_join_cost(piece(100, 160, off=5.0), path, RATE, 0.3) == pytest.approx(
+        3.5**2
+    )  # an end has no more say than that
 
 
 def test_far_from_both_ends_nothing_is_told():
-    assert np.isnan(course(piece(100, 160), without(50, 210), RATE, 0.3))
-    assert course(piece(100, 160), without(50, 210), RATE, 0.5) < 1
-    assert np.isnan(course(piece(100, 160), without(0, 239), RATE, 0.3))
+    assert np.isnan(compute_join_cost(piece(100, 160), without(50, 210), RATE, 0.3))
+    assert compute_join_cost(piece(100, 160), without(50, 210), RATE, 0.5) < 1
+    assert np.isnan(compute_join_cost(piece(100, 160), without(0, 239), RATE, 0.3))
 
 
 def test_seen_together_they_must_agree():
     path = without(110, 239)
-    assert course(piece(100, 160, off=0.005), path, RATE, 0.3) == pytest.approx(1.0)
-    assert course(piece(100, 160, off=0.02), path, RATE, 0.3) == np.inf
+    assert compute_join_cost(piece(100, 160, off=0.005), path, RATE, 0.3) == pytest.approx(1.0)
+    assert compute_join_cost(piece(100, 160, off=0.02), path, RATE, 0.3) == np.inf
 
 
 def test_which_of_two_is_smoother():
     shifted = PATH.copy()
     shifted[100:161] += [0.0, 0.0, 0.005]
-    assert smoother(piece(100, 160), shifted, RATE)
-    assert not smoother(piece(100, 160, off=0.005), PATH, RATE)
-    assert not smoother(piece(100, 160), PATH, RATE)
+    assert is_smoother(piece(100, 160), shifted, RATE)
+    assert not is_smoother(piece(100, 160, off=0.005), PATH, RATE)
+    assert not is_smoother(piece(100, 160), PATH, RATE)

@@ -4,8 +4,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from mocapfix.detect import astray, crossed, off_body
-from mocapfix.faults import SURE
+from mocapfix.detect import body_label_swaps, body_outliers, body_residuals
+from mocapfix.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.take import Take
 from tests.detect.bodies import exchanged, hidden
 from tests.detect.on_body import RATE, displaced, solved
@@ -14,8 +14,8 @@ LABELS = solved().take.labels
 
 
 def rings(take: Take):
-    off = off_body.of(take, take.seen, solved().subject, solved().motion)
-    return crossed.rings(off, astray.pieces(off, RATE, 0.02), take)
+    off = body_residuals.compute_body_residuals(take, take.visible, solved().subject, solved().motion)
+    return body_label_swaps.detect_body_label_swaps(off, body_outliers.detect_body_outliers(off, RATE, 0.02), take)
 
 
 def of(*names):
@@ -27,13 +27,13 @@ def test_two_labels_that_are_exchanged_are_found_to_the_frame(names):
     (swap,) = rings(exchanged(solved().take, of(*names), 100, 170))
     assert (set(swap.markers), swap.first, swap.last) == (set(of(*names)), 100, 170)
     assert swap.kind == "swap"
-    assert swap.confidence > SURE
+    assert swap.confidence > MIN_LABEL_CONFIDENCE
 
 
 @pytest.mark.parametrize("ring", [("LELB", "LWRA", "LFRM"), ("LFRM", "LWRA", "LELB")])
 def test_undoing_what_was_found_gives_the_take_back_also_of_three(ring):
     (swap,) = rings(wrong := exchanged(solved().take, of(*ring), 100, 170))
-    np.testing.assert_array_equal(wrong.exchanged(swap.markers, swap.first, swap.last).markers, solved().take.markers)
+    np.testing.assert_array_equal(wrong.exchange_labels(swap.markers, swap.first, swap.last).markers, solved().take.markers)
 
 
 def test_an_exchange_that_begins_and_ends_in_gaps():
@@ -53,11 +53,11 @@ def test_a_label_in_the_place_of_one_that_is_not_seen():
 def test_an_exchange_goes_on_where_the_body_that_it_led_astray_hides_it():
     take = exchanged(solved().take, of("LFWT", "RBWT"), 100, 200)
     motion, frames = solved().motion, slice(130, 180)
-    turned = motion.rotations.copy()
+    turned = motion.local_rotations.copy()
     turned[frames, 0] = turned[frames, 0] @ np.diag([-1.0, 1.0, -1.0])  # front is back, left is right
-    wrong = replace(motion, rotations=turned)
-    off = off_body.of(take, take.seen, solved().subject, wrong)
-    (swap,) = crossed.rings(off, astray.pieces(off, RATE, 0.02), take)
+    wrong = replace(motion, local_rotations=turned)
+    off = body_residuals.compute_body_residuals(take, take.visible, solved().subject, wrong)
+    (swap,) = body_label_swaps.detect_body_label_swaps(off, body_outliers.detect_body_outliers(off, RATE, 0.02), take)
     assert (set(swap.markers), swap.first, swap.last) == (set(of("LFWT", "RBWT")), 100, 200)
 
 

@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import distances
-from mocapfix.detect.distances import Distances, contradiction, own_contradictions
+from mocapfix.detect import marker_distances
+from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction, compute_own_contradictions
 from tests.detect.bodies import hidden, turning
 
 NOBODY = np.zeros(3, bool)
 TRIANGLE = np.array([[[0.0, 0, 0], [0.3, 0, 0], [0, 0.4, 0]]])  # sides of 3, 4 and 5 parts
-KNOWN = Distances(
+KNOWN = MarkerDistances(
     partner=np.array([[1, 2], [0, 2], [0, -1]]),
-    length=np.array([[0.3, 0.4], [0.3, 0.5], [0.4, 0.0]]),
-    tolerance=np.array([[0.01, 0.01], [0.01, 0.02], [0.01, 0.0]]),
+    length_m=np.array([[0.3, 0.4], [0.3, 0.5], [0.4, 0.0]]),
+    tolerance_m=np.array([[0.01, 0.01], [0.01, 0.02], [0.01, 0.0]]),
 )
 
 
@@ -22,23 +22,23 @@ def moved(marker, by):
 
 def test_partners_are_those_of_the_same_segment_at_their_distances():
     take = turning(noise=0.0)
-    known = distances.learnt(take.markers)
+    known = marker_distances.estimate_distances(take.markers)
     for m in range(10):
         mates = known.partner[m, :4]
         assert sorted(mates) == [k for k in range(5 * (m // 5), 5 * (m // 5) + 5) if k != m]
-        np.testing.assert_allclose(known.length[m, :4], np.linalg.norm(take.markers[0, mates] - take.markers[0, m], axis=-1))
-        np.testing.assert_allclose(known.tolerance[m, :4], 0.009, rtol=1e-6)  # three times what even rigid things vary by
+        np.testing.assert_allclose(known.length_m[m, :4], np.linalg.norm(take.markers[0, mates] - take.markers[0, m], axis=-1))
+        np.testing.assert_allclose(known.tolerance_m[m, :4], 0.009, rtol=1e-6)  # three times what even rigid things vary by
 
 
 def test_the_steadiest_come_first_and_the_loose_are_none():
     take, rng = turning(), np.random.default_rng(0)
     markers = take.markers.copy()
     markers[:, 1] += rng.normal(0, 0.01, (480, 3))
-    known = distances.learnt(markers)
+    known = marker_distances.estimate_distances(markers)
     assert known.partner[0, 3] == 1
-    assert (np.diff(known.tolerance[0, :4]) >= 0).all()
+    assert (np.diff(known.tolerance_m[0, :4]) >= 0).all()
     markers[:, 1] += rng.normal(0, 0.2, (480, 3))
-    known = distances.learnt(markers)
+    known = marker_distances.estimate_distances(markers)
     assert 1 not in known.partner[0]
     assert (known.partner[1] == -1).all()
 
@@ -47,43 +47,43 @@ def test_distances_are_learnt_from_the_part_of_the_take_that_agrees():
     take = turning(noise=0.0)
     markers = take.markers.copy()
     markers[:200, 0] += np.random.default_rng(0).normal(0, 0.3, (200, 3))  # 280 of 480 frames are sound
-    known, sound = distances.learnt(markers), distances.learnt(take.markers)
+    known, sound = marker_distances.estimate_distances(markers), marker_distances.estimate_distances(take.markers)
     mates = known.partner[0] >= 0
     assert mates.sum() == 4
-    np.testing.assert_allclose(np.sort(known.length[0, mates]), np.sort(sound.length[0, :4]), atol=1e-3)
-    assert not (distances.learnt(markers, 0.9).partner[0] >= 0).any()
+    np.testing.assert_allclose(np.sort(known.length_m[0, mates]), np.sort(sound.length_m[0, :4]), atol=1e-3)
+    assert not (marker_distances.estimate_distances(markers, 0.9).partner[0] >= 0).any()
 
 
 def test_what_is_hardly_seen_has_no_partners():
-    assert (distances.learnt(hidden(turning(), 2, 5, 479).markers).partner[2] == -1).all()
-    assert distances.learnt(np.zeros((0, 4, 3))).partner.shape == (4, 4)
+    assert (marker_distances.estimate_distances(hidden(turning(), 2, 5, 479).markers).partner[2] == -1).all()
+    assert marker_distances.estimate_distances(np.zeros((0, 4, 3))).partner.shape == (4, 4)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.005, 0.02])
 def test_a_sample_contradicts_as_its_distances_are_off(off):
     markers = moved(2, [0, off, 0])  # marker 2 has one partner only, 0
-    assert contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 1.0) == pytest.approx(min(1.0, (off / 0.01) ** 2))
+    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 1.0) == pytest.approx(min(1.0, (off / 0.01) ** 2))
 
 
 def test_partners_vote_by_how_steady_they_are():
     markers = moved(1, [0.1, 0, 0])  # breaks both; asked of marker 1 where 0 is left out, only 2 votes
-    assert contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == 1.0
+    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == 1.0
     markers = TRIANGLE.copy()
     markers[0, 0] -= [0.1, 0, 0]  # marker 1's distance to 0 is broken, that to 2 is not
-    assert contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == pytest.approx(0.01**-2 / (0.01**-2 + 0.02**-2))
-    assert contradiction(markers, KNOWN, 0, 1, 1, np.array([True, False, False]), 1.0) == pytest.approx(0.0, abs=1e-12)
+    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == pytest.approx(0.01**-2 / (0.01**-2 + 0.02**-2))
+    assert compute_contradiction(markers, KNOWN, 0, 1, 1, np.array([True, False, False]), 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_what_is_not_seen_votes_as_chance_does():
     markers = TRIANGLE.copy()
     markers[0, 0] = np.nan
-    assert contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 0.25) == 0.25
-    assert contradiction(TRIANGLE, KNOWN, 0, 2, 2, np.array([True, False, False]), 0.25) == 0.25  # nobody is left to vote
+    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 0.25) == 0.25
+    assert compute_contradiction(TRIANGLE, KNOWN, 0, 2, 2, np.array([True, False, False]), 0.25) == 0.25  # nobody is left to vote
 
 
 def test_under_another_label_a_sample_is_asked_for_the_others_distances():
-    assert contradiction(TRIANGLE, KNOWN, 0, 1, 2, NOBODY, 1.0) == 1.0  # 0.3 m from 0, where marker 2 keeps 0.4
-    own = own_contradictions(TRIANGLE, KNOWN, 1.0)
+    assert compute_contradiction(TRIANGLE, KNOWN, 0, 1, 2, NOBODY, 1.0) == 1.0  # 0.3 m from 0, where marker 2 keeps 0.4
+    own = compute_own_contradictions(TRIANGLE, KNOWN, 1.0)
     assert own.shape == (1, 3)
     np.testing.assert_allclose(own, 0, atol=1e-12)
 
@@ -92,11 +92,13 @@ def test_usual_is_the_shortest_interval_that_holds_enough():
     apart = np.r_[np.linspace(0.2, 0.21, 60), np.linspace(0.5, 0.9, 40)]  # six tenths of the frames agree
     markers = np.zeros((100, 2, 3))
     markers[:, 1, 0] = apart
-    centre, spread = distances.usual(markers, 0.55)
+    centre, spread = marker_distances.estimate_distance_statistics(markers, 0.55)
     assert centre[0, 1] == centre[1, 0] == pytest.approx(0.205, abs=0.0006)
     assert spread[0, 1] == pytest.approx(0.0046 / 0.7554, rel=0.02)  # half of 55 of 60 steps; a normal distribution's quantile
-    assert distances.usual(markers, 0.9)[1][0, 1] > 0.1
+    assert marker_distances.estimate_distance_statistics(markers, 0.9)[1][0, 1] > 0.1
     assert np.isinf(np.diag(centre)).all()
     markers[19:, 1] = np.nan
-    assert np.isinf(distances.usual(markers, 0.55)[0][0, 1])
-    assert distances.usual(markers[:19], 0.55)[0][0, 1] < 0.21  # of so short a take all frames must do
+    assert np.isinf(marker_distances.estimate_distance_statistics(markers, 0.55)[0][0, 1])
+    assert (
+        marker_distances.estimate_distance_statistics(markers[:19], 0.55)[0][0, 1] < 0.21
+    )  # of so short a take all frames must do

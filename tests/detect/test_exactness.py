@@ -1,25 +1,33 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import exactness
+from mocapfix.detect import exact_samples
 from tests.detect.filled import as_floats, as_integers, walking
 
 
 @pytest.mark.parametrize("scale", [5e-5, 1e-4, 5e-4])
 def test_a_file_of_integers_shows_its_scale(scale):
-    np.testing.assert_allclose(exactness.last_digit(as_integers(walking(), scale).markers), scale, rtol=1e-6)
-    np.testing.assert_allclose(exactness.last_digit(as_floats(as_integers(walking(), scale)).markers), scale, rtol=0.03)
+    np.testing.assert_allclose(exact_samples.estimate_resolution(as_integers(walking(), scale).markers), scale, rtol=1e-6)
+    np.testing.assert_allclose(
+        exact_samples.estimate_resolution(as_floats(as_integers(walking(), scale)).markers), scale, rtol=0.03
+    )
 
 
 def test_a_file_of_floats_shows_a_part_of_its_largest_coordinate():
     markers = as_floats(walking()).markers
-    assert exactness.last_digit(markers) == exactness.float_digit(markers) == 2.0**-23 * np.abs(markers).max()
+    assert (
+        exact_samples.estimate_resolution(markers)
+        == exact_samples.compute_float_resolution(markers)
+        == 2.0**-23 * np.abs(markers).max()
+    )
 
 
 def test_what_a_polynomial_misses():
     path = np.arange(20.0)[:, None] ** 2 * [1.0, 0.5, 0.0]
-    assert exactness.misses(path, 2, 12, np.array([0, 5])).max() < 1e-10
-    line = exactness.misses(path[:3], 1, 3, np.array([0]))  # through 0, 1, 4 the best line misses by 1/3, 2/3, 1/3
+    assert exact_samples.compute_polynomial_misfits(path, 2, 12, np.array([0, 5])).max() < 1e-10
+    line = exact_samples.compute_polynomial_misfits(
+        path[:3], 1, 3, np.array([0])
+    )  # through 0, 1, 4 the best line misses by 1/3, 2/3, 1/3
     np.testing.assert_allclose(line, [2 / 3], rtol=1e-12)
 
 
@@ -27,18 +35,18 @@ def test_stretches_end_where_the_rule_does():
     path = np.random.default_rng(0).normal(0, 1e-3, (60, 3))
     path[10:30] = np.arange(20.0)[:, None] * [0.01, 0.02, 0.0]
     path[45:] = 0.5
-    assert exactness.stretches(path, 1, 8, 1e-7) == [(10, 29), (45, 59)]
-    assert exactness.stretches(path, 0, 8, 1e-7) == [(45, 59)]
+    assert exact_samples.find_exact_stretches(path, 1, 8, 1e-7) == [(10, 29), (45, 59)]
+    assert exact_samples.find_exact_stretches(path, 0, 8, 1e-7) == [(45, 59)]
     path[20] = np.nan
-    assert exactness.stretches(path, 1, 8, 1e-7) == [(10, 19), (21, 29), (45, 59)]
+    assert exact_samples.find_exact_stretches(path, 1, 8, 1e-7) == [(10, 19), (21, 29), (45, 59)]
 
 
 @pytest.mark.parametrize(("first", "last", "ends"), [(0, 9, (0, 9)), (2, 7, (3, 6)), (5, 9, (6, 9)), (0, 4, (0, 3))])
 def test_measured_samples_are_joined_where_there_are_any(first, last, ends):
-    assert exactness.between(np.ones(10, bool), first, last) == ends
+    assert exact_samples.trim_measured_ends(np.ones(10, bool), first, last) == ends
 
 
 def test_nothing_is_joined_beside_a_gap():
     seen = np.ones(10, bool)
     seen[[1, 8]] = False
-    assert exactness.between(seen, 2, 7) == (2, 7)
+    assert exact_samples.trim_measured_ends(seen, 2, 7) == (2, 7)

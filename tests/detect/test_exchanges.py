@@ -5,13 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.detect import continuity, distances
-from mocapfix.detect.exchanges import cheapest, within
+from mocapfix.detect import continuity, marker_distances
+from mocapfix.detect.swap_viterbi import find_cheapest_states, find_exchanges
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take, group):
-    return within(group, continuity.of(take.markers, take.rate), distances.learnt(take.markers))
+    return find_exchanges(
+        group, continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+    )
 
 
 def cost(course, step, stay):
@@ -24,14 +26,14 @@ def test_the_cheapest_course_is_cheaper_than_every_other(seed, frames, states):
     rng = np.random.default_rng(seed)
     step, stay = rng.uniform(0, 1, (frames, states, states)), rng.uniform(0, 1, (frames, states))
     best = min(cost(course, step, stay) for course in product(range(states), repeat=frames))
-    assert cost(cheapest(step, stay), step, stay) == pytest.approx(best)
+    assert cost(find_cheapest_states(step, stay), step, stay) == pytest.approx(best)
 
 
 def test_a_course_changes_where_that_is_paid_back():
     stay = np.tile([0.0, 1.0], (10, 1))
     stay[3:7] = [1.0, 0.0]  # a change there and back saves 4
     for price, course in ((1.9, [0, 0, 0, 1, 1, 1, 1, 0, 0, 0]), (2.1, [0] * 10)):
-        assert cheapest(np.tile(price * (1 - np.eye(2)), (10, 1, 1)), stay).tolist() == course
+        assert find_cheapest_states(np.tile(price * (1 - np.eye(2)), (10, 1, 1)), stay).tolist() == course
 
 
 def test_right_labels_are_left_alone():
@@ -44,7 +46,7 @@ def test_right_labels_are_left_alone():
 )
 def test_an_exchange_is_found_among_its_group(ring, group):
     (exchange,) = among(exchanged(turning(), ring, 100, 180), group)
-    assert (exchange.ring, exchange.first, exchange.last) == (ring, 100, 180)
+    assert (exchange.cycle, exchange.first, exchange.last) == (ring, 100, 180)
 
 
 def test_two_exchanges_of_a_pair_are_two():
@@ -64,10 +66,10 @@ def test_distances_tell_which_part_is_wrong():
     take = exchanged(turning(), (0, 3), 300, 479)
     (exchange,) = among(take, (0, 3))
     assert (exchange.first, exchange.last) == (300, 479)
-    assert exchange.against > 10  # leaps: a dozen tenths of seconds would be contradicted if the rest were wrong
+    assert exchange.counter_evidence > 10  # leaps: a dozen tenths of seconds would be contradicted if the rest were wrong
     alone = exchanged(turning(segments=1, each=2), (0, 1), 300, 479)
     (blind,) = among(alone, (0, 1))
-    assert abs(blind.against) < 1e-9
+    assert abs(blind.counter_evidence) < 1e-9
 
 
 def test_an_exchange_begins_and_ends_where_something_is_seen():

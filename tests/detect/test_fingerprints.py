@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect.fingerprints import Fingerprints, heights
+from mocapfix.detect.rigid_signature import RigidSignatures, compute_plane_heights
 
 PLACES = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.25, 0.0], [0.15, 0.1, 0.02], [0.05, 0.1, 0.12]])
 
@@ -17,39 +17,39 @@ def rigid(frames=300, noise=0.0005):
 
 def test_a_marker_bears_its_own_fingerprint_and_no_others():
     markers, _ = rigid()
-    prints, frames = Fingerprints(markers), np.arange(100, 150)
+    prints, frames = RigidSignatures(markers), np.arange(100, 150)
     for m in range(5):
-        own = prints.likeness(frames, markers[frames, m], m)
+        own = prints.match_samples(frames, markers[frames, m], m)
         assert own is not None
-        assert own.distance < 1
-        assert own.side < 1
-        assert own.off < 0.001
+        assert own.distance_sd < 1
+        assert own.side_sd < 1
+        assert own.distance_error_m < 0.001
         for other in {0, 1, 2, 3, 4} - {m}:
-            like = prints.likeness(frames, markers[frames, other], m)
+            like = prints.match_samples(frames, markers[frames, other], m)
             assert like is not None
-            assert like.distance > 5
+            assert like.distance_sd > 5
 
 
 def test_a_mirror_image_has_the_distances_and_not_the_side():
     markers, turn = rigid()
     image = markers[:, 4] - 2 * 0.12 * turn[:, :, 2]
     markers[:, 3] += 5 * np.random.default_rng(1).normal(size=(300, 3))  # out of the plane, so not asked
-    like = Fingerprints(markers).likeness(np.arange(300), image, 4)
-    assert like is None or like.side > 20
+    like = RigidSignatures(markers).match_samples(np.arange(300), image, 4)
+    assert like is None or like.side_sd > 20
     three = np.delete(markers, 3, axis=1)
-    like = Fingerprints(three).likeness(np.arange(300), image, 3)
+    like = RigidSignatures(three).match_samples(np.arange(300), image, 3)
     assert like is not None
-    assert like.distance < 1
-    assert like.side > 20
+    assert like.distance_sd < 1
+    assert like.side_sd > 20
 
 
 def test_how_far_off_is_in_metres():
     markers, turn = rigid(noise=0.0)
     away = markers[:, 0] - 0.03 * turn[:, :, 0]  # away from marker 1, along the line to it
-    like = Fingerprints(markers[:, :4]).likeness(np.arange(300), away, 0)
+    like = RigidSignatures(markers[:, :4]).match_samples(np.arange(300), away, 0)
     assert like is not None
     miss = [np.linalg.norm(PLACES[m] + [0.03, 0, 0]) - np.linalg.norm(PLACES[m]) for m in (1, 2, 3)]
-    assert like.off == pytest.approx(np.sqrt(np.mean(np.square(miss))), rel=1e-6)
+    assert like.distance_error_m == pytest.approx(np.sqrt(np.mean(np.square(miss))), rel=1e-6)
     assert set(like.partners) == {1, 2, 3}
 
 
@@ -57,28 +57,28 @@ def test_partners_missing_or_moving_apart_are_not_asked():
     markers, _ = rigid()
     markers[:, 2] += 0.3 * np.sin(np.arange(300) / 20)[:, None]
     markers[100:150, 1] = np.nan
-    prints = Fingerprints(markers)
-    assert prints.likeness(np.arange(100, 150), markers[100:150, 0], 0) is None
-    later = prints.likeness(np.arange(200, 250), markers[200:250, 0], 0)
+    prints = RigidSignatures(markers)
+    assert prints.match_samples(np.arange(100, 150), markers[100:150, 0], 0) is None
+    later = prints.match_samples(np.arange(200, 250), markers[200:250, 0], 0)
     assert later is not None
     assert set(later.partners) == {1, 3, 4}
 
 
 def test_a_partners_spike_has_no_say():
     markers, _ = rigid()
-    prints = Fingerprints(markers)
+    prints = RigidSignatures(markers)
     markers[110:113, 1] += 0.5
-    like = prints.likeness(np.arange(100, 120), markers[100:120, 0], 0)
+    like = prints.match_samples(np.arange(100, 120), markers[100:120, 0], 0)
     assert like is not None
-    assert like.distance < 1
+    assert like.distance_sd < 1
 
 
 def test_what_is_hardly_seen_has_no_fingerprint():
     markers, _ = rigid()
     markers[10:, 0] = np.nan
-    assert Fingerprints(markers).likeness(np.arange(50, 60), markers[50:60, 1], 0) is None
+    assert RigidSignatures(markers).match_samples(np.arange(50, 60), markers[50:60, 1], 0) is None
 
 
 def test_heights_are_signed_and_in_metres():
     corners = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]]] * 2)
-    np.testing.assert_allclose(heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])
+    np.testing.assert_allclose(compute_plane_heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])

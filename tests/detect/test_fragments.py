@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read, synthetic
+from mocapfix import synthetic
 from mocapfix.detect import fragments
+from mocapfix.read import capture
 from mocapfix.take import Take
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -17,8 +18,8 @@ with_captures = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures be
 
 @cache
 def whole(seed=5) -> Take:
-    truth = synthetic.take(seed=seed, seconds=6.0)
-    return Take(truth.markers, truth.labels, truth.rate)
+    truth = synthetic.compose_take(seed=seed, seconds=6.0)
+    return Take(truth.marker_positions, truth.labels, truth.rate)
 
 
 def take_of(take, trajectories):
@@ -32,28 +33,31 @@ def cut(take, *intervals):
     markers, loose = take.markers.copy(), []
     for label, first, last in intervals:
         m = take.labels.index(label)
-        loose.append(np.full((take.frames, 3), np.nan))
+        loose.append(np.full((take.frame_count, 3), np.nan))
         loose[-1][first : last + 1] = markers[first : last + 1, m]
         markers[first : last + 1, m] = np.nan
-    return take_of(take.with_markers(markers), loose)
+    return take_of(take.replace_markers(markers), loose)
 
 
 def told(take):
     """-> kind, marker's label ("" for none), first and last frame of every fragment."""
-    return [(f.relation, take.labels[f.marker] if f.marker != f.donor else "", f.first, f.last) for f in fragments.found(take)]
+    return [
+        (f.relation, take.labels[f.marker] if f.marker != f.donor else "", f.first, f.last)
+        for f in fragments.detect_fragments(take)
+    ]
 
 
 @given(marker=st.integers(0, 40), first=st.integers(0, 300), length=st.integers(6, 150))
 def test_a_marker_that_goes_on_unlabelled_is_found_again(marker, first, length):
     take, last = whole(), first + length - 1
-    (fragment,) = fragments.found(cut(take, (take.labels[marker], first, last)))
+    (fragment,) = fragments.detect_fragments(cut(take, (take.labels[marker], first, last)))
     assert (fragment.relation, fragment.marker, fragment.first, fragment.last) == ("continues", marker, first, last)
     assert fragment.donor == len(take.labels)
     assert fragment.confidence > 0.9
 
 
 def test_the_reason_says_who_for_how_long_and_by_whose_distances():
-    (fragment,) = fragments.found(cut(whole(), ("LFHD", 100, 219)))
+    (fragment,) = fragments.detect_fragments(cut(whole(), ("LFHD", 100, 219)))
     assert fragment.reason.startswith("*0 goes on as LFHD for 1.00 s: its distances to ")
     assert "LBHD" in fragment.reason
     assert 0 < fragment.severity < 0.01
@@ -86,14 +90,14 @@ def test_a_piece_may_begin_while_the_marker_is_still_seen():
     path = np.where((np.arange(take.frames) >= 195)[:, None], take.markers[:, m], np.nan)
     markers = take.markers.copy()
     markers[200:, m] = np.nan
-    assert told(take_of(take.with_markers(markers), [path + 0.001])) == [("continues", "STRN", 195, 719)]
-    assert told(take_of(take.with_markers(markers), [path + 0.020])) == [("other", "", 195, 719)]
+    assert told(take_of(take.replace_markers(markers), [path + 0.001])) == [("continues", "STRN", 195, 719)]
+    assert told(take_of(take.replace_markers(markers), [path + 0.020])) == [("other", "", 195, 719)]
 
 
 def test_a_marker_seen_twice_is_no_fragment():
     take, path = whole(), np.full((720, 3), np.nan)
     path[100:200] = take.markers[100:200, take.labels.index("LTOE")] + [0.004, 0.0, 0.0]
-    (fragment,) = fragments.found(take_of(take, [path]))
+    (fragment,) = fragments.detect_fragments(take_of(take, [path]))
     assert (fragment.relation, take.labels[fragment.marker]) == ("doubles", "LTOE")
     assert fragment.severity == pytest.approx(0.004)
     assert fragment.reason == "*0 is LTOE a second time for 0.83 s, 4 mm beside it."
@@ -104,7 +108,7 @@ def test_the_smoother_of_two_replaces_the_other():
     m, markers, path = take.labels.index("T10"), take.markers.copy(), np.full((720, 3), np.nan)
     path[100:130] = markers[100:130, m]
     markers[100:130, m] += [0.0, 0.006, 0.0]
-    assert told(take_of(take.with_markers(markers), [path])) == [("replaces", "T10", 100, 129)]
+    assert told(take_of(take.replace_markers(markers), [path])) == [("replaces", "T10", 100, 129)]
 
 
 def test_what_continues_nothing_is_told_apart():
@@ -114,7 +118,7 @@ def test_what_continues_nothing_is_told_apart():
     alone = take.markers[:, 0] + np.sin([3.0, 4.0, 5.0] * t)
     glint = np.full((720, 3), np.nan)
     glint[[50, 90, 130]] = 1.0
-    found = fragments.found(take_of(take, [still, head, alone, glint]))
+    found = fragments.detect_fragments(take_of(take, [still, head, alone, glint]))
     assert [(f.relation, f.donor - len(take.labels)) for f in found] == [("other", i) for i in range(4)]
     told = ["it stands still.", "it rides on the body with ", "it moves by itself.", "so with its 3 pieces in a row."]
     assert [f.reason for f, words in zip(found, told, strict=True) if words not in f.reason] == []
@@ -125,7 +129,7 @@ def test_a_ghost_is_not_joined_to_what_is_missing():
     take = whole()
     lost = cut(take, ("RFIN", 200, 400))
     ghost = lost.unlabelled.markers[:, 0] + [0.0, 0.1, 0.0]
-    (fragment,) = fragments.found(take_of(lost, [ghost]))
+    (fragment,) = fragments.detect_fragments(take_of(lost, [ghost]))
     assert fragment.relation == "other"
     assert "the likeliest of those missing meanwhile is RFIN, and it is " in fragment.reason
 
@@ -136,7 +140,7 @@ def test_of_two_who_fit_alike_neither_is_chosen():
     place = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.4, 0], [0.1, 0.1, 0.25], [0.1, 0.1, 0.252]])
     take = Take(place + np.sin(t * [1.0, 2.0, 3.0]) + rng.normal(0, 0.0005, (600, 5, 3)), tuple("ABCDE"), 120.0)
     lost = cut(take, ("D", 200, 400), ("E", 200, 400))
-    (fragment,) = fragments.found(take_of(lost, [lost.unlabelled.markers[:, 0]]))
+    (fragment,) = fragments.detect_fragments(take_of(lost, [lost.unlabelled.markers[:, 0]]))
     assert fragment.relation == "other"
     assert fragment.reason.endswith(": D and E are missing meanwhile, and it may be either.")
 
@@ -154,19 +158,21 @@ def test_a_numbered_label_is_no_other_markers():
     named = Take(np.concatenate([take.markers, take.unlabelled.markers[:, :1]], axis=1), (*take.labels, "RBAC-1"), take.rate)
     assert told(named) == [("other", "", 300, 420)]
     named.markers[:, take.labels.index("RBAC")] = whole().markers[:, take.labels.index("RBAC")]
-    (fragment,) = fragments.found(named)
+    (fragment,) = fragments.detect_fragments(named)
     assert fragment.reason == "RBAC-1 continues no marker in its 1.01 s: RBAC is seen meanwhile, elsewhere."
 
 
 @pytest.mark.parametrize("rate", [60.0, 240.0])
 def test_seconds_count_and_not_frames(rate):
-    truth = synthetic.take(seed=8, seconds=4.0, rate=rate)
+    truth = synthetic.compose_take(seed=8, seconds=4.0, rate=rate)
     first, last = round(1.2 * rate), round(2.0 * rate)
-    assert told(cut(Take(truth.markers, truth.labels, rate), ("LANK", first, last))) == [("continues", "LANK", first, last)]
+    assert told(cut(Take(truth.marker_positions, truth.labels, rate), ("LANK", first, last))) == [
+        ("continues", "LANK", first, last)
+    ]
 
 
 def test_nothing_loose_nothing_found():
-    assert fragments.found(whole()) == []
+    assert fragments.detect_fragments(whole()) == []
 
 
 def test_a_take_of_one_marker_goes_by_its_course():
@@ -177,16 +183,16 @@ def test_a_take_of_one_marker_goes_by_its_course():
 
 @with_captures
 def test_a_captures_fragment_is_its_markers():
-    take = read.take(CAPTURES / "cmu" / "01_01.c3d")
-    (fragment,) = fragments.found(take)
+    take = capture.read_capture(CAPTURES / "cmu" / "01_01.c3d")
+    (fragment,) = fragments.detect_fragments(take)
     assert take.labels[fragment.donor] == "RBAC-1"
     assert (fragment.relation, take.labels[fragment.marker], fragment.first, fragment.last) == ("replaces", "RBAC", 120, 127)
 
 
 @with_captures
 def test_a_captures_other_markers_continue_none():
-    take = read.take(CAPTURES / "c3d" / "Movement_trial.c3d")
-    found = fragments.found(take)
+    take = capture.read_capture(CAPTURES / "c3d" / "Movement_trial.c3d")
+    found = fragments.detect_fragments(take)
     assert {f.donor for f in found} == set(range(39, 81))  # each of the 42 is accounted for
     assert {f.relation for f in found} == {"other", "doubles"}
     assert sum("rides on the body" in f.reason for f in found) >= 36

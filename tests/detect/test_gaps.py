@@ -17,7 +17,7 @@ def take():
 
 
 def test_every_gap_is_named_with_its_frames(take):
-    assert [(f.kind, f.marker, f.first, f.last) for f in gaps.found(take)] == [
+    assert [(f.kind, f.marker, f.first, f.last) for f in gaps.detect_gaps(take)] == [
         ("leading gap", 1, 0, 4),
         ("gap", 1, 20, 29),
         ("trailing gap", 1, 48, 49),
@@ -28,12 +28,12 @@ def test_every_gap_is_named_with_its_frames(take):
 
 
 def test_severity_is_the_way_between_the_edges_where_there_are_two(take):
-    severity = [f.severity for f in gaps.found(take)]
+    severity = [f.severity for f in gaps.detect_gaps(take)]
     np.testing.assert_allclose(severity, [np.nan, 0.11, np.nan, np.nan, np.nan, np.nan])
 
 
 def test_reasons_are_sentences_with_the_bare_label_and_seconds(take):
-    assert [f.reason for f in gaps.found(take)][:4] == [
+    assert [f.reason for f in gaps.detect_gaps(take)][:4] == [
         "RFHD is not seen for the take's first 0.05 s.",
         "RFHD is not seen for 0.10 s and moves 110 mm meanwhile.",
         "RFHD is not seen for the take's last 0.02 s.",
@@ -52,20 +52,20 @@ def flickering(rate, *gaps):
 @pytest.mark.parametrize(("rate", "longest"), [(30.0, 1), (50.0, 1), (100.0, 2), (120.0, 2), (250.0, 5)])
 def test_a_flicker_lasts_a_fiftieth_of_a_second_or_one_frame(rate, longest):
     for length, kind in ((longest, "flicker"), (longest + 1, "gap")):
-        (fault,) = gaps.found(flickering(rate, (50, 50 + length - 1)))
+        (fault,) = gaps.detect_gaps(flickering(rate, (50, 50 + length - 1)))
         assert (fault.kind, fault.first, fault.last) == (kind, 50, 50 + length - 1)
 
 
 def test_short_gaps_at_the_ends_are_no_flickers():
-    assert [f.kind for f in gaps.found(flickering(100.0, (0, 0), (199, 199)))] == ["leading gap", "trailing gap"]
+    assert [f.kind for f in gaps.detect_gaps(flickering(100.0, (0, 0), (199, 199)))] == ["leading gap", "trailing gap"]
 
 
 def test_each_flicker_says_how_many_there_are():
-    found = gaps.found(flickering(100.0, (10, 10), (50, 80), (100, 101)))
+    found = gaps.detect_gaps(flickering(100.0, (10, 10), (50, 80), (100, 101)))
     assert [f.reason for f in found] == [
         "LFIN is not seen for 1 frame and moves 0 mm meanwhile, one of its 2 flickers.",
         "LFIN is not seen for 0.31 s and moves 0 mm meanwhile.",
         "LFIN is not seen for 2 frames and moves 0 mm meanwhile, one of its 2 flickers.",
     ]
-    (only,) = gaps.found(flickering(100.0, (10, 10)))
+    (only,) = gaps.detect_gaps(flickering(100.0, (10, 10)))
     assert only.reason == "LFIN is not seen for 1 frame and moves 0 mm meanwhile, its only flicker."

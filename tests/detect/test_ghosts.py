@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read
 from mocapfix.detect import ghosts
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.detect.bodies import exchanged, hidden, turning
 
@@ -17,7 +17,7 @@ def haunted(take: Take, marker: int, first: int, last: int, away=(0.0, 0.25, 0.0
     """-> the label stays over first..last where it was at first, and `away` (3,) from there."""
     markers = take.markers.copy()
     markers[first : last + 1, marker] = markers[first, marker] + np.array(away)
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 def where(found):
@@ -26,32 +26,32 @@ def where(found):
 
 @given(seed=st.integers(0, 20), marker=st.integers(0, 9), first=st.integers(1, 300), length=st.integers(10, 90))
 def test_a_ghost_that_comes_back_is_found_to_the_frame(seed, marker, first, length):
-    (ghost,) = ghosts.found(haunted(turning(seed=seed), marker, first, first + length - 1))
+    (ghost,) = ghosts.detect_ghosts(haunted(turning(seed=seed), marker, first, first + length - 1))
     assert where([ghost]) == [(marker, first, first + length - 1)]
     assert ghost.confidence > 0.6
 
 
 def test_a_ghost_between_gaps_and_one_that_never_comes_back():
     between = hidden(hidden(haunted(turning(), 3, 150, 200), 3, 120, 149), 3, 201, 240)
-    assert where(ghosts.found(between)) == [(3, 150, 200)]
-    assert where(ghosts.found(haunted(turning(), 3, 410, 479))) == [(3, 410, 479)]
+    assert where(ghosts.detect_ghosts(between)) == [(3, 150, 200)]
+    assert where(ghosts.detect_ghosts(haunted(turning(), 3, 410, 479))) == [(3, 410, 479)]
 
 
 def test_a_marker_that_sits_elsewhere_on_its_segment_from_then_on_is_no_ghost():
     take = turning(seconds=4.0)
     markers = take.markers.copy()
     markers[420:, 3] = markers[420:, [0, 1, 2]].mean(1)  # rides on the segment as before
-    assert ghosts.found(take.with_markers(markers)) == []
+    assert ghosts.detect_ghosts(take.replace_markers(markers)) == []
 
 
 def test_spikes_gaps_and_a_sound_take_are_no_ghosts():
     take = turning()
-    assert ghosts.found(take) == []
-    assert ghosts.found(hidden(haunted(take, 2, 100, 104), 2, 200, 290)) == []
+    assert ghosts.detect_ghosts(take) == []
+    assert ghosts.detect_ghosts(hidden(haunted(take, 2, 100, 104), 2, 200, 290)) == []
 
 
 def test_the_reason_is_a_sentence_with_label_seconds_and_millimetres():
-    (ghost,) = ghosts.found(haunted(turning(), 4, 100, 159))
+    (ghost,) = ghosts.detect_ghosts(haunted(turning(), 4, 100, 159))
     assert ghost.reason.startswith(f"M4 is {ghost.severity * 1e3:.0f} mm off its segment for 0.50 s (60 frames), ")
     assert ghost.reason.endswith("and comes back.")
     assert ghost.severity > 0.05
@@ -59,15 +59,15 @@ def test_the_reason_is_a_sentence_with_label_seconds_and_millimetres():
 
 def test_takes_without_frames_or_markers_have_no_ghosts():
     for shape in [(0, 3, 3), (1, 3, 3), (10, 0, 3)]:
-        assert ghosts.found(Take(np.zeros(shape), ("A", "B", "C")[: shape[1]], 100.0)) == []
-    assert ghosts.found(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
+        assert ghosts.detect_ghosts(Take(np.zeros(shape), ("A", "B", "C")[: shape[1]], 100.0)) == []
+    assert ghosts.detect_ghosts(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
 
 
 def test_exchanged_labels_are_off_their_segments_too_so_swaps_go_first():
-    assert {ghost.marker for ghost in ghosts.found(exchanged(turning(), (1, 7), 100, 160))} == {1, 7}
+    assert {ghost.marker for ghost in ghosts.detect_ghosts(exchanged(turning(), (1, 7), 100, 160))} == {1, 7}
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/squat"])
 def test_captures_have_no_ghosts(name):
-    assert ghosts.found(read.take(CAPTURES / f"{name}.c3d")) == []
+    assert ghosts.detect_ghosts(capture.read_capture(CAPTURES / f"{name}.c3d")) == []

@@ -4,10 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import marker_set, read, synthetic
+from mocapfix import marker_sets, synthetic
 from mocapfix.detect import mislabelled
-from mocapfix.detect.mislabelled import rings, telling
-from mocapfix.faults import SURE
+from mocapfix.detect.mislabelled import find_permutation_cycles, select_fullest_frames
+from mocapfix.faults import MIN_LABEL_CONFIDENCE
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.detect.people import CMU41, columns, mirrored, relabelled, somebody, without
 
@@ -17,14 +18,14 @@ PAIRED = tuple(label[1:] for label in CMU41.labels if label[0] == "L" and f"R{la
 
 def undone(take, found):
     for fault in found:
-        if fault.confidence >= SURE:
-            take = take.exchanged(fault.markers, fault.first, fault.last)
+        if fault.confidence >= MIN_LABEL_CONFIDENCE:
+            take = take.exchange_labels(fault.markers, fault.first, fault.last)
     return take
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_people_who_are_not_average_are_labelled_right(seed):
-    assert mislabelled.found(somebody(seed), CMU41) == []
+    assert mislabelled.detect_mislabelled(somebody(seed), CMU41) == []
 
 
 @pytest.mark.parametrize(
@@ -35,7 +36,7 @@ def test_people_who_are_not_average_are_labelled_right(seed):
 def test_an_exchange_is_found_the_right_way_round(ring):
     sound = somebody()
     take = relabelled(sound, *ring)
-    (fault,) = mislabelled.found(take, CMU41)
+    (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     assert set(fault.markers) == set(columns(take, *ring))
     assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frames - 1)
     np.testing.assert_array_equal(undone(take, [fault]).markers, sound.markers)
@@ -47,7 +48,7 @@ def test_an_exchange_is_found_the_right_way_round(ring):
 def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(labels):
     sound = somebody(1)
     take = mirrored(sound, *labels)
-    found = mislabelled.found(take, CMU41)
+    found = mislabelled.detect_mislabelled(take, CMU41)
     assert sorted(fault.markers for fault in found) == sorted(columns(take, f"L{label}", f"R{label}") for label in labels)
     np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
     (reason,) = {fault.reason for fault in found}
@@ -58,8 +59,8 @@ def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(l
 def test_what_is_named_so_on_both_sides_is_the_studios_habit():
     sound = somebody(1)
     habit = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
-    assert mislabelled.found(habit, CMU41) == []
-    (fault,) = mislabelled.found(relabelled(habit, "LWRA", "LFIN"), CMU41)
+    assert mislabelled.detect_mislabelled(habit, CMU41) == []
+    (fault,) = mislabelled.detect_mislabelled(relabelled(habit, "LWRA", "LFIN"), CMU41)
     assert set(fault.markers) == set(columns(sound, "LWRA", "LFIN"))
 
 
@@ -67,14 +68,14 @@ def test_what_is_not_in_the_take_is_not_exchanged():
     take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
     kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
     take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
-    found = mislabelled.found(take, CMU41)
+    found = mislabelled.detect_mislabelled(take, CMU41)
     assert {fault.markers for fault in found} == {columns(take, f"L{b}", f"R{b}") for b in ("UPA", "ELB", "FRM", "WRA", "WRB")}
 
 
 def test_several_exchanges_are_found_among_gaps():
     take = relabelled(relabelled(somebody(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
     take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
-    found = mislabelled.found(take, CMU41)
+    found = mislabelled.detect_mislabelled(take, CMU41)
     assert {frozenset(fault.markers) for fault in found} == {
         frozenset(columns(take, "LTOE", "LMT5")),
         frozenset(columns(take, "RWRA", "RWRB", "RFIN")),
@@ -85,15 +86,15 @@ def test_labels_that_are_wrong_for_most_of_the_take_are_taken_for_wrong_all_alon
     sound = somebody()
     markers = relabelled(sound, "LKNE", "LANK").markers.copy()
     markers[70:] = sound.markers[70:]
-    (fault,) = mislabelled.found(sound.with_markers(markers), CMU41)
+    (fault,) = mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41)
     assert (fault.first, fault.last) == (0, sound.frames - 1)
     markers[25:] = sound.markers[25:]
-    assert mislabelled.found(sound.with_markers(markers), CMU41) == []
+    assert mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41) == []
 
 
 def test_a_reason_is_a_sentence_with_labels_and_millimetres():
     take = relabelled(somebody(), "LKNE", "LANK")
-    (fault,) = mislabelled.found(take, CMU41)
+    (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"
     assert fault.reason.startswith(f"{start} where the marker set has them on a body, the other way round ")
     assert fault.severity > 0.15
@@ -102,19 +103,19 @@ def test_a_reason_is_a_sentence_with_labels_and_millimetres():
 @pytest.mark.parametrize("scale", [0.6, 1.2])
 def test_children_and_giants_are_people(scale):
     take = somebody(3)
-    take = take.with_markers(take.markers * scale)
-    assert mislabelled.found(take, CMU41) == []
-    assert len(mislabelled.found(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
+    take = take.replace_markers(take.markers * scale)
+    assert mislabelled.detect_mislabelled(take, CMU41) == []
+    assert len(mislabelled.detect_mislabelled(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
 
 
 def test_a_person_who_is_known_is_asked_instead_of_the_average_one():
-    truth = synthetic.take(3, 2.0, 30.0, crooked=True)
+    truth = synthetic.compose_take(3, 2.0, 30.0, asymmetric=True)
     small = replace(truth.subject.skeleton, offsets=truth.subject.skeleton.offsets * 0.6)
-    subject = replace(truth.subject, skeleton=small, places=truth.subject.places * 0.6)
-    child = Take(truth.markers * 0.6, truth.labels, 30.0)
-    worn = marker_set.of_subject(subject)
-    assert mislabelled.found(child, worn, subject) == []
-    (fault,) = mislabelled.found(relabelled(child, "LBWT", "RBWT"), worn, subject)
+    subject = replace(truth.subject, skeleton=small, marker_offsets=truth.subject.marker_offsets * 0.6)
+    child = Take(truth.marker_positions * 0.6, truth.labels, 30.0)
+    worn = marker_sets.build_subject_marker_set(subject)
+    assert mislabelled.detect_mislabelled(child, worn, subject) == []
+    (fault,) = mislabelled.detect_mislabelled(relabelled(child, "LBWT", "RBWT"), worn, subject)
     assert fault.markers == columns(child, "LBWT", "RBWT")
     assert "mm from where the marker set has them" in fault.reason
 
@@ -122,29 +123,29 @@ def test_a_person_who_is_known_is_asked_instead_of_the_average_one():
 def test_markers_that_only_bear_the_names_are_left_alone():
     take = somebody()
     elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
-    assert mislabelled.found(take.with_markers(elsewhere), CMU41) == []
+    assert mislabelled.detect_mislabelled(take.replace_markers(elsewhere), CMU41) == []
 
 
 def test_what_is_hardly_seen_is_not_judged():
     take = relabelled(somebody(), "LTOE", "LMT5")
-    assert mislabelled.found(without(take, "LTOE", "LMT5", first=5), CMU41) == []
-    assert mislabelled.found(take.with_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
-    assert mislabelled.found(take.with_markers(take.markers[:0]), CMU41) == []
+    assert mislabelled.detect_mislabelled(without(take, "LTOE", "LMT5", first=5), CMU41) == []
+    assert mislabelled.detect_mislabelled(take.replace_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
+    assert mislabelled.detect_mislabelled(take.replace_markers(take.markers[:0]), CMU41) == []
 
 
 def test_the_frames_that_show_most_are_looked_at():
     markers = np.zeros((100, 20, 3)) + np.arange(100.0)[:, None, None]
     markers[:50, :10] = np.nan
-    some = telling(markers)
+    some = select_fullest_frames(markers)
     assert some.shape == (16, 20, 3)
     assert (some[0, 0, 0], some[-1, 0, 0]) == (50, 99)
-    assert telling(markers[:, :11]).shape == (0, 11, 3)
+    assert select_fullest_frames(markers[:, :11]).shape == (0, 11, 3)
 
 
 def test_rings_are_followed_by_whose_label_they_are_under():
-    assert rings(np.array([0, 1, 2])) == []
-    assert rings(np.array([2, 1, 4, 3, 0])) == [(0, 2, 4)]
-    assert rings(np.array([1, 0, 3, 2])) == [(0, 1), (2, 3)]
+    assert find_permutation_cycles(np.array([0, 1, 2])) == []
+    assert find_permutation_cycles(np.array([2, 1, 4, 3, 0])) == [(0, 2, 4)]
+    assert find_permutation_cycles(np.array([1, 0, 3, 2])) == [(0, 1), (2, 3)]
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
@@ -152,7 +153,7 @@ def test_rings_are_followed_by_whose_label_they_are_under():
     "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
 )
 def test_captures_are_labelled_right(name):
-    take = read.take(CAPTURES / f"{name}.c3d")
-    worn_set = marker_set.choose(take.labels).marker_set
+    take = capture.read_capture(CAPTURES / f"{name}.c3d")
+    worn_set = marker_sets.choose_marker_set(take.labels).marker_set
     assert worn_set is not None
-    assert mislabelled.found(take, worn_set) == []
+    assert mislabelled.detect_mislabelled(take, worn_set) == []

@@ -1,17 +1,17 @@
 import numpy as np
 
-from mocapfix.detect.neighbours import looseness
+from mocapfix.detect.marker_distances import estimate_distance_changes
 from tests.detect.filled import walking
 
 
 def test_rigid_markers_keep_their_distances_and_others_do_not():
     take = walking(noise=0.0)
-    loose = looseness(take.markers, take.rate)
+    loose = estimate_distance_changes(take.markers, take.rate)
     assert np.isinf(np.diag(loose)).all()
     np.testing.assert_allclose(loose[~np.eye(4, dtype=bool)], 0, atol=1e-12)
     free = take.markers.copy()
     free[:, 3] = [0.0, 1.0, 0.0]
-    loose = looseness(free, take.rate)
+    loose = estimate_distance_changes(free, take.rate)
     assert loose[0, 1] < 1e-12
     assert loose[0, 3] > 0.3
     np.testing.assert_array_equal(loose, loose.T)
@@ -21,16 +21,18 @@ def test_a_marker_that_moves_once_is_still_near():
     take = walking(noise=0.0, seconds=12)
     markers = take.markers.copy()
     markers[700:, 0] += [0.1, 0.0, 0.0]
-    assert looseness(markers, take.rate)[0, 1] > 1e-3  # it moved in the world's axes, so its distance varies from there on
+    assert (
+        estimate_distance_changes(markers, take.rate)[0, 1] > 1e-3
+    )  # it moved in the world's axes, so its distance varies from there on
     markers = take.markers.copy()
     markers[700:, 0] += markers[700:, 0] - markers[700:, 1]  # twice as far along the line through the two
-    assert looseness(markers, take.rate)[0, 1] < 1e-12
+    assert estimate_distance_changes(markers, take.rate)[0, 1] < 1e-12
 
 
 def test_what_is_hardly_seen_together_is_not_known():
     take = walking()
     markers = take.markers.copy()
     markers[:240, 0], markers[240:, 1] = np.nan, np.nan
-    loose = looseness(markers, take.rate)
+    loose = estimate_distance_changes(markers, take.rate)
     assert np.isinf(loose[0, 1])
     assert np.isfinite(loose[0, 2])

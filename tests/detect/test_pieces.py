@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect.pieces import meet, namesakes, pieces, unbroken
+from mocapfix.detect.trajectory_segments import do_segments_overlap, find_loose_segments, find_namesakes, split_trajectory
 from mocapfix.take import Take
 
 RATE = 120.0
@@ -10,7 +10,7 @@ MOVING = np.arange(100)[:, None] / RATE * [2.0, 0.0, 1.0]  # m/s
 
 def spans(path, rate=RATE):
     frames = np.flatnonzero(~np.isnan(path[:, 0]))
-    return [(int(each[0]), int(each[-1])) for each in unbroken(frames, path, rate)]
+    return [(int(each[0]), int(each[-1])) for each in split_trajectory(frames, path, rate)]
 
 
 def test_a_smooth_path_is_one_piece():
@@ -44,25 +44,25 @@ def take_of(*labels, seen=None):
 
 
 def test_whose_name_a_label_bears():
-    assert namesakes(take_of("RBAC", "RBAC-1", "Jim:C7", "Jim:C7_2", "Stick 1", "LMT5", "LMT1", "P1")) == {1: 0, 3: 2}
-    assert namesakes(take_of("T10", "C7 (2)", "C7", "C7.001", "C7*3")) == {1: 2, 3: 2, 4: 2}
+    assert find_namesakes(take_of("RBAC", "RBAC-1", "Jim:C7", "Jim:C7_2", "Stick 1", "LMT5", "LMT1", "P1")) == {1: 0, 3: 2}
+    assert find_namesakes(take_of("T10", "C7 (2)", "C7", "C7.001", "C7*3")) == {1: 2, 3: 2, 4: 2}
 
 
 def test_of_one_label_twice_the_longer_is_the_marker():
     take = take_of("LELB", "LELB", "LELB", seen={0: 20, 2: 0})
-    assert namesakes(take) == {0: 1, 2: 1}
-    assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in pieces(take)] == [(0, 1, 20)]
+    assert find_namesakes(take) == {0: 1, 2: 1}
+    assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in find_loose_segments(take)] == [(0, 1, 20)]
 
 
 def test_unlabelled_ones_are_counted_on_from_the_labels():
     take = Take(MOVING[:, None], ("LELB",), RATE, unlabelled=take_of("*1", "*2"))
-    assert [(piece.donor, piece.namesake) for piece in pieces(take)] == [(1, -1), (2, -1)]
-    np.testing.assert_array_equal(pieces(take)[1].points, MOVING + 1)
+    assert [(piece.donor, piece.namesake) for piece in find_loose_segments(take)] == [(1, -1), (2, -1)]
+    np.testing.assert_array_equal(find_loose_segments(take)[1].points, MOVING + 1)
 
 
 def test_who_is_seen_at_one_time():
-    one, other = pieces(Take(MOVING[:, None], ("A",), RATE, unlabelled=take_of("*1", "*2", seen={0: 50})))
-    assert meet(one, other)
+    one, other = find_loose_segments(Take(MOVING[:, None], ("A",), RATE, unlabelled=take_of("*1", "*2", seen={0: 50})))
+    assert do_segments_overlap(one, other)
     late = type(other)(other.donor, -1, other.frames[50:], other.points[50:])
-    assert not meet(one, late)
-    assert not meet(late, one)
+    assert not do_segments_overlap(one, late)
+    assert not do_segments_overlap(late, one)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect.places import beside
+from mocapfix.detect.ramp_fit import regress_out
 
 COUNT, RIDGE = 400, 0.1
 
@@ -15,13 +15,13 @@ def features(spread):
 @pytest.mark.parametrize("spread", [0.01, 0.1, 1.0])
 def test_what_goes_with_features_is_explained_as_far_as_they_mean_anything(spread):
     path = features(spread) @ np.array([[0.02, 0.0, 0.01], [0.0, 0.03, 0.0]])
-    there = beside(features(spread), path + [1.0, 2.0, 3.0], np.arange(COUNT), RIDGE)
-    np.testing.assert_allclose(there.left, path * RIDGE**2 / (spread**2 + RIDGE**2), atol=1e-12)
+    there = regress_out(features(spread), path + [1.0, 2.0, 3.0], np.arange(COUNT), RIDGE)
+    np.testing.assert_allclose(there.residual, path * RIDGE**2 / (spread**2 + RIDGE**2), atol=1e-12)
 
 
 def test_what_has_nothing_to_do_with_them_is_left_but_for_its_mean():
     path = np.random.default_rng(0).normal(size=(COUNT, 3))
-    still = beside(np.zeros((COUNT, 0)), path, np.arange(COUNT), RIDGE)
-    np.testing.assert_allclose(still.left, path - path.mean(0), atol=1e-12)
+    still = regress_out(np.zeros((COUNT, 0)), path, np.arange(COUNT), RIDGE)
+    np.testing.assert_allclose(still.residual, path - path.mean(0), atol=1e-12)
     without = path - path.mean(0) - features(1) @ (features(1).T @ path) / COUNT
-    np.testing.assert_allclose(beside(features(1), without, np.arange(COUNT), RIDGE).left, without, atol=1e-12)
+    np.testing.assert_allclose(regress_out(features(1), without, np.arange(COUNT), RIDGE).residual, without, atol=1e-12)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import segments
+from mocapfix.detect import gaps
 from tests.detect.people import CMU41, columns, somebody, without
 
 ARM = ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")
@@ -13,12 +13,12 @@ def where(take, found):
 
 
 def test_a_whole_take_has_lost_nothing():
-    assert segments.found(somebody(), CMU41) == []
+    assert gaps.detect_lost_segments(somebody(), CMU41) == []
 
 
 def test_a_segment_is_lost_where_all_its_markers_are():
     take = without(without(without(somebody(), "RHEE", first=10, last=40), "RTOE", first=20, last=45), "RMT5", first=15, last=50)
-    (fault,) = segments.found(take, CMU41)
+    (fault,) = gaps.detect_lost_segments(take, CMU41)
     assert fault.kind == "segment lost"
     assert where(take, [fault]) == [(list(FOOT), 20, 40)]
     labels = "RHEE, RTOE, RMT5"
@@ -28,39 +28,39 @@ def test_a_segment_is_lost_where_all_its_markers_are():
 
 def test_a_lost_limb_is_named_once_and_what_is_lost_longer_besides():
     take = without(somebody(), *ARM, first=20, last=50)
-    (arm,) = segments.found(take, CMU41)
+    (arm,) = gaps.detect_lost_segments(take, CMU41)
     assert set(arm.markers) == set(columns(take, *ARM))
     assert "the left arm" in arm.reason
     take = without(take, "LFRM", "LWRA", "LWRB", first=51, last=70)
-    assert where(take, segments.found(take, CMU41)) == [(list(ARM), 20, 50), (["LFRM", "LWRA", "LWRB"], 20, 70)]
+    assert where(take, gaps.detect_lost_segments(take, CMU41)) == [(list(ARM), 20, 50), (["LFRM", "LWRA", "LWRB"], 20, 70)]
 
 
 def test_where_nobody_is_seen_the_body_is_lost_and_nothing_else_is_said():
     take = without(somebody(), *CMU41.labels, first=30, last=40)
-    (body,) = segments.found(take, CMU41)
+    (body,) = gaps.detect_lost_segments(take, CMU41)
     assert (len(body.markers), body.first, body.last) == (41, 30, 40)
     assert body.reason.startswith("Nothing of the body is seen for 0.37 s: ")
 
 
 @pytest.mark.parametrize(("last", "count"), [(21, 0), (22, 1)])
 def test_what_is_lost_for_less_than_a_tenth_of_a_second_is_not_named(last, count):
-    assert len(segments.found(without(somebody(), *FOOT, first=20, last=last), CMU41)) == count
+    assert len(gaps.detect_lost_segments(without(somebody(), *FOOT, first=20, last=last), CMU41)) == count
 
 
 def test_a_single_marker_is_no_segment():
-    assert segments.found(without(somebody(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
+    assert gaps.detect_lost_segments(without(somebody(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
 
 
 def test_severity_is_how_far_the_segment_moved_meanwhile():
     sound = somebody()
-    (fault,) = segments.found(without(sound, *FOOT, first=20, last=40), CMU41)
+    (fault,) = gaps.detect_lost_segments(without(sound, *FOOT, first=20, last=40), CMU41)
     way = np.linalg.norm(sound.markers[41] - sound.markers[19], axis=-1)[list(columns(sound, *FOOT))]
     assert fault.severity == pytest.approx(np.median(way))
-    (late,) = segments.found(without(sound, *FOOT, first=40), CMU41)
+    (late,) = gaps.detect_lost_segments(without(sound, *FOOT, first=40), CMU41)
     assert np.isnan(late.severity)
     assert "for 1.67 s" in late.reason
 
 
 def test_what_is_never_seen_is_lost_in_the_whole_take():
-    (fault,) = segments.found(without(somebody(), *FOOT), CMU41)
+    (fault,) = gaps.detect_lost_segments(without(somebody(), *FOOT), CMU41)
     assert "Nothing of RightFoot is seen in the whole take" in fault.reason

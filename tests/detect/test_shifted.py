@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect import off_body, second_look, shifted
-from mocapfix.detect.shifted import Shift
-from mocapfix.kernels import kinematics
+from mocapfix.detect import body_residuals, loop, marker_shifts
+from mocapfix.detect.marker_shifts import ShiftEstimate
+from mocapfix.solve import kinematics
 from tests.detect.on_body import RATE, solved
 
 SECONDS = 12.0
@@ -22,7 +22,7 @@ BESIDE = ("ForeArm", "Hand", "Foot")
 def turned():
     """-> (T, J, 3, 3): how the segments lie in the world."""
     sound = solved(seconds=SECONDS)
-    return kinematics.world(sound.subject.skeleton, sound.motion)[1]
+    return kinematics.compute_world_poses(sound.subject.skeleton, sound.motion)[1]
 
 
 def elsewhere(take, marker, way, first, settled):
@@ -30,7 +30,7 @@ def elsewhere(take, marker, way, first, settled):
     markers, subject = take.markers.copy(), solved(seconds=SECONDS).subject
     share = np.clip((np.arange(take.frames) - first + 1) / (settled - first + 1), 0, 1)
     markers[:, marker] += share[:, None] * (turned()[:, subject.joints[marker]] @ way)
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 def sound():
@@ -39,7 +39,9 @@ def sound():
 
 def seen(take):
     subject, motion = solved(seconds=SECONDS).subject, solved(seconds=SECONDS).motion
-    return shifted.shifts(off_body.of(take, take.seen, subject, motion), subject, motion, RATE)
+    return marker_shifts.detect_marker_shifts(
+        body_residuals.compute_body_residuals(take, take.seen, subject, motion), subject, motion, RATE
+    )
 
 
 def ways(smallest, largest):
@@ -54,8 +56,8 @@ def test_a_knock_is_found_to_the_frame_and_its_size_to_a_centimetre(marker, firs
     (shift,) = seen(elsewhere(sound(), marker, way, first, first))
     assert shift.marker == marker
     assert abs(shift.first - first) <= 1
-    assert shift.settled == shift.first
-    assert shift.size == pytest.approx(np.linalg.norm(way), abs=0.01)
+    assert shift.settled_frame == shift.first
+    assert shift.size_m == pytest.approx(np.linalg.norm(way), abs=0.01)
 
 
 @settings(max_examples=4)
@@ -63,24 +65,24 @@ def test_a_knock_is_found_to_the_frame_and_its_size_to_a_centimetre(marker, firs
 def test_a_slide_is_found_to_a_second_or_two(marker, first, seconds, way):
     (shift,) = seen(elsewhere(sound(), marker, way, first, first + round(seconds * RATE)))
     assert shift.marker == marker
-    np.testing.assert_allclose([shift.first, shift.settled], [first, first + seconds * RATE], rtol=0, atol=2 * RATE)
-    assert shift.size == pytest.approx(np.linalg.norm(way), rel=0.2, abs=0.006)
+    np.testing.assert_allclose([shift.first, shift.settled_frame], [first, first + seconds * RATE], rtol=0, atol=2 * RATE)
+    assert shift.size_m == pytest.approx(np.linalg.norm(way), rel=0.2, abs=0.006)
 
 
 def test_nothing_is_shifted_on_a_sound_take_nor_on_a_short_or_empty_one():
     assert seen(sound()) == []
     moved = elsewhere(sound(), 8, np.array([0.0, 0.04, 0.0]), 200, 200)
-    few = np.zeros_like(moved.seen)
+    few = np.zeros_like(moved.visible)
     few[:400] = True
-    assert seen(moved.only(few)) == []
-    assert seen(moved.only(np.zeros_like(few))) == []
+    assert seen(moved.masked(few)) == []
+    assert seen(moved.masked(np.zeros_like(few))) == []
 
 
 def test_a_marker_that_comes_back_elsewhere_from_a_gap():
     take = elsewhere(sound(), 8, np.array([0.0, 0.04, 0.0]), 700, 700)
-    hidden = take.seen.copy()
+    hidden = take.visible.copy()
     hidden[650:760, 8] = False
-    (shift,) = seen(take.only(hidden))
+    (shift,) = seen(take.masked(hidden))
     assert (shift.marker, shift.first) == (8, 760)
 
 
@@ -89,7 +91,7 @@ def test_a_marker_that_comes_back_is_not_shifted(seconds):
     take, away = sound(), slice(500, 500 + round(seconds * RATE))
     markers = take.markers.copy()
     markers[away, 8] = elsewhere(take, 8, np.array([0.0, 0.04, 0.0]), 0, 0).markers[away, 8]
-    assert seen(take.with_markers(markers)) == []
+    assert seen(take.replace_markers(markers)) == []
 
 
 @pytest.mark.parametrize(("follows", "found"), [(True, []), (False, [FOREARM])])
@@ -98,46 +100,50 @@ def test_what_goes_with_a_joint_that_bends_for_good_is_not_shifted(follows, foun
     subject, motion = solved(seconds=SECONDS).subject, solved(seconds=SECONDS).motion
     joint, time = int(subject.joints[FOREARM]), np.arange(FRAMES) / RATE
     bent = np.clip((time - 4) / 2, 0, 1)
-    rotations = motion.rotations.copy()
+    rotations = motion.local_rotations.copy()
     rotations[:, joint] @= Rotation.from_rotvec(0.5 * bent[:, None] * [0.0, 0.0, 1.0]).as_matrix()
-    bends = replace(motion, rotations=rotations)
-    turn = kinematics.world(subject.skeleton, bends)[1][:, subject.joints]
-    skin = np.einsum("tkba,tkb->tka", turned()[:, subject.joints], sound().markers - kinematics.placed(subject, motion)[1])
-    markers = kinematics.placed(subject, bends)[1] + np.einsum("tkab,tkb->tka", turn, skin)
+    bends = replace(motion, local_rotations=rotations)
+    turn = kinematics.compute_world_poses(subject.skeleton, bends)[1][:, subject.joints]
+    skin = np.einsum(
+        "tkba,tkb->tka",
+        turned()[:, subject.joints],
+        sound().markers - kinematics.compute_joint_and_marker_positions(subject, motion)[1],
+    )
+    markers = kinematics.compute_joint_and_marker_positions(subject, bends)[1] + np.einsum("tkab,tkb->tka", turn, skin)
     share = bent if follows else (time >= 9).astype(float)
     markers[:, FOREARM] += share[:, None] * (turn[:, FOREARM] @ [0.0, 0.015, 0.0])
-    take = sound().with_markers(markers)
-    off = off_body.of(take, take.seen, subject, bends)
-    assert [shift.marker for shift in shifted.shifts(off, subject, bends, RATE)] == found
+    take = sound().replace_markers(markers)
+    off = body_residuals.compute_body_residuals(take, take.visible, subject, bends)
+    assert [shift.marker for shift in marker_shifts.detect_marker_shifts(off, subject, bends, RATE)] == found
 
 
 def test_beside_a_greater_change_a_lesser_one_waits():
     subject = solved(seconds=SECONDS).subject
     forearm, hand, foot = (np.flatnonzero(subject.joints == subject.skeleton.names.index(f"Left{name}"))[0] for name in BESIDE)
     greater, lesser, other = (
-        Shift(int(m), 300, 300, 0.02, gain, 2.0) for m, gain in ((forearm, 0.02), (hand, 0.01), (foot, 0.005))
+        ShiftEstimate(int(m), 300, 300, 0.02, gain, 2.0) for m, gain in ((forearm, 0.02), (hand, 0.01), (foot, 0.005))
     )
-    assert shifted.worst([other, lesser, greater], subject) == [greater, other]
+    assert marker_shifts.select_dominant_shifts([other, lesser, greater], subject) == [greater, other]
 
 
 def test_the_second_look_tells_of_shifts_and_of_none_beside_a_stray():
-    take, look = sound(), lambda take: second_look.found(take, take.seen, *solved(seconds=SECONDS)[1:])
+    take, look = sound(), lambda take: loop.detect_body_faults(take, take.seen, *solved(seconds=SECONDS)[1:])
     knocked = elsewhere(take, 8, np.array([0.0, 0.018, 0.0]), 700, 700)
     (moved,) = look(knocked)
     assert (moved.kind, moved.marker, moved.first, moved.last) == ("moved", 8, 700, take.frames - 1)
     markers = knocked.markers.copy()
     markers[200:260, 8] += [0.0, 0.2, 0.0]
-    (ghost,) = look(take.with_markers(markers))
+    (ghost,) = look(take.replace_markers(markers))
     assert (ghost.kind, ghost.marker, ghost.first, ghost.last) == ("ghost", 8, 200, 259)
 
 
 def test_the_reason_is_a_sentence():
     take = sound()
     label = take.labels[3]
-    knock = shifted.fault(Shift(3, 700, 700, 0.0123, 0.01, 2.0), take)
-    slide = shifted.fault(Shift(3, 240, 960, 0.0123, 0.01, 2.0), take)
+    knock = marker_shifts.build_shift_fault(ShiftEstimate(3, 700, 700, 0.0123, 0.01, 2.0), take)
+    slide = marker_shifts.build_shift_fault(ShiftEstimate(3, 240, 960, 0.0123, 0.01, 2.0), take)
     where = "stays elsewhere on its segment: 12 mm of that the body cannot follow."
     assert (knock.kind, knock.reason) == ("moved", f"{label} is knocked and {where}")
     assert (slide.kind, slide.reason) == ("drift", f"{label} slides in 6 s and {where}")
-    assert (slide.first, slide.settled, slide.last) == (240, 960, take.frames - 1)
+    assert (slide.first, slide.settled_frame, slide.last) == (240, 960, take.frames - 1)
     assert knock.confidence == pytest.approx(2 / 3)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_set
-from mocapfix.detect import sides
+from mocapfix import marker_sets
+from mocapfix.detect import mislabelled
 from tests.detect.people import CMU41
 
 SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
@@ -10,8 +10,8 @@ SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_twins_bear_each_others_names(name):
-    worn = marker_set.load(name)
-    twin = sides.twins(worn)
+    worn = marker_sets.load_marker_set(name)
+    twin = mislabelled.find_twins(worn)
     for label, other in zip(worn.labels, twin, strict=True):
         named = {"L": "R", "R": "L"}.get(label[0], label[0]) + label[1:]
         assert worn.labels[other] == (named if named in worn.labels else label)
@@ -19,15 +19,18 @@ def test_twins_bear_each_others_names(name):
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_each_group_exchanges_twins_and_leaves_the_rest(name):
-    worn = marker_set.load(name)
-    own, twin = np.arange(len(worn.labels)), sides.twins(worn)
-    for exchange in sides.groups(worn):
+    worn = marker_sets.load_marker_set(name)
+    own, twin = np.arange(len(worn.labels)), mislabelled.find_twins(worn)
+    for exchange in mislabelled.list_mirror_exchanges(worn):
         assert ((exchange == own) | (exchange == twin)).all()
         np.testing.assert_array_equal(exchange[exchange], own)
 
 
 def test_the_whole_body_its_limbs_and_its_segments_are_groups():
-    groups = {frozenset(CMU41.labels[k] for k in np.flatnonzero(each > np.arange(41))) for each in sides.groups(CMU41)}
+    groups = {
+        frozenset(CMU41.labels[k] for k in np.flatnonzero(each > np.arange(41)))
+        for each in mislabelled.list_mirror_exchanges(CMU41)
+    }
     assert {"LFHD", "LBHD"} in groups
     assert {"LUPA", "LELB"} in groups
     assert {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"} in groups
@@ -38,5 +41,5 @@ def test_the_whole_body_its_limbs_and_its_segments_are_groups():
 
 def test_what_both_sides_twins_do_alike_is_a_habit():
     twin = np.array([3, 4, 2, 0, 1, 6, 5])
-    assert sides.one_sided([(0, 1), (3, 4)], twin) == []
-    assert sides.one_sided([(0, 1), (5, 6), (0, 3)], twin) == [(0, 1), (5, 6), (0, 3)]
+    assert mislabelled.select_one_sided_cycles([(0, 1), (3, 4)], twin) == []
+    assert mislabelled.select_one_sided_cycles([(0, 1), (5, 6), (0, 3)], twin) == [(0, 1), (5, 6), (0, 3)]

@@ -19,7 +19,7 @@ def swinging(rate=120.0, seconds=2.0, markers=1):
 
 
 def found(markers, rate=120.0):
-    return spikes.found(Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate), SMALLEST, LONGEST)
+    return spikes.detect_spikes(Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate), SMALLEST, LONGEST)
 
 
 def spans(faults):
@@ -97,9 +97,9 @@ def test_a_fifth_of_all_samples_are_spikes():
     markers[hurt] += rng.uniform(-0.3, 0.3, (hurt.sum(), 3))
     markers[rng.random(hurt.shape) < 0.05] = np.nan
     take = Take(markers, tuple("abcdefgh"), 120.0)
-    doubted = Faults(tuple(spikes.found(take, SMALLEST, LONGEST))).doubted(take)
-    assert doubted[hurt & take.seen].mean() > 0.97
-    assert doubted[~hurt & take.seen].mean() < 0.005
+    doubted = Faults(tuple(spikes.detect_spikes(take, SMALLEST, LONGEST))).compute_faulty_mask(take)
+    assert doubted[hurt & take.visible].mean() > 0.97
+    assert doubted[~hurt & take.visible].mean() < 0.005
 
 
 def test_where_the_take_stands_and_how_it_is_turned_does_not_matter():
@@ -122,8 +122,8 @@ def test_the_local_fit_knows_a_parabola_and_its_own_ignorance():
     times = np.arange(-10, 11) / 120
     times = times[times != 0]
     path = np.array([[1.0, 2.0, 3.0]]) + times[:, None] * [1.0, 0.0, -2.0] + times[:, None] ** 2 / 2 * [0.0, 50.0, -9.81]
-    expected, near = spikes._local_fit(times, path, np.zeros(1))
+    expected, near = spikes._fit_locally(times, path, np.zeros(1))
     np.testing.assert_allclose(expected, [[1.0, 2.0, 3.0]], atol=5e-4)
     assert near < 0.003
-    _, amid_a_gap = spikes._local_fit(times[abs(times) > 0.05], path[abs(times) > 0.05], np.zeros(1))
+    _, amid_a_gap = spikes._fit_locally(times[abs(times) > 0.05], path[abs(times) > 0.05], np.zeros(1))
     assert amid_a_gap > 0.05

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from mocapfix import read
-from mocapfix.detect import straight
-from mocapfix.detect.straight import NAMES
+from mocapfix.detect import external_fills
+from mocapfix.detect.external_fills import POLYNOMIAL_NAMES
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.detect.filled import as_floats, as_integers, walking
 
@@ -24,7 +24,7 @@ def filled(take, marker, first, last, degree):
     for a in range(3):
         fit = np.polynomial.Polynomial.fit((at - first) / scale, markers[at, marker, a], degree)
         markers[gap, marker, a] = fit((gap - first) / scale)
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 @given(
@@ -35,16 +35,16 @@ def filled(take, marker, first, last, degree):
 )
 def test_a_fill_is_found_to_a_few_frames_and_its_degree_told(rate, start, seconds, degree):
     first, last = round(start * rate), round((start + seconds) * rate)
-    (fault,) = straight.found(as_floats(filled(walking(rate), 1, first, last, degree)))
+    (fault,) = external_fills.detect_polynomial_fills(as_floats(filled(walking(rate), 1, first, last, degree)))
     assert (fault.marker, fault.kind) == (1, "straight")
-    assert NAMES[degree] in fault.reason
+    assert POLYNOMIAL_NAMES[degree] in fault.reason
     assert abs(fault.first - first) <= 1  # a cubic through four samples hits the outer ones too
     assert abs(fault.last - last) <= 1
 
 
 @pytest.mark.parametrize("degree", [1, 3])
 def test_a_fill_in_a_file_of_tenths_of_millimetres(degree):
-    (fault,) = straight.found(as_integers(filled(walking(), 1, 200, 259, degree)))
+    (fault,) = external_fills.detect_polynomial_fills(as_integers(filled(walking(), 1, 200, 259, degree)))
     np.testing.assert_allclose([fault.first, fault.last], [200, 259], rtol=0, atol=3)
 
 
@@ -53,13 +53,13 @@ def test_a_natural_spline_across_one_gap_is_a_cubic():
     markers, gap = take.markers.copy(), np.arange(200, 240)
     others = np.delete(np.arange(len(markers)), gap)
     markers[gap, 3] = CubicSpline(others, markers[others, 3])(gap)
-    (fault,) = straight.found(take.with_markers(markers))
+    (fault,) = external_fills.detect_polynomial_fills(take.replace_markers(markers))
     assert (fault.marker, fault.first, fault.last) == (3, 200, 239)
     assert "cubic" in fault.reason
 
 
 def test_what_is_said():
-    (fault,) = straight.found(filled(walking(), 1, 200, 259, 1))
+    (fault,) = external_fills.detect_polynomial_fills(filled(walking(), 1, 200, 259, 1))
     off = f"{fault.severity * 1e3:.2g} mm"
     assert fault.reason == (
         f"B lies on an exact line for 0.50 s, as other programs fill gaps; what was measured thereabouts is {off} off one."
@@ -73,37 +73,42 @@ def test_fills_side_by_side_and_beside_a_gap():
     markers[100:140, 1] = np.linspace(markers[100, 1], markers[140, 1], 40)
     markers[80:100, 1] = np.nan
     markers[60:80, 1] = np.nan
-    ends = [(f.first, f.last) for f in straight.found(take.with_markers(markers))]
+    ends = [(f.first, f.last) for f in external_fills.detect_polynomial_fills(take.replace_markers(markers))]
     np.testing.assert_allclose(ends, [(100, 138), (200, 230), (232, 280)], rtol=0, atol=1)
 
 
 def test_measured_motion_is_not_straight():
     """Also a body in free fall, on a parabola but for the noise; and one at rest, in a file of coarse integers."""
     for rate in (50.0, 120.0, 250.0):
-        assert straight.found(as_floats(walking(rate, noise=1e-4))) == []
+        assert external_fills.detect_polynomial_fills(as_floats(walking(rate, noise=1e-4))) == []
     t = np.arange(240) / 120
     fall = np.stack([2 * t, 1.5 + 4 * t - 4.9 * t**2, 0 * t], -1)[:, None]
-    assert straight.found(as_floats(Take(fall + np.random.default_rng(1).normal(0, 1e-4, fall.shape), ("A",), 120.0))) == []
+    assert (
+        external_fills.detect_polynomial_fills(
+            as_floats(Take(fall + np.random.default_rng(1).normal(0, 1e-4, fall.shape), ("A",), 120.0))
+        )
+        == []
+    )
     rest = np.random.default_rng(2).normal(0, 2e-5, (600, 3, 3)) + np.arange(9.0).reshape(3, 3) / 10
-    assert straight.found(as_integers(Take(rest, ("A", "B", "C"), 120.0))) == []
+    assert external_fills.detect_polynomial_fills(as_integers(Take(rest, ("A", "B", "C"), 120.0))) == []
 
 
 def test_a_marker_held_at_one_value_stands():
     take = walking()
     markers = take.markers.copy()
     markers[200:260, 0] = markers[200, 0]
-    assert straight.found(take.with_markers(markers)) == []
+    assert external_fills.detect_polynomial_fills(take.replace_markers(markers)) == []
 
 
 def test_too_short_a_stretch_is_left():
-    assert straight.found(filled(walking(), 1, 200, 206, 1)) == []
+    assert external_fills.detect_polynomial_fills(filled(walking(), 1, 200, 206, 1)) == []
 
 
 def test_empty_takes():
-    assert straight.found(Take(np.zeros((10, 0, 3)), (), 120.0)) == []
-    assert straight.found(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)) == []
-    assert straight.found(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
-    assert straight.found(Take(np.zeros((50, 2, 3)), ("a", "b"), 120.0)) == []
+    assert external_fills.detect_polynomial_fills(Take(np.zeros((10, 0, 3)), (), 120.0)) == []
+    assert external_fills.detect_polynomial_fills(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)) == []
+    assert external_fills.detect_polynomial_fills(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
+    assert external_fills.detect_polynomial_fills(Take(np.zeros((50, 2, 3)), ("a", "b"), 120.0)) == []
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
@@ -113,4 +118,4 @@ def test_empty_takes():
 )
 def test_what_studios_filled(name, filled):
     """01_01 was filled with cubics, RFRM over 0.4 s; the serve with two lines; 85_02 is smoothed, HDM05 coarse: both measured."""
-    assert len(straight.found(read.take(CAPTURES / f"{name}.c3d"))) == filled
+    assert len(external_fills.detect_polynomial_fills(capture.read_capture(CAPTURES / f"{name}.c3d"))) == filled

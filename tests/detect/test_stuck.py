@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read
-from mocapfix.detect import stuck
+from mocapfix.detect import frozen
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.detect.filled import LABELS, as_floats, walking
 
@@ -16,7 +16,7 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 def held(take, marker, first, last):
     markers = take.markers.copy()
     markers[first : last + 1, marker] = markers[first - 1, marker]
-    return take.with_markers(markers)
+    return take.replace_markers(markers)
 
 
 @given(
@@ -24,13 +24,13 @@ def held(take, marker, first, last):
 )
 def test_a_held_marker_is_found_to_the_frame(rate, start, seconds, marker):
     first, last = round(start * rate), round((start + seconds) * rate)
-    (fault,) = stuck.found(held(walking(rate), marker, first, last))
+    (fault,) = frozen.detect_frozen(held(walking(rate), marker, first, last))
     assert (fault.marker, fault.first, fault.last) == (marker, first, last)
 
 
 def test_what_is_said():
     take = held(walking(), 2, 200, 259)
-    (fault,) = stuck.found(take)
+    (fault,) = frozen.detect_frozen(take)
     assert fault.reason == f"C is held at one value for 0.50 s while the markers about it go {fault.severity * 1e3:.0f} mm."
     gone = np.linalg.norm(take.markers[199:260] - take.markers[199], axis=-1).max(0)
     np.testing.assert_allclose(fault.severity, np.median(np.delete(gone, 2)), rtol=0.02)
@@ -41,7 +41,7 @@ def test_held_to_the_end_of_the_take_and_from_its_beginning():
     take = held(walking(), 1, 400, 479)
     markers = take.markers.copy()
     markers[:60, 0] = markers[60, 0]
-    faults = stuck.found(take.with_markers(markers))
+    faults = frozen.detect_frozen(take.replace_markers(markers))
     assert [(f.marker, f.first, f.last) for f in faults] == [(0, 0, 60), (1, 400, 479)]
 
 
@@ -49,7 +49,7 @@ def test_a_body_at_rest_is_not_stuck():
     take = walking()
     markers = take.markers.copy()
     markers[100:200] = markers[100]
-    assert stuck.found(take.with_markers(markers)) == []
+    assert frozen.detect_frozen(take.replace_markers(markers)) == []
 
 
 def test_nearly_at_rest_in_a_file_of_coarse_integers():
@@ -57,40 +57,40 @@ def test_nearly_at_rest_in_a_file_of_coarse_integers():
     t = np.arange(960)[:, None, None] / 120
     places = np.random.default_rng(5).normal(0, 0.1, (1, 4, 3))
     coarse = np.rint((places + 0.001 * np.sin(t * [1.0, 1.3, 0.7] + np.arange(4)[:, None])) / 5e-4) * 5e-4
-    assert stuck.found(Take(coarse, LABELS, 120.0)) == []
+    assert frozen.detect_frozen(Take(coarse, LABELS, 120.0)) == []
 
 
 def test_neighbours_that_are_missing_meanwhile_are_not_asked():
     take = held(walking(), 0, 200, 259)
     markers = take.markers.copy()
     markers[195:265, 1] = np.nan
-    assert len(stuck.found(take.with_markers(markers))) == 1
+    assert len(frozen.detect_frozen(take.replace_markers(markers))) == 1
     markers[195:265, 2:] = np.nan
-    assert stuck.found(take.with_markers(markers)) == []
+    assert frozen.detect_frozen(take.replace_markers(markers)) == []
 
 
 def test_too_short_a_hold_is_left():
-    assert stuck.found(held(walking(), 0, 200, 206)) == []
-    assert len(stuck.found(held(walking(), 0, 200, 206), shortest=0.05)) == 1
+    assert frozen.detect_frozen(held(walking(), 0, 200, 206)) == []
+    assert len(frozen.detect_frozen(held(walking(), 0, 200, 206), min_duration_s=0.05)) == 1
 
 
 def test_sound_and_empty_takes():
-    assert stuck.found(walking()) == []
-    assert stuck.found(Take(np.zeros((10, 0, 3)), (), 120.0)) == []
-    assert stuck.found(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)) == []
-    assert stuck.found(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
+    assert frozen.detect_frozen(walking()) == []
+    assert frozen.detect_frozen(Take(np.zeros((10, 0, 3)), (), 120.0)) == []
+    assert frozen.detect_frozen(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)) == []
+    assert frozen.detect_frozen(Take(np.full((50, 2, 3), np.nan), ("a", "b"), 120.0)) == []
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/05_13", "cmu/85_02", "c3d/walkingOptiTrack", "c3d/PiG_Motion-FlatFoot-Hole"])
 def test_no_studio_left_held_markers(name):
-    take = read.take(CAPTURES / f"{name}.c3d")
-    assert stuck.found(take) == []
+    take = capture.read_capture(CAPTURES / f"{name}.c3d")
+    assert frozen.detect_frozen(take) == []
     moving = np.linalg.norm(np.diff(take.markers, axis=0), axis=-1)
     frame, marker = np.unravel_index(np.nan_to_num(moving)[60:-60].argmax(), moving[60:-60].shape)
     hold = held(take, marker, frame + 45, frame + 75)
-    assert [f.marker for f in stuck.found(hold)] == [marker]
+    assert [f.marker for f in frozen.detect_frozen(hold)] == [marker]
 
 
 def test_floats_of_32_bits_hold_as_well():
-    assert len(stuck.found(as_floats(held(walking(), 0, 200, 259)))) == 1
+    assert len(frozen.detect_frozen(as_floats(held(walking(), 0, 200, 259)))) == 1

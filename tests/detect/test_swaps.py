@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read
-from mocapfix.detect import swaps
-from mocapfix.faults import SURE
+from mocapfix.detect import label_swaps
+from mocapfix.faults import MIN_LABEL_CONFIDENCE
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.detect.bodies import exchanged, hidden, turning
 
@@ -16,8 +16,8 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 
 def undone(take, found):
     for swap in found:
-        if swap.confidence >= SURE:
-            take = take.exchanged(swap.markers, swap.first, swap.last)
+        if swap.confidence >= MIN_LABEL_CONFIDENCE:
+            take = take.exchange_labels(swap.markers, swap.first, swap.last)
     return take
 
 
@@ -33,7 +33,7 @@ def where(found):
 )
 def test_a_swap_in_full_sight_is_found_to_the_frame(seed, pair, first, length):
     take = exchanged(turning(seed=seed), pair, first, first + length - 1)
-    (swap,) = swaps.found(take)
+    (swap,) = label_swaps.detect_label_swaps(take)
     assert where([swap]) == [(pair, first, first + length - 1)]
     assert swap.confidence > 0.9
 
@@ -41,14 +41,14 @@ def test_a_swap_in_full_sight_is_found_to_the_frame(seed, pair, first, length):
 @pytest.mark.parametrize("ring", [(0, 1, 2), (0, 2, 1), (1, 6, 3)])
 def test_a_ring_of_three_is_found_the_right_way_round(ring):
     sound = turning()
-    (swap,) = swaps.found(exchanged(sound, ring, 100, 180))
+    (swap,) = label_swaps.detect_label_swaps(exchanged(sound, ring, 100, 180))
     assert where([swap]) == [(ring, 100, 180)]
     np.testing.assert_array_equal(undone(exchanged(sound, ring, 100, 180), [swap]).markers, sound.markers)
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 99), (360, 479)])
 def test_of_a_swap_to_an_end_of_the_take_the_distances_tell_the_wrong_part(first, last):
-    (swap,) = swaps.found(exchanged(turning(), (1, 3), first, last))
+    (swap,) = label_swaps.detect_label_swaps(exchanged(turning(), (1, 3), first, last))
     assert where([swap]) == [((1, 3), first, last)]
     assert swap.confidence > 0.95
 
@@ -57,14 +57,14 @@ def test_a_swap_that_begins_and_ends_in_gaps_is_told_by_distances():
     take = exchanged(turning(), (1, 3), 150, 250)
     for marker in (1, 3):
         take = hidden(hidden(take, marker, 120, 170), marker, 230, 290)
-    (swap,) = swaps.found(take)
+    (swap,) = label_swaps.detect_label_swaps(take)
     assert where([swap]) == [((1, 3), 171, 229)]
 
 
 def test_a_label_that_follows_a_marker_whose_own_label_is_lost_goes_back():
     sound = turning()
     take = hidden(exchanged(sound, (1, 3), 150, 250), 1, 150, 250)  # marker 3 is seen as 1 no more, marker 1 as 3
-    (swap,) = swaps.found(take)
+    (swap,) = label_swaps.detect_label_swaps(take)
     assert where([swap]) == [((1, 3), 150, 250)]
     np.testing.assert_array_equal(undone(take, [swap]).markers[:, 1], sound.markers[:, 1])
 
@@ -73,10 +73,10 @@ def test_without_distances_the_shorter_part_is_the_likelier_and_halves_are_left_
     t = np.arange(480) / 120
     apart = np.stack([np.sin(3 * t), np.cos(2 * t), 0.5 * t, -np.sin(5 * t), np.sin(4 * t), 0.2 * t], 1).reshape(-1, 2, 3)
     take = Take(apart, ("A", "B"), 120.0)
-    (short,) = swaps.found(exchanged(take, (0, 1), 430, 479))
-    (half,) = swaps.found(exchanged(take, (0, 1), 240, 479))
+    (short,) = label_swaps.detect_label_swaps(exchanged(take, (0, 1), 430, 479))
+    (half,) = label_swaps.detect_label_swaps(exchanged(take, (0, 1), 240, 479))
     assert half.confidence < short.confidence < 0.65
-    assert half.confidence < SURE
+    assert half.confidence < MIN_LABEL_CONFIDENCE
     unsure = exchanged(take, (0, 1), 240, 479)
     np.testing.assert_array_equal(undone(unsure, [half]).markers, unsure.markers)
 
@@ -84,7 +84,7 @@ def test_without_distances_the_shorter_part_is_the_likelier_and_halves_are_left_
 def test_two_swaps_at_once_are_both_found():
     sound = turning()
     take = exchanged(exchanged(sound, (0, 2), 100, 200), (6, 8), 150, 260)
-    found = swaps.found(take)
+    found = label_swaps.detect_label_swaps(take)
     assert sorted(where(found)) == [((0, 2), 100, 200), ((6, 8), 150, 260)]
     np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
 
@@ -98,11 +98,11 @@ def test_gaps_spikes_and_jitter_are_no_swaps():
         m, f = rng.integers(10), rng.integers(470)
         markers[f : f + rng.integers(1, 4), m] += rng.normal(0, 0.1, 3)
     markers[200:260, 4] += rng.normal(0, 0.012, (60, 3))
-    assert swaps.found(take) == swaps.found(take.with_markers(markers)) == []
+    assert label_swaps.detect_label_swaps(take) == label_swaps.detect_label_swaps(take.replace_markers(markers)) == []
 
 
 def test_the_reason_is_a_sentence_with_labels_seconds_and_millimetres():
-    (swap,) = swaps.found(exchanged(turning(), (1, 3), 100, 159))
+    (swap,) = label_swaps.detect_label_swaps(exchanged(turning(), (1, 3), 100, 159))
     apart = np.linalg.norm(turning().markers[100:160, 1] - turning().markers[100:160, 3], axis=-1)
     assert swap.severity == pytest.approx(np.median(apart))
     expected = f"M1 and M3 have exchanged their labels for 0.50 s (60 frames): their samples lie {swap.severity * 1e3:.0f} mm"
@@ -111,14 +111,14 @@ def test_the_reason_is_a_sentence_with_labels_seconds_and_millimetres():
 
 def test_takes_without_frames_or_markers_have_no_swaps():
     for shape in [(0, 3, 3), (1, 3, 3), (10, 0, 3)]:
-        assert swaps.found(Take(np.zeros(shape), ("A", "B", "C")[: shape[1]], 100.0)) == []
-    assert swaps.found(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
+        assert label_swaps.detect_label_swaps(Take(np.zeros(shape), ("A", "B", "C")[: shape[1]], 100.0)) == []
+    assert label_swaps.detect_label_swaps(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_a_real_swap_of_a_single_frame():
-    take = read.take(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
-    (swap,) = swaps.found(take)
+    take = capture.read_capture(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
+    (swap,) = label_swaps.detect_label_swaps(take)
     assert [take.labels[m] for m in swap.markers] == ["Foot_Marker3", "Foot_Marker5"]
     assert swap.first == swap.last == 1952
 
@@ -126,4 +126,4 @@ def test_a_real_swap_of_a_single_frame():
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "cmu/06_01", "c3d/tennis_serve_motive"])
 def test_sound_captures_have_no_swaps(name):
-    assert swaps.found(read.take(CAPTURES / f"{name}.c3d")) == []
+    assert label_swaps.detect_label_swaps(capture.read_capture(CAPTURES / f"{name}.c3d")) == []

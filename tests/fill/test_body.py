@@ -7,8 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from mocapfix import synthetic
-from mocapfix.fill import body
-from mocapfix.kernels import kinematics
+from mocapfix.fill import body_fill
+from mocapfix.solve import kinematics
 
 RATE = 60.0
 
@@ -16,10 +16,10 @@ RATE = 60.0
 @pytest.fixture(scope="module")
 def scene():
     """-> subject, motion, the body's own markers (T, K, 3) and world rotations; all markers as sure as each other"""
-    truth = synthetic.take(seed=2, seconds=6.0, rate=RATE)
-    motion = replace(truth.motion, deviation=np.full(truth.struck.shape, 0.004))
-    _, rotation = kinematics.world(truth.subject.skeleton, motion)
-    return truth.subject, motion, kinematics.placed(truth.subject, motion)[1], rotation
+    truth = synthetic.compose_take(seed=2, seconds=6.0, rate=RATE)
+    motion = replace(truth.motion, marker_sd=np.full(truth.missing_mask.shape, 0.004))
+    _, rotation = kinematics.compute_world_poses(truth.subject.skeleton, motion)
+    return truth.subject, motion, kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1], rotation
 
 
 def gap(scene, marker, first, last):
@@ -30,7 +30,7 @@ def gap(scene, marker, first, last):
 
 def filled(scene, worn, wanted, motion=None):
     subject, known, _, _ = scene
-    return body.markers(np.where(wanted[..., None], np.nan, worn), wanted, subject, motion or known, RATE)
+    return body_fill.fill_from_body(np.where(wanted[..., None], np.nan, worn), wanted, subject, motion or known, RATE)
 
 
 def test_a_marker_that_rides_on_its_place_is_put_there(scene):
@@ -73,9 +73,9 @@ def test_a_pose_that_is_less_sure_in_the_gap_makes_the_fill_so(scene):
     _, motion, on_body, _ = scene
     wanted = gap(scene, 7, 100, 250)
     sure = filled(scene, on_body, wanted)[1][:, 7]
-    doubt = motion.deviation.copy()
+    doubt = motion.sd.copy()
     doubt[100:251] = 0.05
-    unsure = filled(scene, on_body, wanted, replace(motion, deviation=doubt))[1][:, 7]
+    unsure = filled(scene, on_body, wanted, replace(motion, sd=doubt))[1][:, 7]
     assert sure[175] < 0.01
     assert unsure[175] == pytest.approx(0.05, rel=0.1)
     assert unsure[100] < 0.3 * unsure[175]  # at the gap's edge the residual holds the pose's error, too

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.clusters import changes, percentile, rigid
+from mocapfix.fill.cluster_fill import compute_column_percentiles, compute_distance_changes, fill_from_clusters
 
 RATE = 100.0
 
@@ -28,7 +28,7 @@ def without(markers, m, first, last):
 def test_a_rigid_thing_gives_its_marker_back(seed, first, length):
     """Leading and trailing gaps too."""
     truth = tumbling(seed)
-    filled, deviation = rigid(without(truth, 2, first, first + length - 1), RATE)
+    filled, deviation = fill_from_clusters(without(truth, 2, first, first + length - 1), RATE)
     gap = slice(first, first + length)
     assert np.abs(filled - truth)[gap, 2].max() < 5e-4
     assert (deviation[gap, 2] < 0.002).all()
@@ -41,7 +41,7 @@ def test_a_hinge_beyond_the_thing_is_learnt():
     swing = 2.0 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1])
     truth[:, 4] += swing
     truth[:, 5] += 0.8 * swing
-    filled, deviation = rigid(without(truth, 5, 120, 219), RATE)
+    filled, deviation = fill_from_clusters(without(truth, 5, 120, 219), RATE)
     error = np.sqrt(((filled - truth)[120:220, 5] ** 2).mean())
     assert error < 0.3 * np.sqrt((0.8 * swing[120:220] ** 2).mean())
     assert error < 3 * np.median(deviation[120:220, 5])
@@ -50,33 +50,33 @@ def test_a_hinge_beyond_the_thing_is_learnt():
 def test_the_difference_at_the_edges_is_carried_across():
     truth = tumbling()
     truth[150:250, 2, 1] += 0.004  # the marker slipped, and slipped back
-    filled, _ = rigid(without(truth, 2, 190, 200), RATE)
+    filled, _ = fill_from_clusters(without(truth, 2, 190, 200), RATE)
     assert np.abs(filled - truth)[190:201, 2].max() < 0.0015
 
 
 def test_what_does_not_move_along_is_not_asked():
     rng = np.random.default_rng(0)
     loose = rng.normal(size=(400, 6, 3)).cumsum(0)
-    assert np.isnan(rigid(without(loose, 2, 100, 120), RATE)[0]).all()
+    assert np.isnan(fill_from_clusters(without(loose, 2, 100, 120), RATE)[0]).all()
 
 
 @pytest.mark.parametrize("others", [0, 1, 2])
 def test_three_others_are_needed(others):
     damaged = without(tumbling(size=others + 1), 0, 100, 120)
-    assert np.isnan(rigid(damaged, RATE)[0]).all()
+    assert np.isnan(fill_from_clusters(damaged, RATE)[0]).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 29])
 def test_hardly_any_frames(frames):
     damaged = tumbling(frames=60)
     damaged[frames:, 1] = np.nan
-    assert np.isnan(rigid(damaged, RATE)[0]).all()
-    assert np.isnan(rigid(np.full((frames, 3, 3), np.nan), RATE)[0]).all()
+    assert np.isnan(fill_from_clusters(damaged, RATE)[0]).all()
+    assert np.isnan(fill_from_clusters(np.full((frames, 3, 3), np.nan), RATE)[0]).all()
 
 
 def test_distances_are_constant_on_a_rigid_thing_only():
     markers = np.concatenate([tumbling(size=2), np.zeros((400, 1, 3))], 1)
-    change = changes(markers)
+    change = compute_distance_changes(markers)
     assert change[0, 1] < 1e-9
     assert change[0, 2] > 0.5
     assert np.isinf(np.diag(change)).all()
@@ -89,5 +89,5 @@ def test_percentiles_are_the_usual_ones(seed, share):
     numbers[rng.random((20, 4)) < 0.3] = np.nan
     numbers[1:, 3] = np.nan  # too few
     expected = [np.nanpercentile(column, 100 * share) for column in numbers.T[:3]]
-    found = percentile(np.sort(numbers, axis=0), share)
+    found = compute_column_percentiles(np.sort(numbers, axis=0), share)
     np.testing.assert_allclose(found, [*expected, np.inf], atol=1e-12)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import fill
-from mocapfix.fill import FillOptions
-from mocapfix.kernels import kinematics
-from mocapfix.take import Take, runs
+from mocapfix.fill import gap_filling
+from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.solve import kinematics
+from mocapfix.take import Take, find_runs
 
 FIRST, RATE, FRAMES = 501, 100.0, 400
 LABELS = ("Jim:A", "Jim:B", "Jim:C", "Jim:D", "Jim:E", "lonely", "never")
@@ -37,8 +37,10 @@ def torn(markers, *gaps):
 
 
 def given(take, options=ANYTHING, believed=None):
-    kept = take.seen if believed is None else believed
-    return fill.take(take, kept, fill.lasting(kept, take.rate), NO_COLUMNS, None, None, options)[:2]
+    kept = take.visible if believed is None else believed
+    return gap_filling.fill_take(take, kept, gap_filling.compute_gap_durations(kept, take.rate), NO_COLUMNS, None, None, options)[
+        :2
+    ]
 
 
 def untouched(before, after, where):
@@ -49,19 +51,19 @@ def test_a_rigid_gap_is_filled_and_all_else_is_returned_bit_for_bit(rod):
     take = torn(rod, (0, 100, 180))
     after, left = given(take)
     np.testing.assert_allclose(after.markers[100:181, 0], rod[100:181, 0], atol=1e-4)
-    assert untouched(take, after, take.seen)
-    assert after.deviation is not None
-    assert (after.deviation[100:181, 0] > 0).all()
-    assert np.isnan(after.deviation[take.seen]).all()
+    assert untouched(take, after, take.visible)
+    assert after.sample_sd is not None
+    assert (after.sample_sd[100:181, 0] > 0).all()
+    assert np.isnan(after.sample_sd[take.visible]).all()
     assert [(each.marker, each.first, each.last) for each in left] == [(6, 0, FRAMES - 1)]
     assert left[0].reason == "the marker is never seen in this take"
 
 
 def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_nothing_does(rod):
     take = torn(rod)
-    believed = take.seen
+    believed = take.visible
     believed[200, 0], believed[200:300, 5] = False, False
-    spiked = take.with_markers(np.where(believed[..., None] | ~take.seen[..., None], take.markers, take.markers + 0.3))
+    spiked = take.replace_markers(np.where(believed[..., None] | ~take.visible[..., None], take.markers, take.markers + 0.3))
     after, left = given(spiked, believed=believed)
     np.testing.assert_allclose(after.markers[200, 0], rod[200, 0], atol=1e-3)
     assert np.isnan(after.markers[250, 5]).all()  # never held at what was not believed
@@ -74,7 +76,7 @@ def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_no
 @pytest.mark.parametrize("label", ["Jim:A", "A"])
 def test_a_kept_marker_stays_as_it_is_with_its_faults(rod, label):
     take = torn(rod, (0, 100, 120), (1, 300, 310))
-    believed = take.seen
+    believed = take.visible
     believed[200, 0] = False
     after, left = given(take, FillOptions(keep=(label,)), believed)
     np.testing.assert_array_equal(after.markers[:, 0], take.markers[:, 0])
@@ -86,8 +88,8 @@ def test_a_kept_marker_stays_as_it_is_with_its_faults(rod, label):
 def test_only_the_frames_that_may_be_touched_are(rod):
     take = torn(rod, (0, 100, 120))
     after, left = given(take, FillOptions(frames=(FIRST + 105, FIRST + 110)))
-    filled = after.seen & ~take.seen
-    assert runs(filled[:, 0]) == [(105, 110)]
+    filled = after.visible & ~take.visible
+    assert find_runs(filled[:, 0]) == [(105, 110)]
     assert [(each.first, each.last) for each in left if each.marker == 0] == [(100, 104), (111, 120)]
     assert untouched(take, after, ~filled)
 
@@ -96,39 +98,39 @@ def test_only_the_frames_that_may_be_touched_are(rod):
 def test_a_gap_is_as_long_as_its_samples_and_longer_ones_are_left(rod, seconds, filled):
     take = torn(rod, (0, 100, 120))  # 21 samples
     after, left = given(take, FillOptions(max_gap=seconds))
-    assert after.seen[100:121, 0].all() == filled
+    assert after.visible[100:121, 0].all() == filled
     assert [each.reason for each in left if each.marker == 0] == ([] if filled else [f"the gap is longer than {seconds:g} s"])
 
 
 def test_what_is_less_sure_than_the_limit_stays_empty_and_is_told(rod):
     take = torn(rod, (0, 100, 180))
     after, left = given(take, FillOptions(limit=1e-6))
-    assert not after.seen[100:181, 0].any()
+    assert not after.visible[100:181, 0].any()
     assert next(each for each in left if each.marker == 0).reason == "its place could only be guessed to worse than 0 mm"
 
 
 def test_everything_left_is_missing_and_everything_missing_is_left(rod):
     take = torn(rod, (0, 0, 50), (1, 40, 90), (2, 350, 399), (5, 100, 300))
     after, left = given(take)
-    told = np.zeros(after.seen.shape, bool)
+    told = np.zeros(after.visible.shape, bool)
     for each in left:
         assert not told[each.first : each.last + 1, each.marker].any()
         assert each.reason
         told[each.first : each.last + 1, each.marker] = True
-    np.testing.assert_array_equal(told, ~after.seen)
+    np.testing.assert_array_equal(told, ~after.visible)
 
 
 def test_a_take_without_faults_is_returned_as_it_is(rod):
     take = Take(rod[:, :6], LABELS[:6], RATE, FIRST)
     after, left = given(take)
     assert left == ()
-    assert untouched(take, after, np.ones(take.seen.shape, bool))
+    assert untouched(take, after, np.ones(take.visible.shape, bool))
 
 
 def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbours(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
-    motion = replace(truth.motion, deviation=np.full(truth.struck.shape, 0.005))
-    on_body = kinematics.placed(subject, motion)[1]
+    motion = replace(truth.motion, deviation=np.full(truth.missing_mask.shape, 0.005))
+    on_body = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
     prop = on_body[:, [subject.labels.index("LFHD")]] + [0.0, 0.2, 0.0]
     markers = np.concatenate([on_body, prop], 1)[:, ::-1].copy()
     labels = (*subject.labels, "prop")[::-1]
@@ -138,11 +140,13 @@ def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbo
     markers[300:420, arm] = np.nan
     markers[500:520, 0] = np.nan
     take = Take(markers, labels, truth.rate)
-    after, left, _ = fill.take(take, take.seen, fill.lasting(take.seen, take.rate), columns, subject, motion, FillOptions())
+    after, left, _ = gap_filling.fill_take(
+        take, take.visible, gap_filling.compute_gap_durations(take.visible, take.rate), columns, subject, motion, FillOptions()
+    )
     assert left == ()
     assert np.linalg.norm(after.markers - truly, axis=-1)[300:420, arm].max() < 0.03
     assert np.linalg.norm(after.markers - truly, axis=-1)[500:520, 0].max() < 0.01
-    assert untouched(take, after, take.seen)
+    assert untouched(take, after, take.visible)
 
 
 def test_a_marker_that_the_take_lacks_is_no_column(cleaned):
@@ -152,7 +156,9 @@ def test_a_marker_that_the_take_lacks_is_no_column(cleaned):
     motion = replace(truth.motion, **{name: getattr(truth.motion, name)[:100] for name in vars(truth.motion)})
     columns = np.r_[-1, np.arange(len(labels))]
     take = Take(markers, labels, truth.rate)
-    after, left, _ = fill.take(take, take.seen, fill.lasting(take.seen, take.rate), columns, subject, motion, FillOptions())
+    after, left, _ = gap_filling.fill_take(
+        take, take.visible, gap_filling.compute_gap_durations(take.visible, take.rate), columns, subject, motion, FillOptions()
+    )
     assert left == ()
     assert after.markers.shape == markers.shape
     np.testing.assert_allclose(after.markers[40:50, 3], truth.markers[40:50, 4], atol=0.01)

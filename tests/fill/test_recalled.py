@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.recalled import WORTH, heard, recalled
+from mocapfix.fill.gaussian_process_fill import MAX_SETTLED_SD_M, fill_from_gaussian_process, select_input_markers
 
 RATE = 100.0
 
@@ -23,7 +23,7 @@ def walking(frames=800, seed=0, size=14):
 
 def given_nothing_else(markers, rate):
     """-> what it makes of a take where no other way says anything"""
-    return recalled(markers, np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan), rate)
+    return fill_from_gaussian_process(markers, np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan), rate)
 
 
 def error(filled, truth, gap, m):
@@ -110,8 +110,8 @@ def test_what_other_ways_know_well_is_left_to_them():
     damaged = walking()
     damaged[300:350, 8] = damaged[600:640, 9] = np.nan
     others, sure = np.zeros(damaged.shape), np.full(damaged.shape[:2], np.nan)
-    sure[300:350, 8], sure[600:640, 9] = 0.9 * WORTH, 1.1 * WORTH
-    filled, _ = recalled(damaged, others, sure, RATE)
+    sure[300:350, 8], sure[600:640, 9] = 0.9 * MAX_SETTLED_SD_M, 1.1 * MAX_SETTLED_SD_M
+    filled, _ = fill_from_gaussian_process(damaged, others, sure, RATE)
     assert np.isnan(filled[:, 8]).all()
     assert not np.isnan(filled[600:640, 9]).any()
 
@@ -123,7 +123,7 @@ def test_what_other_ways_know_tells_of_what_they_do_not():
     damaged[300:400, 3:] = np.nan
     sure[300:400, 13] = 0.2
     alone, _ = given_nothing_else(damaged, RATE)
-    filled, _ = recalled(damaged, others, sure, RATE)
+    filled, _ = fill_from_gaussian_process(damaged, others, sure, RATE)
     assert np.isnan(alone[350, 13]).all()
     assert error(filled, truth, slice(300, 400), [13]) < 0.02
 
@@ -151,8 +151,8 @@ def test_a_gap_through_which_no_three_others_are_seen_is_asked_piece_by_piece():
 def test_markers_are_told_as_long_as_half_the_moments_show_them_all():
     known = np.ones((100, 5), bool)
     known[:30, 1] = known[60:, 3] = known[20:25, 4] = False
-    np.testing.assert_array_equal(heard(known, np.array([0, 1, 3, 4])), [0, 1, 4])
-    np.testing.assert_array_equal(heard(known, np.array([0, 2, 3])), [0, 2, 3])
+    np.testing.assert_array_equal(select_input_markers(known, np.array([0, 1, 3, 4])), [0, 1, 4])
+    np.testing.assert_array_equal(select_input_markers(known, np.array([0, 2, 3])), [0, 2, 3])
 
 
 def test_of_hundreds_of_patterns_hardly_any_is_too_much():

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.fill.splines import hermite, sound, splines
+from mocapfix.fill.spline_fill import build_hermite_map, fill_with_splines, find_complete_stretches
 
 RATE = 120.0
 
@@ -26,7 +26,7 @@ def test_a_parabola_is_carried_across_exactly(gap, listened, seed):
     path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
     beside = np.r_[np.arange(listened)[::-1], listened + gap : len(t)]
     np.testing.assert_allclose(
-        hermite(gap, np.arange(listened), np.arange(listened)) @ path[:, beside].T,
+        build_hermite_map(gap, np.arange(listened), np.arange(listened)) @ path[:, beside].T,
         path[:, listened : listened + gap].T,
         atol=1e-9,
     )
@@ -36,7 +36,7 @@ def test_a_parabola_is_carried_across_exactly(gap, listened, seed):
 def test_a_swing_is_filled_within_what_was_foretold(first, seconds):
     last = first + round(seconds * RATE)
     truth = swinging(noise=0.0003)
-    filled, deviation = splines(struck(truth, first, last), RATE, 0.5)
+    filled, deviation = fill_with_splines(struck(truth, first, last), RATE, 0.5)
     gap = slice(first, last + 1)
     error = np.abs(filled - truth)[gap, 0]
     assert (error < 5 * deviation[gap]).all()
@@ -45,7 +45,7 @@ def test_a_swing_is_filled_within_what_was_foretold(first, seconds):
 
 
 def test_longer_gaps_are_less_sure():
-    sure = [splines(struck(swinging(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (11, 23, 35, 47)]
+    sure = [fill_with_splines(struck(swinging(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (11, 23, 35, 47)]
     assert sure == sorted(sure)
     assert sure[-1] > 4 * sure[0]
 
@@ -54,7 +54,7 @@ def test_samples_lost_at_random_do_not_stop_it():
     truth = swinging(noise=0.0003)
     damaged = truth.copy()
     damaged[np.random.default_rng(1).random(600) < 0.1, 0] = np.nan
-    filled, deviation = splines(damaged, RATE, 0.5)
+    filled, deviation = fill_with_splines(damaged, RATE, 0.5)
     done = ~np.isnan(deviation)
     assert done.sum() > 0.9 * np.isnan(damaged[..., 0]).sum()
     assert np.abs(filled - truth)[done].max() < 0.002
@@ -64,7 +64,7 @@ def test_one_bad_sample_at_the_edge_does_not_throw_the_curve():
     truth = swinging()
     damaged = struck(truth, 200, 229)
     damaged[199, 0, 1] += 0.01
-    filled, _ = splines(damaged, RATE, 0.5)
+    filled, _ = fill_with_splines(damaged, RATE, 0.5)
     assert np.abs(filled - truth)[200:230, 0].max() < 0.035  # 46 with the velocity of the last two samples alone
 
 
@@ -72,13 +72,13 @@ def test_one_bad_sample_at_the_edge_does_not_throw_the_curve():
     ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (2, 10, "too near the start")]
 )
 def test_what_splines_leave(first, last, why):
-    filled, deviation = splines(struck(swinging(), first, last), RATE, 0.5)
+    filled, deviation = fill_with_splines(struck(swinging(), first, last), RATE, 0.5)
     assert np.isnan(filled).all(), why
     assert np.isnan(deviation).all()
 
 
 def test_a_marker_seen_too_little_to_try_it_on_is_left():
-    assert np.isnan(splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()
+    assert np.isnan(fill_with_splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()
 
 
 def test_gaps_of_a_kind_are_filled_as_each_alone():
@@ -87,10 +87,10 @@ def test_gaps_of_a_kind_are_filled_as_each_alone():
     damaged = truth.copy()
     firsts = [100, 200, 300, 301, 420]
     damaged[firsts, 0] = np.nan
-    filled, _ = splines(damaged, RATE, 0.5)
+    filled, _ = fill_with_splines(damaged, RATE, 0.5)
     for first, last in ((100, 100), (200, 200), (300, 301), (420, 420)):
         before, after = np.arange(7), np.arange(7)
-        across = hermite(last - first + 1, before, after)
+        across = build_hermite_map(last - first + 1, before, after)
         beside = np.r_[first - 1 - before, last + 1 + after]
         np.testing.assert_allclose(filled[first : last + 1, 0], across @ truth[beside, 0], atol=1e-12)
 
@@ -100,4 +100,4 @@ def test_sound_stretches_are_those_where_all_is_seen(seed, step):
     rng = np.random.default_rng(seed)
     seen, used = rng.random(80) < 0.8, np.array([-3, -1, 0, 2])
     expected = [s for s in range(3, 78, step) if seen[s + used].all()]
-    np.testing.assert_array_equal(sound(seen, used, step), expected)
+    np.testing.assert_array_equal(find_complete_stretches(seen, used, step), expected)

@@ -6,9 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import read
-from mocapfix.fill.estimate import ALIKE, BODY, PATH, one_way, weighed
-from mocapfix.fill.trajectories import flying, trajectories
+from mocapfix.fill.marker_estimates import (
+    BODY_METHOD,
+    ESTIMATE_CORRELATION,
+    SPLINE_METHOD,
+    build_marker_estimate,
+    combine_estimates,
+    estimate_missing_samples,
+    find_impossible_speeds,
+)
+from mocapfix.read import capture
 from mocapfix.take import Take
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
@@ -25,35 +32,35 @@ def prop(frames=400):
 
 def estimate(place, sure):
     """-> an estimate of one sample that lies at `place` on every axis"""
-    return one_way(np.full((1, 1, 3), place), np.array([[sure]]), PATH)
+    return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sure]]), SPLINE_METHOD)
 
 
 def test_two_estimates_meet_by_their_precision_and_are_half_alike():
     nothing = estimate(np.nan, np.nan)
-    mean, deviation, _ = weighed([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
+    mean, deviation, _ = combine_estimates([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
     np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
-    alike = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ALIKE * 0.8 * 0.1 * 0.2 * 0.2
+    alike = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ESTIMATE_CORRELATION * 0.8 * 0.1 * 0.2 * 0.2
     np.testing.assert_allclose(deviation[0, 0] ** 2, alike)
-    assert np.isnan(weighed([nothing, nothing])[0]).all()
-    assert np.isnan(weighed([nothing, nothing])[1]).all()
+    assert np.isnan(combine_estimates([nothing, nothing])[0]).all()
+    assert np.isnan(combine_estimates([nothing, nothing])[1]).all()
 
 
 def test_one_estimate_is_taken_as_it_is():
-    mean, deviation, _ = weighed([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
+    mean, deviation, _ = combine_estimates([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
     np.testing.assert_allclose(mean, 0.3)
     np.testing.assert_allclose(deviation, 0.02)
 
 
 def test_what_counts_most_is_named():
-    body = one_way(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), BODY)
-    path = one_way(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), PATH)
-    np.testing.assert_array_equal(weighed([path, body]).way, [[BODY, PATH]])
-    np.testing.assert_array_equal(weighed([body, path]).way, [[BODY, PATH]])
+    body = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), BODY_METHOD)
+    path = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), SPLINE_METHOD)
+    np.testing.assert_array_equal(combine_estimates([path, body]).method, [[BODY_METHOD, SPLINE_METHOD]])
+    np.testing.assert_array_equal(combine_estimates([body, path]).method, [[BODY_METHOD, SPLINE_METHOD]])
 
 
 def test_estimates_that_lie_farther_apart_than_they_say_are_less_sure_by_as_much():
-    near = weighed([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
-    _, far, _ = weighed([estimate(0.0, 0.01), estimate(0.1, 0.01)])
+    near = combine_estimates([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
+    _, far, _ = combine_estimates([estimate(0.0, 0.01), estimate(0.1, 0.01)])
     np.testing.assert_allclose(far / near, np.sqrt(2 * 0.05**2 / 0.01**2))  # Birge's ratio, per axis, of two estimates
 
 
@@ -65,7 +72,7 @@ def test_what_is_not_believed_is_placed_and_nothing_else(first, length, bad):
     markers[gap, 3] += bad
     believed = np.ones(markers.shape[:2], bool)
     believed[gap, 3] = False
-    filled, deviation, _ = trajectories(truth.with_markers(markers), believed)
+    filled, deviation, _ = estimate_missing_samples(truth.replace_markers(markers), believed)
     assert np.abs(filled - truth.markers)[gap, 3].max() < 0.005
     assert np.isnan(filled[believed]).all()
     assert (~np.isnan(deviation) == ~believed).all()
@@ -75,27 +82,27 @@ def test_what_is_not_believed_is_placed_and_nothing_else(first, length, bad):
 def test_nothing_is_extrapolated_without_support(markers):
     truth = prop()
     truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
-    believed = truth.seen.copy()
+    believed = truth.visible.copy()
     believed[:30, 0] = believed[380:, 0] = False
-    filled, _, _ = trajectories(truth, believed)
+    filled, _, _ = estimate_missing_samples(truth, believed)
     assert np.isnan(filled[~believed]).all()
 
 
 def test_nothing_believed_gives_nothing():
     truth = prop()
-    filled, deviation, _ = trajectories(truth, np.zeros_like(truth.seen))
+    filled, deviation, _ = estimate_missing_samples(truth, np.zeros_like(truth.visible))
     assert np.isnan(filled).all()
     assert np.isnan(deviation).all()
 
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
 def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
-    truth = read.take(CAPTURE)
+    truth = capture.read_capture(CAPTURE)
     hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
-    believed = truth.seen.copy()
+    believed = truth.visible.copy()
     assert believed[gap, hand].all()
     believed[gap, hand] = False
-    filled, deviation, _ = trajectories(truth, believed)
+    filled, deviation, _ = estimate_missing_samples(truth, believed)
     step = np.linspace(0, 1, 122)[1:-1, None]
     line = (1 - step) * truth.markers[199, hand] + step * truth.markers[320, hand]
     error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
@@ -109,6 +116,6 @@ def test_the_moments_about_a_flight_are_found_and_no_others():
     believed = np.ones((200, 2), bool)
     believed[40:140, 0] = believed[50:80, 1] = False
     path[60, 0] += [0.0, 0.9, 0.0]  # 90 metres a second
-    mask = flying(path, believed, 100.0)
+    mask = find_impossible_speeds(path, believed, 100.0)
     assert mask[40:87, 0].all()
     assert mask.sum() == 47

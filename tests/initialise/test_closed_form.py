@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import initialise, marker_set, prior
-from mocapfix.bench import unseen
-from mocapfix.bench.common_task import posed
+from mocapfix import marker_sets
+from mocapfix.bench import unseen_poses
+from mocapfix.bench.common_task import build_pose_motion
 from mocapfix.errors import ConstraintError
-from mocapfix.kernels import kinematics
+from mocapfix.initialise import initial_motion
 from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED
-from mocapfix.skeleton import Skeleton, cmu31
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import Skeleton, load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-SKELETON, WORN = cmu31().skeleton, marker_set.load("cmu41")
-SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.places, np.zeros(len(WORN.labels)))
+SKELETON, WORN = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
+SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.zeros(len(WORN.labels)))
 STRAIGHT = np.tile([1.0, 0.0], (1, 31, 1))  # no twist, hardly sure
 WAYS = ("naive", "adaptive", "x")
 
@@ -26,33 +28,33 @@ WAYS = ("naive", "adaptive", "x")
 def people():
     """-> 100 poses of people somewhere in the world, their joints (100, J, 3) and markers (100, K, 3)."""
     rng = np.random.default_rng(0)
-    rotations, places = unseen.shipped()[::10].copy(), rng.normal(0, 1, (100, 3))
+    rotations, places = unseen_poses.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
     rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
-    motion = posed(places, rotations)
-    return motion, *kinematics.placed(SUBJECT, motion)
+    motion = build_pose_motion(places, rotations)
+    return motion, *kinematics.compute_joint_and_marker_positions(SUBJECT, motion)
 
 
 def joints_of(motion, subject=SUBJECT):
-    return kinematics.world(subject.skeleton, motion)[0]
+    return kinematics.compute_world_poses(subject.skeleton, motion)[0]
 
 
 def index(name):
-    return SKELETON.index(name)
+    return SKELETON.find_joint(name)
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_exact_joints_are_given_back_to_a_twentieth_of_a_millimetre(people, way):
     _, joints, _ = people
-    found = initialise.hybrik(joints, SUBJECT, way=way, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
     assert np.abs(joints_of(found) - joints).max() < 5e-5
     assert (found.status == PLACED).all()
 
 
 def test_exact_joints_and_twists_are_the_pose_itself(people):
     motion, joints, _ = people
-    found = initialise.hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.rotations))
+    found = initial_motion.solve_hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.rotations))
     boned = [index(name) for name in ("LowerBack", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg", "Neck")]
-    assert np.abs(found.rotations[:, boned] - motion.rotations[:, boned]).max() < 1e-3
+    assert np.abs(found.local_rotations[:, boned] - motion.rotations[:, boned]).max() < 1e-3
 
 
 def true_twists(rotations):
@@ -70,10 +72,13 @@ def true_twists(rotations):
 
 def test_markers_tell_the_twist_that_joints_do_not(people):
     _, joints, markers = people
-    by_markers = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT, markers=markers)
-    without = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT)
+    by_markers = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT, markers=markers)
+    without = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
     assert np.abs(joints_of(by_markers) - joints).max() < 5e-5
-    off = [np.linalg.norm(kinematics.placed(SUBJECT, each)[1] - markers, axis=2).mean() for each in (by_markers, without)]
+    off = [
+        np.linalg.norm(kinematics.compute_joint_and_marker_positions(SUBJECT, each)[1] - markers, axis=2).mean()
+        for each in (by_markers, without)
+    ]
     assert off[0] < 0.5e-3 < 10e-3 < off[1]
 
 
@@ -84,7 +89,7 @@ def shaken(joints):
 def test_naive_gathers_the_errors_of_all_bone_lengths_before(people):
     """Eq. 15: a joint misses its place by the sum of its ancestors' errors, each along its bone as it is given."""
     given = shaken(people[1])
-    missed = given - joints_of(initialise.hybrik(given, SUBJECT, way="naive", twists=STRAIGHT))
+    missed = given - joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="naive", twists=STRAIGHT))
     for chain in (("LHipJoint", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"), ("LeftArm", "LeftForeArm", "LeftHand")):
         for parent, child in pairwise(chain):
             bone = given[:, index(child)] - given[:, index(parent)]
@@ -96,7 +101,7 @@ def test_naive_gathers_the_errors_of_all_bone_lengths_before(people):
 def test_adaptive_has_only_the_last_bones_error(people):
     """Eq. 17: what a joint misses lies along its own bone, from where that begins."""
     given = shaken(people[1])
-    found = joints_of(initialise.hybrik(given, SUBJECT, way="adaptive", twists=STRAIGHT))
+    found = joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="adaptive", twists=STRAIGHT))
     for parent, child in (("LeftUpLeg", "LeftLeg"), ("RightForeArm", "RightHand"), ("Neck1", "Head"), ("LowerBack", "Spine")):
         bone = given[:, index(child)] - found[:, index(parent)]
         length = np.linalg.norm(bone, axis=1)
@@ -109,12 +114,12 @@ def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_sho
     other = SKELETON.offsets * np.where(np.arange(31) % 2, 1.04, 0.97)[:, None]
     stranger = Subject(
         Skeleton(SKELETON.names, SKELETON.parents, other, SKELETON.ends),
-        WORN.name, WORN.labels, WORN.joints, WORN.places, SUBJECT.spread,
+        WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, SUBJECT.marker_spread,
     )  # fmt: skip
     ends = [index("Head"), index("LeftHand"), index("RightHand")]
     off = {}
     for way in ("adaptive", "x"):
-        found = initialise.hybrik(joints, stranger, way=way, twists=STRAIGHT)
+        found = initial_motion.solve_hybrik(joints, stranger, variant=way, twists=STRAIGHT)
         off[way] = np.linalg.norm(joints_of(found, stranger) - joints, axis=2)[:, ends]
         if way == "x":
             reached = found.status == PLACED
@@ -133,7 +138,7 @@ def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
     far[:, hand] += direction[:, None]  # twice as far, farther than any arm
     far[:, hand] += 0.5 * (direction / np.linalg.norm(direction, axis=1, keepdims=True))[:, None]
     near[:, hand] -= joints[:2, hand[:1]] - shoulder[:, None]
-    stretched, folded = (initialise.hybrik(each, SUBJECT, twists=STRAIGHT) for each in (far, near))
+    stretched, folded = (initial_motion.solve_hybrik(each, SUBJECT, twists=STRAIGHT) for each in (far, near))
     assert (stretched.status == STRETCHED).all()
     assert (folded.status == FOLDED).all()
     wrist = joints_of(stretched)[:, hand[0]] - joints_of(stretched)[:, index("LeftArm")]
@@ -145,34 +150,34 @@ def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
 def test_turning_and_moving_the_world_turns_and_moves_the_pose_alone(people, way):
     _, joints, _ = people
     turn, shift = Rotation.from_rotvec([0.3, -2.0, 1.1]).as_matrix(), np.array([5.0, -1.0, 2.0])
-    here = initialise.hybrik(joints, SUBJECT, way=way, twists=STRAIGHT)
-    there = initialise.hybrik(joints @ turn.T + shift, SUBJECT, way=way, twists=STRAIGHT)
-    assert np.allclose(there.root, here.root @ turn.T + shift, atol=1e-9)
-    assert np.allclose(there.rotations[:, 0], turn @ here.rotations[:, 0], atol=1e-9)
-    assert np.allclose(there.rotations[:, 1:], here.rotations[:, 1:], atol=1e-7)
+    here = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
+    there = initial_motion.solve_hybrik(joints @ turn.T + shift, SUBJECT, variant=way, twists=STRAIGHT)
+    assert np.allclose(there.root_position, here.root_position @ turn.T + shift, atol=1e-9)
+    assert np.allclose(there.local_rotations[:, 0], turn @ here.local_rotations[:, 0], atol=1e-9)
+    assert np.allclose(there.local_rotations[:, 1:], here.local_rotations[:, 1:], atol=1e-7)
 
 
 def test_a_mirrored_body_has_no_reflection_for_its_root(people):
     _, joints, _ = people
-    found = initialise.hybrik(joints * [-1, 1, 1], SUBJECT, twists=STRAIGHT)
-    assert np.allclose(np.linalg.det(found.rotations[:, 0]), 1)
+    found = initial_motion.solve_hybrik(joints * [-1, 1, 1], SUBJECT, twists=STRAIGHT)
+    assert np.allclose(np.linalg.det(found.local_rotations[:, 0]), 1)
 
 
 def test_every_frame_is_for_itself(people):
     _, joints, _ = people
-    whole = initialise.hybrik(joints, SUBJECT, twists=STRAIGHT)
+    whole = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
     spoilt = joints.copy()
     spoilt[50] = np.random.default_rng(0).normal(size=(31, 3))
-    again = initialise.hybrik(spoilt, SUBJECT, twists=STRAIGHT)
+    again = initial_motion.solve_hybrik(spoilt, SUBJECT, twists=STRAIGHT)
     others = np.arange(100) != 50
-    assert np.array_equal(again.rotations[others], whole.rotations[others])
+    assert np.array_equal(again.local_rotations[others], whole.local_rotations[others])
 
 
 def test_unknown_joints_leave_the_rest_where_it_is(people):
     _, joints, _ = people
     lost = joints.copy()
     lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan
-    found = joints_of(initialise.hybrik(lost, SUBJECT, twists=STRAIGHT))
+    found = joints_of(initial_motion.solve_hybrik(lost, SUBJECT, twists=STRAIGHT))
     assert np.isfinite(found).all()
     known = ~np.isnan(lost[0, :, 1])
     assert np.abs(found - joints)[:, known].max() < 5e-5  # the hand, too, which x reaches across the lost elbow
@@ -184,26 +189,26 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
     hips = [index(name) for name in ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "LeftUpLeg", "RightUpLeg")]
     take[1, hips] = np.nan
     take[3] = np.nan
-    found = initialise.hybrik(take, SUBJECT, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(take, SUBJECT, twists=STRAIGHT)
     assert found.status.tolist() == [PLACED, PLACED, PLACED, GUESSED, PLACED]
-    turned = Rotation.from_matrix(motion.rotations[0, 0].T @ found.rotations[:, 0]).magnitude()
+    turned = Rotation.from_matrix(motion.rotations[0, 0].T @ found.local_rotations[:, 0]).magnitude()
     assert turned[1] < 0.7  # people bend
     assert turned[3] < 1e-3
-    assert np.linalg.norm(found.root[3] - motion.root[0]) < 1e-4
+    assert np.linalg.norm(found.root_position[3] - motion.root[0]) < 1e-4
 
 
 def test_no_frame_and_nothing_known_are_poses_too():
-    assert len(initialise.hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root) == 0
-    nothing = initialise.hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
+    assert len(initial_motion.solve_hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root_position) == 0
+    nothing = initial_motion.solve_hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
     assert (nothing.status == GUESSED).all()
-    assert np.isfinite(nothing.rotations).all()
+    assert np.isfinite(nothing.local_rotations).all()
 
 
 def test_another_skeleton_is_refused():
     fewer = Skeleton(("Hips", "Spine"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)))
     stranger = Subject(fewer, "none", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
     with pytest.raises(ConstraintError, match="31 joints of the CMU skeleton"):
-        initialise.hybrik(np.zeros((5, 2, 3)), stranger)
+        initial_motion.solve_hybrik(np.zeros((5, 2, 3)), stranger)
 
 
 @pytest.mark.parametrize(
@@ -230,36 +235,41 @@ def test_another_skeleton_is_refused():
 def test_what_cannot_be_is_told_in_a_sentence(wrong, said):
     given = {"positions": np.zeros((5, 31, 3)), "twists": STRAIGHT} | wrong
     with pytest.raises(ConstraintError, match=said):
-        initialise.hybrik(given.pop("positions"), SUBJECT, **given)
+        initial_motion.solve_hybrik(given.pop("positions"), SUBJECT, **given)
 
 
 def test_arrays_of_any_kind_and_order_are_the_same_to_it(people):
     _, joints, markers = people
-    plain = initialise.hybrik(joints, SUBJECT, markers=markers, twists=STRAIGHT)
+    plain = initial_motion.solve_hybrik(joints, SUBJECT, markers=markers, twists=STRAIGHT)
     for kind in (lambda a: np.asfortranarray(a), lambda a: a.tolist(), lambda a: a[::-1][::-1]):
-        again = initialise.hybrik(
-            kind(joints), SUBJECT, markers=kind(markers), twists=STRAIGHT, held=[j in (1, 6) for j in range(31)]
+        again = initial_motion.solve_hybrik(
+            kind(joints), SUBJECT, markers=kind(markers), twists=STRAIGHT, held_joints=[j in (1, 6) for j in range(31)]
         )
-        assert np.array_equal(again.rotations, plain.rotations)
+        assert np.array_equal(again.local_rotations, plain.local_rotations)
 
 
 def test_a_marker_with_one_number_unknown_is_unknown(people):
     _, joints, markers = people
     part, none = markers.copy(), markers.copy()
     part[:, 3, 1] = none[:, 3] = np.nan
-    one, other = (initialise.hybrik(joints, SUBJECT, markers=each, twists=STRAIGHT).rotations for each in (part, none))
+    one, other = (
+        initial_motion.solve_hybrik(joints, SUBJECT, markers=each, twists=STRAIGHT).local_rotations for each in (part, none)
+    )
     assert np.array_equal(one, other)
     assert np.isfinite(one).all()
 
 
 def test_a_head_whose_only_marker_is_at_its_joint_stays_as_people_hold_it(people):
     _, joints, markers = people
-    places, head = WORN.places.copy(), WORN.joints == index("Head")
+    places, head = WORN.marker_offsets.copy(), WORN.joints == index("Head")
     places[head] = 0.0
     one = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, places, np.zeros(len(WORN.labels)))
     markers = np.where(head[:, None], joints[:, [index("Head")]], markers)
-    found = initialise.hybrik(joints, one, markers=markers, twists=STRAIGHT)
-    assert np.allclose(found.rotations[:, index("Head")], prior.load("mean-pose", SKELETON).rotations[index("Head")])
+    found = initial_motion.solve_hybrik(joints, one, markers=markers, twists=STRAIGHT)
+    assert np.allclose(
+        found.local_rotations[:, index("Head")],
+        mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations[index("Head")],
+    )
 
 
 def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
@@ -267,29 +277,37 @@ def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
     take = np.repeat(joints[:1], 9, axis=0) + np.linspace(0, 1, 9)[:, None, None]
     take[4:, 1:] = np.nan
     for way in ("adaptive", "x"):
-        found = initialise.hybrik(take, SUBJECT, way=way, twists=STRAIGHT)
-        assert np.allclose(found.root, take[:, 0], atol=1e-4)
-        assert np.allclose(found.rotations[4:, 0], found.rotations[3, 0])
+        found = initial_motion.solve_hybrik(take, SUBJECT, variant=way, twists=STRAIGHT)
+        assert np.allclose(found.root_position, take[:, 0], atol=1e-4)
+        assert np.allclose(found.local_rotations[4:, 0], found.local_rotations[3, 0])
 
 
 def test_a_subject_whose_markers_never_stray_can_be_posed(people):
     _, joints, markers = people
-    found = initialise.motion(Take(markers, WORN.labels, 30.0), SUBJECT, cmu31(), prior.load("mean-pose", SKELETON), "hybrik-x")
+    found = initial_motion.initialise_motion(
+        Take(markers, WORN.labels, 30.0),
+        SUBJECT,
+        load_cmu31_body(),
+        mean_pose.load_mean_pose_prior("mean-pose", SKELETON),
+        "hybrik-x",
+    )
     told = [index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "LeftForeArm", "RightHand")]
     assert np.median(np.linalg.norm(joints_of(found) - joints, axis=2)[:, told]) < 0.002
 
 
 def test_a_marker_that_is_far_off_turns_nothing():
     """End to end: where joints are placed without it, it must not turn the head, the hips or a forearm either."""
-    rotations = unseen.shipped()[::20]
-    true = posed(np.zeros((len(rotations), 3)), rotations)
-    markers = kinematics.placed(SUBJECT, true)[1] + np.random.default_rng(0).normal(0, 0.002, (len(rotations), 41, 3))
-    body, habits = cmu31(), prior.load("mean-pose", SKELETON)
-    wearing = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.places, np.full(41, 0.005))
+    rotations = unseen_poses.load_unseen_poses()[::20]
+    true = build_pose_motion(np.zeros((len(rotations), 3)), rotations)
+    markers = kinematics.compute_joint_and_marker_positions(SUBJECT, true)[1] + np.random.default_rng(0).normal(
+        0, 0.002, (len(rotations), 41, 3)
+    )
+    body, habits = load_cmu31_body(), mean_pose.load_mean_pose_prior("mean-pose", SKELETON)
+    wearing = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.full(41, 0.005))
 
     def turned(markers):
-        found = initialise.motion(Take(markers, WORN.labels, 30.0), wearing, body, habits, "hybrik-x")
-        world = [kinematics.world(SKELETON, motion)[1] for motion in (found, true)]
+        found = initial_motion.initialise_motion(Take(markers, WORN.labels, 30.0), wearing, body, habits, "hybrik-x")
+        world = [kinematics.compute_world_poses(SKELETON, motion)[1] for motion in (found, true)]
         off = np.swapaxes(world[0], 2, 3) @ world[1]
         return np.degrees(Rotation.from_matrix(off.reshape(-1, 3, 3)).magnitude()).reshape(off.shape[:2])
 

@@ -8,20 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import marker_set, prior, synthetic
-from mocapfix.initialise.joints import positions
-from mocapfix.kernels import kinematics
+from mocapfix import marker_sets, synthetic
+from mocapfix.initialise.joint_positions import estimate_joint_positions
 from mocapfix.motion import Motion
-from mocapfix.skeleton import cmu31
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from tests.kernels import drawn
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 NAMES = BODY.skeleton.names
-MEAN = prior.load("mean-pose", BODY.skeleton)
-NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, np.full(len(WORN.labels), 0.005))
-EXACT = replace(NOMINAL, spread=np.full(len(WORN.labels), 1e-7))
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
+NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.full(len(WORN.labels), 0.005))
+EXACT = replace(NOMINAL, marker_spread=np.full(len(WORN.labels), 1e-7))
 UNTOLD = ("Spine", "Neck1", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # bends that no marker shows
 TOLD = np.array([not name.endswith(UNTOLD) for name in NAMES])
 CARRYING = [NAMES[j] for j in np.unique(WORN.joints)]
@@ -38,21 +39,23 @@ def take_of(markers):
 
 def posed(rng, frames):
     """-> joints (T, J, 3) and markers (T, K, 3) of NOMINAL in poses such as the prior knows"""
-    local = np.tile(MEAN.rotations, (frames, 1, 1, 1))
+    local = np.tile(MEAN.mean_rotations, (frames, 1, 1, 1))
     for j in range(1, len(NAMES)):
-        if BODY.free[j]:
+        if BODY.free_joints[j]:
             turn = rng.multivariate_normal(np.zeros(3), np.linalg.inv(MEAN.information[j]), frames)
             local[:, j] = Rotation.from_rotvec(turn).as_matrix() @ local[:, j]
     local[:, 0] = drawn.rotations(rng, frames)
     zeros, none = np.zeros(frames, int), np.zeros((frames, 0))
-    return kinematics.placed(NOMINAL, Motion(rng.normal(0, 2, (frames, 3)), local, zeros, zeros, none, none))
+    return kinematics.compute_joint_and_marker_positions(
+        NOMINAL, Motion(rng.normal(0, 2, (frames, 3)), local, zeros, zeros, none, none)
+    )
 
 
 def test_exact_markers_give_the_joints_that_they_tell_exactly():
-    truth = synthetic.take(seed=2, seconds=6.0, rate=30.0)
-    exact = replace(truth.subject, spread=EXACT.spread)
-    joints, markers = kinematics.placed(exact, truth.motion)
-    found, deviation, _ = positions(take_of(markers), exact, BODY)
+    truth = synthetic.compose_take(seed=2, seconds=6.0, rate=30.0)
+    exact = replace(truth.subject, marker_spread=EXACT.marker_spread)
+    joints, markers = kinematics.compute_joint_and_marker_positions(exact, truth.motion)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), exact, BODY)
     np.testing.assert_allclose(found[:, TOLD], joints[:, TOLD], atol=1e-9)
     assert deviation[:, TOLD].max() < 1e-5
     assert np.linalg.norm(found - joints, axis=-1)[:, ~TOLD].max() < 0.1
@@ -65,8 +68,8 @@ def test_moving_a_frame_moves_its_joints_and_changes_no_deviation(seed):
     markers += rng.normal(0, 0.01, markers.shape)
     markers[rng.random(markers.shape[:2]) < 0.2] = np.nan
     turn, way = drawn.rotations(rng, 1)[0], rng.normal(0, 2, 3)
-    here, sure, _ = positions(take_of(markers), NOMINAL, BODY)
-    there, as_sure, _ = positions(take_of(markers @ turn.T + way), NOMINAL, BODY)
+    here, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
+    there, as_sure, _ = estimate_joint_positions(take_of(markers @ turn.T + way), NOMINAL, BODY)
     np.testing.assert_allclose(there, here @ turn.T + way, atol=1e-6)
     np.testing.assert_allclose(as_sure, sure, atol=1e-6)
 
@@ -78,7 +81,7 @@ def test_the_truth_lies_as_often_within_the_deviations_as_they_say(whole):
     markers += rng.normal(0, 0.005, markers.shape)
     if not whole:
         markers[rng.random(markers.shape[:2]) < 0.3] = np.nan
-    found, deviation, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     told = ~np.isnan(deviation)
     assert told.mean() > 0.99
     off = np.abs(found - joints) / deviation[..., None]
@@ -93,9 +96,9 @@ def test_the_truth_lies_as_often_within_the_deviations_as_they_say(whole):
 def test_a_segment_without_markers_is_carried_by_its_neighbours_and_says_so(name):
     rng, lost = np.random.default_rng(3), WORN.joints == NAMES.index(name)
     joints, markers = posed(rng, 200)
-    before, sure, _ = positions(take_of(markers), NOMINAL, BODY)
+    before, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     markers[:, lost] = np.nan
-    found, deviation, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     assert np.isfinite(found).all()
     off = np.abs(found - joints) / deviation[..., None]
     assert (off < 2).mean() > 0.93
@@ -108,7 +111,7 @@ def test_a_segment_without_markers_is_carried_by_its_neighbours_and_says_so(name
 def test_a_knee_without_its_thighs_markers_lies_one_thigh_from_the_hip():
     joints, markers = posed(np.random.default_rng(4), 300)
     markers[:, WORN.joints == NAMES.index("LeftUpLeg")] = np.nan
-    found, _, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     hip, knee = index("LeftUpLeg", "LeftLeg")
     length = np.linalg.norm(NOMINAL.skeleton.offsets[knee])
     np.testing.assert_allclose(np.linalg.norm(found[:, knee] - found[:, hip], axis=-1), length, atol=0.02)
@@ -119,9 +122,9 @@ def test_a_knee_without_its_thighs_markers_lies_one_thigh_from_the_hip():
 def test_a_marker_far_off_is_outvoted(label):
     rng = np.random.default_rng(5)
     joints, markers = posed(rng, 100)
-    whole, _, _ = positions(take_of(markers), NOMINAL, BODY)
+    whole, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     markers[:, WORN.labels.index(label)] += 0.2 * drawn.units(rng, 100)
-    found, _, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     moved = np.linalg.norm(found - whole, axis=-1)
     assert np.quantile(moved, 0.95) < 0.03
     assert np.linalg.norm(found - joints, axis=-1).mean() < 0.03
@@ -130,7 +133,7 @@ def test_a_marker_far_off_is_outvoted(label):
 def test_joints_at_one_place_get_one_position():
     _, markers = posed(np.random.default_rng(6), 20)
     markers += np.random.default_rng(7).normal(0, 0.01, markers.shape)
-    found, deviation, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     for names in (("Hips", "LHipJoint", "RHipJoint", "LowerBack"), ("Neck", "LeftShoulder", "RightShoulder")):
         together = index(*names)
         np.testing.assert_array_equal(found[:, together], found[:, together[:1]].repeat(len(names), 1))
@@ -139,18 +142,18 @@ def test_joints_at_one_place_get_one_position():
 
 def test_a_frame_knows_nothing_of_the_others():
     _, markers = posed(np.random.default_rng(8), 40)
-    alone = [positions(take_of(markers[t : t + 1]), NOMINAL, BODY)[0][0] for t in range(0, 40, 13)]
-    np.testing.assert_array_equal(positions(take_of(markers), NOMINAL, BODY)[0][::13], alone)
+    alone = [estimate_joint_positions(take_of(markers[t : t + 1]), NOMINAL, BODY)[0][0] for t in range(0, 40, 13)]
+    np.testing.assert_array_equal(estimate_joint_positions(take_of(markers), NOMINAL, BODY)[0][::13], alone)
 
 
 def test_frames_without_markers_have_no_joints_and_do_not_harm_the_others():
     joints, markers = posed(np.random.default_rng(9), 5)
     markers[[0, 3]] = np.nan
-    found, deviation, _ = positions(take_of(markers), EXACT, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), EXACT, BODY)
     assert np.isnan(found[[0, 3]]).all()
     assert np.isnan(deviation[[0, 3]]).all()
     np.testing.assert_allclose(found[[1, 2, 4]][:, TOLD], joints[[1, 2, 4]][:, TOLD], atol=1e-8)
-    assert positions(take_of(markers[:0]), NOMINAL, BODY)[0].shape == (0, len(NAMES), 3)
+    assert estimate_joint_positions(take_of(markers[:0]), NOMINAL, BODY)[0].shape == (0, len(NAMES), 3)
 
 
 @given(seeds, st.integers(0, 3))
@@ -159,7 +162,7 @@ def test_few_markers_tell_of_what_is_near_and_nothing_of_the_rest(seed, count):
     _, markers = posed(rng, 1)
     kept = rng.choice(markers.shape[1], count, replace=False)
     markers[:, np.setdiff1d(np.arange(markers.shape[1]), kept)] = np.nan
-    found, deviation, _ = positions(take_of(markers), NOMINAL, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     np.testing.assert_array_equal(np.isnan(found).all(-1), np.isnan(deviation))
     assert (deviation[~np.isnan(deviation)] > 0).all()
     if count:
@@ -168,7 +171,7 @@ def test_few_markers_tell_of_what_is_near_and_nothing_of_the_rest(seed, count):
 
 @pytest.mark.parametrize("at", [0.0, 5.0])
 def test_markers_all_in_one_point_break_nothing(at):
-    found, deviation, _ = positions(take_of(np.full((2, len(WORN.labels), 3), at)), NOMINAL, BODY)
+    found, deviation, _ = estimate_joint_positions(take_of(np.full((2, len(WORN.labels), 3), at)), NOMINAL, BODY)
     told = ~np.isnan(deviation)
     assert np.isfinite(found[told]).all()
 
@@ -176,7 +179,7 @@ def test_markers_all_in_one_point_break_nothing(at):
 def test_calibrations_own_error_makes_joints_less_sure():
     _, markers = posed(np.random.default_rng(10), 2)
     unsure = replace(NOMINAL, joint_sd=np.full(len(NAMES), 0.02))
-    at, sure, _ = positions(take_of(markers), NOMINAL, BODY)
-    same, less_sure, _ = positions(take_of(markers), unsure, BODY)
+    at, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
+    same, less_sure, _ = estimate_joint_positions(take_of(markers), unsure, BODY)
     np.testing.assert_array_equal(same, at)
     np.testing.assert_allclose(less_sure**2, sure**2 + (0.75 * 0.02) ** 2)

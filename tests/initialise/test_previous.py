@@ -3,55 +3,59 @@
 import numpy as np
 import pytest
 
-from mocapfix import initialise, prior, solve, synthetic
-from mocapfix.initialise.previous import going_on
-from mocapfix.kernels import kinematics
-from mocapfix.skeleton import cmu31
-from mocapfix.solve import SolveOptions
+from mocapfix import synthetic
+from mocapfix.initialise import initial_motion
+from mocapfix.initialise.initial_motion import start_from_previous
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics, motion_solver
+from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.take import Take
 
-BODY = cmu31()
-MEAN, LIMITS = prior.load("mean-pose", BODY.skeleton), prior.load_limits(BODY.skeleton)
+BODY = load_cmu31_body()
+MEAN, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
 
 
 @pytest.fixture(scope="module")
 def truth():
-    return synthetic.take(seed=4, seconds=2.0)
+    return synthetic.compose_take(seed=4, seconds=2.0)
 
 
 def started(truth, markers, by):
     """-> the start, and what the solve makes of it"""
     worn = Take(markers, truth.labels, truth.rate)
-    start = initialise.motion(worn, truth.subject, BODY, MEAN, by)
-    return start, solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN, by)
+    return start, motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
 
 
 def off(truth, motion):
     """-> (T,) metres: the joint that is farthest from the truth"""
-    return np.linalg.norm(kinematics.world(truth.subject.skeleton, motion)[0] - truth.joints, axis=-1).max(axis=1)
+    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joints, axis=-1).max(axis=1)
 
 
 @pytest.mark.parametrize(("unseen", "first"), [(0, 0), (7, 7)])
 def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, unseen, first):
     markers = truth.markers.copy()
     markers[:unseen, 20:] = np.nan  # the other 20 of 41 are there, fewer than half
-    own = initialise.motion(Take(markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
-    start = going_on(own, ~np.isnan(markers[..., 0]))
-    np.testing.assert_array_equal(start.root[: first + 1], own.root[: first + 1])
-    np.testing.assert_array_equal(start.rotations[: first + 1], own.rotations[: first + 1])
-    assert np.isnan(start.root[first + 1 :]).all()
-    assert np.isnan(start.rotations[first + 1 :]).all()
+    own = initial_motion.initialise_motion(Take(markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
+    start = start_from_previous(own, ~np.isnan(markers[..., 0]))
+    np.testing.assert_array_equal(start.root_position[: first + 1], own.root_position[: first + 1])
+    np.testing.assert_array_equal(start.local_rotations[: first + 1], own.local_rotations[: first + 1])
+    assert np.isnan(start.root_position[first + 1 :]).all()
+    assert np.isnan(start.local_rotations[first + 1 :]).all()
 
 
 def test_nothing_is_ever_seen_well_where_nothing_is_seen(truth):
-    own = initialise.motion(Take(truth.markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
-    assert not np.isnan(going_on(own, np.zeros(truth.struck.shape, bool)).root[0]).any()
+    own = initial_motion.initialise_motion(
+        Take(truth.markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration"
+    )
+    assert not np.isnan(start_from_previous(own, np.zeros(truth.missing_mask.shape, bool)).root_position[0]).any()
 
 
 def test_smooth_motion_takes_fewer_iterations_and_ends_at_the_same_poses(truth):
     (_, own), (_, previous) = (started(truth, truth.markers, by) for by in ("registration", "previous"))
     assert previous.iterations.mean() < own.iterations.mean() - 1
-    np.testing.assert_allclose(previous.root, own.root, atol=1e-3)
+    np.testing.assert_allclose(previous.root_position, own.root_position, atol=1e-3)
     assert off(truth, previous).max() < 0.06
 
 
@@ -59,7 +63,7 @@ def test_lost_frames_in_the_middle_are_gone_on_from(truth):
     markers = truth.markers.copy()
     markers[100:110] = np.nan
     _, motion = started(truth, markers, "previous")
-    assert np.isfinite(motion.rotations).all()
+    assert np.isfinite(motion.local_rotations).all()
     assert (motion.status[100:110] == 3).all()
     assert off(truth, motion)[120:].max() < 0.06
 

@@ -11,41 +11,50 @@ from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import unseen
+from mocapfix.bench import unseen_poses
 from mocapfix.errors import SceneError
-from mocapfix.initialise.twist import Twists, bones, directions, load, regressor, save, spans, twists
-from mocapfix.kernels.kinematics import carried, tree_of
-from mocapfix.kernels.twist_swing import swing, twist
-from mocapfix.skeleton import Skeleton, average
-from mocapfix.train.mirror import mirrored_name
+from mocapfix.initialise.twist_regressor import (
+    TwistRegressor,
+    build_twist_spans,
+    compute_bone_vectors,
+    compute_span_directions,
+    compute_twists,
+    load_shipped_regressor,
+    read_twist_regressor,
+    write_twist_regressor,
+)
+from mocapfix.kernels.swing_twist import compute_swing, compute_twist
+from mocapfix.skeleton import Skeleton, load_cmu31_skeleton
+from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.train.training_poses import mirror_joint_name
 from tests.kernels import drawn
 
-BODY = average()
-BONES = bones(BODY)
+BODY = load_cmu31_skeleton()
+BONES = compute_bone_vectors(BODY)
 HAS = ~np.isnan(BONES[:, 0])
 WITHOUT = {"Hips", "LeftToeBase", "RightToeBase", "Head", "LeftHandIndex1", "RightHandIndex1", "LThumb", "RThumb"}
-SWAP = [BODY.index(mirrored_name(name)) for name in BODY.names]
+SWAP = [BODY.find_joint(mirror_joint_name(name)) for name in BODY.names]
 
 
 @pytest.fixture(scope="module")
 def people():
     """-> local rotations of people whom the network has not seen, and where their joints are, the root at rest"""
-    poses = unseen.shipped()[::4]
+    poses = unseen_poses.load_unseen_poses()[::4]
     poses[:, 0] = np.eye(3)
-    return poses, carried(tree_of(BODY), np.zeros((len(poses), 3)), poses)[0]
+    return poses, compute_tree_poses(build_kinematic_tree(BODY), np.zeros((len(poses), 3)), poses)[0]
 
 
 def upright(frames):
     return np.tile(np.eye(3), (frames, 1, 1))
 
 
-def random_network(rng: np.random.Generator, width: int = 8) -> Twists:
-    sizes = (6 * len(spans().start), width, width, 2 * int(HAS.sum()))
+def random_network(rng: np.random.Generator, width: int = 8) -> TwistRegressor:
+    sizes = (6 * len(build_twist_spans().start), width, width, 2 * int(HAS.sum()))
     weights, offsets = (
         tuple(rng.normal(0, 0.3, shape).astype(np.float16).astype(np.float32) for shape in shapes)
         for shapes in (pairwise(sizes), sizes[1:])
     )
-    return Twists(weights, offsets, np.where(HAS, rng.uniform(0.1, 0.5, len(HAS)), np.inf))
+    return TwistRegressor(weights, offsets, np.where(HAS, rng.uniform(0.1, 0.5, len(HAS)), np.inf))
 
 
 def apart(one, other):
@@ -61,20 +70,20 @@ def apart(one, other):
 def test_the_twist_of_a_twist_and_a_swing_is_told_exactly(seed, angle):
     rng = np.random.default_rng(seed)
     bone, way = rng.normal(0, 0.3, 3), Rotation.from_rotvec(rng.uniform(-1.5, 1.5, 3)).as_matrix()
-    swung = np.reshape(swing(tuple(bone), tuple(way @ bone)), (3, 3))
-    turned = np.reshape(twist(tuple(bone), np.cos(angle), np.sin(angle)), (3, 3))
-    np.testing.assert_allclose(twists((swung @ turned)[None], bone[None])[0], [np.cos(angle), np.sin(angle)], atol=1e-9)
+    swung = np.reshape(compute_swing(tuple(bone), tuple(way @ bone)), (3, 3))
+    turned = np.reshape(compute_twist(tuple(bone), np.cos(angle), np.sin(angle)), (3, 3))
+    np.testing.assert_allclose(compute_twists((swung @ turned)[None], bone[None])[0], [np.cos(angle), np.sin(angle)], atol=1e-9)
 
 
 def test_a_turn_about_the_bone_is_its_angle_and_one_across_it_is_none():
     bone = np.array([[0.0, 0.3, 0.0]])
     about, across = (Rotation.from_rotvec(v).as_matrix()[None] for v in ([0, 0.7, 0], [0.7, 0, -1.1]))
-    np.testing.assert_allclose(twists(about, bone), [[np.cos(0.7), np.sin(0.7)]], atol=1e-12)
-    np.testing.assert_allclose(twists(across, bone), [[1, 0]], atol=1e-12)
+    np.testing.assert_allclose(compute_twists(about, bone), [[np.cos(0.7), np.sin(0.7)]], atol=1e-12)
+    np.testing.assert_allclose(compute_twists(across, bone), [[1, 0]], atol=1e-12)
 
 
 def test_rotations_come_in_any_number_and_a_joint_without_a_bone_has_no_twist():
-    told = twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
+    told = compute_twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
     assert told.shape == (2, 5, 31, 2)
     assert np.isnan(told[:, :, ~HAS]).all()
     np.testing.assert_allclose(told[:, :, HAS], np.broadcast_to([1.0, 0.0], (2, 5, HAS.sum(), 2)), atol=1e-12)
@@ -82,10 +91,10 @@ def test_rotations_come_in_any_number_and_a_joint_without_a_bone_has_no_twist():
 
 def test_bones_lead_to_the_mean_of_the_children_that_lie_away():
     assert {name for name, has in zip(BODY.names, HAS, strict=True) if not has} == WITHOUT
-    np.testing.assert_allclose(BONES[BODY.index("Spine1")], BODY.offsets[BODY.index("Neck")])
+    np.testing.assert_allclose(BONES[BODY.find_joint("Spine1")], BODY.offsets[BODY.find_joint("Neck")])
     offsets = np.array([[9, 9, 9], [0, 1, 0], [0, 0, 0], [2.0, 0, 0]])
     fork = Skeleton(("a", "b", "c", "d"), np.array([-1, 0, 0, 0]), offsets, np.full((4, 3), np.nan))
-    np.testing.assert_array_equal(bones(fork), [[1, 0.5, 0], *np.full((3, 3), np.nan)])
+    np.testing.assert_array_equal(compute_bone_vectors(fork), [[1, 0.5, 0], *np.full((3, 3), np.nan)])
 
 
 # from positions
@@ -94,70 +103,72 @@ def test_bones_lead_to_the_mean_of_the_children_that_lie_away():
 def test_what_is_regressed_is_as_long_as_it_is_sure_and_never_longer_than_one_over_the_variance():
     network, rng = random_network(np.random.default_rng(0)), np.random.default_rng(1)
     positions = rng.normal(size=(400, 31, 3))
-    raw = network.said(directions(positions, upright(400)))
+    raw = network.evaluate(compute_span_directions(positions, upright(400)))
     lengths = np.linalg.norm(raw, axis=2)
     assert (lengths < 0.7).any()
     assert (lengths > 1.4).any()
-    told = network.regressed(positions, upright(400))
+    told = network.predict_twists(positions, upright(400))
     assert not told[:, ~HAS].any()
-    np.testing.assert_allclose(np.linalg.norm(told[:, HAS], axis=2) * network.sigma[HAS] ** 2, np.minimum(lengths, 1), rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(told[:, HAS], axis=2) * network.sd_rad[HAS] ** 2, np.minimum(lengths, 1), rtol=1e-5)
     np.testing.assert_allclose(apart(told[:, HAS], raw), 0, atol=1e-5)
 
 
 def test_frames_do_not_matter_to_one_another():
     network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(30, 31, 3))
-    together = network.regressed(positions, upright(len(positions)))
+    together = network.predict_twists(positions, upright(len(positions)))
     for part in (slice(0, 3), slice(20, 21)):
-        np.testing.assert_array_equal(network.regressed(positions[part], upright(len(positions[part]))), together[part])
-    assert network.regressed(positions[:0], upright(0)).shape == (0, 31, 2)
+        np.testing.assert_array_equal(network.predict_twists(positions[part], upright(len(positions[part]))), together[part])
+    assert network.predict_twists(positions[:0], upright(0)).shape == (0, 31, 2)
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_place_and_heading_do_not_matter(seed):
     rng = np.random.default_rng(seed)
     positions, turn, way = rng.normal(size=(3, 31, 3)), drawn.rotations(rng, 1)[0], rng.normal(0, 5, 3)
-    still = regressor().regressed(positions, upright(3))
-    np.testing.assert_allclose(regressor().regressed(positions @ turn.T + way, np.tile(turn, (3, 1, 1))), still, atol=1e-2)
+    still = load_shipped_regressor().predict_twists(positions, upright(3))
+    np.testing.assert_allclose(
+        load_shipped_regressor().predict_twists(positions @ turn.T + way, np.tile(turn, (3, 1, 1))), still, atol=1e-2
+    )
 
 
 def test_frames_of_which_nothing_is_known_get_what_is_usual(people):
-    nothing = regressor().regressed(np.full((1, 31, 3), np.nan), upright(1))
+    nothing = load_shipped_regressor().predict_twists(np.full((1, 31, 3), np.nan), upright(1))
     assert np.isfinite(nothing).all()
-    np.testing.assert_array_equal(regressor().regressed(people[1][:1], np.full((1, 3, 3), np.nan)), nothing)
-    arm = BODY.index("LeftArm")
-    usual = regressor().regressed(people[1], upright(len(people[1])))[:, arm]
+    np.testing.assert_array_equal(load_shipped_regressor().predict_twists(people[1][:1], np.full((1, 3, 3), np.nan)), nothing)
+    arm = BODY.find_joint("LeftArm")
+    usual = load_shipped_regressor().predict_twists(people[1], upright(len(people[1])))[:, arm]
     assert np.linalg.norm(nothing[0, arm]) < 0.9 * np.linalg.norm(usual, axis=1).mean()  # and it is said to be less sure
 
 
 def test_unseen_peoples_twists_are_told_much_better_than_by_none(people):
     poses, places = people
-    true = twists(poses, BONES)[:, HAS]
-    said = regressor().regressed(places, upright(len(places)))[:, HAS]
+    true = compute_twists(poses, BONES)[:, HAS]
+    said = load_shipped_regressor().predict_twists(places, upright(len(places)))[:, HAS]
     none, away = apart(np.array([1.0, 0.0]), true), apart(said, true)
     assert away.mean() < 0.7 * none.mean()  # hands included, of whose twist no joint tells
-    arms = [j in (BODY.index("LeftArm"), BODY.index("RightArm")) for j in np.flatnonzero(HAS)]
+    arms = [j in (BODY.find_joint("LeftArm"), BODY.find_joint("RightArm")) for j in np.flatnonzero(HAS)]
     assert away[:, arms].mean() < 0.35 * none[:, arms].mean()
 
 
 def test_joints_that_are_displaced_or_lost_do_little_harm(people):
     poses, places = people
-    rng, true = np.random.default_rng(0), twists(poses, BONES)[:, HAS]
+    rng, true = np.random.default_rng(0), compute_twists(poses, BONES)[:, HAS]
     spoiled = places + rng.uniform(-0.02, 0.02, places.shape)
     spoiled[rng.random(places.shape[:2]) < 0.1] = np.nan
-    away = apart(regressor().regressed(spoiled, upright(len(places)))[:, HAS], true)
+    away = apart(load_shipped_regressor().predict_twists(spoiled, upright(len(places)))[:, HAS], true)
     assert away.mean() < 0.85 * apart(np.array([1.0, 0.0]), true).mean()
 
 
 def test_sigma_covers_what_unseen_people_stray(people):
     poses, places = people
-    away = apart(regressor().regressed(places, upright(len(places))), twists(poses, BONES))[:, HAS]
-    assert ((away < 2 * regressor().sigma[HAS]).mean(axis=0) > 0.9).all()
+    away = apart(load_shipped_regressor().predict_twists(places, upright(len(places))), compute_twists(poses, BONES))[:, HAS]
+    assert ((away < 2 * load_shipped_regressor().sd_rad[HAS]).mean(axis=0) > 0.9).all()
 
 
 def test_in_a_mirror_twists_are_mirrored_nearly(people):
     _, places = people
-    said = regressor().regressed(places, upright(len(places)))
-    mirrored = regressor().regressed(places[:, SWAP] * [-1, 1, 1], upright(len(places)))[:, SWAP] * [1, -1]
+    said = load_shipped_regressor().predict_twists(places, upright(len(places)))
+    mirrored = load_shipped_regressor().predict_twists(places[:, SWAP] * [-1, 1, 1], upright(len(places)))[:, SWAP] * [1, -1]
     assert np.degrees(apart(said, mirrored)[:, HAS].mean()) < 2
 
 
@@ -166,10 +177,12 @@ def test_in_a_mirror_twists_are_mirrored_nearly(people):
 
 def test_a_network_comes_back(tmp_path):
     network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(5, 31, 3))
-    save(tmp_path / "mine.safetensors", network)
-    loaded = load(tmp_path / "mine.safetensors")
-    np.testing.assert_allclose(loaded.regressed(positions, upright(5)), network.regressed(positions, upright(5)), rtol=1e-5)
-    np.testing.assert_allclose(loaded.sigma, network.sigma, rtol=1e-6)
+    write_twist_regressor(tmp_path / "mine.safetensors", network)
+    loaded = read_twist_regressor(tmp_path / "mine.safetensors")
+    np.testing.assert_allclose(
+        loaded.predict_twists(positions, upright(5)), network.predict_twists(positions, upright(5)), rtol=1e-5
+    )
+    np.testing.assert_allclose(loaded.sd_rad, network.sd_rad, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -187,22 +200,22 @@ def test_a_network_comes_back(tmp_path):
 )
 def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change, message):
     path = tmp_path / "mine.safetensors"
-    save(path, random_network(np.random.default_rng(0)))
+    write_twist_regressor(path, random_network(np.random.default_rng(0)))
     tensors = load_file(path)
     change(tensors)
     save_file(tensors, path)
     with pytest.raises(SceneError, match=rf"mine\.safetensors: is no regressor of twists .*({message})"):
-        load(path)
+        read_twist_regressor(path)
 
 
 def test_another_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "text.safetensors").write_text("not that")
     for name in ("text", "none"):
         with pytest.raises(SceneError, match=rf"{name}\.safetensors: is no regressor of twists"):
-            load(tmp_path / f"{name}.safetensors")
+            read_twist_regressor(tmp_path / f"{name}.safetensors")
 
 
 def test_to_regress_needs_no_torch():
-    code = "import sys, numpy as np; from mocapfix.initialise.twist import regressor; "
+    code = "import sys, numpy as np; from mocapfix.initialise.twist_regressor import regressor; "
     code += "regressor().regressed(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"

@@ -10,27 +10,27 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.system import System
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.normal_equations import NormalEquations
 from mocapfix.kernels.terms import (
     HUBER,
-    Courses,
-    Directions,
-    Distances,
-    Latent,
-    Limits,
-    Orientations,
-    Points,
-    Targets,
-    Views,
-    Whole,
+    DirectionTerm,
+    DistanceTerm,
+    JointLimitTerm,
+    LatentCodeTerm,
+    OrientationTerm,
+    PointTerm,
+    PosePriorTerm,
+    ReprojectionTerm,
+    ScalarTerm,
+    TrackingTerm,
 )
 
 
 class Frame(NamedTuple):
     """One frame's problem: a body, the terms on it (frame 0 of each), and a pose."""
 
-    tree: Tree
+    tree: KinematicTree
     terms: tuple
     root: np.ndarray  # (3,)
     local: np.ndarray  # (J, 3, 3)
@@ -40,17 +40,21 @@ class Frame(NamedTuple):
 class World(NamedTuple):
     """A pose, and where it puts the joints."""
 
-    tree: Tree
+    tree: KinematicTree
     local: np.ndarray
     shared: np.ndarray
     position: np.ndarray  # (J, 3)
     rotation: np.ndarray  # (J, 3, 3)
 
 
-def world(tree: Tree, root: np.ndarray, local: np.ndarray, shared: np.ndarray | None = None) -> World:
+def world(tree: KinematicTree, root: np.ndarray, local: np.ndarray, shared: np.ndarray | None = None) -> World:
     """-> where a pose puts the joints; shared None: no shape is unknown."""
     shared = np.zeros(0) if shared is None else shared
-    offsets = tree.offsets + np.einsum("qja,q->ja", tree.shape, shared[: len(tree.shape)]) if len(tree.shape) else tree.offsets
+    offsets = (
+        tree.offsets + np.einsum("qja,q->ja", tree.shape_basis, shared[: len(tree.shape_basis)])
+        if len(tree.shape_basis)
+        else tree.offsets
+    )
     position, rotation = [root], [local[0]]
     for j, p in list(enumerate(tree.parents))[1:]:
         position.append(position[p] + rotation[p] @ offsets[j])
@@ -89,73 +93,73 @@ def whitened(information: np.ndarray, residual: np.ndarray) -> np.ndarray:
 # each kind's residuals, (n, d) over their standard deviations: n of them, d numbers each, which are robust together
 
 
-def of_points(term: Points, at: World) -> np.ndarray:
-    return placed(term.joints, term.places, at) - term.seen[0]
+def of_points(term: PointTerm, at: World) -> np.ndarray:
+    return placed(term.joints, term.offsets, at) - term.measured[0]
 
 
-def of_directions(term: Directions, at: World) -> np.ndarray:
-    return np.einsum("kab,kb->ka", at.rotation[term.joints], term.along) - term.seen[0]
+def of_directions(term: DirectionTerm, at: World) -> np.ndarray:
+    return np.einsum("kab,kb->ka", at.rotation[term.joints], term.bone_axes) - term.measured[0]
 
 
-def of_orientations(term: Orientations, at: World) -> np.ndarray:
-    return rotvec(at.rotation[term.joints] @ np.swapaxes(term.seen[0], 1, 2))
+def of_orientations(term: OrientationTerm, at: World) -> np.ndarray:
+    return rotvec(at.rotation[term.joints] @ np.swapaxes(term.measured[0], 1, 2))
 
 
-def of_views(term: Views, at: World) -> np.ndarray:
-    point = placed(term.joints, term.places, at)
+def of_views(term: ReprojectionTerm, at: World) -> np.ndarray:
+    point = placed(term.joints, term.offsets, at)
     before = np.einsum("kab,kb->ka", term.rotation[term.cameras], point) + term.translation[term.cameras]
     flat = before[:, :2] / np.where(term.perspective[term.cameras], before[:, 2], 1.0)[:, None]
-    return flat - term.seen[0]
+    return flat - term.measured[0]
 
 
-def of_courses(term: Courses, at: World) -> np.ndarray:
+def of_courses(term: TrackingTerm, at: World) -> np.ndarray:
     turned = np.sqrt(term.weight[0])[:, None] * from_middle(term.rotations[0], at)
     return np.r_[turned, [np.sqrt(term.root_weight[0]) * (at.position[0] - term.root[0])]]
 
 
-def of_targets(term: Targets, at: World) -> np.ndarray:
-    wanted = term.vectors * at.tree.free[:, None] if len(term.vectors) else 0.0
+def of_targets(term: PosePriorTerm, at: World) -> np.ndarray:
+    wanted = term.mean_vectors * at.tree.free[:, None] if len(term.mean_vectors) else 0.0
     return whitened(term.information[0], from_middle(term.rotations[0], at) - wanted)
 
 
-def of_limits(term: Limits, at: World) -> np.ndarray:
-    vector = from_middle(term.middle, at)
+def of_limits(term: JointLimitTerm, at: World) -> np.ndarray:
+    vector = from_middle(term.reference, at)
     excess = vector - np.clip(vector, term.low, term.high)
     return np.sqrt(term.weight) * excess[1:] * at.tree.free[1:, None]
 
 
-def of_latent(term: Latent, at: World) -> np.ndarray:
-    code, row = at.shared[: term.at.shape[1]], term.row[0]
-    step = code - term.at[row]
+def of_latent(term: LatentCodeTerm, at: World) -> np.ndarray:
+    code, row = at.shared[: term.code.shape[1]], term.linearisation[0]
+    step = code - term.code[row]
     decoded = term.decoded[row] + term.jacobian[row] @ step
-    away = (np.r_[tilt(at)[None], from_middle(term.middle, at)[1:]] - decoded) * at.tree.free[:, None]
-    return np.r_[whitened(term.information, away).ravel(), code, np.sqrt(term.hold[row]) * step][:, None]
+    away = (np.r_[tilt(at)[None], from_middle(term.reference, at)[1:]] - decoded) * at.tree.free[:, None]
+    return np.r_[whitened(term.information, away).ravel(), code, np.sqrt(term.code_weight[row]) * step][:, None]
 
 
-def of_distances(term: Distances, at: World) -> np.ndarray:
-    ends = [placed(term.joints[:, e], term.places[:, e], at) for e in (0, 1)]
+def of_distances(term: DistanceTerm, at: World) -> np.ndarray:
+    ends = [placed(term.joints[:, e], term.offsets[:, e], at) for e in (0, 1)]
     away = np.linalg.norm(ends[1] - ends[0], axis=1) - term.length[0]
     return (np.sqrt(term.weight[0]) * away)[:, None]
 
 
-def of_whole(term: Whole, at: World) -> np.ndarray:
-    total = term.value[0] + (term.gradient[0] * from_middle(term.at[0], at)).sum()
+def of_whole(term: ScalarTerm, at: World) -> np.ndarray:
+    total = term.value[0] + (term.gradient[0] * from_middle(term.reference[0], at)).sum()
     return np.sqrt(term.weight[0]) * np.array([[total]])
 
 
 OF = {
-    Points: of_points,
-    Courses: of_courses,
-    Targets: of_targets,
-    Directions: of_directions,
-    Orientations: of_orientations,
-    Views: of_views,
-    Limits: of_limits,
-    Latent: of_latent,
-    Distances: of_distances,
-    Whole: of_whole,
+    PointTerm: of_points,
+    TrackingTerm: of_courses,
+    PosePriorTerm: of_targets,
+    DirectionTerm: of_directions,
+    OrientationTerm: of_orientations,
+    ReprojectionTerm: of_views,
+    JointLimitTerm: of_limits,
+    LatentCodeTerm: of_latent,
+    DistanceTerm: of_distances,
+    ScalarTerm: of_whole,
 }
-ROBUST = (Points, Directions, Orientations, Views)
+ROBUST = (PointTerm, DirectionTerm, OrientationTerm, ReprojectionTerm)
 
 
 def residual(term, at: World) -> np.ndarray:
@@ -228,37 +232,37 @@ def cross(v: np.ndarray) -> np.ndarray:
     return np.cross(v, np.eye(3)).T
 
 
-def twists(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def twists(tree: KinematicTree, system: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """-> how bodies' twists (J, 6, N), joints' own turns (J, 3, N) and the shared unknowns (P, N) follow from x."""
-    joints, shared = len(tree.parents), len(system.shared_g)
+    joints, shared = len(tree.parents), len(system.g_shared)
     count = 3 + 3 * int(tree.free.sum()) + shared
     twist, turn = np.zeros((joints, 6, count)), np.zeros((joints, 3, count))
     twist[0, :, :6], column = np.eye(6), 6
     for j, p in list(enumerate(tree.parents))[1:]:
         twist[j] = twist[p]
-        twist[j, 3:, count - shared :] += system.shift[j]
+        twist[j, 3:, count - shared :] += system.shared_shift[j]
         if tree.free[j]:
             turn[j, :, column : column + 3] = np.eye(3)
             twist[j, :3] += turn[j]
-            twist[j, 3:] += cross(system.arm[j]) @ turn[j]
+            twist[j, 3:] += cross(system.lever_arm[j]) @ turn[j]
             column += 3
     return twist, turn, np.eye(count)[count - shared :]
 
 
-def across(tree: Tree, system: System) -> np.ndarray:
+def across(tree: KinematicTree, system: NormalEquations) -> np.ndarray:
     """-> (M, N) the system's rows on x."""
     twist, turn, _ = twists(tree, system)
-    return np.einsum("mja,jan->mn", system.rows, twist) + np.einsum("mja,jan->mn", system.rows_own, turn)
+    return np.einsum("mja,jan->mn", system.row_twist, twist) + np.einsum("mja,jan->mn", system.row_joint, turn)
 
 
-def assembled(tree: Tree, system: System) -> tuple[np.ndarray, np.ndarray]:
+def assembled(tree: KinematicTree, system: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     """-> gradient (N,) and curvature (N, N) of a system as one whole quadratic in x."""
     twist, turn, shared = twists(tree, system)
-    among = np.tril(system.shared) + np.tril(system.shared, -1).T
+    among = np.tril(system.h_shared) + np.tril(system.h_shared, -1).T
     own = np.concatenate([twist[:1, :3], turn[1:]])  # the root's own turn is part of its twist
-    crossed = np.einsum("jan,jap->np", own, system.own_cross) @ shared
+    crossed = np.einsum("jan,jap->np", own, system.h_joint_shared) @ shared
     rows = across(tree, system)
-    bodies, joints = np.swapaxes(twist, 1, 2) @ system.h @ twist, np.swapaxes(turn, 1, 2) @ system.own @ turn
+    bodies, joints = np.swapaxes(twist, 1, 2) @ system.h @ twist, np.swapaxes(turn, 1, 2) @ system.h_joint @ turn
     curvature = bodies.sum(0) + joints.sum(0) + shared.T @ among @ shared + crossed + crossed.T + rows.T @ rows
-    gradient = np.einsum("jan,ja->n", twist, system.g) + np.einsum("jan,ja->n", turn, system.b)
-    return gradient + shared.T @ system.shared_g + rows.T @ system.away, curvature
+    gradient = np.einsum("jan,ja->n", twist, system.g) + np.einsum("jan,ja->n", turn, system.g_joint)
+    return gradient + shared.T @ system.g_shared + rows.T @ system.row_residual, curvature

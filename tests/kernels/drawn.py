@@ -7,20 +7,20 @@ where it is enough (and then it is compiled already), or one with all kinds.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.pose import Tree
+from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import (
     GEMAN_MCCLURE,
     HUBER,
-    Courses,
-    Directions,
-    Distances,
-    Latent,
-    Limits,
-    Orientations,
-    Points,
-    Targets,
-    Views,
-    Whole,
+    DirectionTerm,
+    DistanceTerm,
+    JointLimitTerm,
+    LatentCodeTerm,
+    OrientationTerm,
+    PointTerm,
+    PosePriorTerm,
+    ReprojectionTerm,
+    ScalarTerm,
+    TrackingTerm,
 )
 from tests.kernels import dense
 
@@ -29,12 +29,12 @@ KINDS = (*FEW, "directions", "orientations", "views", "latent", "distances", "wh
 FREE_CAMERA = np.array([0.0, 0.0, 8.0])  # metres: what is within three metres of the origin lies before it
 
 
-def tree(rng: np.random.Generator, joints: int, shapes: int = 0) -> Tree:
+def tree(rng: np.random.Generator, joints: int, shapes: int = 0) -> KinematicTree:
     """-> a random tree: about every fourth joint is fixed, the root never."""
     parents = np.array([-1, *(rng.integers(j) for j in range(1, joints))])
     free = rng.random(joints) < 0.75
     free[0] = True
-    return Tree(parents, rng.normal(0, 0.3, (joints, 3)), free, rng.normal(0, 0.1, (shapes, joints, 3)))
+    return KinematicTree(parents, rng.normal(0, 0.3, (joints, 3)), free, rng.normal(0, 0.1, (shapes, joints, 3)))
 
 
 def spd(rng: np.random.Generator, count: int, size: int, scale: float = 1.0) -> np.ndarray:
@@ -58,22 +58,22 @@ def nothing(joints: int, frames: int = 1) -> dict:
     """-> a term of every kind that says nothing."""
     one, eye = np.zeros(0, int), np.tile(np.eye(3), (joints, 1, 1))
     return {
-        "points": Points(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
-        "courses": Courses(eye[None].copy(), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1)),
-        "targets": Targets(eye[None].copy(), np.zeros((1, joints, 3, 3))),
-        "directions": Directions(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
-        "orientations": Orientations(one, np.zeros((frames, 0, 3, 3)), np.zeros((frames, 0))),
-        "views": Views(
+        "points": PointTerm(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
+        "courses": TrackingTerm(eye[None].copy(), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1)),
+        "targets": PosePriorTerm(eye[None].copy(), np.zeros((1, joints, 3, 3))),
+        "directions": DirectionTerm(one, np.zeros((0, 3)), np.zeros((frames, 0, 3)), np.zeros((frames, 0))),
+        "orientations": OrientationTerm(one, np.zeros((frames, 0, 3, 3)), np.zeros((frames, 0))),
+        "views": ReprojectionTerm(
             one, np.zeros((0, 3)), one, np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros(0, bool), np.zeros((frames, 0, 2)),
             np.zeros((frames, 0)),
         ),
-        "limits": Limits(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
-        "latent": Latent.asked(
+        "limits": JointLimitTerm(eye.copy(), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 1.0),
+        "latent": LatentCodeTerm.build(
             eye.copy(), np.zeros((1, joints, 3)), np.zeros((1, joints, 3, 0)), np.zeros((1, 0)), np.zeros((joints, 3, 3)),
             np.zeros(1), np.zeros(1, int),
         ),
-        "distances": Distances(np.zeros((0, 2), int), np.zeros((0, 2, 3)), np.zeros((1, 0)), np.zeros((1, 0))),
-        "whole": Whole(
+        "distances": DistanceTerm(np.zeros((0, 2), int), np.zeros((0, 2, 3)), np.zeros((1, 0)), np.zeros((1, 0))),
+        "whole": ScalarTerm(
             np.zeros(frames), np.zeros((frames, joints, 3)), np.tile(np.eye(3), (frames, joints, 1, 1)), np.zeros(frames)
         ),
     }  # fmt: skip
@@ -84,63 +84,63 @@ def terms(joints: int, frames: int = 1, **said) -> tuple:
     return tuple((nothing(joints, frames) | said)[kind] for kind in (FEW if said.keys() <= set(FEW) else KINDS))
 
 
-def points(rng, at: dense.World, count: int, noise: float = 0.02) -> Points:
+def points(rng, at: dense.World, count: int, noise: float = 0.02) -> PointTerm:
     """-> markers on random joints, the first of them joints themselves, seen `noise` metres off."""
     joints, places = rng.integers(len(at.local), size=count), rng.normal(0, 0.15, (count, 3))
     places[: count // 3] = 0.0
     seen = dense.placed(joints, places, at) + rng.normal(0, noise, (count, 3))
-    return Points(joints, places, seen[None], rng.uniform(1e2, 1e4, (1, count)), any_loss(rng))
+    return PointTerm(joints, places, seen[None], rng.uniform(1e2, 1e4, (1, count)), any_loss(rng))
 
 
 def any_loss(rng) -> int:
     return int(rng.choice([GEMAN_MCCLURE, HUBER]))
 
 
-def directions(rng, at: dense.World, count: int) -> Directions:
+def directions(rng, at: dense.World, count: int) -> DirectionTerm:
     joints = rng.integers(len(at.local), size=count)
-    return Directions(joints, units(rng, count), units(rng, 1, count), rng.uniform(1, 100, (1, count)), any_loss(rng))
+    return DirectionTerm(joints, units(rng, count), units(rng, 1, count), rng.uniform(1, 100, (1, count)), any_loss(rng))
 
 
-def orientations(rng, at: dense.World, count: int) -> Orientations:
+def orientations(rng, at: dense.World, count: int) -> OrientationTerm:
     joints = rng.integers(len(at.local), size=count)
     seen = rotations(rng, count, 2.0) @ at.rotation[joints]
-    return Orientations(joints, seen[None], rng.uniform(1, 100, (1, count)), any_loss(rng))
+    return OrientationTerm(joints, seen[None], rng.uniform(1, 100, (1, count)), any_loss(rng))
 
 
-def views(rng, at: dense.World, count: int) -> Views:
+def views(rng, at: dense.World, count: int) -> ReprojectionTerm:
     """-> points as four cameras round the body see them, two of them perspective, two orthographic."""
     joints, places = rng.integers(len(at.local), size=count), rng.normal(0, 0.15, (count, 3))
     cameras, rotation = rng.integers(4, size=count), rotations(rng, 4)
     translation = FREE_CAMERA - np.einsum("cab,b->ca", rotation, at.position.mean(0))
     seen, weight = rng.normal(0, 0.1, (1, count, 2)), rng.uniform(1e2, 1e4, (1, count))
-    return Views(
+    return ReprojectionTerm(
         joints, places, cameras, rotation, translation, np.array([True, False, True, False]), seen, weight, any_loss(rng)
     )
 
 
-def courses(rng, at: dense.World) -> Courses:
+def courses(rng, at: dense.World) -> TrackingTerm:
     weight = rng.uniform(1, 100, (1, len(at.local)))
     weight[rng.random(weight.shape) < 0.2] = 0.0
     wanted = rotations(rng, len(at.local), 2.0) @ at.local
-    return Courses(wanted[None], weight, at.position[:1] + rng.normal(0, 0.1, 3), rng.uniform(10, 200, 1))
+    return TrackingTerm(wanted[None], weight, at.position[:1] + rng.normal(0, 0.1, 3), rng.uniform(10, 200, 1))
 
 
-def targets(rng, at: dense.World) -> Targets:
+def targets(rng, at: dense.World) -> PosePriorTerm:
     information = spd(rng, len(at.local), 3, 30.0)
     information[rng.random(len(information)) < 0.2] = 0.0
     wanted = rotations(rng, len(at.local), 2.0) @ at.local
-    return Targets(wanted[None], information[None])
+    return PosePriorTerm(wanted[None], information[None])
 
 
-def limits(rng, at: dense.World) -> Limits:
+def limits(rng, at: dense.World) -> JointLimitTerm:
     """-> ranges that some joints keep to, some do not, and some have none."""
     low = rng.uniform(-1, 0, (len(at.local), 3))
     high = low + rng.uniform(0, 2, low.shape)
     low[rng.random(low.shape) < 0.1], high[rng.random(low.shape) < 0.1] = -np.inf, np.inf
-    return Limits(rotations(rng, len(at.local), 2.0) @ at.local, low, high, float(rng.uniform(1, 1e3)))
+    return JointLimitTerm(rotations(rng, len(at.local), 2.0) @ at.local, low, high, float(rng.uniform(1, 1e3)))
 
 
-def latent(rng, at: dense.World) -> Latent:
+def latent(rng, at: dense.World) -> LatentCodeTerm:
     """-> two linearisations of a decoder of all the shared unknowns, the second the frame's; some joints it does not know."""
     joints, size = len(at.local), len(at.shared)
     information = spd(rng, joints, 3, 30.0)
@@ -148,22 +148,22 @@ def latent(rng, at: dense.World) -> Latent:
     decoded, slope = rng.normal(0, 0.3, (2, joints, 3)), rng.normal(0, 0.3, (2, joints, 3, size))
     middle, hold = rotations(rng, joints, 2.0) @ at.local, rng.uniform(0, 5, 2)
     information *= at.tree.free[:, None, None]
-    return Latent.asked(middle, decoded, slope, rng.normal(size=(2, size)), information, hold, np.ones(1, int))
+    return LatentCodeTerm.build(middle, decoded, slope, rng.normal(size=(2, size)), information, hold, np.ones(1, int))
 
 
-def distances(rng, at: dense.World, count: int) -> Distances:
+def distances(rng, at: dense.World, count: int) -> DistanceTerm:
     """-> between random points, about every third pair on one body; the last weighs nothing."""
     joints = rng.integers(len(at.local), size=(count, 2))
     joints[::3, 1] = joints[::3, 0]
     weight = rng.uniform(1e2, 1e4, (1, count))
     weight[:, -1:] = 0.0
-    return Distances(joints, rng.normal(0, 0.15, (count, 2, 3)), rng.uniform(0, 1, (1, count)), weight)
+    return DistanceTerm(joints, rng.normal(0, 0.15, (count, 2, 3)), rng.uniform(0, 1, (1, count)), weight)
 
 
-def whole(rng, at: dense.World) -> Whole:
+def whole(rng, at: dense.World) -> ScalarTerm:
     joints = len(at.local)
     taken = rotations(rng, joints, 2.0) @ at.local
-    return Whole(rng.normal(size=1), rng.normal(size=(1, joints, 3)), taken[None], rng.uniform(0.1, 10, 1))
+    return ScalarTerm(rng.normal(size=1), rng.normal(size=(1, joints, 3)), taken[None], rng.uniform(0.1, 10, 1))
 
 
 def term(kind: str, rng, at: dense.World):

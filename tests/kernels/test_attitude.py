@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.attitude import attitude
-from mocapfix.kernels.rigid import fitted
+from mocapfix.kernels.rigid_registration import fit_rotations, solve_wahba
 from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
@@ -15,9 +14,9 @@ seeds = st.integers(0, 2**32 - 1)
 def test_the_closed_form_is_horns_rotation_and_never_a_reflection(seed):
     rng = np.random.default_rng(seed)
     cross = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-6, 6)
-    told, found = attitude(tuple(cross.ravel()))
+    told, found = solve_wahba(tuple(cross.ravel()))
     assert told
-    np.testing.assert_allclose(np.reshape(found, (3, 3)), fitted(cross[None])[0], atol=1e-9)
+    np.testing.assert_allclose(np.reshape(found, (3, 3)), fit_rotations(cross[None])[0], atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(np.reshape(found, (3, 3))), 1.0)
 
 
@@ -27,8 +26,8 @@ def test_a_plane_is_told_and_a_line_is_not(seed):
     first, second = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
     ways = drawn.rotations(rng, 1)[0]
     line = np.outer(ways @ first, first)
-    assert not attitude(tuple(line.ravel()))[0]
-    told, found = attitude(tuple((line + 0.3 * np.outer(ways @ second, second)).ravel()))
+    assert not solve_wahba(tuple(line.ravel()))[0]
+    told, found = solve_wahba(tuple((line + 0.3 * np.outer(ways @ second, second)).ravel()))
     assert told
     np.testing.assert_allclose(np.reshape(found, (3, 3)), ways, atol=1e-9)
-    assert not attitude((0.0,) * 9)[0]
+    assert not solve_wahba((0.0,) * 9)[0]

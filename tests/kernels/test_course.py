@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from mocapfix.kernels.course import LISTENED, across, correlation, matern, roughness
+from mocapfix.stats.residual_process import (
+    MAX_SAMPLES_PER_SIDE,
+    compute_matern_32,
+    compute_residual_correlation,
+    estimate_roughness,
+    interpolate_residual,
+)
 
 RATE, FADE, REACH, NOISE, LEAST = 100.0, 0.3, 0.1, 1e-3, 1e-3
 seeds = st.integers(0, 2**32 - 1)
@@ -23,7 +29,7 @@ def torn(residual, wanted):
 
 
 def crossed(residual, wanted, rate=RATE, fade=FADE, reach=REACH, noise=NOISE, least=LEAST):
-    return across(residual, wanted, rate, fade, reach, noise, least)[:2]
+    return interpolate_residual(residual, wanted, rate, fade, reach, noise, least)[:2]
 
 
 @given(seeds, st.integers(1, 60))
@@ -132,25 +138,25 @@ def sliding(seed, frames, rate, fade=FADE, size=0.004):
 def test_what_slides_in_steps_is_rough_and_what_goes_smoothly_is_not(rate):
     rng, t = np.random.default_rng(4), np.arange(0, 60, 1 / rate)[:, None]
     rough = sliding(4, len(t), rate)
-    assert roughness(rough, rate, FADE, 0.0, 0.004**2) == pytest.approx(1.0, abs=0.15)
+    assert estimate_roughness(rough, rate, FADE, 0.0, 0.004**2) == pytest.approx(1.0, abs=0.15)
     smooth = 0.004 * np.sin(3 * t + np.arange(3.0))
-    assert roughness(smooth + rng.normal(0, NOISE, smooth.shape), rate, FADE, NOISE, 0.004**2 / 2) < 0.05
-    assert 0.3 < roughness((rough + smooth) / np.sqrt(2), rate, FADE, 0.0, 0.75 * 0.004**2) < 0.9
-    assert roughness(rough[: LISTENED // 2], rate, FADE, NOISE, 1e-6) == 0  # too few to tell
+    assert estimate_roughness(smooth + rng.normal(0, NOISE, smooth.shape), rate, FADE, NOISE, 0.004**2 / 2) < 0.05
+    assert 0.3 < estimate_roughness((rough + smooth) / np.sqrt(2), rate, FADE, 0.0, 0.75 * 0.004**2) < 0.9
+    assert estimate_roughness(rough[: MAX_SAMPLES_PER_SIDE // 2], rate, FADE, NOISE, 1e-6) == 0  # too few to tell
 
 
 def test_a_part_of_a_course_is_rough():
     seconds = np.linspace(-1, 1, 21)
-    np.testing.assert_array_equal(correlation(seconds, FADE, 0.0), matern(seconds, FADE))
-    np.testing.assert_allclose(correlation(seconds, FADE, 1.0), np.exp(-np.abs(seconds) / FADE))
-    assert (correlation(seconds, FADE, 0.4)[[10]] == 1.0).all()
+    np.testing.assert_array_equal(compute_residual_correlation(seconds, FADE, 0.0), compute_matern_32(seconds, FADE))
+    np.testing.assert_allclose(compute_residual_correlation(seconds, FADE, 1.0), np.exp(-np.abs(seconds) / FADE))
+    assert (compute_residual_correlation(seconds, FADE, 0.4)[[10]] == 1.0).all()
 
 
 @pytest.mark.parametrize("length", [3, 10, 30])
 def test_a_rough_course_is_as_unsure_in_a_gap_as_it_strays(length):
     rough = sliding(5, 20000, RATE)
     wanted = (np.arange(len(rough)) % 200 >= 100) & (np.arange(len(rough)) % 200 < 100 + length)
-    course, variance, power = across(torn(rough, wanted), wanted, RATE, FADE, REACH, 0.0, LEAST)
+    course, variance, power = interpolate_residual(torn(rough, wanted), wanted, RATE, FADE, REACH, 0.0, LEAST)
     strayed = ((course - rough)[wanted] ** 2).mean()
     assert 0.6 < variance[wanted].mean() / strayed < 1.6
     assert (variance <= power).all()
@@ -158,9 +164,9 @@ def test_a_rough_course_is_as_unsure_in_a_gap_as_it_strays(length):
 
 def test_the_correlation_falls_from_one_alike_both_ways():
     seconds = np.linspace(0, 3, 50)
-    correlation = matern(seconds, FADE)
+    correlation = compute_matern_32(seconds, FADE)
     assert correlation[0] == 1.0
     assert (np.diff(correlation) < 0).all()
     assert correlation[-1] < 1e-6
-    np.testing.assert_array_equal(matern(-seconds, FADE), correlation)
-    assert matern(np.array(FADE), FADE) == pytest.approx((1 + np.sqrt(3)) * np.exp(-np.sqrt(3)))
+    np.testing.assert_array_equal(compute_matern_32(-seconds, FADE), correlation)
+    assert compute_matern_32(np.array(FADE), FADE) == pytest.approx((1 + np.sqrt(3)) * np.exp(-np.sqrt(3)))

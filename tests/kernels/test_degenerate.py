@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, RAN_OUT, UNHELD
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_EXACT, STATUS_ITERATION_LIMIT, STATUS_UNCONSTRAINED
 from tests.kernels import dense, drawn
 from tests.kernels.model import foretold, solved
 
@@ -38,14 +38,14 @@ def strange(rng, tree, markers_each=3):
     seen[5, :1] = np.nan
     seen[6, :1] = -1e12
     seen[7] += 1e5  # all of them a hundred kilometres away
-    return frame, drawn.Points(joints, places, seen, weight)
+    return frame, drawn.PointTerm(joints, places, seen, weight)
 
 
 def assert_finite(frame, ends):
     """The ends of all frames are poses with a status."""
     root, local, _, status, _ = ends
     joints, fixed = len(frame.local), ~frame.tree.free
-    assert np.isin(status, [CONVERGED, RAN_OUT, NOTHING_LEFT, UNHELD]).all()
+    assert np.isin(status, [STATUS_CONVERGED, STATUS_ITERATION_LIMIT, STATUS_EXACT, STATUS_UNCONSTRAINED]).all()
     assert np.isfinite(root).all()
     np.testing.assert_allclose(local @ np.swapaxes(local, 2, 3), np.tile(np.eye(3), (FRAMES, joints, 1, 1)), atol=1e-12)
     np.testing.assert_array_equal(local[:, fixed], np.tile(frame.local[fixed], (FRAMES, 1, 1, 1)))
@@ -60,15 +60,15 @@ def test_frames_that_say_little(body, scales2, held):
     said: dict = {"points": points}
     if held:
         eye = np.tile(np.eye(3), (1, joints, 1, 1))
-        said["targets"] = drawn.Targets(eye, eye / 9)
+        said["targets"] = drawn.PosePriorTerm(eye, eye / 9)
     frame = frame._replace(terms=drawn.terms(joints, FRAMES, **said))
     ends = solved(frame, scales2, FRAMES, most=12)
     assert_finite(frame, ends)
     root, local, shared, status, _ = ends
     if held:
-        assert status[0] in (CONVERGED, NOTHING_LEFT)
+        assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
     else:
-        assert status[0] == UNHELD
+        assert status[0] == STATUS_UNCONSTRAINED
         np.testing.assert_array_equal(local[0], frame.local)
         np.testing.assert_array_equal(root[0], frame.root)
     unheard = points._replace(weight=points.weight.copy())
@@ -88,7 +88,7 @@ def test_a_body_without_markers(body):
     frame = frame._replace(terms=drawn.terms(len(frame.local), FRAMES, points=points))
     ends = solved(frame, ROBUST, FRAMES)
     assert_finite(frame, ends)
-    assert (ends[3] == UNHELD).all()
+    assert (ends[3] == STATUS_UNCONSTRAINED).all()
     sure = foretold(frame, np.inf, *ends[:3])
     assert sure[0].shape == (FRAMES, 0)
     np.testing.assert_allclose(sure[1][:, 0], np.sqrt(1e3))
@@ -100,7 +100,7 @@ def test_a_body_without_markers(body):
 def test_all_markers_of_a_joint_at_the_joint_itself():
     """They say where it is, nothing of how it is turned."""
     frame, points = strange(np.random.default_rng(8), usual(np.random.default_rng(9)))
-    points.places[:] = 0.0
+    points.offsets[:] = 0.0
     frame = frame._replace(terms=drawn.terms(8, FRAMES, points=points))
     assert_finite(frame, solved(frame, ROBUST, FRAMES))
 
@@ -110,4 +110,4 @@ def test_a_start_that_is_no_pose_is_left_as_it_was(nowhere):
     frame, points = strange(np.random.default_rng(10), usual(np.random.default_rng(11)))
     frame = frame._replace(terms=drawn.terms(8, FRAMES, points=points))
     *_, status, _ = solved(frame, ROBUST, FRAMES, start=(np.full(3, nowhere), frame.local, np.zeros(0)))
-    assert (status == UNHELD).all()
+    assert (status == STATUS_UNCONSTRAINED).all()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.eulers import followed, matrices
+from mocapfix.kernels.euler_angles import compute_continuous_euler_angles, compute_euler_matrices
 
 ORDERS = ["".join(order) for order in permutations("XYZ")]
 ANGLE = st.floats(-180, 180)
@@ -22,15 +22,15 @@ def rotations(order, degrees):
 
 @given(st.sampled_from(ORDERS), st.tuples(ANGLE, ANGLE, ANGLE))
 def test_matrices_are_scipys_the_first_axis_outermost(order, degrees):
-    found = matrices(np.radians([degrees]), axes_of(order))
+    found = compute_euler_matrices(np.radians([degrees]), axes_of(order))
     np.testing.assert_allclose(found, rotations(order, [degrees]), atol=1e-14)
 
 
 @given(st.sampled_from(ORDERS), st.tuples(ANGLE, st.sampled_from([-90.0, 90.0, 89.9999, -90.0001, 0.0, 45.0, 170.0]), ANGLE))
 def test_angles_mean_the_rotation_they_came_from_even_at_gimbal_lock(order, degrees):
     turned = rotations(order, [degrees])
-    angles = followed(turned, axes_of(order), np.zeros(3))
-    np.testing.assert_allclose(matrices(angles, axes_of(order)), turned, atol=1e-7)
+    angles = compute_continuous_euler_angles(turned, axes_of(order), np.zeros(3))
+    np.testing.assert_allclose(compute_euler_matrices(angles, axes_of(order)), turned, atol=1e-7)
 
 
 @given(st.sampled_from(ORDERS), st.tuples(ANGLE, st.floats(-85, 85), ANGLE), st.tuples(*[st.integers(-3, 3)] * 3), st.booleans())
@@ -39,7 +39,7 @@ def test_the_nearest_of_all_triples_that_mean_the_same_is_taken(order, degrees, 
     if other:
         triple = triple * [1, -1, 1] + 180
     near = np.radians(triple) + 0.01
-    found = followed(rotations(order, [degrees]), axes_of(order), near)
+    found = compute_continuous_euler_angles(rotations(order, [degrees]), axes_of(order), near)
     np.testing.assert_allclose(np.degrees(found[0]), triple, atol=1e-9)
 
 
@@ -48,36 +48,36 @@ def test_a_joint_that_turns_on_and_on_turns_on_in_its_numbers(order):
     degrees = np.zeros((400, 3))
     degrees[:, 0] = np.arange(400) * 5.0
     degrees[:, 1] = 60 * np.sin(np.arange(400) / 30)
-    found = followed(rotations(order, degrees), axes_of(order), np.zeros(3))
+    found = compute_continuous_euler_angles(rotations(order, degrees), axes_of(order), np.zeros(3))
     np.testing.assert_allclose(np.degrees(found), degrees, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_within_gimbal_lock_the_outer_two_share_the_turn(order):
     degrees = np.c_[np.arange(0, 180, 2.0), np.full(90, 90.0), np.zeros(90)]
-    found = np.degrees(followed(rotations(order, degrees), axes_of(order), np.radians([0, 90.0, 0])))
+    found = np.degrees(compute_continuous_euler_angles(rotations(order, degrees), axes_of(order), np.radians([0, 90.0, 0])))
     np.testing.assert_allclose(np.abs(np.diff(found[:, [0, 2]], axis=0)), 1, atol=1e-6)
-    np.testing.assert_allclose(matrices(np.radians(found), axes_of(order)), rotations(order, degrees), atol=1e-9)
+    np.testing.assert_allclose(compute_euler_matrices(np.radians(found), axes_of(order)), rotations(order, degrees), atol=1e-9)
 
 
 @given(st.sampled_from(["X", "ZX", "YX", "XZ"]), st.lists(st.floats(-170, 170), min_size=2, max_size=2))
 def test_of_fewer_axes_the_angles_come_back(order, degrees):
     own = np.array(degrees[: len(order)])
     turned = rotations(order, own[None] if len(order) > 1 else own)
-    found = followed(np.ascontiguousarray(turned.reshape(1, 3, 3)), axes_of(order), np.radians(own) * 0.9)
-    np.testing.assert_allclose(matrices(found, axes_of(order)), turned.reshape(1, 3, 3), atol=1e-6)
+    found = compute_continuous_euler_angles(np.ascontiguousarray(turned.reshape(1, 3, 3)), axes_of(order), np.radians(own) * 0.9)
+    np.testing.assert_allclose(compute_euler_matrices(found, axes_of(order)), turned.reshape(1, 3, 3), atol=1e-6)
 
 
 @given(st.tuples(ANGLE, st.floats(-60, 60), st.floats(-60, 60)))
 def test_a_hinge_comes_as_near_as_it_can(degrees):
     turned = rotations("XYZ", [degrees])
-    best = followed(turned, axes_of("X"), np.zeros(1))[0]
+    best = compute_continuous_euler_angles(turned, axes_of("X"), np.zeros(1))[0]
     around = np.linspace(-np.pi, np.pi, 721)[:, None]
-    distances = np.linalg.norm(matrices(around, axes_of("X")) - turned, axis=(1, 2))
-    assert np.linalg.norm(matrices(best[None], axes_of("X")) - turned) <= distances.min() + 1e-9
+    distances = np.linalg.norm(compute_euler_matrices(around, axes_of("X")) - turned, axis=(1, 2))
+    assert np.linalg.norm(compute_euler_matrices(best[None], axes_of("X")) - turned) <= distances.min() + 1e-9
 
 
 def test_without_axes_there_are_no_angles_and_no_turn():
     none = np.zeros(0, int)
-    np.testing.assert_array_equal(matrices(np.empty((2, 0)), none), np.tile(np.eye(3), (2, 1, 1)))
-    assert followed(np.tile(np.eye(3), (2, 1, 1)), none, np.empty(0)).shape == (2, 0)
+    np.testing.assert_array_equal(compute_euler_matrices(np.empty((2, 0)), none), np.tile(np.eye(3), (2, 1, 1)))
+    assert compute_continuous_euler_angles(np.tile(np.eye(3), (2, 1, 1)), none, np.empty(0)).shape == (2, 0)

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
+from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from tests.kernels import dense, drawn
 
@@ -27,10 +27,10 @@ def test_joints_and_markers_lie_where_a_walk_down_the_tree_leads(seed, joints):
     rng = np.random.default_rng(seed)
     tree = drawn.tree(rng, joints)
     root, local = rng.normal(size=(FRAMES, 3)), np.stack([drawn.rotations(rng, joints) for _ in range(FRAMES)])
-    position, rotation = kinematics.world(skeleton_of(tree), motion_of(root, local))
+    position, rotation = kinematics.compute_world_poses(skeleton_of(tree), motion_of(root, local))
     on, places = rng.integers(joints, size=5), rng.normal(size=(5, 3))
     subject = Subject(skeleton_of(tree), "", tuple("abcde"), on, places, np.ones(5))
-    again, carried = kinematics.placed(subject, motion_of(root, local))
+    again, carried = kinematics.compute_joint_and_marker_positions(subject, motion_of(root, local))
     np.testing.assert_array_equal(again, position)
     for t in range(FRAMES):
         expected = dense.world(tree, root[t], local[t])
@@ -47,5 +47,5 @@ def test_an_elbow_bent_by_a_quarter_turn(axis, hand):
     local = np.tile(np.eye(3), (1, 3, 1, 1))
     quarter = {1: [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 2: [[0, -1, 0], [1, 0, 0], [0, 0, 1]]}
     local[0, 1] = quarter[axis]
-    position, _ = kinematics.world(skeleton, motion_of(np.zeros((1, 3)), local))
+    position, _ = kinematics.compute_world_poses(skeleton, motion_of(np.zeros((1, 3)), local))
     np.testing.assert_allclose(position[0], [[0, 0, 0], [0, 2, 0], hand], atol=1e-15)

@@ -6,9 +6,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, RAN_OUT, SLIGHT, TAU, UNHELD, solve_frames
-from mocapfix.kernels.plan import alone
-from mocapfix.kernels.terms import GEMAN_MCCLURE, HUBER, Courses, Distances, Latent, Limits, Points, rows_of
+from mocapfix.kernels.levenberg_marquardt import (
+    INITIAL_DAMPING_RATIO,
+    MIN_COST_DECREASE,
+    STATUS_CONVERGED,
+    STATUS_EXACT,
+    STATUS_ITERATION_LIMIT,
+    STATUS_UNCONSTRAINED,
+    solve_frames,
+)
+from mocapfix.kernels.terms import (
+    GEMAN_MCCLURE,
+    HUBER,
+    DistanceTerm,
+    JointLimitTerm,
+    LatentCodeTerm,
+    PointTerm,
+    TrackingTerm,
+    count_rows,
+)
+from mocapfix.solve.frame_order import order_independently
 from tests.kernels import dense, drawn
 from tests.kernels.model import solved
 
@@ -16,11 +33,11 @@ PLAIN = np.array([np.inf])
 seeds = st.integers(0, 2**32 - 1)
 
 
-def all_over(rng, frame, each=4, sd=1e-6, loss=GEMAN_MCCLURE) -> Points:
+def all_over(rng, frame, each=4, sd=1e-6, loss=GEMAN_MCCLURE) -> PointTerm:
     """-> exact markers, `each` on every joint; surer than any, so that the last of it is worth a step"""
     joints = np.repeat(np.arange(len(frame.local)), each)
     places, at = rng.normal(0, 0.15, (len(joints), 3)), dense.world(*frame[:1], *frame[2:])
-    return Points(joints, places, dense.placed(joints, places, at)[None], np.full((1, len(joints)), sd**-2), loss)
+    return PointTerm(joints, places, dense.placed(joints, places, at)[None], np.full((1, len(joints)), sd**-2), loss)
 
 
 def near(rng, frame, far):
@@ -28,15 +45,15 @@ def near(rng, frame, far):
     return dense.moved(frame, rng.normal(0, far, dense.unknowns(frame)))[2:]
 
 
-def chain(joints) -> dense.Tree:
+def chain(joints) -> dense.KinematicTree:
     """-> joints 0.3 m apart along x, all free"""
     offsets = np.tile([0.3, 0.0, 0.0], (joints, 1))
-    return drawn.Tree(np.arange(-1, joints - 1), offsets, np.ones(joints, bool))
+    return drawn.KinematicTree(np.arange(-1, joints - 1), offsets, np.ones(joints, bool))
 
 
-def pull_to(local, weight) -> Courses:
+def pull_to(local, weight) -> TrackingTerm:
     """-> a pull to a pose, its root at the origin, equally strong on all joints (1/rad^2)"""
-    return Courses(local[None].copy(), np.full((1, len(local)), weight), np.zeros((1, 3)), np.ones(1))
+    return TrackingTerm(local[None].copy(), np.full((1, len(local)), weight), np.zeros((1, 3)), np.ones(1))
 
 
 @given(seeds, st.integers(1, 12))
@@ -45,7 +62,7 @@ def test_exact_markers_bring_a_pose_back(seed, joints):
     frame = drawn.frame(rng, joints, [])
     frame = frame._replace(terms=drawn.terms(joints, points=all_over(rng, frame)))
     root, local, _, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
-    assert status[0] in (CONVERGED, NOTHING_LEFT)
+    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
     np.testing.assert_allclose(root[0], frame.root, atol=1e-6)
     np.testing.assert_allclose(local[0], frame.local, atol=1e-6)
 
@@ -56,7 +73,7 @@ def test_exact_markers_tell_the_shape(seed, joints):
     frame = drawn.frame(rng, joints, [], shapes=min(3, joints - 1))
     frame = frame._replace(terms=drawn.terms(joints, points=all_over(rng, frame)))
     _, local, shape, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
-    assert status[0] in (CONVERGED, NOTHING_LEFT)
+    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
     np.testing.assert_allclose(shape[0], frame.shared, atol=1e-4)
     np.testing.assert_allclose(local[0], frame.local, atol=1e-4)
 
@@ -76,7 +93,7 @@ def test_markers_tell_the_code_of_a_pose_that_a_decoder_made(seed):
     elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
     decoded = (slope @ elsewhere[0])[None]
     sure = np.tile(1e8 * np.eye(3), (joints, 1, 1))
-    prior = Latent.asked(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
+    prior = LatentCodeTerm.build(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
     frame = frame._replace(terms=drawn.terms(joints, points=markers, latent=prior))
     start = frame.root + 0.02, drawn.rotations(rng, joints, 0.1) @ local, np.zeros(size)
     _, found, shared, _, _ = solved(frame, PLAIN, start=start)
@@ -90,7 +107,7 @@ def test_where_it_ends_another_solve_brings_next_to_nothing(seed):
     *first, status, _ = solved(frame, PLAIN, most=300)
     *again, _, _ = solved(frame, PLAIN, most=300, start=tuple(each[0] for each in first))
     costs = [dense.cost(frame._replace(root=r[0], local=q[0], shared=s[0])) for r, q, s in (first, again)]
-    assert status[0] == CONVERGED
+    assert status[0] == STATUS_CONVERGED
     assert costs[0] - costs[1] < 0.01 + 1e-2 * costs[0]  # data that conflict can leave a kink, where only small steps help
 
 
@@ -100,7 +117,7 @@ def test_the_cost_never_rises(seed, scale2):
     frame = drawn.frame(np.random.default_rng(seed), 5)
     ends = [solved(frame, np.array([scale2]), most=most)[:3] for most in range(10)]
     costs = [dense.cost(frame._replace(root=r[0], local=q[0], shared=s[0]), scale2) for r, q, s in ends]
-    assert (np.diff(costs) <= SLIGHT).all()
+    assert (np.diff(costs) <= MIN_COST_DECREASE).all()
     assert costs[-1] < costs[0]
 
 
@@ -111,11 +128,11 @@ def test_a_slight_promise_is_not_believed_where_others_were_broken():
     """
     wanted, information = np.array([[[0, 0, 0], [np.pi + 2, 0, 0]]]), np.array([np.zeros((3, 3)), 9 * np.eye(3)])
     middle, none, row = np.tile(np.eye(3), (2, 1, 1)), np.zeros((1, 0)), np.zeros(1, int)
-    beyond = Latent.asked(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
+    beyond = LatentCodeTerm.build(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
     for angle in np.arange(2.2, 3.1, 0.02):
         start = np.zeros(3), Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]]).as_matrix(), np.zeros(0)
         _, local, _, status, _ = solved(dense.Frame(chain(2), drawn.terms(2, latent=beyond), *start), PLAIN, most=100)
-        assert status[0] == CONVERGED
+        assert status[0] == STATUS_CONVERGED
         np.testing.assert_allclose(Rotation.from_matrix(local[0, 1]).as_rotvec(), [np.pi, 0, 0], atol=0.002)
 
 
@@ -129,12 +146,12 @@ def test_every_end_has_its_status():
         *_, status, iterations = solved(frame, PLAIN, **how)
         return status[0], iterations[0]
 
-    assert end(seen, start=far, most=2) == (RAN_OUT, 2)
-    assert end(seen, start=far)[0] in (CONVERGED, NOTHING_LEFT)
-    assert end(seen)[0] == NOTHING_LEFT
-    assert end(frame) == (UNHELD, 0)
+    assert end(seen, start=far, max_iterations=2) == (STATUS_ITERATION_LIMIT, 2)
+    assert end(seen, start=far)[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    assert end(seen)[0] == STATUS_EXACT
+    assert end(frame) == (STATUS_UNCONSTRAINED, 0)
     pulled = frame._replace(terms=drawn.terms(5, courses=pull_to(frame.local, 1.0)))
-    assert end(pulled)[0] == CONVERGED
+    assert end(pulled)[0] == STATUS_CONVERGED
 
 
 @pytest.mark.parametrize("loss", [GEMAN_MCCLURE, HUBER])
@@ -143,23 +160,23 @@ def test_wild_markers_are_withstood(loss):
     rng = np.random.default_rng(3)
     frame = drawn.frame(rng, 6, [])
     truth = all_over(rng, frame, each=6, sd=0.01, loss=loss)
-    wild = truth._replace(seen=truth.seen.copy())
-    wild.seen[0, [8, 21]] += [[0.3, -0.4, 0.2], [5.0, 0.0, 0.0]]
+    wild = truth._replace(seen=truth.measured.copy())
+    wild.measured[0, [8, 21]] += [[0.3, -0.4, 0.2], [5.0, 0.0, 0.0]]
     frame, start = frame._replace(terms=drawn.terms(6, points=wild)), near(rng, frame, 0.1)
     scales2, worst = (np.array([0.4, 0.2, 0.1, 0.05]) / 0.01) ** 2, []
     for scales in (scales2, PLAIN):
         root, local, *_ = solved(frame, scales, start=start)
-        placed = dense.placed(truth.joints, truth.places, dense.world(frame.tree, root[0], local[0]))
-        worst.append(np.abs(placed - truth.seen[0]).max())
+        placed = dense.placed(truth.joints, truth.offsets, dense.world(frame.tree, root[0], local[0]))
+        worst.append(np.abs(placed - truth.measured[0]).max())
     assert worst[0] < (0.001 if loss == GEMAN_MCCLURE else 0.1)  # under Huber it pulls, but no harder than at the scale
     assert worst[1] > 0.3
 
 
 def test_hands_that_hold_a_stick_keep_its_length():
-    tree = drawn.Tree(np.array([-1, 0, 1, 0, 3]), np.array([[0, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [-0.2, 0, 0], [-0.3, 0, 0]]),
+    tree = drawn.KinematicTree(np.array([-1, 0, 1, 0, 3]), np.array([[0, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [-0.2, 0, 0], [-0.3, 0, 0]]),
                       np.ones(5, bool))  # fmt: skip
     local = np.tile(np.eye(3), (5, 1, 1))
-    stick = Distances(np.array([[2, 4]]), np.zeros((1, 2, 3)), np.array([[0.8]]), np.array([[1e6]]))
+    stick = DistanceTerm(np.array([[2, 4]]), np.zeros((1, 2, 3)), np.array([[0.8]]), np.array([[1e6]]))
     terms = drawn.terms(5, courses=pull_to(local, 1.0), distances=stick)
     start = np.zeros(3), drawn.rotations(np.random.default_rng(1), 5, 0.1), np.zeros(0)  # a stretched body cannot tell which way
     root, local, *_ = solved(dense.Frame(tree, terms, *start), PLAIN)
@@ -174,7 +191,7 @@ def test_a_limit_holds_a_joint_against_a_pull():
     wanted = local.copy()
     wanted[1] = Rotation.from_rotvec([1.0, 0, 0]).as_matrix()
     bounds = np.full((2, 3), 0.4)
-    terms = drawn.terms(2, courses=pull_to(wanted, pull), limits=Limits(local.copy(), -bounds, bounds, wall))
+    terms = drawn.terms(2, courses=pull_to(wanted, pull), limits=JointLimitTerm(local.copy(), -bounds, bounds, wall))
     _, found, *_ = solved(dense.Frame(chain(2), terms, np.zeros(3), local, np.zeros(0)), PLAIN)
     vector = Rotation.from_matrix(found[0, 1]).as_rotvec()
     np.testing.assert_allclose(vector, [(pull * 1.0 + wall * 0.4) / (pull + wall), 0, 0], atol=1e-3)
@@ -184,14 +201,16 @@ def test_frames_are_solved_alike_whatever_the_blocks():
     rng, joints, frames = np.random.default_rng(5), 8, 12
     frame = drawn.frame(rng, joints, [])
     exact = all_over(rng, frame, sd=0.01)
-    seen = exact.seen + rng.normal(0, 0.05, (frames, *exact.seen.shape[1:]))
+    seen = exact.measured + rng.normal(0, 0.05, (frames, *exact.measured.shape[1:]))
     terms = drawn.terms(joints, frames, points=exact._replace(seen=seen, weight=np.full(seen.shape[:2], 1e4)))
-    order, results = alone(frames, joints), []
+    order, results = order_independently(frames, joints), []
     for blocks in ([(0, 12)], [(0, 5), (5, 12)], [(t, t + 1) for t in reversed(range(12))]):
         root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
         out = root, local, np.zeros((frames, 0)), np.zeros(frames, int), np.zeros(frames, int)
         for block in blocks:
-            solve_frames(frame.tree, terms, order, np.array([400.0, 25.0]), TAU, 8, rows_of(terms), *out, *block)
+            solve_frames(
+                frame.tree, terms, order, np.array([400.0, 25.0]), INITIAL_DAMPING_RATIO, 8, count_rows(terms), *out, *block
+            )
         results.append(out)
     for other in results[1:]:
         for found, expected in zip(other, results[0], strict=True):

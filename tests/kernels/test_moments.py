@@ -5,45 +5,45 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.moments import (
-    HERE,
-    INFORMATION,
-    MOMENTS,
-    POSE,
-    THERE,
-    TURN,
-    WEIGHT,
-    Room,
+from mocapfix.kernels.registration_statistics import (
+    BODY_CENTROID_INDEX,
+    INFORMATION_INDEX,
+    ROTATION_INDEX,
+    SEGMENT_POSE_SIZE,
+    STATISTICS_SIZE,
+    WEIGHT_INDEX,
+    WORLD_CENTROID_INDEX,
+    RegistrationWorkspace,
     add_point,
-    add_turn,
-    carried,
-    lay,
-    through,
-    variance,
-)  # fmt: skip
+    add_rotation_information,
+    compute_point_variance,
+    fit_segment_pose,
+    propagate_rotation_information,
+    transform_point,
+)
 from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
 NOTHING = np.zeros((3, 3))
-ROOM = Room(np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)))
+ROOM = RegistrationWorkspace(np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)))
 
 
 def laid(points, places, weight, fisher=NOTHING):
     """-> the pose (POSE,) that points (K, 3) at places (K, 3) and `fisher` tell"""
-    row, pose = np.zeros(MOMENTS), np.empty(POSE)
+    row, pose = np.zeros(STATISTICS_SIZE), np.empty(SEGMENT_POSE_SIZE)
     for w, x, p in zip(weight, points, places, strict=True):
         add_point(row, w, x, p)
-    add_turn(row, 1.0, tuple(fisher.ravel()))
-    lay(row, pose, ROOM)
+    add_rotation_information(row, 1.0, tuple(fisher.ravel()))
+    fit_segment_pose(row, pose, ROOM)
     return pose
 
 
 def turn(pose):
-    return pose[TURN : TURN + 9].reshape(3, 3)
+    return pose[ROTATION_INDEX : ROTATION_INDEX + 9].reshape(3, 3)
 
 
 def information(pose):
-    return pose[INFORMATION:].reshape(3, 3)
+    return pose[INFORMATION_INDEX:].reshape(3, 3)
 
 
 def moved(rng, count):
@@ -58,8 +58,8 @@ def test_a_moved_cloud_gives_its_motion_back_wherever_it_is(seed, count):
     places, points, rotation, weight = moved(rng, count)
     pose = laid(points, places, weight)
     np.testing.assert_allclose(turn(pose), rotation, atol=1e-7)
-    np.testing.assert_allclose([carried(pose, p) for p in places], points, atol=1e-9)
-    np.testing.assert_allclose(pose[WEIGHT], weight.sum())
+    np.testing.assert_allclose([transform_point(pose, p) for p in places], points, atol=1e-9)
+    np.testing.assert_allclose(pose[WEIGHT_INDEX], weight.sum())
 
 
 @given(seeds)
@@ -67,10 +67,10 @@ def test_two_points_keep_their_middle_and_their_line(seed):
     rng = np.random.default_rng(seed)
     places, points, _, weight = moved(rng, 2)
     pose = laid(points, places, weight)
-    np.testing.assert_allclose([carried(pose, p) for p in places], points, atol=1e-7)
+    np.testing.assert_allclose([transform_point(pose, p) for p in places], points, atol=1e-7)
     on_line, beside = places[0] + 2 * (places[1] - places[0]), places[0] + [0.0, 0.1, 0.05]
-    assert variance(pose, on_line, 0.0, ROOM) < 1e-2
-    assert variance(pose, beside, 0.0, ROOM) > 0.1  # nothing tells the turn about the line
+    assert compute_point_variance(pose, on_line, 0.0, ROOM) < 1e-2
+    assert compute_point_variance(pose, beside, 0.0, ROOM) > 0.1  # nothing tells the turn about the line
 
 
 @given(seeds)
@@ -82,16 +82,16 @@ def test_the_information_is_the_clouds_moment_of_inertia_and_the_prior_adds_its_
     pose, arm = laid(points, places, weight, fisher), places - weight @ places / weight.sum()
     inertia = np.einsum("k,kab->ab", weight, (arm**2).sum(1)[:, None, None] * np.eye(3) - arm[:, :, None] * arm[:, None])
     np.testing.assert_allclose(information(pose), inertia + known, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(pose[HERE : HERE + 3], weight @ points / weight.sum())
-    np.testing.assert_allclose(pose[THERE : THERE + 3], weight @ places / weight.sum())
+    np.testing.assert_allclose(pose[WORLD_CENTROID_INDEX : WORLD_CENTROID_INDEX + 3], weight @ points / weight.sum())
+    np.testing.assert_allclose(pose[BODY_CENTROID_INDEX : BODY_CENTROID_INDEX + 3], weight @ places / weight.sum())
 
 
 def test_the_variance_is_how_far_drawn_points_scatter_the_place():
     rng, sd, place = np.random.default_rng(5), 0.005, np.array([0.1, -0.2, 0.3])
     places, points, _, _ = moved(rng, 4)
     weight = np.full(4, sd**-2)
-    found = [carried(laid(points + rng.normal(0, sd, points.shape), places, weight), place) for _ in range(4000)]
-    foretold = variance(laid(points, places, weight), place, 0.0, ROOM)
+    found = [transform_point(laid(points + rng.normal(0, sd, points.shape), places, weight), place) for _ in range(4000)]
+    foretold = compute_point_variance(laid(points, places, weight), place, 0.0, ROOM)
     np.testing.assert_allclose(np.var(found, axis=0).mean(), foretold, rtol=0.1)
 
 
@@ -99,16 +99,16 @@ def test_the_variance_is_how_far_drawn_points_scatter_the_place():
 def test_through_a_joint_covariances_add(seed):
     rng = np.random.default_rng(seed)
     known, habit = drawn.spd(rng, 2, 3, 100.0)
-    fisher = np.reshape(through(tuple(known.ravel()), tuple(habit.ravel()), ROOM), (3, 3))
+    fisher = np.reshape(propagate_rotation_information(tuple(known.ravel()), tuple(habit.ravel()), ROOM), (3, 3))
     both = np.trace(fisher) * np.eye(3) - fisher
     np.testing.assert_allclose(both, np.linalg.inv(np.linalg.inv(known) + np.linalg.inv(habit)), rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(through((0.0,) * 9, tuple(habit.ravel()), ROOM), 0.0, atol=1e-9)
+    np.testing.assert_allclose(propagate_rotation_information((0.0,) * 9, tuple(habit.ravel()), ROOM), 0.0, atol=1e-9)
 
 
 def test_nothing_known_is_nowhere():
     pose = laid(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     assert np.isfinite(pose).all()
-    assert variance(pose, np.zeros(3), 1.0, ROOM) == np.inf
+    assert compute_point_variance(pose, np.zeros(3), 1.0, ROOM) == np.inf
 
 
 def test_a_turn_alone_is_kept():

@@ -5,20 +5,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels import moments, outvoted
+from mocapfix.kernels import registration_statistics, robust_registration
 from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
-ROOM = moments.Room(np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3)))
+ROOM = registration_statistics.RegistrationWorkspace(
+    np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4)), np.empty((1, 3, 3))
+)
 
 
 def laid(seen, places, weight, trust):
     """-> the pose, its row of moments, and the trust in each marker"""
-    row, pose, trust = np.zeros(moments.MOMENTS), np.empty(moments.POSE), np.array(trust, float)
+    row, pose, trust = (
+        np.zeros(registration_statistics.STATISTICS_SIZE),
+        np.empty(registration_statistics.SEGMENT_POSE_SIZE),
+        np.array(trust, float),
+    )
     for w, x, p in zip(weight * trust, seen, places, strict=True):
-        moments.add_point(row, w, x, p)
-    spare = np.empty(moments.MOMENTS), np.empty(moments.POSE)
-    outvoted.lay(seen, places, weight, trust, row, pose, ROOM, spare)
+        registration_statistics.add_point(row, w, x, p)
+    spare = np.empty(registration_statistics.STATISTICS_SIZE), np.empty(registration_statistics.SEGMENT_POSE_SIZE)
+    robust_registration.fit_segment_pose_robustly(seen, places, weight, trust, row, pose, ROOM, spare)
     return pose, row, trust
 
 
@@ -35,7 +41,7 @@ def test_one_marker_far_off_hardly_moves_the_segment(seed, count, off):
     wrong, seen = rng.integers(count), points + rng.normal(0, 0.001, points.shape)
     seen[wrong] += off * drawn.units(rng, 1)[0]
     pose, _, trust = laid(seen, places, np.full(count, 1e4), np.ones(count))
-    np.testing.assert_allclose([moments.carried(pose, p) for p in places], points, atol=0.02)
+    np.testing.assert_allclose([registration_statistics.transform_point(pose, p) for p in places], points, atol=0.02)
     assert trust[wrong] < 0.05
     assert np.delete(trust, wrong).min() > 0.9
 
@@ -46,7 +52,7 @@ def test_markers_that_agree_all_count_fully(seed):
     places, points = cloud(rng, 5)
     pose, _, trust = laid(points + rng.normal(0, 0.005, points.shape), places, np.full(5, 1e4), np.ones(5))
     np.testing.assert_array_equal(trust, 1.0)
-    np.testing.assert_allclose([moments.carried(pose, p) for p in places], points, atol=0.03)
+    np.testing.assert_allclose([registration_statistics.transform_point(pose, p) for p in places], points, atol=0.03)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.3])
@@ -55,13 +61,26 @@ def test_the_row_holds_what_the_trust_says_and_what_is_not_seen_stays_out(off):
     places, seen = cloud(rng, 5)
     seen[3] += [0.0, off, 0.0]
     seen[1] = np.nan
-    weight, held = rng.uniform(1e3, 1e4, 5), np.zeros(moments.MOMENTS)
-    row, pose, trust = np.zeros(moments.MOMENTS), np.empty(moments.POSE), np.array([1.0, 0, 1, 1, 1])
+    weight, held = rng.uniform(1e3, 1e4, 5), np.zeros(registration_statistics.STATISTICS_SIZE)
+    row, pose, trust = (
+        np.zeros(registration_statistics.STATISTICS_SIZE),
+        np.empty(registration_statistics.SEGMENT_POSE_SIZE),
+        np.array([1.0, 0, 1, 1, 1]),
+    )
     for n in (0, 2, 3, 4):
-        moments.add_point(row, weight[n], seen[n], places[n])
-    outvoted.lay(seen, places, weight, trust, row, pose, ROOM, (np.empty(moments.MOMENTS), np.empty(moments.POSE)))
+        registration_statistics.add_point(row, weight[n], seen[n], places[n])
+    robust_registration.fit_segment_pose_robustly(
+        seen,
+        places,
+        weight,
+        trust,
+        row,
+        pose,
+        ROOM,
+        (np.empty(registration_statistics.STATISTICS_SIZE), np.empty(registration_statistics.SEGMENT_POSE_SIZE)),
+    )
     for n in (0, 2, 3, 4):
-        moments.add_point(held, trust[n] * weight[n], seen[n], places[n])
+        registration_statistics.add_point(held, trust[n] * weight[n], seen[n], places[n])
     np.testing.assert_allclose(row, held, atol=1e-8)
     assert trust[1] == 0
     assert (trust[3] < 0.5) == (off > 0)

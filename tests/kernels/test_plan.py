@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels import plan
-from mocapfix.kernels.levenberg import CONVERGED, UNHELD
-from mocapfix.take import runs
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_UNCONSTRAINED
+from mocapfix.solve import frame_order
+from mocapfix.take import find_runs
 from tests.kernels import drawn
 from tests.kernels.model import followed
 
@@ -16,8 +16,8 @@ PLAIN = np.array([np.inf])
 
 def told(order):
     """-> a plan's chains, each a list of (frame, where it starts from)"""
-    turns = list(zip(order.order.tolist(), order.source.tolist(), strict=True))
-    return [turns[a:b] for a, b in zip(order.chains[:-1], order.chains[1:], strict=True)]
+    turns = list(zip(order.frames.tolist(), order.source.tolist(), strict=True))
+    return [turns[a:b] for a, b in zip(order.chain_starts[:-1], order.chain_starts[1:], strict=True)]
 
 
 def unsure(frames, lost):
@@ -29,9 +29,9 @@ def unsure(frames, lost):
 
 
 def test_alone_each_frame_starts_from_its_own_pose():
-    order = plan.alone(3, 4)
+    order = frame_order.order_independently(3, 4)
     assert told(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
-    assert not order.taken.any()
+    assert not order.copied_joints.any()
 
 
 @pytest.mark.parametrize(
@@ -44,15 +44,15 @@ def test_alone_each_frame_starts_from_its_own_pose():
     ],
 )
 def test_every_window_goes_on_from_its_own_first_frame(frames, chains):
-    order = plan.windows(frames, 4, 3)
+    order = frame_order.order_in_windows(frames, 4, 3)
     assert told(order) == chains
-    assert order.taken.all()
+    assert order.copied_joints.all()
 
 
 def test_frames_without_a_pose_of_their_own_go_on_from_the_one_before():
-    order = plan.going_on(np.array([True, True, False, False, True]), 4)
+    order = frame_order.order_sequentially(np.array([True, True, False, False, True]), 4)
     assert told(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
-    assert order.taken.all()
+    assert order.copied_joints.all()
 
 
 @pytest.mark.parametrize(
@@ -68,27 +68,27 @@ def test_frames_without_a_pose_of_their_own_go_on_from_the_one_before():
     ],
 )
 def test_a_run_is_bridged_from_its_sure_neighbours(run, chain):
-    assert told(plan.bridges([run], unsure(8, [run]))) == [chain]
+    assert told(frame_order.order_from_gap_ends([run], unsure(8, [run]))) == [chain]
 
 
 def test_of_a_bridge_only_unsure_joints_are_taken_and_never_the_root():
     given_ = unsure(8, [(2, 3)])
     before = given_.copy()
-    np.testing.assert_array_equal(plan.bridges([(2, 3)], given_).taken, before & [False, True, True])
+    np.testing.assert_array_equal(frame_order.order_from_gap_ends([(2, 3)], given_).copied_joints, before & [False, True, True])
     np.testing.assert_array_equal(given_, before)
 
 
 def test_without_a_run_there_is_nothing_to_do():
-    order = plan.bridges([], unsure(4, []))
+    order = frame_order.order_from_gap_ends([], unsure(4, []))
     assert told(order) == []
-    assert order.order.dtype == order.source.dtype == order.chains.dtype == np.int64
+    assert order.frames.dtype == order.start_frame.dtype == order.chain_starts.dtype == np.int64
 
 
 @given(st.integers(1, 30).flatmap(lambda n: st.lists(st.booleans(), min_size=n, max_size=n)))
 def test_bridged_frames_start_from_frames_that_are_sure_or_solved_before(lost):
     """Every unsure frame has its turn once, but for the first of a take that is not sure anywhere."""
-    inside = runs(np.array(lost))
-    chains = told(plan.bridges(inside, unsure(len(lost), inside)))
+    inside = find_runs(np.array(lost))
+    chains = told(frame_order.order_from_gap_ends(inside, unsure(len(lost), inside)))
     for (first, last), chain in zip(inside, chains, strict=True):
         solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
         assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
@@ -112,9 +112,18 @@ def test_what_a_frame_takes_over_comes_from_its_source_and_the_rest_stays():
     tree, terms, root, local = still(8, 4)
     place, start, lost = root.copy(), local.copy(), np.zeros((8, 4), bool)
     lost[2:6, [0, 2]] = True
-    order = plan.bridges([(2, 5)], lost)
+    order = frame_order.order_from_gap_ends([(2, 5)], lost)
     status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
-    assert status.tolist() == [-1, -1, UNHELD, UNHELD, UNHELD, UNHELD, -1, -1]
+    assert status.tolist() == [
+        -1,
+        -1,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        -1,
+        -1,
+    ]
     assert iterations[2:6].tolist() == [0] * 4
     np.testing.assert_array_equal(local[:, 2], start[[0, 1, 1, 1, 6, 6, 6, 7], 2])
     np.testing.assert_array_equal(local[:, [0, 1, 3]], start[:, [0, 1, 3]])
@@ -125,8 +134,8 @@ def test_windows_hand_on_whole_poses():
     tree, terms, root, local = still(7, 4)
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
-    status, _ = followed(plan.windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
-    assert (status == UNHELD).all()
+    status, _ = followed(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    assert (status == STATUS_UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
 
@@ -134,14 +143,14 @@ def test_windows_hand_on_whole_poses():
 def test_rotations_stay_rotations_over_thousands_of_steps_down_a_deep_tree():
     """Each frame starts from the last one's pose; rounding must not gather from joint to joint."""
     rng, joints, frames = np.random.default_rng(8), 10, 400
-    tree = drawn.Tree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
+    tree = drawn.KinematicTree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
     rest = drawn.rotations(rng, joints)
     wanted = np.stack([drawn.rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
-    pull = drawn.Courses(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
+    pull = drawn.TrackingTerm(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
-    terms, order = drawn.terms(joints, frames, courses=pull), plan.windows(frames, joints, frames)
+    terms, order = drawn.terms(joints, frames, courses=pull), frame_order.order_in_windows(frames, joints, frames)
     status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
-    assert (status == CONVERGED).all()
+    assert (status == STATUS_CONVERGED).all()
     assert (iterations > 1).all()
     np.testing.assert_allclose(local, wanted, atol=1e-3)
     np.testing.assert_allclose(local[-1] @ np.swapaxes(local[-1], 1, 2), np.tile(np.eye(3), (joints, 1, 1)), atol=1e-12)

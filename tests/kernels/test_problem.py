@@ -4,9 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix.kernels.levenberg import CONVERGED, NOTHING_LEFT, UNHELD
-from mocapfix.kernels.problem import Attached, Problem, compiled, no_limits, no_pull, pull_to
-from mocapfix.prior import Prior
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_EXACT, STATUS_UNCONSTRAINED
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_no_joint_limits,
+    build_no_tracking,
+    build_pose_prior_term,
+    is_solver_compiled,
+)
 from tests.kernels import dense, drawn
 
 FRAMES, JOINTS, SD = 6, 5, 0.01
@@ -20,8 +27,15 @@ def problem(seed=0):
     root, local = rng.normal(size=(FRAMES, 3)), np.tile(drawn.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
     joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
     markers = np.stack([dense.placed(joints, places, dense.world(tree, *pose)) for pose in zip(root, local, strict=True)])
-    silent, listened = pull_to(Prior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))), np.ones(markers.shape[:2], bool)
-    return Problem(tree, Attached(joints, places), markers, listened, SD, silent, no_limits(JOINTS)), root, local
+    silent, listened = (
+        build_pose_prior_term(MeanPosePrior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))),
+        np.ones(markers.shape[:2], bool),
+    )
+    return (
+        PoseProblem(tree, MarkerAttachment(joints, places), markers, listened, SD, silent, build_no_joint_limits(JOINTS)),
+        root,
+        local,
+    )
 
 
 def off(root, local):
@@ -32,21 +46,23 @@ def off(root, local):
 def test_exact_markers_bring_poses_back_and_what_was_compiled_is_kept():
     body, root, local = problem()
     found = off(root, local)
-    status, iterations = body.solve(*found, no_pull(JOINTS), PLAIN, 50)
-    assert np.isin(status, [CONVERGED, NOTHING_LEFT]).all()
+    status, iterations = body.solve(*found, build_no_tracking(JOINTS), PLAIN, 50)
+    assert np.isin(status, [STATUS_CONVERGED, STATUS_EXACT]).all()
     assert (iterations > 0).all()
     np.testing.assert_allclose(found[0], root, atol=1e-3 * SD)
     np.testing.assert_allclose(found[1], local, atol=1e-3)
-    assert compiled()
+    assert is_solver_compiled()
 
 
 def test_markers_not_listened_to_say_nothing_wherever_they_are():
     body, root, local = problem()
-    deaf = replace(body, markers=np.full_like(body.markers, np.nan), listened=np.zeros_like(body.listened))
+    deaf = replace(
+        body, marker_positions=np.full_like(body.marker_positions, np.nan), solver_mask=np.zeros_like(body.solver_mask)
+    )
     start = off(root, local)
     found = start[0].copy(), start[1].copy()
-    status, _ = deaf.solve(*found, no_pull(JOINTS), PLAIN)
-    assert (status == UNHELD).all()
+    status, _ = deaf.solve(*found, build_no_tracking(JOINTS), PLAIN)
+    assert (status == STATUS_UNCONSTRAINED).all()
     np.testing.assert_array_equal(found[0], start[0])
     np.testing.assert_array_equal(found[1], start[1])
 
@@ -55,29 +71,29 @@ def test_a_frame_without_a_pose_goes_on_from_where_the_one_before_it_ended():
     body, root, local = problem()
     start = root.copy(), local.copy()
     start[0][1:], start[1][1:] = np.nan, np.nan
-    status, iterations = body.solve(*start, no_pull(JOINTS), PLAIN)
-    assert (status == NOTHING_LEFT).any()  # the first starts where it belongs
+    status, iterations = body.solve(*start, build_no_tracking(JOINTS), PLAIN)
+    assert (status == STATUS_EXACT).any()  # the first starts where it belongs
     assert iterations[0] == 0
     assert (iterations[1:] > 0).all()
     np.testing.assert_allclose(start[0], root, atol=1e-3 * SD)
-    deaf = replace(body, listened=np.zeros_like(body.listened))
+    deaf = replace(body, solver_mask=np.zeros_like(body.solver_mask))
     start[0][3:], start[1][3:] = np.nan, np.nan
-    deaf.solve(*start, no_pull(JOINTS), PLAIN)
+    deaf.solve(*start, build_no_tracking(JOINTS), PLAIN)
     for found in start:
         np.testing.assert_array_equal(found[3:], np.broadcast_to(found[2], found[3:].shape))
 
 
 def test_robust_scales_are_metres():
-    np.testing.assert_allclose(problem()[0].scales2((0.02, 0.05)), [4.0, 25.0])
+    np.testing.assert_allclose(problem()[0].normalise_robust_scales((0.02, 0.05)), [4.0, 25.0])
 
 
 def test_tracked_frames_start_their_unsure_joints_from_their_neighbours():
     body, root, local = problem()
     found = root.copy(), local.copy()
     found[1][2:4] = off(root, local)[1][2:4]
-    listened, unsure = body.listened.copy(), np.zeros((FRAMES, JOINTS), bool)
+    listened, unsure = body.solver_mask.copy(), np.zeros((FRAMES, JOINTS), bool)
     unsure[2:4, 3], listened[2:4] = True, False
-    replace(body, listened=listened).track(*found, no_pull(JOINTS), unsure, 0.05)
+    replace(body, solver_mask=listened).solve_from_neighbours(*found, build_no_tracking(JOINTS), unsure, 0.05)
     np.testing.assert_array_equal(found[1][2:4, 3], local[[1, 4], 3])
     np.testing.assert_array_equal(found[1][2:4, :3], off(root, local)[1][2:4, :3])
     np.testing.assert_array_equal(found[0], root)
@@ -86,9 +102,11 @@ def test_tracked_frames_start_their_unsure_joints_from_their_neighbours():
 def test_twice_as_uncertain_markers_leave_twice_as_uncertain_poses():
     """But for the last digits: what holds an unknown that nothing holds is there, too."""
     body, root, local = problem()
-    one, two = (replace(body, marker_sd=sd).uncertainty(root, local, no_pull(JOINTS), np.inf) for sd in (SD, 2 * SD))
+    one, two = (
+        replace(body, marker_sd=sd).compute_uncertainty(root, local, build_no_tracking(JOINTS), np.inf) for sd in (SD, 2 * SD)
+    )
     for half, whole, power in zip(one, two, (1, 1, 2, 2), strict=True):
         np.testing.assert_allclose(whole, 2**power * half, rtol=1e-3)
-    assert one.markers.shape == (FRAMES, 4 * JOINTS)
-    assert one.joints.shape == one.turns.shape == (FRAMES, JOINTS)
-    assert (one.joints < SD).all()
+    assert one.marker_sd.shape == (FRAMES, 4 * JOINTS)
+    assert one.joint_sd.shape == one.rotation_variance.shape == (FRAMES, JOINTS)
+    assert (one.joint_sd < SD).all()

@@ -4,18 +4,20 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.process import Likeness, learnt
+from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
 
 RATE = 60.0
-LIKENESS = Likeness(smooth=0.3, like=0.6, time=0.06, again=1.6, together=0.8, noise=1.5e-4)
+LIKENESS = StateCovariance(
+    time_scale_s=0.3, similarity_rate=0.6, time_power=0.06, recurrence_power=1.6, linear_power=0.8, noise_power=1.5e-4
+)
 
 
 def process(values, circumstances, seconds):
-    return learnt(values, circumstances, seconds, np.zeros(len(values)), LIKENESS)
+    return fit_gaussian_process(values, circumstances, seconds, np.zeros(len(values)), LIKENESS)
 
 
 def told(values, circumstances, seconds, asked, asked_at):
-    return process(values, circumstances, seconds).expected(asked, asked_at)
+    return process(values, circumstances, seconds).predict(asked, asked_at)
 
 
 def test_a_course_passes_through_what_is_known_of_it_and_is_sure_of_that():
@@ -23,7 +25,7 @@ def test_a_course_passes_through_what_is_known_of_it_and_is_sure_of_that():
     course, like = np.sin(4 * seconds)[:, None], np.zeros((60, 1))
     mean, variance = told(course, like, seconds, like, seconds)
     np.testing.assert_allclose(mean, course, atol=0.01)
-    assert variance.max() < 3 * LIKENESS.noise
+    assert variance.max() < 3 * LIKENESS.noise_power
 
 
 def test_across_a_short_gap_a_course_runs_on_smoothly():
@@ -39,7 +41,7 @@ def test_far_from_all_that_is_known_it_is_as_unsure_as_it_can_be_and_expects_the
     seconds = np.arange(60) / RATE
     mean, variance = told(np.sin(seconds)[:, None], np.zeros((60, 1)), seconds, np.full((1, 1), 50.0), np.array([100.0]))
     np.testing.assert_allclose(mean, np.sin(seconds).mean(), atol=1e-6)
-    np.testing.assert_allclose(variance, LIKENESS.time + LIKENESS.again + LIKENESS.together * 50.0**2)
+    np.testing.assert_allclose(variance, LIKENESS.time_power + LIKENESS.recurrence_power + LIKENESS.linear_power * 50.0**2)
 
 
 def test_what_goes_together_is_foretold_beyond_what_was_seen():
@@ -62,23 +64,23 @@ def test_what_comes_again_is_as_it_was():
 def test_a_doubtful_moment_counts_for_less():
     seconds, like = np.arange(3) / RATE, np.zeros((3, 1))
     values, noise = np.array([[0.0], [1.0], [0.0]]), np.array([0.0, 100.0, 0.0])
-    mean, _ = learnt(values, like, seconds, noise, LIKENESS).expected(like[1:2], seconds[1:2])
+    mean, _ = fit_gaussian_process(values, like, seconds, noise, LIKENESS).predict(like[1:2], seconds[1:2])
     assert abs(mean[0, 0]) < 0.05
 
 
 def test_power_is_the_size_of_what_the_process_leaves_open():
     rng = np.random.default_rng(1)
     like, seconds = rng.normal(0, 0.3, (150, 4)), 10.0 * np.arange(150)
-    among = LIKENESS.covariance(like, seconds, like, seconds) + LIKENESS.noise * np.eye(150)
+    among = LIKENESS.compute_covariance(like, seconds, like, seconds) + LIKENESS.noise_power * np.eye(150)
     values = 0.2 * np.linalg.cholesky(among) @ rng.normal(size=(150, 30))
-    np.testing.assert_allclose(process(values, like, seconds).power.mean(), 0.04, rtol=0.05)
+    np.testing.assert_allclose(process(values, like, seconds).signal_power.mean(), 0.04, rtol=0.05)
 
 
 @given(st.integers(1, 30), st.integers(0, 2**32 - 1))
 def test_covariance_is_symmetric_and_positive(count, seed):
     rng = np.random.default_rng(seed)
     like, seconds = rng.normal(size=(count, 3)), rng.uniform(0, 3, count)
-    matrix = LIKENESS.covariance(like, seconds, like, seconds)
+    matrix = LIKENESS.compute_covariance(like, seconds, like, seconds)
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
     assert np.linalg.eigvalsh(matrix).min() > -1e-9
 
@@ -91,23 +93,29 @@ def test_what_it_misses_is_what_it_would_miss_had_it_not_known_the_stretch():
     for first in (0, 10, 20):  # three stretches of a second
         out = np.arange(first, first + 10)
         rest = np.setdiff1d(np.arange(30), out)
-        among = LIKENESS.covariance(like[rest] - known.middle, seconds[rest], like[rest] - known.middle, seconds[rest])
-        between = LIKENESS.covariance(like[out] - known.middle, seconds[out], like[rest] - known.middle, seconds[rest])
-        own = np.diag(LIKENESS.covariance(like[out] - known.middle, seconds[out], like[out] - known.middle, seconds[out]))
-        gain = between @ np.linalg.inv(among + LIKENESS.noise * np.eye(20))
-        missed = values[out] - known.mean - gain @ (values[rest] - known.mean)
-        ratios.append((missed**2 / (own + LIKENESS.noise - (gain * between).sum(1))[:, None]).mean(0))
-    np.testing.assert_allclose(known.missed(1.0), np.mean(ratios, 0), rtol=1e-6)
+        among = LIKENESS.compute_covariance(
+            like[rest] - known.state_mean, seconds[rest], like[rest] - known.state_mean, seconds[rest]
+        )
+        between = LIKENESS.compute_covariance(
+            like[out] - known.state_mean, seconds[out], like[rest] - known.state_mean, seconds[rest]
+        )
+        own = np.diag(
+            LIKENESS.compute_covariance(like[out] - known.state_mean, seconds[out], like[out] - known.state_mean, seconds[out])
+        )
+        gain = between @ np.linalg.inv(among + LIKENESS.noise_power * np.eye(20))
+        missed = values[out] - known.value_mean - gain @ (values[rest] - known.value_mean)
+        ratios.append((missed**2 / (own + LIKENESS.noise_power - (gain * between).sum(1))[:, None]).mean(0))
+    np.testing.assert_allclose(known.cross_validate_gaps(1.0), np.mean(ratios, 0), rtol=1e-6)
 
 
 def test_of_a_course_of_its_own_making_it_misses_what_it_foretells():
     rng = np.random.default_rng(3)
     like, seconds = rng.normal(0, 0.3, (200, 4)), np.arange(200) / 20
-    among = LIKENESS.covariance(like, seconds, like, seconds) + LIKENESS.noise * np.eye(200)
+    among = LIKENESS.compute_covariance(like, seconds, like, seconds) + LIKENESS.noise_power * np.eye(200)
     values = 0.2 * np.linalg.cholesky(among) @ rng.normal(size=(200, 50))
-    np.testing.assert_allclose(process(values, like, seconds).missed(0.5).mean(), 0.04, rtol=0.1)
+    np.testing.assert_allclose(process(values, like, seconds).cross_validate_gaps(0.5).mean(), 0.04, rtol=0.1)
 
 
 def test_what_is_no_longer_than_a_stretch_cannot_be_tried():
     seconds = np.arange(20) / 20
-    assert np.isnan(process(np.sin(seconds)[:, None], np.zeros((20, 1)), seconds).missed(5.0)).all()
+    assert np.isnan(process(np.sin(seconds)[:, None], np.zeros((20, 1)), seconds).cross_validate_gaps(5.0)).all()

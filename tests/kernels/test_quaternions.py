@@ -15,7 +15,7 @@ HALF_TURNS = [(np.pi, 0, 0), (0, np.pi, 0), (0, 0, -np.pi), (np.pi / np.sqrt(2),
 def of(matrices, known=None):
     """-> (T, 4) quaternions of one joint's matrices (T, 3, 3), beside another joint's"""
     both = np.stack([np.tile(np.eye(3), (len(matrices), 1, 1)), matrices], axis=1)
-    return quaternions.of_joint(both, 1, np.ones(len(matrices), bool) if known is None else known)
+    return quaternions.extract_joint_quaternions(both, 1, np.ones(len(matrices), bool) if known is None else known)
 
 
 def about(axis, angle):
@@ -27,9 +27,13 @@ def test_there_and_back_again(seed):
     rng = np.random.default_rng(seed)
     was = Rotation.random(24, rng).as_matrix().reshape(8, 3, 3, 3)
     now = was.copy()
-    stretched = quaternions.of_joint(was, 1, rng.random(8) < 0.5) * rng.uniform(0.5, 2.0, (8, 1)) * rng.choice([-1, 1], (8, 1))
+    stretched = (
+        quaternions.extract_joint_quaternions(was, 1, rng.random(8) < 0.5)
+        * rng.uniform(0.5, 2.0, (8, 1))
+        * rng.choice([-1, 1], (8, 1))
+    )
     now[:, 1] = 0.0
-    quaternions.into_joint(stretched, 1, now)
+    quaternions.store_joint_quaternions(stretched, 1, now)
     np.testing.assert_allclose(now, was, atol=1e-14)
     np.testing.assert_array_equal(now[:, [0, 2]], was[:, [0, 2]])
 
@@ -68,6 +72,8 @@ def test_an_unknown_frame_does_not_flip_those_after_it(unknown):
 def test_vectors_lead_from_the_reference_to_each(seed):
     rng = np.random.default_rng(seed)
     turns, reference = Rotation.random(8, rng), Rotation.random(None, rng)
-    found = quaternions.vectors(turns.as_quat(), reference.as_quat())
+    found = quaternions.compute_relative_rotation_vectors(turns.as_quat(), reference.as_quat())
     np.testing.assert_allclose(found, (turns * reference.inv()).as_rotvec(), atol=1e-12)
-    np.testing.assert_allclose(quaternions.vectors(reference.as_quat()[None], reference.as_quat()), 0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        quaternions.compute_relative_rotation_vectors(reference.as_quat()[None], reference.as_quat()), 0.0, atol=1e-15
+    )

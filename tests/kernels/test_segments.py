@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.kernels.segments import Meetings, Segments, lay_frames
+from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
 from tests.kernels import drawn
 
 SD, EYES = 0.005, np.tile(np.eye(3), (2, 1, 1))
@@ -11,11 +11,11 @@ ORIGIN = np.array([[0, 0, 0], [0.3, 0, 0]])  # of the segments, each in its pare
 # eight markers each, as far to all sides of the joint, so that all its axes are as sure
 CORNERS = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 PLACE = np.concatenate([CORNERS + ORIGIN[1], CORNERS])
-MEETINGS = Meetings(np.array([0, 1, 3]), np.array([0, 0, 1]), np.array([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]]))
+MEETINGS = JointSegments(np.array([0, 1, 3]), np.array([0, 0, 1]), np.array([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]]))
 
 
 def segments(habit=1.0):
-    return Segments(
+    return SegmentTree(
         np.array([0, 0]), ORIGIN, EYES, habit * EYES, np.array([0, 8, 16]), PLACE, np.full(16, SD**-2), EYES,
         PLACE + ORIGIN[np.repeat([0, 1], 8)],
     )  # fmt: skip
@@ -34,7 +34,7 @@ def drawn_markers(rng, frames):
 def laid(markers, habit=1.0):
     """-> positions (T, 2, 3) and variances (T, 2)"""
     position, variance = np.empty((len(markers), 2, 3)), np.empty((len(markers), 2))
-    lay_frames(segments(habit), MEETINGS, markers, position, variance, np.empty(markers.shape[:2]), 0, len(markers))
+    propagate_segment_frames(segments(habit), MEETINGS, markers, position, variance, np.empty(markers.shape[:2]), 0, len(markers))
     return position, variance
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.levenberg import direction
-from mocapfix.kernels.workspace import workspace
+from mocapfix.kernels.levenberg_marquardt import compute_direction
+from mocapfix.kernels.workspace import allocate_workspace
 from tests.kernels import dense, drawn
 from tests.kernels.model import worked
 
@@ -17,20 +17,20 @@ ROUNDING = np.finfo(float).eps
 def random_work(rng, tree, unknowns, rows):
     """-> a workspace whose system is random but for being positive semidefinite, sparse as terms on some bodies leave it."""
     joints = len(tree.parents)
-    work = workspace(joints, unknowns, rows)
+    work = allocate_workspace(joints, unknowns, rows)
     s = work.system
-    s.shared[:] = 0.0
+    s.h_shared[:] = 0.0
     half = rng.normal(size=(joints, 6, 6)) * rng.integers(0, 2, (joints, 6, 1))
     s.h[:] = np.swapaxes(half, 1, 2) @ half
     half = rng.normal(size=(joints, 3, 3 + unknowns)) * rng.integers(0, 2, (joints, 3, 1))
     both = np.swapaxes(half, 1, 2) @ half
-    s.own[:], s.own_cross[:], s.shared[:] = both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:].sum(0)
-    s.h[0, :3, :3] += s.own[0]  # the root's own turn is part of its twist
-    s.own[0] = 0.0
-    for each in (s.g, s.b, s.shared_g, s.rows, s.rows_own, s.away):
+    s.h_joint[:], s.h_joint_shared[:], s.h_shared[:] = both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:].sum(0)
+    s.h[0, :3, :3] += s.h_joint[0]  # the root's own turn is part of its twist
+    s.h_joint[0] = 0.0
+    for each in (s.g, s.g_joint, s.g_shared, s.row_twist, s.row_joint, s.row_residual):
         each[:] = rng.normal(size=each.shape)
-    s.arm[:], s.shift[:] = rng.normal(size=s.arm.shape), rng.normal(size=s.shift.shape)
-    s.arm[0] = s.shift[0] = s.b[0] = s.rows_own[:, 0] = 0.0
+    s.lever_arm[:], s.shared_shift[:] = rng.normal(size=s.lever_arm.shape), rng.normal(size=s.shared_shift.shape)
+    s.lever_arm[0] = s.shared_shift[0] = s.g_joint[0] = s.row_joint[:, 0] = 0.0
     return work
 
 
@@ -45,7 +45,7 @@ def check(tree, work, damping):
     rows = dense.across(tree, work.system)
     condition = max(np.linalg.cond(damped), np.linalg.cond(damped - rows.T @ rows))
     x, relative = np.linalg.solve(damped, -gradient), max(1e-9, 10 * len(gradient) * ROUNDING * condition)
-    promised, largest = direction(tree, work, damping), np.abs(x).max()
+    promised, largest = compute_direction(tree, work, damping), np.abs(x).max()
     for found, expected in ((work.step.twist, twist @ x), (work.step.turn, turn @ x), (work.step.shared, shared @ x)):
         np.testing.assert_allclose(found, expected, rtol=0, atol=relative * np.abs(expected).max(initial=largest))
     assert promised == pytest.approx(-gradient @ x - 0.5 * x @ curvature @ x, rel=relative, abs=1e-12)
@@ -92,12 +92,12 @@ def test_a_joint_that_nothing_holds_stays_and_does_not_spoil_the_others():
     tree = drawn.tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
     work = random_work(rng, tree, 0, None)
     work.system.h[:] = drawn.spd(rng, 3, 6)
-    work.system.own[1:] = drawn.spd(rng, 2, 3)
-    for loose in (work.system.h, work.system.g, work.system.own, work.system.b):
+    work.system.h_joint[1:] = drawn.spd(rng, 2, 3)
+    for loose in (work.system.h, work.system.g, work.system.h_joint, work.system.g_joint):
         loose[2] = 0.0
     gradient, curvature = dense.assembled(tree, work.system)
-    direction(tree, work, 0.0)
-    np.testing.assert_array_equal(work.step.turn[2], 0)
+    compute_direction(tree, work, 0.0)
+    np.testing.assert_array_equal(work.step.joint_turn[2], 0)
     held = slice(0, 9)
     x = np.linalg.solve(curvature[held, held], -gradient[held])
-    np.testing.assert_allclose(np.r_[work.step.twist[0], work.step.turn[1]], x, rtol=1e-9)
+    np.testing.assert_allclose(np.r_[work.step.twist[0], work.step.joint_turn[1]], x, rtol=1e-9)

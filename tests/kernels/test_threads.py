@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from mocapfix.kernels.threads import over_frames
+from mocapfix.solve.parallel import run_over_frames
 
 
 @pytest.mark.parametrize("frames", [1, 2, 7, 8, 9, 100])
@@ -17,7 +17,7 @@ def test_blocks_make_up_all_frames_once(monkeypatch, frames, cores):
     def visit(first, stop):
         visits[first:stop] += 1
 
-    over_frames(visit, frames)
+    run_over_frames(visit, frames)
     np.testing.assert_array_equal(visits, 1)
 
 
@@ -26,4 +26,4 @@ def test_an_error_in_a_thread_is_not_lost():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        over_frames(fail, 3)
+        run_over_frames(fail, 3)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels import twist_swing
+from mocapfix.kernels import swing_twist
 from tests.kernels import drawn
 
 seeds = st.integers(0, 2**32 - 1)
@@ -17,21 +17,21 @@ AXES = [(1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 0.3), (1.0, 2.0, -3.0), (0
 
 @njit
 def compiled_swing(t, p):
-    return twist_swing.swing(t, p)
+    return swing_twist.compute_swing(t, p)
 
 
 @njit
 def compiled_twist(t, cosine, sine):
-    return twist_swing.twist(t, cosine, sine)
+    return swing_twist.compute_twist(t, cosine, sine)
 
 
 @njit
 def compiled_between(a, b, c, upper, lower):
-    return twist_swing.between(a, b, c, upper, lower)
+    return swing_twist.solve_two_bone_joint(a, b, c, upper, lower)
 
 
 def swung(t, p) -> np.ndarray:
-    return np.reshape(twist_swing.swing(tuple(map(float, t)), tuple(map(float, p))), (3, 3))
+    return np.reshape(swing_twist.compute_swing(tuple(map(float, t)), tuple(map(float, p))), (3, 3))
 
 
 @given(seeds)
@@ -48,7 +48,7 @@ def test_a_swing_is_the_shortest_turn_that_carries_one_direction_into_the_other(
 @pytest.mark.parametrize("t", AXES)
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 1e-5])
 def test_nearly_opposite_directions_are_half_a_turn_apart_about_an_axis_across(t, angle):
-    away = -Rotation.from_rotvec(angle * np.array(twist_swing.across(twist_swing.unit(t)))).apply(t)
+    away = -Rotation.from_rotvec(angle * np.array(swing_twist.compute_perpendicular(swing_twist.normalise_vector(t)))).apply(t)
     turn = swung(t, away)
     assert np.linalg.det(turn) == pytest.approx(1)
     assert np.allclose(turn @ t, away, atol=3e-6)
@@ -64,7 +64,7 @@ def test_parallel_directions_and_a_place_that_is_nowhere_need_no_swing(t):
 @given(seeds, st.floats(-3.1, 3.1), st.floats(1e-6, 1e6))
 def test_a_twist_turns_about_its_axis_by_the_angle_whatever_the_length_of_what_tells_it(seed, angle, length):
     t = np.random.default_rng(seed).normal(size=3)
-    turn = np.reshape(twist_swing.twist(tuple(t), length * np.cos(angle), length * np.sin(angle)), (3, 3))
+    turn = np.reshape(swing_twist.compute_twist(tuple(t), length * np.cos(angle), length * np.sin(angle)), (3, 3))
     assert np.allclose(turn, Rotation.from_rotvec(angle * t / np.linalg.norm(t)).as_matrix(), atol=1e-12)
 
 
@@ -72,7 +72,9 @@ def test_a_twist_turns_about_its_axis_by_the_angle_whatever_the_length_of_what_t
 def test_points_tell_the_twist_of_least_squares(seed):
     rng = np.random.default_rng(seed)
     t, points, seen = rng.normal(size=3), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
-    told = np.sum([twist_swing.told(tuple(t), tuple(m), tuple(s)) for m, s in zip(points, seen, strict=True)], axis=0)
+    told = np.sum(
+        [swing_twist.compute_twist_evidence(tuple(t), tuple(m), tuple(s)) for m, s in zip(points, seen, strict=True)], axis=0
+    )
 
     def off(angle):
         return np.sum((Rotation.from_rotvec(angle * t / np.linalg.norm(t)).apply(points) - seen) ** 2)
@@ -87,7 +89,7 @@ def test_a_joint_between_two_has_both_its_lengths_and_is_the_nearest_that_has(se
     a, c, b = rng.normal(size=(3, 3))
     upper, reach = rng.uniform(0.1, 2), np.linalg.norm(c - a)
     lower = rng.uniform(abs(upper - reach), upper + reach)
-    place, missed = twist_swing.between(tuple(a), tuple(b), tuple(c), upper, lower)
+    place, missed = swing_twist.solve_two_bone_joint(tuple(a), tuple(b), tuple(c), upper, lower)
     assert missed == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(place - a) == pytest.approx(upper)
     assert np.linalg.norm(place - c) == pytest.approx(lower)
@@ -106,7 +108,7 @@ def test_a_joint_between_two_has_both_its_lengths_and_is_the_nearest_that_has(se
     ],
 )
 def test_where_the_spheres_do_not_meet_the_joint_is_in_line_and_what_is_missing_is_told(end, upper, lower, place, missed):
-    found, by = twist_swing.between((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), tuple(map(float, end)), upper, lower)
+    found, by = swing_twist.solve_two_bone_joint((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), tuple(map(float, end)), upper, lower)
     assert by == pytest.approx(missed)
     assert np.linalg.norm(found) == pytest.approx(upper)
     if any(end):
@@ -115,7 +117,7 @@ def test_where_the_spheres_do_not_meet_the_joint_is_in_line_and_what_is_missing_
 
 @pytest.mark.parametrize("b", [(0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (9.0, 0.0, 0.0)])
 def test_a_guess_in_line_with_both_ends_still_gives_a_joint_with_both_lengths(b):
-    place, _ = twist_swing.between((0.0, 0.0, 0.0), b, (0.5, 0.0, 0.0), 0.3, 0.4)
+    place, _ = swing_twist.solve_two_bone_joint((0.0, 0.0, 0.0), b, (0.5, 0.0, 0.0), 0.3, 0.4)
     assert np.linalg.norm(place) == pytest.approx(0.3)
     assert np.linalg.norm(np.subtract(place, (0.5, 0, 0))) == pytest.approx(0.4)
 
@@ -127,10 +129,10 @@ def test_kernels_and_tensors_are_of_one_mind():
     upper, lower = rng.uniform(0.1, 1.5, (2, 200))
     x, y, z = (tuple(torch.tensor(each).T) for each in (a, b, c))
     together = [
-        torch.stack(twist_swing.swing(x, y)).T,
-        torch.stack(twist_swing.swing(x, z)).T,
-        torch.stack(twist_swing.twist(x, torch.tensor(upper), torch.tensor(lower))).T,
-        torch.stack(twist_swing.between(x, y, z, torch.tensor(upper), torch.tensor(lower))[0]).T,
+        torch.stack(swing_twist.compute_swing(x, y)).T,
+        torch.stack(swing_twist.compute_swing(x, z)).T,
+        torch.stack(swing_twist.compute_twist(x, torch.tensor(upper), torch.tensor(lower))).T,
+        torch.stack(swing_twist.solve_two_bone_joint(x, y, z, torch.tensor(upper), torch.tensor(lower))[0]).T,
     ]
     for i in range(200):
         k, m, n = (tuple(each[i]) for each in (a, b, c))
@@ -143,12 +145,12 @@ def test_kernels_and_tensors_are_of_one_mind():
 def test_gradients_are_right_and_finite_where_the_formulas_have_corners():
     rng = np.random.default_rng(1)
     t, p, c = (torch.tensor(each.T.copy(), requires_grad=True) for each in rng.normal(size=(3, 5, 3)))
-    assert torch.autograd.gradcheck(lambda t, p: torch.stack(twist_swing.swing(tuple(t), tuple(p))), (t, p))
+    assert torch.autograd.gradcheck(lambda t, p: torch.stack(swing_twist.compute_swing(tuple(t), tuple(p))), (t, p))
     assert torch.autograd.gradcheck(
-        lambda t, p, c: torch.stack(twist_swing.between(tuple(t), tuple(p), tuple(c), 1.5, 1.2)[0]), (t, p, c)
+        lambda t, p, c: torch.stack(swing_twist.solve_two_bone_joint(tuple(t), tuple(p), tuple(c), 1.5, 1.2)[0]), (t, p, c)
     )
     for a, b in [((1.0, 0, 0), (-1.0, 0, 0)), ((1.0, 0, 0), (0.0, 0, 0)), ((1.0, 0, 0), (2.0, 0, 0))]:
         corner = torch.tensor([[*a], [*b]], dtype=torch.float64, requires_grad=True)
-        torch.stack(twist_swing.swing(tuple(corner[0]), tuple(corner[1]))).sum().backward()
+        torch.stack(swing_twist.compute_swing(tuple(corner[0]), tuple(corner[1]))).sum().backward()
         assert corner.grad is not None
         assert torch.isfinite(corner.grad).all()

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg import CONVERGED
-from mocapfix.kernels.sweep import HARDLY
-from mocapfix.kernels.terms import Courses
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED
+from mocapfix.kernels.sweep import MIN_INFORMATION
+from mocapfix.kernels.terms import TrackingTerm
 from tests.kernels import dense, drawn
 from tests.kernels.model import foretold, solved, worked
 
@@ -18,7 +18,7 @@ ROUNDING = np.finfo(float).eps
 def spread(frame, scale2):
     """-> the same as `foretold`, from the inverse of the whole curvature; and its condition"""
     _, work = worked(frame, scale2)
-    curvature = dense.assembled(frame.tree, work.system)[1] + HARDLY * np.eye(dense.unknowns(frame))
+    curvature = dense.assembled(frame.tree, work.system)[1] + MIN_INFORMATION * np.eye(dense.unknowns(frame))
     inverse, (twist, turn, _) = np.linalg.inv(curvature), dense.twists(frame.tree, work.system)
     turn[0], points = twist[0, :3], frame.terms[0]
     at = dense.world(*frame[:1], *frame[2:])
@@ -71,12 +71,12 @@ def test_errors_are_as_large_as_foretold():
     truth = carried(root, local)
     weight = np.full(truth.shape[:2], noise**-2)
     weight[:, np.r_[0, 4, 5, np.arange(9, 15)]] = 0.0  # two joints' markers altogether
-    seen = drawn.Points(on, places, truth + rng.normal(0, noise, truth.shape), weight)
+    seen = drawn.PointTerm(on, places, truth + rng.normal(0, noise, truth.shape), weight)
     weight = np.full((1, joints), joint_sd**-2)
-    prior = Courses(frame.local[None].copy(), weight, frame.root[None].copy(), np.array([root_sd**-2]))
+    prior = TrackingTerm(frame.local[None].copy(), weight, frame.root[None].copy(), np.array([root_sd**-2]))
     problem = frame._replace(terms=drawn.terms(joints, frames, points=seen, courses=prior))
     root_found, found, shared, status, _ = solved(problem, PLAIN, frames)
-    assert (status == CONVERGED).all()
+    assert (status == STATUS_CONVERGED).all()
     marker_sd, joint_sd, joint_var, root_var = foretold(problem, np.inf, root_found, found, shared)
 
     def agree(errors, sd):

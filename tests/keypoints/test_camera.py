@@ -3,24 +3,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.keypoints.camera import Camera, answering, centred, fitted_scale, looking
+from mocapfix.keypoints.camera_scale import (
+    KeypointCamera,
+    build_camera_rotation,
+    fit_camera_scale,
+    solve_camera_scale,
+    subtract_weighted_mean,
+)
 
 
 def test_a_level_camera_sees_left_of_whom_it_faces_on_the_right_and_up_at_the_top():
-    camera = Camera(looking(0.0), 100.0, np.array([640.0, 360.0]))
-    np.testing.assert_allclose(camera.image(np.array([[0.5, 1.0, -3.0]])), [[690.0, 260.0]])
+    camera = KeypointCamera(build_camera_rotation(0.0), 100.0, np.array([640.0, 360.0]))
+    np.testing.assert_allclose(camera.project(np.array([[0.5, 1.0, -3.0]])), [[690.0, 260.0]])
 
 
 @given(st.floats(-1.5, 1.5))
 def test_the_cameras_axes_are_a_right_handed_frame(down):
-    rotation = looking(down)
+    rotation = build_camera_rotation(down)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
 
 
 def test_a_camera_that_looks_straight_down_sees_the_nearer_below():
-    camera = Camera(looking(np.pi / 2), 10.0, np.zeros(2))
-    np.testing.assert_allclose(camera.image(np.array([[0.0, 5.0, 0.0], [0.0, 0.0, 1.0]])), [[0, 0], [0, 10]], atol=1e-12)
+    camera = KeypointCamera(build_camera_rotation(np.pi / 2), 10.0, np.zeros(2))
+    np.testing.assert_allclose(camera.project(np.array([[0.0, 5.0, 0.0], [0.0, 0.0, 1.0]])), [[0, 0], [0, 10]], atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(5, 500))
@@ -29,7 +35,7 @@ def test_the_scale_is_found_exactly_whatever_each_frames_offset(seed, scale):
     flat, weight = rng.normal(size=(4, 9, 2)), rng.uniform(0, 1, (4, 9))
     pixels = scale * flat + rng.normal(0, 300, (4, 1, 2))
     pixels[weight < 0.2], weight[weight < 0.2] = 1e6, 0.0  # what does not count may be anything
-    assert fitted_scale(flat, pixels, weight) == pytest.approx(scale)
+    assert fit_camera_scale(flat, pixels, weight) == pytest.approx(scale)
 
 
 def test_the_scale_is_the_one_of_least_squares():
@@ -37,14 +43,14 @@ def test_the_scale_is_the_one_of_least_squares():
     flat, pixels, weight = rng.normal(size=(3, 7, 2)), rng.normal(size=(3, 7, 2)), rng.uniform(0, 1, (3, 7))
 
     def squares(scale):
-        return (weight[..., None] * centred(pixels - scale * flat, weight) ** 2).sum()
+        return (weight[..., None] * subtract_weighted_mean(pixels - scale * flat, weight) ** 2).sum()
 
-    best = fitted_scale(flat, pixels, weight)
+    best = fit_camera_scale(flat, pixels, weight)
     assert squares(best) < min(squares(best * 1.001), squares(best * 0.999))
 
 
 def test_points_that_lie_in_one_place_tell_no_scale():
-    assert np.isnan(fitted_scale(np.ones((1, 5, 2)), np.zeros((1, 5, 2)), np.ones((1, 5))))
+    assert np.isnan(fit_camera_scale(np.ones((1, 5, 2)), np.zeros((1, 5, 2)), np.ones((1, 5))))
 
 
 @pytest.mark.parametrize("echo", [0.0, 0.5, 0.9])
@@ -56,11 +62,11 @@ def test_a_scale_is_found_whose_answers_creep(echo, start):
         asked.append(scale)
         return 200 * (scale / 200) ** echo
 
-    assert answering(answer, start) == pytest.approx(200, rel=0.03)
+    assert solve_camera_scale(answer, start) == pytest.approx(200, rel=0.03)
     assert len(asked) <= 12
 
 
 def test_answers_that_tremble_do_not_drive_it_away():
     rng = np.random.default_rng(0)
-    found = [answering(lambda s: 200 * (s / 200) ** 0.9 * np.exp(rng.normal(0, 5e-4)), 185.0) for _ in range(50)]
+    found = [solve_camera_scale(lambda s: 200 * (s / 200) ** 0.9 * np.exp(rng.normal(0, 5e-4)), 185.0) for _ in range(50)]
     assert np.abs(np.log(np.array(found) / 200)).max() < 0.1

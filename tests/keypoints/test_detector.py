@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.keypoints import detector
-from mocapfix.skeleton import cmu31
+from mocapfix.keypoints import detectors
+from mocapfix.skeleton import load_cmu31_body
 
 BODY_25 = (
     "Nose", "Neck", "RShoulder", "RElbow", "RWrist", "LShoulder", "LElbow", "LWrist", "MidHip", "RHip", "RKnee", "RAnkle",
@@ -14,21 +14,21 @@ BODY_25 = (
 PAIRS = ("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
-def rest(name: str) -> tuple[detector.Detector, np.ndarray]:
+def rest(name: str) -> tuple[detectors.KeypointDetector, np.ndarray]:
     """-> a detector and its points (V, 3) on the average body in its T-pose"""
-    skeleton = cmu31().skeleton
+    skeleton = load_cmu31_body().skeleton
     joints = np.zeros((31, 3))
     for j in range(1, 31):
         joints[j] = joints[skeleton.parents[j]] + skeleton.offsets[j]
-    known = detector.load(name, skeleton)
-    return known, joints[known.joints] + known.places
+    known = detectors.load_detector(name, skeleton)
+    return known, joints[known.joints] + known.offsets
 
 
 def test_points_are_in_the_detectors_own_order():
-    skeleton = cmu31().skeleton
-    assert detector.load("openpose", skeleton).labels == BODY_25
+    skeleton = load_cmu31_body().skeleton
+    assert detectors.load_detector("openpose", skeleton).labels == BODY_25
     sided = [f"{side}_{name}" for name in PAIRS for side in ("left", "right")]
-    assert detector.load("coco", skeleton).labels == ("nose", *sided)
+    assert detectors.load_detector("coco", skeleton).labels == ("nose", *sided)
 
 
 @pytest.mark.parametrize("name", ["openpose", "coco"])
@@ -60,7 +60,7 @@ def test_both_detectors_mean_the_same_places():
 
 def test_an_order_that_is_not_known_is_told_with_those_there_are():
     with pytest.raises(SceneError, match=r"no order of keypoints named 'mpii'; choose one of: coco, openpose"):
-        detector.load("mpii", cmu31().skeleton)
+        detectors.load_detector("mpii", load_cmu31_body().skeleton)
 
 
 @pytest.mark.parametrize(
@@ -72,10 +72,10 @@ def test_an_order_that_is_not_known_is_told_with_those_there_are():
     ],
 )
 def test_a_map_that_does_not_say_what_it_must_is_told_by_its_key(tmp_path, monkeypatch, old, new, message):
-    text = (detector.folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
+    text = (detectors.find_shipped_folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
     (tmp_path / "keypoints").mkdir()
     (tmp_path / "keypoints" / "mine.yaml").write_text(text.replace(old, new), encoding="utf-8")
-    monkeypatch.setattr("mocapfix.scenes.folder", lambda _: tmp_path)
-    monkeypatch.setattr(detector, "folder", lambda _: tmp_path)
+    monkeypatch.setattr("mocapfix.files.shipped.find_shipped_folder", lambda _: tmp_path)
+    monkeypatch.setattr(detectors, "folder", lambda _: tmp_path)
     with pytest.raises(SceneError, match=message):
-        detector.load("mine", cmu31().skeleton)
+        detectors.load_detector("mine", load_cmu31_body().skeleton)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError
-from mocapfix.keypoints import read
-from mocapfix.skeleton import cmu31
+from mocapfix.keypoints import keypoint_file
+from mocapfix.skeleton import load_cmu31_body
 
-SKELETON = cmu31().skeleton
+SKELETON = load_cmu31_body().skeleton
 
 
 def person(x: float, sure: float = 0.9, points: int = 25, key: str = "pose_keypoints_2d") -> dict:
@@ -25,49 +25,51 @@ def saved(path, said):
 
 
 def test_a_film_is_read_as_it_says(tmp_path):
-    found = read.keypoints(saved(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
-    assert (found.frames, found.rate, found.image, found.detector.name) == (2, 25, (640, 480), "openpose")
-    np.testing.assert_array_equal(found.pixels[1], [[4.0, 8.0]] * 25)
+    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
+    assert (found.frame_count, found.rate_hz, found.image_size_px, found.detector.name) == (2, 25, (640, 480), "openpose")
+    np.testing.assert_array_equal(found.position_px[1], [[4.0, 8.0]] * 25)
     np.testing.assert_array_equal(found.confidence, np.full((2, 25), 0.9))
 
 
 def test_cocos_people_hold_their_seventeen_points_under_its_own_key(tmp_path):
-    said = film([person(3.0, points=17, key="keypoints")], order="coco", rate=None, image=None)
-    found = read.keypoints(saved(tmp_path / "a.json", said), SKELETON)
-    assert (found.pixels.shape, found.rate, found.image) == ((1, 17, 2), None, None)
+    said = film([person(3.0, points=17, key="keypoints")], order="coco", rate=None, image_size_px=None)
+    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", said), SKELETON)
+    assert (found.position_px.shape, found.rate_hz, found.image_size_px) == ((1, 17, 2), None, None)
 
 
 def test_a_folder_of_openposes_frames_is_a_film_in_the_order_of_names(tmp_path):
     for name, x in (("b_000002_keypoints.json", 2.0), ("b_000001_keypoints.json", 1.0)):
         saved(tmp_path / name, {"version": 1.3, "people": [{**person(x), "face_keypoints_2d": []}]})
-    found = read.keypoints(tmp_path, SKELETON)
-    np.testing.assert_array_equal(found.pixels[:, 0, 0], [1.0, 2.0])
-    one = read.keypoints(tmp_path / "b_000002_keypoints.json", SKELETON)
-    assert (one.frames, one.rate) == (1, None)
-    np.testing.assert_array_equal(one.pixels[0, 0], [2.0, 4.0])
+    found = keypoint_file.read_keypoints(tmp_path, SKELETON)
+    np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
+    one = keypoint_file.read_keypoints(tmp_path / "b_000002_keypoints.json", SKELETON)
+    assert (one.frame_count, one.rate_hz) == (1, None)
+    np.testing.assert_array_equal(one.position_px[0, 0], [2.0, 4.0])
 
 
 def test_one_person_is_followed_though_the_people_change_places(tmp_path):
     frames = [[person(100.0, 0.3), person(10.0)], [person(11.0, 0.2), person(101.0)], [], [person(102.0), person(12.0)]]
-    found = read.keypoints(saved(tmp_path / "a.json", film(*frames)), SKELETON)
-    np.testing.assert_array_equal(found.pixels[:, 0, 0], [10.0, 11.0, 0.0, 12.0])
+    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film(*frames)), SKELETON)
+    np.testing.assert_array_equal(found.position_px[:, 0, 0], [10.0, 11.0, 0.0, 12.0])
     np.testing.assert_array_equal(found.confidence[:, 0], [0.9, 0.2, 0.0, 0.9])
 
 
 def test_of_people_who_share_no_point_with_where_he_was_one_is_taken_all_the_same():
     last, other = np.zeros((25, 3)), np.zeros((25, 3))
     last[:5], other[5:] = 1.0, 2.0
-    np.testing.assert_array_equal(read.followed([last[None], other[None]], 25)[1], other)
+    np.testing.assert_array_equal(keypoint_file.track_person([last[None], other[None]], 25)[1], other)
 
 
 def test_more_than_sure_is_sure(tmp_path):
-    found = read.keypoints(saved(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
+    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
     assert found.confidence.max() == 1
 
 
 def test_less_than_not_found_is_not_found_and_hides_nobody(tmp_path):
-    found = read.keypoints(saved(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON)
-    np.testing.assert_array_equal(found.pixels[:, 0, 0], [1.0, 2.0])
+    found = keypoint_file.read_keypoints(
+        saved(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON
+    )
+    np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
     np.testing.assert_array_equal(found.confidence[:, 0], [0.2, 0.2])
 
 
@@ -79,7 +81,7 @@ def test_less_than_not_found_is_not_found_and_hides_nobody(tmp_path):
         (film([person(1.0)], order="mpii"), r"bad\.json: order: .*'mpii'; choose one of: coco, openpose"),
         (film([person(1.0)], order=None), r"bad\.json: order: must be one of coco, openpose, not None"),
         (film([person(1.0)], rate=0), r"bad\.json: rate: must be frames a second, more than 0, not 0"),
-        (film([person(1.0)], image=[640]), r"bad\.json: image: must be \[width, height\] in pixels, not \[640\]"),
+        (film([person(1.0)], image_size_px=[640]), r"bad\.json: image: must be \[width, height\] in pixels, not \[640\]"),
         (film(), r"bad\.json: frames: must be a list of at least one frame"),
         (film([person(1.0)], [person(1.0, points=17)]), r"frames\.1: people\.0\.pose_keypoints_2d: .*25 points \(openpose\)"),
         (film([{"keypoints": []}]), r"frames\.0: people\.0\.pose_keypoints_2d: must hold"),
@@ -91,11 +93,11 @@ def test_less_than_not_found_is_not_found_and_hides_nobody(tmp_path):
 )
 def test_what_is_wrong_is_told_with_file_frame_and_key(tmp_path, said, message):
     with pytest.raises(ReadError, match=message):
-        read.keypoints(saved(tmp_path / "bad.json", said), SKELETON)
+        keypoint_file.read_keypoints(saved(tmp_path / "bad.json", said), SKELETON)
 
 
 def test_a_folder_without_keypoints_and_a_file_that_is_not_there_are_told(tmp_path):
     with pytest.raises(ReadError, match="holds no keypoints"):
-        read.keypoints(tmp_path, SKELETON)
+        keypoint_file.read_keypoints(tmp_path, SKELETON)
     with pytest.raises(ReadError, match=r"gone\.json: cannot be read"):
-        read.keypoints(tmp_path / "gone.json", SKELETON)
+        keypoint_file.read_keypoints(tmp_path / "gone.json", SKELETON)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
-from mocapfix.keypoints import example, read, scene
-from mocapfix.scenes import folder
-from mocapfix.skeleton import cmu31
+from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.keypoints import example_film, keypoint_file, keypoint_scene
+from mocapfix.skeleton import load_cmu31_body
 
 TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 
@@ -17,7 +17,7 @@ TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 def place(tmp_path_factory):
     """-> a folder with a scene of half a second"""
     place = tmp_path_factory.mktemp("scene")
-    said, _, _ = example.film("coco", 0.5, 10.0)
+    said, _, _ = example_film.compose_example_film("coco", 0.5, 10.0)
     (place / "film.json").write_text(json.dumps(said), encoding="utf-8")
     (place / "mine.yaml").write_text(TEXT, encoding="utf-8")
     return place
@@ -25,18 +25,18 @@ def place(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(place):
-    return scene.run(place / "mine.yaml")
+    return keypoint_scene.run_keypoint_scene(place / "mine.yaml")
 
 
 def test_the_shipped_scene_says_what_it_must_and_shows_a_known_motion():
-    path = folder("scenes") / "keypoints-2d.yaml"
-    said = scene.settings(path)
-    found = read.keypoints(path.parent / said.keypoints, cmu31().skeleton)
-    composed, _, _ = example.film("openpose", 6.0, 30.0)
+    path = find_shipped_folder("scenes") / "keypoints-2d.yaml"
+    said = keypoint_scene.read_keypoint_scene(path)
+    found = keypoint_file.read_keypoints(path.parent / said.keypoints, load_cmu31_body().skeleton)
+    composed, _, _ = example_film.compose_example_film("openpose", 6.0, 30.0)
     people = [frame["people"][0]["pose_keypoints_2d"] for frame in composed["frames"]]
     points = np.array(people).reshape(180, 25, 3)
-    np.testing.assert_allclose(found.pixels, points[..., :2], atol=0.11)  # other processors round otherwise
-    assert (found.rate, found.image) == (30.0, (example.WIDTH, example.HEIGHT))
+    np.testing.assert_allclose(found.position_px, points[..., :2], atol=0.11)  # other processors round otherwise
+    assert (found.rate_hz, found.image_size_px) == (30.0, (example_film.IMAGE_WIDTH_PX, example_film.IMAGE_HEIGHT_PX))
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_scene_that_does_not_say_what_it_must_is_told_by_file_and_key(place, t
     (tmp_path / "film.json").write_bytes((place / "film.json").read_bytes())
     (tmp_path / "mine.yaml").write_text(TEXT.replace(old, new), encoding="utf-8")
     with pytest.raises(SceneError, match=message):
-        scene.run(tmp_path / "mine.yaml")
+        keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
 def test_a_film_that_does_not_say_its_rate_needs_the_scenes(place, tmp_path):
@@ -64,7 +64,7 @@ def test_a_film_that_does_not_say_its_rate_needs_the_scenes(place, tmp_path):
     (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
     with pytest.raises(SceneError, match=r"mine\.yaml: rate: must say how many frames a second film\.json has"):
-        scene.run(tmp_path / "mine.yaml")
+        keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
 @pytest.mark.parametrize(
@@ -83,13 +83,13 @@ def test_keypoints_that_tell_of_no_body_are_told(place, tmp_path, spoil, message
     (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
     with pytest.raises(TakeError, match=message):
-        scene.run(tmp_path / "mine.yaml")
+        keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
 def test_keypoints_that_are_not_there_are_told(tmp_path):
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
     with pytest.raises(ReadError, match=r"film\.json: cannot be read"):
-        scene.run(tmp_path / "mine.yaml")
+        keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
 def test_a_result_is_a_motion_a_page_a_record_and_a_recording(result, tmp_path):
@@ -109,9 +109,9 @@ def test_a_result_is_a_motion_a_page_a_record_and_a_recording(result, tmp_path):
 
 
 def test_the_record_tells_how_far_the_keypoints_lie_from_the_body(result):
-    pixels, sure = result.keypoints.pixels, result.keypoints.confidence > 0
+    pixels, sure = result.keypoints.position_px, result.keypoints.confidence > 0
     assert np.isnan(result.distance[~sure]).all()
-    images = result.camera.image(result.joints)
+    images = result.camera.image_size_px(result.joints)
     wrist, elbow = (result.keypoints.detector.labels.index(f"left_{name}") for name in ("wrist", "elbow"))
     joint = result.skeleton.index("LeftForeArm")
     apart = np.linalg.norm(images[:, joint] - pixels[:, elbow], axis=-1)  # whose place is the joint itself

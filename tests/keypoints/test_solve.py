@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.keypoints import example, read, solve
-from mocapfix.keypoints.camera import looking
-from mocapfix.keypoints.sight import Sight
-from mocapfix.prior import models
-from mocapfix.skeleton import cmu31
+from mocapfix.keypoints import example_film, film_solver, keypoint_file
+from mocapfix.keypoints.camera_scale import build_camera_rotation
+from mocapfix.keypoints.reprojection_problem import ReprojectionProblem
+from mocapfix.pose_prior import io
+from mocapfix.skeleton import load_cmu31_body
 
 RATE = 10.0
-SKELETON = cmu31().skeleton
-MODEL = models.load("pca", SKELETON)
+SKELETON = load_cmu31_body().skeleton
+MODEL = io.load_pose_model("pca", SKELETON)
 
 
 def error(found, truth):
@@ -25,24 +25,24 @@ def error(found, truth):
 @pytest.fixture(scope="module")
 def composed(tmp_path_factory):
     """-> keypoints, true joints, true camera"""
-    said, joints, camera = example.film("openpose", 1.0, RATE)
+    said, joints, camera = example_film.compose_example_film("openpose", 1.0, RATE)
     path = tmp_path_factory.mktemp("film") / "film.json"
     path.write_text(json.dumps(said), encoding="utf-8")
-    return read.keypoints(path, SKELETON), joints, camera
+    return keypoint_file.read_keypoints(path, SKELETON), joints, camera
 
 
 def sight_of(keypoints):
     weight = np.where(keypoints.confidence > 0, keypoints.confidence / keypoints.detector.sd, 0.0) ** 2
-    return Sight(SKELETON, keypoints.detector, MODEL, 1.0, looking(0.0), keypoints.pixels, weight)
+    return ReprojectionProblem(SKELETON, keypoints.detector, MODEL, 1.0, build_camera_rotation(0.0), keypoints.pixels, weight)
 
 
 @pytest.fixture(scope="module")
 def solved(composed):
-    return solve.film(composed[0], RATE, SKELETON, MODEL, looking(0.0))
+    return film_solver.solve_film(composed[0], RATE, SKELETON, MODEL, build_camera_rotation(0.0))
 
 
 def placed(keypoints, motion):
-    return sight_of(keypoints).placed(motion.root, motion.rotations)
+    return sight_of(keypoints).compute_positions(motion.root, motion.mean_rotations)
 
 
 def test_motion_and_camera_are_found_together(composed, solved):
@@ -63,8 +63,8 @@ def test_the_body_stands_on_the_floor_over_the_origin(composed, solved):
 
 def test_images_of_another_size_give_the_same_motion(composed, solved):
     keypoints = replace(composed[0], pixels=3 * composed[0].pixels + [50.0, -20.0])
-    motion, camera = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
-    assert camera.scale == pytest.approx(3 * solved[1].scale, rel=0.01)
+    motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
+    assert camera.scale_px_m == pytest.approx(3 * solved[1].scale, rel=0.01)
     np.testing.assert_allclose(placed(keypoints, motion)[0], placed(keypoints, solved[0])[0], atol=0.02)
 
 
@@ -72,17 +72,17 @@ def test_a_frame_in_which_nobody_was_found_lies_between_its_neighbours(composed,
     confidence = composed[0].confidence.copy()
     confidence[4:6] = 0.0
     keypoints = replace(composed[0], confidence=confidence)
-    motion, _ = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
+    motion, _ = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
     at, was = placed(keypoints, motion)[0], placed(keypoints, solved[0])[0]
     assert error(at, was)[4:6].max() < 0.12
-    assert np.abs(motion.root - solved[0].root)[4:6].max() < 0.05
+    assert np.abs(motion.root_position - solved[0].root)[4:6].max() < 0.05
 
 
 def test_one_image_alone_is_solved(composed):
     one = replace(composed[0], pixels=composed[0].pixels[:1], confidence=composed[0].confidence[:1])
-    motion, camera = solve.film(one, RATE, SKELETON, MODEL, looking(0.0))
-    assert motion.frames == 1
-    assert camera.scale == pytest.approx(composed[2].scale, rel=0.15)
+    motion, camera = film_solver.solve_film(one, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
+    assert motion.frame_count == 1
+    assert camera.scale_px_m == pytest.approx(composed[2].scale, rel=0.15)
     assert error(placed(one, motion)[0], composed[1][:1])[0] < 0.15
 
 
@@ -90,16 +90,16 @@ def test_keypoints_far_off_hardly_count(composed, solved):
     pixels = composed[0].pixels.copy()
     pixels[::4, 4] += [150.0, 60.0]  # right wrists
     keypoints = replace(composed[0], pixels=pixels)
-    motion, camera = solve.film(keypoints, RATE, SKELETON, MODEL, looking(0.0))
-    assert camera.scale == pytest.approx(solved[1].scale, rel=0.03)
+    motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
+    assert camera.scale_px_m == pytest.approx(solved[1].scale, rel=0.03)
     assert error(placed(keypoints, motion)[0], composed[1]).mean() < 0.09
 
 
 def test_a_keypoint_counts_the_less_the_farther_off_it_is(composed):
     sight, scale = sight_of(composed[0]), 180.0
     points = np.zeros((*sight.weight.shape, 3))
-    points[..., :2] = sight.pixels / scale * [1, -1]
-    np.testing.assert_allclose(sight.trust(scale, points), sight.weight)
-    off = sight.robust[-1] / np.sqrt(np.maximum(sight.weight, 1e-9))  # there, by Geman and McClure, it counts a quarter
+    points[..., :2] = sight.position_px / scale * [1, -1]
+    np.testing.assert_allclose(sight.compute_robust_weights(scale, points), sight.weight)
+    off = sight.robust_scales_sd[-1] / np.sqrt(np.maximum(sight.weight, 1e-9))  # there, by Geman and McClure, it counts a quarter
     points[..., 0] += off
-    np.testing.assert_allclose(sight.trust(scale, points), sight.weight / 4)
+    np.testing.assert_allclose(sight.compute_robust_weights(scale, points), sight.weight / 4)

@@ -8,18 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.marker_set import load, save, shipped
-from mocapfix.skeleton import cmu31
+from mocapfix.marker_sets import load_marker_set, load_shipped_marker_sets, write_marker_set
+from mocapfix.skeleton import load_cmu31_body
 
 
 def test_an_unknown_name_lists_the_shipped_ones():
     with pytest.raises(SceneError, match=r"baseline41.*cmu41, frontwaist53, helen-hayes, .*YAML"):
-        load("baseline41")
+        load_marker_set("baseline41")
 
 
 def test_a_set_that_other_people_know_by_another_name_is_found_by_it():
-    assert load("hdm05") is load("cmu41")
-    names = [name for each in shipped() for name in (each.name, *each.also_called)]
+    assert load_marker_set("hdm05") is load_marker_set("cmu41")
+    names = [name for each in load_shipped_marker_sets() for name in (each.name, *each.other_names)]
     assert len(set(names)) == len(names)
 
 
@@ -36,12 +36,12 @@ markers:
 def test_a_file_of_ones_own(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(GOOD)
-    mine = load(path)
+    mine = load_marker_set(path)
     assert (mine.name, mine.labels, mine.aliases) == ("mine", ("TOP", "HIP"), (("CROWN",), ()))
-    assert (mine.optional, mine.required) == ({"TOP"}, ("HIP",))
-    assert [cmu31().skeleton.names[j] for j in mine.joints] == ["Head", "Hips"]
-    np.testing.assert_array_equal(mine.places, [[0, 0.2, 0], [0.1, 0, 0.1]])
-    np.testing.assert_array_equal(mine.spread, [0.01, 0.02])
+    assert (mine.optional_labels, mine.required_labels) == ({"TOP"}, ("HIP",))
+    assert [load_cmu31_body().skeleton.names[j] for j in mine.joints] == ["Head", "Hips"]
+    np.testing.assert_array_equal(mine.marker_offsets, [[0, 0.2, 0], [0.1, 0, 0.1]])
+    np.testing.assert_array_equal(mine.marker_spread, [0.01, 0.02])
 
 
 @pytest.mark.parametrize(
@@ -66,14 +66,14 @@ def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
     path = tmp_path / "mine.yaml"
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(SceneError, match=rf"mine\.yaml.*{said}"):
-        load(path)
+        load_marker_set(path)
 
 
-@pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+@pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 def test_a_saved_set_comes_back(marker_set, tmp_path):
-    save(tmp_path / "mine.yaml", marker_set, "Two lines\n\nof comment.")
+    write_marker_set(tmp_path / "mine.yaml", marker_set, "Two lines\n\nof comment.")
     assert (tmp_path / "mine.yaml").read_text().startswith("# Two lines\n#\n# of comment.\nname: ")
-    back = load(tmp_path / "mine.yaml")
+    back = load_marker_set(tmp_path / "mine.yaml")
     assert all(getattr(back, name) == getattr(marker_set, name) for name in ("name", "title", "labels", "aliases", "optional"))
     for name in ("joints", "places", "spread"):
         np.testing.assert_array_equal(getattr(back, name), getattr(marker_set, name))
@@ -87,16 +87,16 @@ def test_any_labels_can_be_saved(tmp_path_factory, labels):
     names = {f"{label}{k}x": label for k, label in enumerate(labels)}
     count, path = len(names), tmp_path_factory.mktemp("set") / "mine.yaml"
     given = replace(
-        load("cmu41"), labels=tuple(names), joints=np.zeros(count, int), places=np.ones((count, 3)), spread=np.ones(count),
+        load_marker_set("cmu41"), labels=tuple(names), joints=np.zeros(count, int), places=np.ones((count, 3)), spread=np.ones(count),
         aliases=((),) * count,
     )  # fmt: skip
     try:
-        save(path, given)
-        assert load(path).labels == given.labels
+        write_marker_set(path, given)
+        assert load_marker_set(path).labels == given.labels
     except SceneError as error:
         assert "would name more than one marker" in str(error)  # noqa: PT017
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path):
     with pytest.raises(WriteError, match=r"mine\.yaml: cannot be written"):
-        save(tmp_path / "nowhere" / "mine.yaml", load("cmu41"))
+        write_marker_set(tmp_path / "nowhere" / "mine.yaml", load_marker_set("cmu41"))

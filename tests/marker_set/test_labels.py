@@ -4,16 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.marker_set import load, shipped
-from mocapfix.marker_set.labels import folded, readings
+from mocapfix.marker_set import fold_label, iterate_label_readings
+from mocapfix.marker_sets import load_marker_set, load_shipped_marker_sets
 
-CMU = load("cmu41")
-EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+CMU = load_marker_set("cmu41")
+EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 
 
 @pytest.mark.parametrize("name", ["R.Thigh.Upper", "R_Thigh_Upper", "r thigh upper", "RThighUpper", "R-Thigh.upper "])
 def test_case_and_marks_between_words_do_not_count(name):
-    assert folded(name) == "RTHIGHUPPER"
+    assert fold_label(name) == "RTHIGHUPPER"
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ def test_case_and_marks_between_words_do_not_count(name):
     ],
 )
 def test_a_label_may_be_read_in_several_ways(label, read):
-    assert list(readings(label)) == read
+    assert list(iterate_label_readings(label)) == read
 
 
 @EACH
@@ -42,16 +42,16 @@ def test_labels_are_found_in_any_order_case_and_alias(marker_set, data):
 
 
 def test_the_first_of_equal_labels_and_the_own_name_count():
-    assert CMU.match(("LTIB", "LSHN", "LFHD", "lfhd")) == {"LSHN": 1, "LFHD": 2}
+    assert CMU.match_labels(("LTIB", "LSHN", "LFHD", "lfhd")) == {"LSHN": 1, "LFHD": 2}
 
 
 def test_the_subject_with_the_most_markers_is_taken():
     labels = ("Prop:LFHD", "Prop:Handle", "Ann:C7", "Ann:LFHD", "LFWT")
-    assert CMU.match(labels) == {"C7": 2, "LFHD": 3}
-    assert CMU.match(()) == {}
+    assert CMU.match_labels(labels) == {"C7": 2, "LFHD": 3}
+    assert CMU.match_labels(()) == {}
 
 
 @pytest.mark.parametrize("prefix", ["Jim:", "Q_", "Skeleton_2_", "Skeleton 001:", "Skeleton 001:Q_"])
 def test_prefixes_of_actors(prefix):
     labels = ["Bat_Knob", *(prefix + label for label in CMU.labels), f"{prefix}Glove", "Other:LFHD"]
-    assert CMU.match(labels) == {label: k + 1 for k, label in enumerate(CMU.labels)}
+    assert CMU.match_labels(labels) == {label: k + 1 for k, label in enumerate(CMU.labels)}

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mocapfix.marker_set import shipped
-from mocapfix.skeleton import cmu31
+from mocapfix.marker_sets import load_shipped_marker_sets
+from mocapfix.skeleton import load_cmu31_body
 from tests.marker_set.sides import other_side
 
-EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]
 FRONT = ("PX", "Front.Head", "L.ASIS", "L.Toe", "Chest", "LFHD", "CLAV", "STRN", "LTOE",
          "HeadFront", "ChestTop", "WaistLFront", "LToeTip", "Sternum", "L.Toe.Tip")  # fmt: skip
@@ -16,7 +16,7 @@ HEELS = ("LHEE", "LHEL", "LHeel", "LHeelBack", "L.Heel")
 
 
 def test_the_shipped_sets():
-    found = {each.name: (len(each.labels), len(each.optional)) for each in shipped()}
+    found = {each.name: (len(each.labels), len(each.optional_labels)) for each in load_shipped_marker_sets()}
     assert found == {
         "cmu41": (41, 0),
         "frontwaist53": (53, 0),
@@ -33,7 +33,7 @@ def test_the_shipped_sets():
 
 @EACH
 def test_left_and_right_are_alike(marker_set):
-    names, sided = cmu31().skeleton.names, 0
+    names, sided = load_cmu31_body().skeleton.names, 0
     for k, label in enumerate(marker_set.labels):
         if (twin := other_side(label)) in marker_set.labels and twin != label:
             other = marker_set.labels.index(twin)
@@ -48,7 +48,7 @@ def test_left_and_right_are_alike(marker_set):
 @EACH
 def test_a_left_marker_is_on_the_left(marker_set):
     for label, joint, place in zip(marker_set.labels, marker_set.joints, marker_set.places, strict=True):
-        if other_side(label) != label and cmu31().skeleton.names[joint] in ("Hips", "Spine1", "Head"):
+        if other_side(label) != label and load_cmu31_body().skeleton.names[joint] in ("Hips", "Spine1", "Head"):
             left = other_side(label) > label  # "L" comes before "R"
             assert (place[0] > 0) == left, label
 
@@ -67,6 +67,5 @@ def test_markers_lie_on_the_body(marker_set):
 
 @EACH
 def test_every_limb_hips_thorax_and_head_bear_markers(marker_set):
-    there = {cmu31().skeleton.names[joint] for joint in marker_set.joints}
+    there = {load_cmu31_body().skeleton.names[joint] for joint in marker_set.joints}
     assert {"Hips", "Spine1", "Head", *BONES} <= there
-

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from mocapfix.marker_set import load, shipped
-from mocapfix.marker_set.words import guessed, place_of
-from mocapfix.skeleton import cmu31
+from mocapfix.marker_sets import load_marker_set, load_shipped_marker_sets
+from mocapfix.marker_sets.label_words import guess_marker_set_from_words, locate_label
+from mocapfix.skeleton import load_cmu31_body
 
-EACH = pytest.mark.parametrize("marker_set", shipped(), ids=lambda each: each.name)
+EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 NEAR = {"Hips": ("LeftUpLeg", "RightUpLeg"), "Spine1": ("LeftShoulder", "RightShoulder")}
 
 
 @EACH
 def test_the_words_of_shipped_sets_tell_their_segments(marker_set):
-    names, right = cmu31().skeleton.names, 0
+    names, right = load_cmu31_body().skeleton.names, 0
     for label, joint in zip(marker_set.labels, marker_set.joints, strict=True):
-        if told := place_of(label):
+        if told := locate_label(label):
             assert told[0] == names[joint] or told[0] in NEAR.get(names[joint], ()), label
             right += 1
     assert right >= 0.75 * len(marker_set.labels)
@@ -32,23 +32,23 @@ def test_the_words_of_shipped_sets_tell_their_segments(marker_set):
     ],
 )  # fmt: skip
 def test_words_and_sides(label, joint):
-    told = place_of(label)
+    told = locate_label(label)
     assert (told and told[0]) == joint
 
 
 @pytest.mark.parametrize("word", ["KNE", "ELB", "WRA", "FWT", "TOE", "FHD"])
 def test_right_mirrors_left(word):
-    on_left, on_right = place_of(f"L{word}"), place_of(f"R{word}")
+    on_left, on_right = locate_label(f"L{word}"), locate_label(f"R{word}")
     assert on_left is not None
     assert on_right is not None
     (left, place), (right, other) = on_left, on_right
     assert right == left.replace("Left", "Right")
     np.testing.assert_array_equal(other, place * [-1, 1, 1])
-    assert (place[0] > 0) == (load("cmu41").places[load("cmu41").labels.index("L" + word)][0] > 0)
+    assert (place[0] > 0) == (load_marker_set("cmu41").marker_offsets[load_marker_set("cmu41").labels.index("L" + word)][0] > 0)
 
 
 def test_a_guess_holds_what_is_told_and_nothing_else():
-    guess = guessed(["LKNE", "Puck", "RKNE", "C7"])
+    guess = guess_marker_set_from_words(["LKNE", "Puck", "RKNE", "C7"])
     assert guess.labels == ("LKNE", "RKNE", "C7")
-    assert [cmu31().skeleton.names[j] for j in guess.joints] == ["LeftUpLeg", "RightUpLeg", "Spine1"]
-    assert guessed(["Puck"]).places.shape == (0, 3)
+    assert [load_cmu31_body().skeleton.names[j] for j in guess.joints] == ["LeftUpLeg", "RightUpLeg", "Spine1"]
+    assert guess_marker_set_from_words(["Puck"]).marker_offsets.shape == (0, 3)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mocapfix import mend
+from mocapfix import repair
 from mocapfix.faults import Fault, Fragment
 from mocapfix.take import Take
 
@@ -15,8 +15,8 @@ def take():
     markers, computed = rng.normal(size=(30, 3, 3)), np.zeros((30, 3), bool)
     markers[10:20, 0] = markers[:8, 2] = markers[22:, 2] = NAN
     computed[5, 0] = True
-    loose = Take(rng.normal(size=(30, 2, 3)), ("*3", "*7"), 100.0, columns=np.array([0, 4]))
-    return Take(markers, ("A", "B", "A-1"), 100.0, columns=np.array([1, 2, 3]), unlabelled=loose, computed=computed)
+    loose = Take(rng.normal(size=(30, 2, 3)), ("*3", "*7"), 100.0, point_columns=np.array([0, 4]))
+    return Take(markers, ("A", "B", "A-1"), 100.0, point_columns=np.array([1, 2, 3]), unlabelled=loose, computed=computed)
 
 
 def piece(marker, first, last, donor, relation):
@@ -24,24 +24,24 @@ def piece(marker, first, last, donor, relation):
 
 
 def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(take):
-    joined = mend.fragments(take, [piece(0, 8, 21, 2, "continues")])
+    joined = repair.fragments(take, [piece(0, 8, 21, 2, "continues")])
     np.testing.assert_array_equal(joined.markers[10:20, 0], take.markers[10:20, 2])
     kept = np.r_[0:10, 20:30]
     np.testing.assert_array_equal(joined.markers[kept, 0], take.markers[kept, 0])
     np.testing.assert_array_equal(joined.markers[:, 1], take.markers[:, 1])
     assert np.isnan(joined.markers[10:20, 2]).all()  # what was given is gone there; the rest stays where it was
     np.testing.assert_array_equal(joined.markers[[8, 9, 20, 21], 2], take.markers[[8, 9, 20, 21], 2])
-    np.testing.assert_array_equal(joined.sources[:, 0], np.where((np.arange(30) >= 10) & (np.arange(30) < 20), 3, 1))
+    np.testing.assert_array_equal(joined.source_points[:, 0], np.where((np.arange(30) >= 10) & (np.arange(30) < 20), 3, 1))
     assert joined.measured[10:20, 0].all()
     assert not joined.measured[5, 0]
 
 
 def test_what_replaces_a_marker_takes_its_place_throughout(take):
-    joined = mend.fragments(take, [piece(0, 4, 12, 3, "replaces")])
+    joined = repair.fragments(take, [piece(0, 4, 12, 3, "replaces")])
     assert take.unlabelled is not None
     assert joined.unlabelled is not None
     np.testing.assert_array_equal(joined.markers[4:13, 0], take.unlabelled.markers[4:13, 0])
-    assert set(joined.sources[4:13, 0]) == {0}  # the file's point, not the index among those that nobody named
+    assert set(joined.source_points[4:13, 0]) == {0}  # the file's point, not the index among those that nobody named
     assert joined.measured[5, 0]
     np.testing.assert_array_equal(np.isnan(joined.unlabelled.markers[:, 0, 0]), (np.arange(30) >= 4) & (np.arange(30) < 13))
     np.testing.assert_array_equal(joined.unlabelled.markers[:, 1], take.unlabelled.markers[:, 1])
@@ -50,17 +50,17 @@ def test_what_replaces_a_marker_takes_its_place_throughout(take):
 
 @pytest.mark.parametrize("relation", ["doubles", "other"])
 def test_what_is_none_of_the_markers_stays(take, relation):
-    assert mend.fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
+    assert repair.fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
 
 
 def test_of_two_pieces_the_first_has_what_both_could_fill(take):
-    joined = mend.fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
-    assert joined.sources[10:20, 0].tolist() == [0] * 6 + [4] * 4
+    joined = repair.fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
+    assert joined.source_points[10:20, 0].tolist() == [0] * 6 + [4] * 4
 
 
 def test_the_take_that_was_given_stays_as_it_was(take):
     was = take.markers.copy()
-    mend.fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
+    repair.fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
     np.testing.assert_array_equal(take.markers, was)
     assert take.unlabelled is not None
-    assert take.unlabelled.seen.all()
+    assert take.unlabelled.visible.all()

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import mend
+from mocapfix import repair
 from mocapfix.faults import Fault, Fragment
 from mocapfix.take import Take
 
@@ -25,22 +25,22 @@ def test_what_is_not_sure_or_no_matter_of_labels_is_left():
         Fault("spike", 0, 5, 9, 0.1, ""),
         Fragment("fragment", 0, 0, 29, 0.1, "", donor=1),
     ]
-    assert mend.labels(TAKE, faults) is TAKE
+    assert repair.labels(TAKE, faults) is TAKE
 
 
 def test_exchanges_are_put_right_in_the_order_given():
     """A's samples are under B's label, then what is under B's is exchanged with C's: undone the other way round."""
-    wrong = TAKE.exchanged((0, 1), 0, 19).exchanged((1, 2), 10, 29)
+    wrong = TAKE.exchange_labels((0, 1), 0, 19).exchange_labels((1, 2), 10, 29)
     late, early = Fault("swap", 1, 10, 29, 0.1, "", 1.0, (2,)), Fault("mislabelled", 0, 0, 19, 0.1, "", 1.0, (1,))
-    np.testing.assert_array_equal(mend.labels(wrong, [late, early]).markers, TAKE.markers)
-    assert (mend.labels(wrong, [early, late]).markers != TAKE.markers).any()
+    np.testing.assert_array_equal(repair.labels(wrong, [late, early]).markers, TAKE.markers)
+    assert (repair.labels(wrong, [early, late]).markers != TAKE.markers).any()
 
 
 @given(st.lists(swaps, max_size=5))
 def test_no_sample_is_lost_or_doubled(faults):
-    right = mend.labels(TAKE, faults)
+    right = repair.labels(TAKE, faults)
     np.testing.assert_array_equal(np.sort(right.markers[..., 0]), np.sort(TAKE.markers[..., 0]))
-    order = np.argsort(right.sources, axis=1)
+    order = np.argsort(right.source_points, axis=1)
     np.testing.assert_array_equal(
         np.take_along_axis(right.markers, order[..., None], 1), TAKE.markers
     )  # each says whence it came
@@ -48,15 +48,15 @@ def test_no_sample_is_lost_or_doubled(faults):
 
 @given(st.lists(swaps, max_size=5))
 def test_one_after_the_other_is_the_same_as_all_at_once(faults):
-    np.testing.assert_array_equal(mend.relabelled(TAKE, faults).markers, mend.labels(TAKE, faults).markers)
+    np.testing.assert_array_equal(repair.relabel_samples(TAKE, faults).markers, repair.labels(TAKE, faults).markers)
 
 
 def test_a_fragment_is_joined_before_the_swap_that_it_shows():
     markers = TAKE.markers.copy()
     markers[10:20, 3] = markers[10:20, 0]
     markers[10:20, 0] = np.nan
-    wrong = TAKE.with_markers(markers).exchanged((0, 1), 5, 24)
+    wrong = TAKE.replace_markers(markers).exchange_labels((0, 1), 5, 24)
     piece = Fragment("fragment", 1, 10, 19, 0.0, "", donor=3, relation="continues")  # what is missing of A is so under B's label
-    right = mend.relabelled(wrong, [piece, Fault("swap", 0, 5, 24, 0.1, "", 1.0, (1,))])
+    right = repair.relabel_samples(wrong, [piece, Fault("swap", 0, 5, 24, 0.1, "", 1.0, (1,))])
     np.testing.assert_array_equal(right.markers[:, :3], TAKE.markers[:, :3])
     assert np.isnan(right.markers[10:20, 3]).all()

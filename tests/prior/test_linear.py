@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.prior.linear import Linear
+from mocapfix.pose_prior.gaussian import GaussianModel
 
 RNG = np.random.default_rng(0)
 JOINTS = ("Hips", "Spine", "Head")
@@ -8,7 +8,7 @@ MEAN, COMPONENTS = RNG.normal(size=(3, 3)), RNG.normal(size=(2, 3, 3))
 
 
 def linear(noise):
-    return Linear(JOINTS, np.tile(np.eye(3), (3, 1, 1)), np.ones(3), MEAN, COMPONENTS, noise)
+    return GaussianModel(JOINTS, np.tile(np.eye(3), (3, 1, 1)), np.ones(3), MEAN, COMPONENTS, noise)
 
 
 def test_a_code_moves_the_pose_along_its_components():

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix import hierarchies
-from mocapfix.animation import Animation, carried
+from mocapfix.animation import Animation, compose_transforms
+from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError
 from mocapfix.read import amc, bvh
-from mocapfix.write.patched import patched
+from mocapfix.write.animation_patch import patch_animation
 from tests.asf_files import AMC, ASF, FRAMES
 
 CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"
@@ -22,7 +22,7 @@ here = pytest.mark.skipif(not CMU.is_dir(), reason="the real captures are not he
 def read(folder: Path, text: str = AMC, skeleton: str = ASF):
     (folder / "09.asf").write_text(skeleton)
     (folder / "09_01.amc").write_text(text)
-    return amc.animation(folder / "09_01.amc")
+    return amc.read_amc(folder / "09_01.amc")
 
 
 def turned(x, y, z):
@@ -34,8 +34,8 @@ def test_bones_turn_about_axes_of_their_own(tmp_path):
     assert found.names == ("root", "lhipjoint", "lfemur", "lfoot", "head")
     assert found.parents.tolist() == [-1, 0, 1, 2, 0]
     assert (found.frames, found.first_frame, found.rate) == (2, 7, 120.0)
-    assert found.unit == pytest.approx(UNIT)
-    rotations = found.rotations()[0]
+    assert found.unit_m == pytest.approx(UNIT)
+    rotations = found.compute_local_rotations()[0]
     np.testing.assert_allclose(rotations[0], turned(10, 20, 30), atol=1e-12)
     np.testing.assert_array_equal(rotations[1], np.eye(3))
     c = turned(0, 0, 20)
@@ -48,28 +48,28 @@ def test_bones_turn_about_axes_of_their_own(tmp_path):
 
 def test_bones_begin_where_their_parents_end(tmp_path):
     found = read(tmp_path)
-    position, rotation = found.world()
+    position, rotation = found.compute_world_poses()
     root = np.array([1, 2 + 1, 3.0])  # its position comes on top of the skeleton's
     np.testing.assert_allclose(position[0, 0], root * UNIT)
     np.testing.assert_allclose(position[0, 2], (root + rotation[0, 0] @ [1.5, -2, 0]) * UNIT)
     np.testing.assert_allclose(position[0, 3] - position[0, 2], rotation[0, 2] @ [4.8, -6.4, 0] * UNIT)
     along = turned(0, 0, 90) @ [0.5, 0, 0]  # the head moves along its own axis
     np.testing.assert_allclose(position[0, 4], (root + rotation[0, 0] @ along) * UNIT)
-    assert [each.tolist() for each in found.ends] == [[], [], [], [[0, 0, 8]], [[0, 16, 0]]]
+    assert [each.tolist() for each in found.end_sites] == [[], [], [], [[0, 0, 8]], [[0, 16, 0]]]
 
 
 def test_a_bone_that_grows_takes_the_next_along(tmp_path):
     skeleton = ASF.replace("dof rx ry rz", "dof rx ry rz l")
     longer = read(tmp_path, AMC.replace("lfemur 15 -5 25", "lfemur 15 -5 25 2").replace("16 -6 26", "16 -6 26 0"), skeleton)
-    np.testing.assert_allclose(np.linalg.norm(longer.places()[:, 3], axis=-1), [10 * UNIT, 8 * UNIT])
+    np.testing.assert_allclose(np.linalg.norm(longer.compute_local_positions()[:, 3], axis=-1), [10 * UNIT, 8 * UNIT])
 
 
 def test_numbers_are_patched_where_they_stand(tmp_path):
     before = read(tmp_path)
-    patched(tmp_path / "same.amc", before, before.values)
+    patch_animation(tmp_path / "same.amc", before, before.values)
     assert (tmp_path / "same.amc").read_text() == AMC
-    values = before.with_rotations(np.array([3]), np.array([1]), before.rotations()[:1, 3:4])
-    patched(tmp_path / "out.amc", before, values)
+    values = before.replace_rotations(np.array([3]), np.array([1]), before.compute_local_rotations()[:1, 3:4])
+    patch_animation(tmp_path / "out.amc", before, values)
     assert (tmp_path / "out.amc").read_text() == AMC.replace("lfoot 7.5 8.5", "lfoot 7.0 8.0")
 
 
@@ -96,26 +96,26 @@ def test_the_rate_is_the_files_where_it_has_one(tmp_path):
 
 def test_a_skeleton_alone_is_its_rest_pose(tmp_path):
     moving = read(tmp_path)
-    found = amc.animation(tmp_path / "09.asf")
+    found = amc.read_amc(tmp_path / "09.asf")
     assert found.frames == 1
-    np.testing.assert_allclose(found.world()[0][0], moving.resting())
+    np.testing.assert_allclose(found.compute_world_poses()[0][0], moving.compute_rest_positions())
 
 
 def test_the_skeleton_beside_it_is_taken(tmp_path):
     read(tmp_path)
     (tmp_path / "09_0.asf").write_text("")
     (tmp_path / "1.asf").write_text("")
-    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "09_0.asf"
+    assert amc.find_asf(tmp_path / "09_01.amc").name == "09_0.asf"
     (tmp_path / "09_0.asf").unlink()
-    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "09.asf"
+    assert amc.find_asf(tmp_path / "09_01.amc").name == "09.asf"
     (tmp_path / "09.asf").unlink()
-    assert amc.skeleton_of(tmp_path / "09_01.amc").name == "1.asf"
+    assert amc.find_asf(tmp_path / "09_01.amc").name == "1.asf"
     (tmp_path / "2.asf").write_text("")
     (tmp_path / "my skeleton.asf").write_text(ASF)
-    assert amc.animation(tmp_path / "09_01.amc", skeleton=tmp_path / "my skeleton.asf").frames == 2
+    assert amc.read_amc(tmp_path / "09_01.amc", asf_path=tmp_path / "my skeleton.asf").frames == 2
     (tmp_path / "my skeleton.asf").unlink()
     with pytest.raises(ReadError, match=r"not beside it, only 1\.asf, 2\.asf; put it there as 09\.asf or 09_01\.asf"):
-        amc.animation(tmp_path / "09_01.amc")
+        amc.read_amc(tmp_path / "09_01.amc")
 
 
 @pytest.mark.parametrize(
@@ -159,39 +159,39 @@ def test_a_skeleton_with_a_fault_is_refused_where_it_is(tmp_path, old, new, mess
 
 def the_31_of(animation: Animation) -> np.ndarray:
     """-> (31,) the animation's joint for each of the 31."""
-    choice = hierarchies.mapped(animation.names, animation.parents)
-    assert choice.mapped is not None
-    return choice.mapped.joints
+    choice = joint_mapping.map_joints(animation.names, animation.parents)
+    assert choice.mapping is not None
+    return choice.mapping.file_joints
 
 
 @here
 @pytest.mark.parametrize("trial", ["02_01", "05_13"])
 def test_a_trial_of_cmu_is_the_same_as_its_bvh(trial):
     """Hahne's release leaves out the thorax's and the wrists' lengths: where they are put in, all joints agree to 0.1 mm."""
-    motion, release = amc.animation(CMU / f"{trial}.amc"), bvh.animation(CMU / f"{trial}.bvh")
+    motion, release = amc.read_amc(CMU / f"{trial}.amc"), bvh.read_bvh(CMU / f"{trial}.bvh")
     order = the_31_of(release)[np.argsort(the_31_of(motion))]
-    rotations = release.rotations()[1:, order]  # its frame 0 is a T-pose
-    degrees = np.degrees(np.linalg.norm(motion.rotations() - rotations, axis=(2, 3)) / np.sqrt(2))
+    rotations = release.compute_local_rotations()[1:, order]  # its frame 0 is a T-pose
+    degrees = np.degrees(np.linalg.norm(motion.compute_local_rotations() - rotations, axis=(2, 3)) / np.sqrt(2))
     assert degrees.max() < 2e-4
     dropped = [name in ("lowerneck", "lclavicle", "rclavicle", "lhand", "lthumb", "rhand", "rthumb") for name in motion.names]
     offsets = release.offsets[order]
     np.testing.assert_array_equal(offsets[dropped], 0)
     np.testing.assert_allclose(offsets[np.invert(dropped)], motion.offsets[np.invert(dropped)], atol=1e-5)
-    mended = release.places()[1:, order]
-    mended[:, dropped] = motion.places()[:, dropped]
-    position, _ = carried(motion.parents, mended, rotations)
-    assert np.linalg.norm(position - motion.world()[0], axis=-1).max() < 1e-4
-    own = release.world()[0][1:, order]
+    mended = release.compute_local_positions()[1:, order]
+    mended[:, dropped] = motion.compute_local_positions()[:, dropped]
+    position, _ = compose_transforms(motion.parents, mended, rotations)
+    assert np.linalg.norm(position - motion.compute_world_poses()[0], axis=-1).max() < 1e-4
+    own = release.compute_world_poses()[0][1:, order]
     below = [name for name in motion.names if name[1:] in ("femur", "tibia", "foot", "toes") or name in ("root", "thorax")]
     for name in below:  # nothing was left out on the way to these
         joint = motion.index(name)
-        assert np.linalg.norm(own[:, joint] - motion.world()[0][:, joint], axis=-1).max() < 1e-4
+        assert np.linalg.norm(own[:, joint] - motion.compute_world_poses()[0][:, joint], axis=-1).max() < 1e-4
 
 
 @here
 def test_captures_come_back_byte_for_byte(tmp_path):
-    before = amc.animation(CMU / "35_01.amc")
-    patched(tmp_path / "35_01.amc", before, before.values)
+    before = amc.read_amc(CMU / "35_01.amc")
+    patch_animation(tmp_path / "35_01.amc", before, before.values)
     assert (tmp_path / "35_01.amc").read_bytes() == (CMU / "35_01.amc").read_bytes()
 
 
@@ -205,10 +205,10 @@ def test_files_with_any_fault_are_read_or_refused_in_a_sentence(tmp_path_factory
     (folder / "09_01.amc").write_bytes(texts[1])
     found, refused = None, ""
     try:
-        found = amc.animation(folder / "09_01.amc")
+        found = amc.read_amc(folder / "09_01.amc")
     except ReadError as error:
         refused = str(error)
     if found is None:
         assert re.match(rf"{re.escape(str(folder))}/09(_01)?\.(asf|amc)\b.*[.)]$", refused, re.DOTALL)
     else:
-        assert found.world()[0].shape == (found.frames, len(found.names), 3)
+        assert found.compute_world_poses()[0].shape == (found.frames, len(found.names), 3)

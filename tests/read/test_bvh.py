@@ -17,7 +17,7 @@ VALUES = np.array([row.split() for row in ROWS], float)
 def read(folder: Path, text: str | bytes):
     path = folder / "a.bvh"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return bvh.animation(path)
+    return bvh.read_bvh(path)
 
 
 def test_every_joint_has_its_own_numbers(tmp_path):
@@ -25,14 +25,14 @@ def test_every_joint_has_its_own_numbers(tmp_path):
     assert found.names == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
     assert found.parents.tolist() == [-1, 0, 1, 0, 3]
     assert found.offsets.tolist() == [[1, 2, 3], [0, -60, 0], [0, -50, 5], [0, 60, 0], [0, 40, 0]]
-    assert [each.tolist() for each in found.ends] == [[], [], [[0, 0, 20], [5, 0, 18]], [[0, 5, 0]], [[0, 20, 0]]]
+    assert [each.tolist() for each in found.end_sites] == [[], [], [[0, 0, 20], [5, 0, 18]], [[0, 5, 0]], [[0, 20, 0]]]
     assert found.channels[2] == ("Yrotation", "Zrotation", "Xrotation")
-    assert (found.channels[4], found.rate, found.unit, found.frames) == ((), 120.0, 0.01, 3)
+    assert (found.channels[4], found.rate, found.unit_m, found.frames) == ((), 120.0, 0.01, 3)
     np.testing.assert_array_equal(found.values, VALUES)
     assert found.notes == ()
     data = (tmp_path / "a.bvh").read_bytes()
-    assert found.starts is not None
-    assert [data[start:].split()[0].decode() for start in found.starts.ravel()] == " ".join(ROWS).split()
+    assert found.value_byte_offsets is not None
+    assert [data[start:].split()[0].decode() for start in found.value_byte_offsets.ravel()] == " ".join(ROWS).split()
 
 
 @pytest.mark.parametrize(
@@ -60,8 +60,8 @@ def test_it_is_read_however_it_is_spelled(tmp_path, change):
 def test_what_is_no_number_in_a_frame_is_not_there(tmp_path):
     found = read(tmp_path, TEXT.replace("16.0000", "-1.#IND").replace("17.0000", "nan"))
     assert np.argwhere(np.isnan(found.values)).tolist() == [[1, 6], [2, 6]]
-    assert np.isnan(found.world()[0][1:, 2]).all()
-    assert not np.isnan(found.world()[0][:, 3]).any()
+    assert np.isnan(found.compute_world_poses()[0][1:, 2]).all()
+    assert not np.isnan(found.compute_world_poses()[0][:, 3]).any()
 
 
 def test_other_frames_than_declared_are_taken_and_said(tmp_path):
@@ -117,12 +117,12 @@ def test_a_frame_of_several_lines_that_is_torn_is_named(tmp_path):
 
 def test_files_that_are_not_there_or_hold_nothing_are_named(tmp_path):
     with pytest.raises(ReadError, match="there is no such file"):
-        bvh.animation(tmp_path / "b.bvh")
+        bvh.read_bvh(tmp_path / "b.bvh")
     with pytest.raises(ReadError, match="is a folder"):
-        bvh.animation(tmp_path)
+        bvh.read_bvh(tmp_path)
     (tmp_path / "b.bvh").write_bytes(b"")
     with pytest.raises(ReadError, match="is empty"):
-        bvh.animation(tmp_path / "b.bvh")
+        bvh.read_bvh(tmp_path / "b.bvh")
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_the_unit_is_the_one_by_which_the_figure_is_a_person(tmp_path, factor, u
         for line in HIERARCHY.replace("OFFSET 0 5 0", "OFFSET 60 5 0").splitlines()
     ]
     found = read(tmp_path, "\n".join(scaled) + TEXT.removeprefix(HIERARCHY.rstrip("\n")))
-    assert found.unit == pytest.approx(unit)
+    assert found.unit_m == pytest.approx(unit)
     assert bool(found.notes) == (factor != 1)
 
 
@@ -145,7 +145,7 @@ def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
     still = " ".join(["0"] * 11 + ["0", "60"] + ["0"] * 3)
     found = read(tmp_path, f"{turned}MOTION\nFrames: 1\nFrame Time: .01\n{still}\n")
     assert any("Z axis points up" in note for note in found.notes)
-    position, _ = found.world()
+    position, _ = found.compute_world_poses()
     assert position[0, found.index("Head"), 1] == pytest.approx(1.0)
 
 
@@ -158,10 +158,10 @@ def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
     ],
 )  # fmt: skip
 def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, rate):
-    found = bvh.animation(CAPTURES / name)
+    found = bvh.read_bvh(CAPTURES / name)
     assert (len(found.names), found.frames, found.rate) == (joints, frames, rate)
-    position, _ = found.world()
-    np.testing.assert_array_equal(found.axes, np.eye(3))
+    position, _ = found.compute_world_poses()
+    np.testing.assert_array_equal(found.rotation_y_up_file, np.eye(3))
     height = np.ptp(position[..., 1], axis=1)
     assert 1.0 < np.median(height) < 2.0
     assert abs(np.median(position[..., 1].min(1))) < 0.3
@@ -175,8 +175,8 @@ def test_a_figure_that_is_nowhere_is_read_all_the_same(tmp_path):
 
 def test_displacements_are_told_from_places(tmp_path):
     found = read(tmp_path, TEXT.replace(" 60.0000 ", " 0.1 ").replace(" 60.5000 ", " 0.2 ").replace(" 61.0000 ", " 0.3 "))
-    assert found.added.tolist() == [False, False, False, True, False]
-    np.testing.assert_allclose(found.places()[:, 3, 1], [0.601, 0.602, 0.603])
+    assert found.is_position_added.tolist() == [False, False, False, True, False]
+    np.testing.assert_allclose(found.compute_local_positions()[:, 3, 1], [0.601, 0.602, 0.603])
 
 
 @settings(max_examples=200)
@@ -191,4 +191,4 @@ def test_a_file_with_any_fault_is_read_or_refused_in_a_sentence(tmp_path_factory
     if found is None:
         assert re.match(rf"{re.escape(str(folder))}/\w+\.bvh\b.*[.)]$", refused, re.DOTALL)
     else:
-        assert found.world()[0].shape == (found.frames, len(found.names), 3)
+        assert found.compute_world_poses()[0].shape == (found.frames, len(found.names), 3)

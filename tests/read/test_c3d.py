@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import read
-from mocapfix.c3d_layout import C3DLayout
 from mocapfix.errors import ReadError
+from mocapfix.files.layouts import C3dLayout
+from mocapfix.read import capture
 from tests.c3d_files import ENCODINGS, c3d_bytes
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -27,7 +27,7 @@ STANDING = np.array([[[10, 20, 1700], [0, 30, 80], [400, 20.5, 1000]]], float) +
 def take_of(folder: Path, *args, **options):
     path = folder / "take.c3d"
     path.write_bytes(c3d_bytes(*args, **options))
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -36,8 +36,8 @@ def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
     np.testing.assert_allclose(take.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-7)
     assert take.labels == LABELS
     assert take.rate == 120
-    assert take.others == ()
-    np.testing.assert_array_equal(take.columns, [0, 1, 2])
+    assert take.other_labels == ()
+    np.testing.assert_array_equal(take.point_columns, [0, 1, 2])
 
 
 @pytest.mark.parametrize(
@@ -53,8 +53,8 @@ def test_units(tmp_path, units, metres):
 def test_the_screen_tells_which_axis_is_up(tmp_path, vertical, order):
     take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": vertical})
     np.testing.assert_allclose(take.markers, STANDING[..., order] / 1000, atol=1e-7)
-    assert isinstance(take.layout, C3DLayout)
-    assert np.linalg.det(take.layout.axes) == 1
+    assert isinstance(take.layout, C3dLayout)
+    assert np.linalg.det(take.layout.rotation_y_up_file) == 1
 
 
 @pytest.mark.parametrize("up", [0, 1, 2])
@@ -82,19 +82,19 @@ def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
         xyz[1, 2], xyz[2, 2], xyz[3, 0], xyz[3, 1] = -9999.99, 9999999, np.nan, np.inf
         expected[1, 2] = expected[2, 2] = expected[3, 0] = expected[3, 1] = False
     take = take_of(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
-    np.testing.assert_array_equal(take.seen, expected)
+    np.testing.assert_array_equal(take.visible, expected)
     np.testing.assert_array_equal(np.isnan(take.markers).all(-1), ~expected)
 
 
 def test_a_coordinate_of_zero_alone_is_valid(tmp_path):
     xyz = STANDING.copy()
     xyz[0, 0] = (0, 0, 1700)
-    assert take_of(tmp_path, xyz, LABELS).seen.all()
+    assert take_of(tmp_path, xyz, LABELS).visible.all()
 
 
 def test_first_frame_of_the_header(tmp_path):
     take = take_of(tmp_path, STANDING, LABELS, first=40)
-    assert (take.first_frame, take.frames, take.frame_number(3)) == (40, 4, 43)
+    assert (take.first_frame, take.frames, take.get_frame_number(3)) == (40, 4, 43)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -102,7 +102,7 @@ def test_first_frame_of_the_header(tmp_path):
 def test_first_frame_beyond_65535(tmp_path, encoding, header):
     trial = {"TRIAL:ACTUAL_START_FIELD": [70000 - 65536, 1], "TRIAL:ACTUAL_END_FIELD": [70003 - 65536, 1]}
     take = take_of(tmp_path, STANDING, LABELS, encoding=encoding, first=header, extra=trial)
-    assert (take.first_frame, take.frames, take.frame_number(3)) == (70000, 4, 70003)
+    assert (take.first_frame, take.frames, take.get_frame_number(3)) == (70000, 4, 70003)
 
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
@@ -124,7 +124,7 @@ def test_more_frames_than_the_header_can_say(tmp_path, said, processor):
 
 def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told(tmp_path):
     take = take_of(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
-    assert take.seen[:70000].all()
+    assert take.visible[:70000].all()
     assert take.frames == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
     assert take.notes == ("The header promises 65535 frames and 70008 are there.",)
 
@@ -132,7 +132,7 @@ def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told
 def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path):
     path = tmp_path / "take.c3d"
     path.write_bytes(c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60])  # two frames of three points and three analog words
-    take = read.take(path)
+    take = capture.read_capture(path)
     np.testing.assert_allclose(take.markers, STANDING[:2][..., [1, 2, 0]] / 1000, atol=1e-7)
     assert take.notes == ("The header promises 4 frames and 2 are there.",)
 
@@ -142,16 +142,16 @@ def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path
 def test_numbers_of_parameters_are_the_files_own_in_every_encoding(tmp_path_factory, encoding, rate, scale):
     folder = tmp_path_factory.mktemp("numbers")
     take = take_of(folder, STANDING, LABELS, encoding=encoding, scale=scale, extra={"POINT:RATE": rate})
-    assert isinstance(take.layout, C3DLayout)
-    assert (take.rate, take.layout.scale) == (rate, scale)
+    assert isinstance(take.layout, C3dLayout)
+    assert (take.rate, take.layout.scale_factor) == (rate, scale)
 
 
 def test_the_people_that_a_file_lists(tmp_path):
     bare = [label.removeprefix("Jim:") for label in LABELS]
     jims = take_of(tmp_path, STANDING, bare, extra={"SUBJECTS:USED": 1, "SUBJECTS:NAMES": ["Jim   "]})
-    assert (jims.subjects, jims.owners) == (("Jim",), ("Jim",) * 3)
+    assert (jims.subject_names, jims.marker_subjects) == (("Jim",), ("Jim",) * 3)
     several = take_of(tmp_path, STANDING, ["Jim:LFHD", "Ann:LANK", "LFIN"], extra={"SUBJECTS:NAMES": ["Jim", "Ann"]})
-    assert (several.subjects, several.owners) == (("Jim", "Ann"), ("Jim", "Ann", ""))
+    assert (several.subject_names, several.marker_subjects) == (("Jim", "Ann"), ("Jim", "Ann", ""))
 
 
 def test_a_parameter_left_from_a_longer_trial_is_overruled_by_a_file_that_ends_where_its_header_says(tmp_path):
@@ -163,8 +163,8 @@ def test_labels_beyond_255_and_their_columns(tmp_path):
     xyz = np.arange(1, 901, dtype=float).reshape(1, 300, 3)
     take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
     assert take.labels == tuple(labels[250:])
-    assert len(take.others) == 250
-    np.testing.assert_array_equal(take.columns, np.arange(250, 300))
+    assert len(take.other_labels) == 250
+    np.testing.assert_array_equal(take.point_columns, np.arange(250, 300))
     np.testing.assert_allclose(take.markers, xyz[:, 250:] / 1000, rtol=1e-6)
 
 
@@ -175,7 +175,7 @@ def test_labels_and_lists_of_outputs_over_several_parameters(tmp_path, processor
     scalars = {"POINT:SCALARS": labels[:510:2], "POINT:SCALARS2": labels[510::2]}
     take = take_of(tmp_path, np.full((1, 600, 3), 50.0), labels, encoding=(processor, False), extra=scalars)
     assert take.labels == tuple(labels[1::2])
-    assert take.others == tuple(labels[::2])
+    assert take.other_labels == tuple(labels[::2])
 
 
 def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
@@ -186,7 +186,7 @@ def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
     xyz = np.arange(1, 3 * len(labels) + 1, dtype=float).reshape(1, -1, 3)
     take = take_of(tmp_path, xyz, labels, extra={"POINT:SCALARS": ["Jim:Crank", "Other"]})
     assert take.labels == tuple(markers)
-    assert take.others == tuple(others)
+    assert take.other_labels == tuple(others)
 
 
 def test_unlabelled_trajectories_are_a_take_of_their_own(tmp_path):
@@ -195,7 +195,7 @@ def test_unlabelled_trajectories_are_a_take_of_their_own(tmp_path):
     take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
     assert take.unlabelled is not None
     assert take.unlabelled.labels == ("*12", "Uname*1")
-    np.testing.assert_array_equal(take.unlabelled.columns, [3, 5])
+    np.testing.assert_array_equal(take.unlabelled.point_columns, [3, 5])
     np.testing.assert_allclose(take.unlabelled.markers, xyz[:, [3, 5]] / 1000, rtol=1e-6)
     assert take.unlabelled.rate == take.rate
     assert take_of(tmp_path, STANDING, LABELS).unlabelled is None
@@ -217,12 +217,12 @@ def test_duplicate_labels_and_markers_never_seen_are_kept(tmp_path):
     xyz[:, 2] = 0
     take = take_of(tmp_path, xyz, ("LFHD", "LFHD", "LANK"))
     assert take.labels == ("LFHD", "LFHD", "LANK")
-    np.testing.assert_array_equal(take.seen.any(0), [True, True, False])
+    np.testing.assert_array_equal(take.visible.any(0), [True, True, False])
 
 
 def test_labels_with_more_or_fewer_names_than_points(tmp_path):
     assert take_of(tmp_path, STANDING, [*LABELS, "Late", "Later"]).labels == LABELS
-    assert take_of(tmp_path, STANDING, LABELS[:2]).others == ("",)
+    assert take_of(tmp_path, STANDING, LABELS[:2]).other_labels == ("",)
 
 
 BAD = {
@@ -246,7 +246,7 @@ def test_bad_input_is_one_sentence_with_the_file(tmp_path, case):
     path = tmp_path / "walk.c3d"
     path.write_bytes(data)
     with pytest.raises(ReadError) as error:
-        read.take(path)
+        capture.read_capture(path)
     assert str(error.value).startswith(str(path))
     assert words in str(error.value)
 
@@ -257,7 +257,7 @@ def test_a_nan_that_signals_is_missing_without_a_word(tmp_path, processor, order
     data = c3d_bytes(STANDING, LABELS, encoding=(processor, True))
     path = tmp_path / "take.c3d"
     path.write_bytes(data.replace(struct.pack(f"{order}f", 1700), struct.pack(f"{order}I", 0x7F800001)))
-    assert np.argwhere(~read.take(path).seen).tolist() == [[0, 0]]
+    assert np.argwhere(~capture.read_capture(path).visible).tolist() == [[0, 0]]
 
 
 @given(place=st.integers(0, 1023), byte=st.integers(0, 255), keep=st.integers(0, 2000))
@@ -267,7 +267,7 @@ def test_damage_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_factory, 
     path = tmp_path_factory.mktemp("damaged") / "take.c3d"
     path.write_bytes(data[: 600 + keep])
     try:
-        take = read.take(path)
+        take = capture.read_capture(path)
     except ReadError:
         return
     assert take.markers.shape == (take.frames, len(take.labels), 3)
@@ -290,10 +290,10 @@ MARKERS = {  # by hand from each file's labels
 @with_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_stand_upright_and_have_the_markers_a_person_would_count(path):
-    take = read.take(path)
+    take = capture.read_capture(path)
     assert len(take.labels) == MARKERS.get(path.name, len(take.labels))
-    assert isinstance(take.layout, C3DLayout)
-    assert len(take.labels) + len(take.others) == take.layout.points
+    assert isinstance(take.layout, C3dLayout)
+    assert len(take.labels) + len(take.other_labels) == take.layout.point_count
     if path.name == "Optotrak.c3d":
         return  # sees from where its camera stands and not from a floor
     # What a laboratory captures lies above its floor and within a few metres.
@@ -303,13 +303,13 @@ def test_captures_stand_upright_and_have_the_markers_a_person_would_count(path):
 @with_captures
 @pytest.mark.parametrize("path", [path for path in READABLE if path.name != "sgi_real.c3d"], ids=lambda path: path.name)
 def test_captures_read_as_ezc3d_reads_them(path):
-    take = read.take(path)
+    take = capture.read_capture(path)
     oracle = ezc3d.c3d(str(path))
-    theirs = oracle["data"]["points"][:3, take.columns].transpose(2, 1, 0)
-    assert isinstance(take.layout, C3DLayout)
-    ours = take.markers @ take.layout.axes / take.layout.unit
-    np.testing.assert_allclose(ours[take.seen], theirs[take.seen], rtol=1e-6, atol=1e-4)
-    assert (~np.isfinite(theirs[~take.seen]) | (theirs[~take.seen] == 0)).all()
+    theirs = oracle["data"]["points"][:3, take.point_columns].transpose(2, 1, 0)
+    assert isinstance(take.layout, C3dLayout)
+    ours = take.markers @ take.layout.rotation_y_up_file / take.layout.unit_m
+    np.testing.assert_allclose(ours[take.visible], theirs[take.visible], rtol=1e-6, atol=1e-4)
+    assert (~np.isfinite(theirs[~take.visible]) | (theirs[~take.visible] == 0)).all()
     assert take.rate == pytest.approx(oracle["parameters"]["POINT"]["RATE"]["value"][0])
     # ezc3d counts from 0 and takes a file's frame 0 for 1.
     assert max(take.first_frame, 1) == oracle["header"]["points"]["first_frame"] + 1
@@ -323,37 +323,37 @@ SOURCES = (CAPTURES / "SOURCES.md").read_text(encoding="utf-8") if CAPTURES.is_d
 @pytest.mark.parametrize("row", ROW.findall(SOURCES), ids=lambda row: row[0])
 def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
     name, points, frames, rate, unit = row
-    take = read.take(next(CAPTURES.rglob(name)))
-    assert isinstance(take.layout, C3DLayout)
-    assert (take.layout.points, take.frames, take.rate) == (int(points), int(frames), float(rate))
-    assert take.layout.unit == {"mm": 0.001, "m": 1.0}[unit]
+    take = capture.read_capture(next(CAPTURES.rglob(name)))
+    assert isinstance(take.layout, C3dLayout)
+    assert (take.layout.point_count, take.frames, take.rate) == (int(points), int(frames), float(rate))
+    assert take.layout.unit_m == {"mm": 0.001, "m": 1.0}[unit]
 
 
 @with_captures
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_a_real_trial_is_the_same_in_all_six_encodings(tmp_path, encoding):
-    trial = read.take(CAPTURES / "c3d" / "pc_int.c3d")
+    trial = capture.read_capture(CAPTURES / "c3d" / "pc_int.c3d")
     layout = trial.layout
-    assert isinstance(layout, C3DLayout)
+    assert isinstance(layout, C3dLayout)
     assert trial.path is not None
-    words = layout.words(trial.path.read_bytes())
-    xyz, said = words[..., :3] * layout.scale, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}
-    made = c3d_bytes(xyz, trial.labels, words[..., 3], encoding, layout.scale, extra=said)
+    words = layout.view_words(trial.path.read_bytes())
+    xyz, said = words[..., :3] * layout.scale_factor, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}
+    made = c3d_bytes(xyz, trial.labels, words[..., 3], encoding, layout.scale_factor, extra=said)
     (tmp_path / "again.c3d").write_bytes(made)
-    again = read.take(tmp_path / "again.c3d")
-    np.testing.assert_array_equal(again.seen, trial.seen)
+    again = capture.read_capture(tmp_path / "again.c3d")
+    np.testing.assert_array_equal(again.visible, trial.visible)
     assert trial.computed is not None
     np.testing.assert_array_equal(again.computed, trial.computed)
-    np.testing.assert_array_equal(again.blind, trial.blind)
+    np.testing.assert_array_equal(again.uncaptured, trial.uncaptured)
     np.testing.assert_allclose(again.markers, trial.markers, rtol=1e-7)
     assert (again.labels, again.rate) == (trial.labels, trial.rate)
 
 
 @with_captures
 def test_one_trial_in_three_encodings():
-    intel, dec, sgi = (read.take(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
+    intel, dec, sgi = (capture.read_capture(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
     np.testing.assert_array_equal(dec.markers, sgi.markers)
-    np.testing.assert_array_equal(intel.seen, dec.seen)
+    np.testing.assert_array_equal(intel.visible, dec.visible)
     np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm, and the rounding
 
 
@@ -368,5 +368,5 @@ def test_one_trial_in_three_encodings():
 def test_bad_captures_fail_at_once(name, words):
     start = time.perf_counter()
     with pytest.raises(ReadError, match=words):
-        read.take(CAPTURES / "c3d" / name)
+        capture.read_capture(CAPTURES / "c3d" / name)
     assert time.perf_counter() - start < 1

@@ -1,9 +1,9 @@
 import pytest
 
 from mocapfix.errors import ReadError
-from mocapfix.read.cells import unit_of, whole, written
-from mocapfix.read.text import document
-from mocapfix.read.units import METRES
+from mocapfix.read.coordinates import METRES_PER_UNIT
+from mocapfix.read.file_content import parse_document
+from mocapfix.read.table_cells import infer_number_format, parse_unit, parse_whole_number
 
 
 @pytest.mark.parametrize(
@@ -19,26 +19,26 @@ from mocapfix.read.units import METRES
     ],
 )
 def test_a_number_gets_the_files_own_decimals(present, unit, style):
-    assert written(present, [], METRES[unit])[0] == style
+    assert infer_number_format(present, [], METRES_PER_UNIT[unit])[0] == style
 
 
 @pytest.mark.parametrize(("absent", "missing"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")])
 def test_what_is_missing_is_spelled_as_it_is_most_often(absent, missing):
-    assert written(["1.0"], absent, 0.001)[1] == missing
+    assert infer_number_format(["1.0"], absent, 0.001)[1] == missing
 
 
 @pytest.mark.parametrize(
     ("name", "metres"), [("Millimetres", 0.001), (" cm ", 0.01), ("Feet", 0.3048), ("IN", 0.0254), ("inches", 0.0254)]
 )
 def test_units(tmp_path, name, metres):
-    assert unit_of(document(tmp_path, b"units"), 0, name) == metres
+    assert parse_unit(parse_document(tmp_path, b"units"), 0, name) == metres
 
 
 def test_a_unit_that_is_none_names_the_choices(tmp_path):
     with pytest.raises(ReadError, match="line 1: the unit is 'deg'; set it to one of mm, cm, m, in, ft"):
-        unit_of(document(tmp_path / "walk.trc", b"units"), 0, "deg")
+        parse_unit(parse_document(tmp_path / "walk.trc", b"units"), 0, "deg")
 
 
 @pytest.mark.parametrize(("text", "number"), [("128", 128), (" 12.0", 12), ("1,5", 1), ("", None), ("1e999", None)])
 def test_whole_numbers(text, number):
-    assert whole(text) == number
+    assert parse_whole_number(text) == number

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
-from mocapfix.read.motive import EXPECTED_ONLY
+from mocapfix.read import capture
+from mocapfix.read.motive import EXPECTED_MARKERS_NOTE
 from tests.text_files import LABELS, STANDING, assert_refused, motive
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
@@ -13,7 +13,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 def take_of(folder: Path, text: str):
     path = folder / "walk.csv"
     path.write_bytes(text.encode())
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("labelled_rows", [True, False])
@@ -32,7 +32,7 @@ def test_units_are_the_headers(tmp_path, units, metres):
 def test_blanks_are_missing(tmp_path):
     xyz = Y_UP.copy()
     xyz[1, 0] = xyz[2:, 2] = np.nan
-    np.testing.assert_array_equal(take_of(tmp_path, motive(xyz)).seen, ~np.isnan(xyz[..., 0]))
+    np.testing.assert_array_equal(take_of(tmp_path, motive(xyz)).visible, ~np.isnan(xyz[..., 0]))
 
 
 def test_measured_markers_go_before_those_that_bodies_expect(tmp_path):
@@ -46,7 +46,7 @@ def test_measured_markers_go_before_those_that_bodies_expect(tmp_path):
 def test_expected_markers_alone_are_taken_and_remarked_on(tmp_path):
     take = take_of(tmp_path, motive(kinds=["Rigid Body Marker"] * 3))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-6)
-    assert take.notes == (EXPECTED_ONLY,)
+    assert take.notes == (EXPECTED_MARKERS_NOTE,)
 
 
 def test_unlabelled_markers_are_a_take_of_their_own(tmp_path):

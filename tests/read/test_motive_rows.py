@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
+from mocapfix.read import capture
 from tests.text_files import STANDING, assert_refused, motive_rows
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
@@ -13,7 +13,7 @@ NAMES = ("Body-Head", "Body-LeftFoot", "Marker-42")
 def take_of(folder: Path, text: str):
     path = folder / "walk.csv"
     path.write_bytes(text.encode())
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("bodies", [0, 1, 3])

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
+from mocapfix.read import capture
 from tests.text_files import LABELS, STANDING, assert_refused, nexus, workstation
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
@@ -14,7 +14,7 @@ DEVICES = "\nDevices\n1200\n,,Force\nFrame,Sub Frame,Fx\n,,N\n695,0,0.1\n695,1,0
 def take_of(folder: Path, text: str):
     path = folder / "walk.csv"
     path.write_bytes(text.encode())
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("before", ["", OUTPUTS])
@@ -23,7 +23,7 @@ def take_of(folder: Path, text: str):
 def test_the_trajectories_are_found_among_the_sections(tmp_path, before, after, rate):
     take = take_of(tmp_path, nexus(before=before, after=after, rate=rate))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
-    assert (take.labels, take.rate, take.first_frame, take.frames, take.others) == (LABELS, 120, 695, 4, ())
+    assert (take.labels, take.rate, take.first_frame, take.frames, take.other_labels) == (LABELS, 120, 695, 4, ())
 
 
 def test_section_names_as_a_spreadsheet_saves_them(tmp_path):
@@ -41,7 +41,7 @@ def test_units_and_blanks(tmp_path):
     xyz[1, 0] = np.nan
     take = take_of(tmp_path, nexus(xyz, units="m"))
     np.testing.assert_allclose(take.markers, xyz[..., [1, 2, 0]], atol=0.6e-3)
-    assert not take.seen[1, 0]
+    assert not take.visible[1, 0]
 
 
 def test_workstations_export(tmp_path):
@@ -49,7 +49,7 @@ def test_workstations_export(tmp_path):
     take = take_of(tmp_path, workstation(np.concatenate([STANDING, STANDING[:, :2]], 1), labels))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
     assert (take.labels, take.rate, take.first_frame) == (LABELS, 100, 1)
-    assert take.others == ("Jim:LHipAngles", "*12")
+    assert take.other_labels == ("Jim:LHipAngles", "*12")
 
 
 BAD = {

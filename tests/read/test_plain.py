@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
 from mocapfix.errors import ReadError
+from mocapfix.read import capture
 from tests.text_files import STANDING
 
 LABELS = ("Jim:LFHD", "Jim:LANK", "Jim:LFIN")
@@ -24,7 +24,7 @@ def text(between=",", joint="_", unit="_mm", lead=("frame", "time_s"), scale=1.0
 def take_of(folder: Path, said: str):
     path = folder / "walk.csv"
     path.write_bytes(said.encode())
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("between", [",", ";", "\t"])

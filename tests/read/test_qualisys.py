@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
 from mocapfix.errors import ReadError
+from mocapfix.read import capture
 from tests.text_files import LABELS, STANDING, qualisys
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
@@ -13,7 +13,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 def take_of(folder: Path, text: str):
     path = folder / "walk.tsv"
     path.write_bytes(text.encode())
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("columns", [(), ("Frame",), ("Frame", "Time")])
@@ -30,7 +30,7 @@ def test_what_is_missing(tmp_path, missing):
     xyz = STANDING.copy()
     xyz[1, 2] = np.nan
     take = take_of(tmp_path, qualisys(xyz, missing=missing))
-    np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
+    np.testing.assert_array_equal(take.visible, ~np.isnan(xyz[..., 0]))
 
 
 @pytest.mark.parametrize("missing", ["0.000", "", "NULL"])
@@ -40,7 +40,7 @@ def test_no_frame_is_lost_where_the_first_marker_or_all_are_missing(tmp_path, mi
     xyz = STANDING.copy()
     xyz[:2, 0], xyz[2] = np.nan, np.nan
     take = take_of(tmp_path, qualisys(xyz, missing=missing, named=named, columns=columns))
-    np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
+    np.testing.assert_array_equal(take.visible, ~np.isnan(xyz[..., 0]))
     assert take.notes == ()
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from mocapfix.read.rates import usual
+from mocapfix.read.animation_inference import infer_rate
 
 
 @pytest.mark.parametrize(
@@ -13,7 +13,7 @@ from mocapfix.read.rates import usual
     ],
 )  # fmt: skip
 def test_a_rounded_frame_time_is_the_usual_rate_it_came_from(spelled, rate, said):
-    found, note = usual(spelled)
+    found, note = infer_rate(spelled)
     assert found == pytest.approx(rate, rel=1e-12)
     assert bool(note) == said
     assert spelled in note or not said

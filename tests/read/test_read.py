@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import joint_points, read
+from mocapfix.animations import joint_points
 from mocapfix.errors import ReadError
+from mocapfix.read import capture
 from tests.asf_files import AMC, ASF, FRAMES
 from tests.bvh_files import TEXT
 from tests.c3d_files import c3d_bytes
@@ -47,7 +48,7 @@ def test_a_file_of_no_kind_is_one_sentence(tmp_path, case):
     path = tmp_path / "walk.c3d"
     path.write_bytes(data)
     with pytest.raises(ReadError, match=words) as error:
-        read.take(path)
+        capture.read_capture(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
 
@@ -57,34 +58,34 @@ def test_a_file_of_no_kind_is_one_sentence(tmp_path, case):
 def test_lines_may_end_in_any_way(tmp_path, kind, end):
     path = tmp_path / "walk"
     path.write_bytes(WHOLE[kind].replace(b"\r\n", b"\n").replace(b"\n", end))
-    assert read.take(path).markers.shape == (4, 3, 3)
+    assert capture.read_capture(path).markers.shape == (4, 3, 3)
 
 
 def test_no_such_file_and_a_folder(tmp_path):
     with pytest.raises(ReadError, match=r"none\.c3d: there is no such file"):
-        read.take(tmp_path / "none.c3d")
+        capture.read_capture(tmp_path / "none.c3d")
     with pytest.raises(ReadError, match="is a folder"):
-        read.take(tmp_path)
+        capture.read_capture(tmp_path)
 
 
 def test_content_tells_and_not_the_suffix(tmp_path):
     path = tmp_path / "walk.trc"
     path.write_bytes(c3d_bytes(STANDING, LABELS))
-    assert read.take(path).labels == LABELS
+    assert capture.read_capture(path).labels == LABELS
 
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_each_kind_is_recognised_by_itself_alone(name, tmp_path):
-    head = read.beginning(WHOLE[name])
-    kinds = [kind.name for kind in read.KINDS if kind.recognises(head)]
+    head = capture.extract_head(WHOLE[name])
+    kinds = [kind.name for kind in capture.FILE_FORMATS if kind.matches(head)]
     assert len(kinds) == 1
     assert name.startswith(kinds[0])
     (tmp_path / "take").write_bytes(WHOLE[name])
-    assert set(read.take(tmp_path / "take").labels) == set(LABELS)
+    assert set(capture.read_capture(tmp_path / "take").labels) == set(LABELS)
 
 
 def test_no_kind_recognises_nothing():
-    assert not any(kind.recognises(b"") for kind in read.KINDS)
+    assert not any(kind.matches(b"") for kind in capture.FILE_FORMATS)
 
 
 @pytest.mark.parametrize("name", [name for name in WHOLE if name != "C3D"])
@@ -96,7 +97,7 @@ def test_a_damaged_text_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_f
         whole[data.draw(st.integers(0, len(whole) - 1), "place")] = data.draw(st.integers(0, 255), "byte")
     path.write_bytes(whole[: data.draw(st.integers(0, len(whole)), "kept")])
     try:
-        take = read.take(path)
+        take = capture.read_capture(path)
     except ReadError:
         return
     assert take.markers.shape == (take.frames, len(take.labels), 3)
@@ -110,7 +111,7 @@ def test_a_text_that_is_cut_off_within_its_last_lines_numbers_is_not_taken_for_w
     path = tmp_path_factory.mktemp("cut") / "take"
     path.write_bytes(whole[: last + 1 + kept * (len(whole) - last - 30) // 100])
     with pytest.raises(ReadError, match="is cut off"):
-        read.take(path)
+        capture.read_capture(path)
 
 
 COUNTS = {  # frames, markers, rate, first frame, missing samples; by each file's header and by hand
@@ -132,8 +133,8 @@ COUNTS = {  # frames, markers, rate, first frame, missing samples; by each file'
 @with_captures
 @pytest.mark.parametrize("name", COUNTS)
 def test_captures_have_what_their_headers_say(name):
-    take = read.take(CAPTURES / name)
-    missing = int((~take.seen).sum())
+    take = capture.read_capture(CAPTURES / name)
+    missing = int((~take.visible).sum())
     assert (take.frames, len(take.labels), take.rate, take.first_frame, missing) == COUNTS[name]
     # What a laboratory captures lies above its floor and within a few metres.
     assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
@@ -141,9 +142,9 @@ def test_captures_have_what_their_headers_say(name):
 
 @with_captures
 def test_a_trial_is_the_same_from_its_csv_and_its_c3d():
-    csv, c3d = read.take(CAPTURES / "csv" / "vicon_markers.csv"), read.take(CAPTURES / "c3d" / "Vicon.c3d")
+    csv, c3d = capture.read_capture(CAPTURES / "csv" / "vicon_markers.csv"), capture.read_capture(CAPTURES / "c3d" / "Vicon.c3d")
     assert csv.bare_labels == c3d.bare_labels
-    np.testing.assert_array_equal(csv.seen, c3d.seen)
+    np.testing.assert_array_equal(csv.visible, c3d.visible)
     np.testing.assert_allclose(csv.markers, c3d.markers, atol=1e-5)  # the CSV has six digits
 
 
@@ -158,28 +159,28 @@ def test_a_trial_is_the_same_from_its_csv_and_its_c3d():
 )
 def test_captures_that_hold_no_take_say_so(name, words):
     with pytest.raises(ReadError, match=words):
-        read.take(CAPTURES / name)
+        capture.read_capture(CAPTURES / name)
 
 
 def test_an_animation_is_told_by_what_it_holds_and_is_a_take_of_its_joints(tmp_path):
     (tmp_path / "walk.txt").write_text("\ufeff\n" + TEXT)
-    take = read.take(tmp_path / "walk.txt")
+    take = capture.read_capture(tmp_path / "walk.txt")
     assert take.labels == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
     np.testing.assert_allclose(take.markers[0, 0], [0.105, 0.9, -0.0325])
-    turned = read.take(tmp_path / "walk.txt", up="Z")
+    turned = capture.read_capture(tmp_path / "walk.txt", up_axis="Z")
     np.testing.assert_allclose(turned.markers[0, 0], [0.9, -0.0325, 0.105])
-    np.testing.assert_allclose(joint_points.moved(turned).world()[0], turned.markers)
+    np.testing.assert_allclose(joint_points.get_animation(turned).compute_world_poses()[0], turned.markers)
 
 
 def test_an_amc_is_told_with_and_without_its_keywords(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
     for text in (AMC, FRAMES, f"# somebody's\n{FRAMES}"):
         (tmp_path / "09_01.dat").write_text(text)
-        take = read.take(tmp_path / "09_01.dat")
+        take = capture.read_capture(tmp_path / "09_01.dat")
         assert (take.labels[0], take.first_frame, take.frames) == ("root", 7, 2)
 
 
 def test_a_skeleton_alone_is_no_take(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
     with pytest.raises(ReadError, match=r"09\.asf: is a skeleton without motion; name the AMC"):
-        read.take(tmp_path / "09.asf")
+        capture.read_capture(tmp_path / "09.asf")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
-from mocapfix.read.text import delimiter, document
+from mocapfix.read.file_content import detect_delimiter, parse_document
 
 PATH = Path("walk.trc")
 
@@ -14,7 +14,7 @@ PATH = Path("walk.trc")
 @given(data=st.binary() | st.text().map(str.encode))
 def test_encoding_the_lines_again_gives_the_bytes(data):
     try:
-        text = document(PATH, data)
+        text = parse_document(PATH, data)
     except ReadError:
         assert data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # only UTF-16 can be wrong
         return
@@ -24,16 +24,16 @@ def test_encoding_the_lines_again_gives_the_bytes(data):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_lines_have_neither_marks_nor_ends(encoding, end):
-    text = document(PATH, f"Tête{end}Fuß{end}".encode(encoding))
-    assert [text.line(index) for index in range(3)] == ["Tête", "Fuß", ""]
+    text = parse_document(PATH, f"Tête{end}Fuß{end}".encode(encoding))
+    assert [text.get_line(index) for index in range(3)] == ["Tête", "Fuß", ""]
 
 
 def test_cells_may_be_quoted():
-    text = document(PATH, b'Take Name,"Walk, first", 3 \n1,2\n')
-    assert text.cells(0, ",") == ["Take Name", "Walk, first", "3"]
-    assert text.cells(1, ",") == ["1", "2"]
+    text = parse_document(PATH, b'Take Name,"Walk, first", 3 \n1,2\n')
+    assert text.split_cells(0, ",") == ["Take Name", "Walk, first", "3"]
+    assert text.split_cells(1, ",") == ["1", "2"]
 
 
 @pytest.mark.parametrize(("line", "between"), [("a\tb,c\td", "\t"), ("1,5;2,5;3;;", ";"), ("a,b", ","), ("a b", ""), ("", "")])
 def test_what_stands_between_fields(line, between):
-    assert delimiter(line) == between
+    assert detect_delimiter(line) == between

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import read
+from mocapfix.read import capture
 from tests.text_files import LABELS, STANDING, assert_refused, trc
 
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
@@ -12,7 +12,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 def take_of(folder: Path, text: str, encoding: str = "utf-8"):
     path = folder / "walk.trc"
     path.write_bytes(text.encode(encoding))
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 @pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])
@@ -21,7 +21,7 @@ def take_of(folder: Path, text: str, encoding: str = "utf-8"):
 def test_metres_with_y_up(tmp_path, end, blank, between):
     take = take_of(tmp_path, trc(end=end, blank=blank, between=between))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-12)
-    assert (take.labels, take.rate, take.first_frame, take.others, take.unlabelled) == (LABELS, 100, 1, (), None)
+    assert (take.labels, take.rate, take.first_frame, take.other_labels, take.unlabelled) == (LABELS, 100, 1, (), None)
     assert take.notes == ()
 
 
@@ -44,15 +44,15 @@ def test_what_is_missing_is_nan_however_it_is_spelled(tmp_path, missing):
     xyz = STANDING.copy()
     xyz[1, 2] = xyz[3, 0] = np.nan
     take = take_of(tmp_path, trc(xyz, missing=missing))
-    np.testing.assert_array_equal(take.seen, ~np.isnan(xyz[..., 0]))
+    np.testing.assert_array_equal(take.visible, ~np.isnan(xyz[..., 0]))
 
 
 def test_a_line_that_ends_before_its_last_markers_misses_them(tmp_path):
     lines = trc().split("\r\n")
     lines[7] = "\t".join(lines[7].split("\t")[:5])  # a spreadsheet leaves trailing blanks out
     take = take_of(tmp_path, "\r\n".join(lines))
-    np.testing.assert_array_equal(take.seen[1], [True, False, False])
-    assert take.seen[[0, 2, 3]].all()
+    np.testing.assert_array_equal(take.visible[1], [True, False, False])
+    assert take.visible[[0, 2, 3]].all()
 
 
 def test_exponents_decimal_commas_and_trailing_tabs(tmp_path):
@@ -62,7 +62,7 @@ def test_exponents_decimal_commas_and_trailing_tabs(tmp_path):
 
 def test_frames_keep_their_own_numbers_whatever_the_header_says(tmp_path):
     take = take_of(tmp_path, trc(first=185, OrigDataStartFrame=7))
-    assert (take.first_frame, take.frame_number(3)) == (185, 188)
+    assert (take.first_frame, take.get_frame_number(3)) == (185, 188)
 
 
 def test_counts_that_are_wrong_are_remarked_on(tmp_path):
@@ -94,7 +94,7 @@ def test_columns_behind_the_named_ones_are_unlabelled_trajectories(tmp_path):
     assert take.labels == LABELS
     assert take.unlabelled is not None
     np.testing.assert_allclose(take.unlabelled.markers[:, 0], xyz[:, 3][:, [1, 2, 0]] / 1000)
-    np.testing.assert_array_equal(take.unlabelled.columns, [3, 4])
+    np.testing.assert_array_equal(take.unlabelled.point_columns, [3, 4])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import change_file, changes, mend
-from mocapfix.faults import Fault, Faults, Fragment, Moved
-from mocapfix.show import Cleaning
-from mocapfix.skeleton import cmu31
+from mocapfix import changes, repair
+from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.report import CleaningComparison, review_file
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
 FRAMES, RATE, FIRST = 240, 120.0, 101
@@ -18,17 +18,17 @@ LABELS = tuple(f"M{n:02d}" for n in range(29)) + ("<b>&\"'", "never")  # 31 mark
 
 @dataclass(frozen=True)
 class Scene:
-    cleaning: Cleaning
+    cleaning: CleaningComparison
     record: dict
 
     def with_(self, **other) -> "Scene":
         """The scene with another take, other faults, and so on."""
-        return replace(self, cleaning=replace(self.cleaning, **other))
+        return replace(self, comparison=replace(self.cleaning, **other))
 
 
 @pytest.fixture
 def scene() -> Scene:
-    skeleton = cmu31().skeleton
+    skeleton = load_cmu31_body().skeleton
     rest = np.zeros((31, 3))
     for j in range(1, 31):
         rest[j] = rest[skeleton.parents[j]] + skeleton.offsets[j]
@@ -46,7 +46,7 @@ def scene() -> Scene:
     markers[210:, 20] += [0.0, 0.03, 0.0]  # a marker knocked to another place
     loose = np.full((FRAMES, 1, 3), np.nan)
     loose[20:40, 0], markers[20:40, 12] = truth[20:40, 12], np.nan  # a marker that goes on under another name
-    unlabelled = Take(loose, ("*1<i>",), RATE, FIRST, columns=np.array([31]))
+    unlabelled = Take(loose, ("*1<i>",), RATE, FIRST, point_columns=np.array([31]))
     place = {"columns": np.arange(31), "unlabelled": unlabelled}
     before = Take(markers, LABELS, RATE, FIRST, Path("walk <1>.c3d"), **place)
     items = (
@@ -54,27 +54,27 @@ def scene() -> Scene:
         Fault("spike", 5, 70, 70, 0.3, "M05 lies 300 mm off its path."),
         Fault("jitter", 7, 120, 139, 0.01, "M07 trembles."),
         Fault("gap", 29, 60, 79, 0.2, "<b> is not seen."),
-        Fault("swap", 10, 150, 169, 0.3, "M10 and M11 have exchanged their labels.", others=(11,)),
+        Fault("swap", 10, 150, 169, 0.3, "M10 and M11 have exchanged their labels.", other_markers=(11,)),
         Fragment("fragment", 12, 20, 39, 0.0, "*1<i> goes on as M12.", donor=31, relation="continues"),
-        Moved("moved", 20, 210, FRAMES - 1, 0.03, "M20 is knocked by 30 mm.", settled=210),
+        MarkerShift("moved", 20, 210, FRAMES - 1, 0.03, "M20 is knocked by 30 mm.", settled_frame=210),
         Fault("absent", 30, 0, FRAMES - 1, np.nan, "never is never seen in this take."),
     )
-    labelled = mend.labels(mend.fragments(before, items), items)
+    labelled = repair.labels(repair.fragments(before, items), items)
     mended, sure = labelled.markers.copy(), np.full((FRAMES, 31), np.nan)
     for where in ((slice(50, 100), 3), (slice(60, 70), 29), (70, 5)):
         mended[where], sure[where] = truth[where], 0.01
-    after = labelled.with_markers(mended, sure)
-    faults = Faults().with_more(items)
+    after = labelled.replace_markers(mended, sure)
+    faults = Faults().add_faults(items)
     ways = np.where(np.isnan(sure), "", "the body").astype(object)
-    made = tuple(change for change, _ in changes.made(before, labelled, after, faults.items, truth, ways))
+    made = tuple(change for change, _ in changes.build_changes(before, labelled, after, faults.items, truth, ways))
     error = np.linalg.norm(after.markers - truth, axis=-1) + 0.002
-    shown = Cleaning(before, labelled, after, faults, made, skeleton, joints, error)
+    shown = CleaningComparison(before, labelled, after, faults, made, skeleton, joints, error)
     return Scene(shown, record(shown))
 
 
-def record(cleaning: Cleaning) -> dict:
+def record(cleaning: CleaningComparison) -> dict:
     """The JSON report of such a take."""
-    before, after = cleaning.before, cleaning.after
+    before, after = cleaning.input_take, cleaning.cleaned_take
     by_marker: dict = {label: {"mean": 2.0 + m, "p95": 3.0 + m} for m, label in enumerate(LABELS[:-1])}
     by_marker["never"] = {"mean": None, "p95": None}
     return {
@@ -87,8 +87,8 @@ def record(cleaning: Cleaning) -> dict:
             "marker_set": "cmu41",
             "labels": list(LABELS),
         },
-        "faults": [{"kind": item.kind, "marker": before.label(item.marker)} for item in cleaning.faults.items],
-        "changes": change_file.plain(cleaning.changes),
+        "faults": [{"kind": item.kind, "marker": before.get_label(item.marker)} for item in cleaning.faults.items],
+        "changes": review_file.serialize_changes(cleaning.changes),
         "subject": {"marker_set": "cmu41", "frames": 120, "bones_m": {"LeftLeg": 0.418, "LHipJoint": 0.0}, "spread_m": {}},
         "solve": {
             "prior": {"name": "gaussian", "scale": 1.0},
@@ -99,11 +99,11 @@ def record(cleaning: Cleaning) -> dict:
             "status": {"solved: well": 200, "guessed: too few": 40},
         },
         "fill": {
-            "missing_before": int((~before.seen).sum()),
+            "missing_before": int((~before.visible).sum()),
             "filled": 60,
             "mended": 1,
             "relabelled": 60,
-            "left_empty": int((~after.seen).sum()),
+            "left_empty": int((~after.visible).sum()),
             "left": [{"marker": LABELS[29], "first": 171, "last": 180, "reason": "The <hand> was hidden."}],
         },
         "seconds": {"read": 0.03, "total": 2.5},

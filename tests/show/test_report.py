@@ -5,10 +5,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from mocapfix import change_file, changes
+from mocapfix import changes
 from mocapfix.errors import WriteError
 from mocapfix.faults import Fault, Faults, Fragment
-from mocapfix.show import report
+from mocapfix.report import html_report, review_file
 
 VOID = {"meta", "br", "img", "link", "input"}
 
@@ -44,7 +44,7 @@ class Page(HTMLParser):
 
 
 def page_of(scene, tmp_path, record=None, target=None, **other):
-    report(target or tmp_path / "walk.html", record or scene.record, scene.with_(**other).cleaning)
+    html_report(target or tmp_path / "walk.html", record or scene.report, scene.with_(**other).comparison)
     return Page(tmp_path / "walk.html")
 
 
@@ -52,11 +52,11 @@ def test_it_says_what_was_wrong_done_and_left(scene, tmp_path):
     text = page_of(scene, tmp_path).text
     kinds = "1 exchange of labels, 1 piece under another label, 1 marker knocked to another place, 3 gaps, 1 spike"
     assert f"9 of 31 markers have faults: {kinds} and 1 burst of jitter." in text
-    assert f"{(~scene.cleaning.before.seen).sum()} of 7,440 samples" in text
+    assert f"{(~scene.comparison.before.seen).sum()} of 7,440 samples" in text
     did = "60 samples were put under their own labels, 1 faulty one was replaced and 60 of the missing samples were filled"
     assert f"{did}; every other sample is as it was measured." in text
     assert "3.2 mm from it on average, 95% of them within 7.4 mm" in text
-    assert f"{(~scene.cleaning.after.seen).sum()} samples are still missing, on <b>&\"'" in text
+    assert f"{(~scene.comparison.after.seen).sum()} samples are still missing, on <b>&\"'" in text
     assert "Found and kept: 1 burst of jitter." in text
     assert "The <hand> was hidden." in text
     assert "Look at M07 & its neighbours." in text
@@ -71,7 +71,7 @@ def test_every_change_is_listed_with_the_files_frames_and_what_was_done(scene, t
     assert "spike-M05-171 M05 171 M05 lies 300 mm off its path. Estimated, mostly from the body. 300.0 → 0.0 17.3 accept" in text
     assert "161–180 <b> is not seen. Estimated, mostly from the body. 20 → 10 – → 0.0 17.3 accept" in text
     assert "swap-M10-251 M10, M11 251–270 M10 and M11 have exchanged their labels." in text
-    apart = 1e3 * np.linalg.norm(scene.cleaning.after.markers[150, 10] - scene.cleaning.after.markers[150, 11])
+    apart = 1e3 * np.linalg.norm(scene.comparison.after.markers[150, 10] - scene.comparison.after.markers[150, 11])
     assert f"Labels exchanged back. {apart:,.1f} → 0.0 accept" in text
     assert "M12, *1<i> 121–140 *1<i> goes on as M12. Samples of *1<i> taken over. 20 → 0 – → 0.0 accept" in text
     place = "Given its new place on the body; its samples stay as measured."
@@ -90,8 +90,8 @@ def test_what_was_found_and_kept_is_listed_apart(scene, tmp_path):
 
 
 def test_a_change_that_somebody_rejected_has_neither_picture_nor_effect(scene, tmp_path):
-    decided = tuple(replace(each, decision="reject" if each.kind == "spike" else "accept") for each in scene.cleaning.changes)
-    record = scene.record | {"changes": change_file.plain(decided)}
+    decided = tuple(replace(each, decision="reject" if each.kind == "spike" else "accept") for each in scene.comparison.changes)
+    record = scene.report | {"changes": review_file.serialize_changes(decided)}
     page = page_of(scene, tmp_path, changes=decided, record=record)
     assert "Not made, by decision: 1 rejected." in page.text
     assert len(page.of_class("svg", "change")) == 5
@@ -117,7 +117,7 @@ def test_bars_lie_where_the_faults_are(scene, tmp_path):
 
 def test_what_lasts_is_drawn_below_what_happens_meanwhile_and_outlined_where_nothing_was_done(scene, tmp_path):
     noise = Fault("noise", 5, 0, 239, 0.01, "M05 trembles all along.")
-    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([noise]))
+    page = page_of(scene, tmp_path, faults=scene.comparison.faults.add_faults([noise]))
     row = page.source.partition("<b>M05</b>")[2].partition("</div>")[0]
     assert re.findall(r'class="([\w ]+)" style', row) == ["faulty left", "faulty"]
 
@@ -125,7 +125,7 @@ def test_what_lasts_is_drawn_below_what_happens_meanwhile_and_outlined_where_not
 def test_what_bears_no_name_and_is_no_markers_is_told_of_but_is_no_markers_fault(scene, tmp_path):
     other = Fragment("fragment", 31, 90, 99, np.nan, "*1<i> stands still.", donor=31)
     double = Fragment("fragment", 8, 100, 119, 0.01, "*1<i> is M08 a second time.", donor=31, relation="doubles")
-    page = page_of(scene, tmp_path, faults=scene.cleaning.faults.with_more([other, double]))
+    page = page_of(scene, tmp_path, faults=scene.comparison.faults.add_faults([other, double]))
     assert "9 of 31 markers have faults" in page.text
     assert "1 trajectory without a marker’s name continues none." in page.text
     assert "fragment *1<i> 191–200 – *1<i> stands still." in page.text
@@ -135,7 +135,7 @@ def test_what_bears_no_name_and_is_no_markers_is_told_of_but_is_no_markers_fault
 
 def test_a_picture_says_where_it_ends_before_the_change_does(scene, tmp_path):
     assert "Only its beginning is shown." not in page_of(scene, tmp_path).text
-    slow = replace(scene.cleaning.before, rate=2.0), replace(scene.cleaning.after, rate=2.0)
+    slow = replace(scene.comparison.before, rate=2.0), replace(scene.comparison.after, rate=2.0)
     assert page_of(scene, tmp_path, before=slow[0], after=slow[1]).text.count("Only its beginning is shown.") == 1  # the swap
 
 
@@ -165,9 +165,9 @@ def test_the_worst_moment_is_the_one_with_most_mended_markers(scene, tmp_path):
     page = page_of(scene, tmp_path)  # only in frame 70 the spike falls together with a gap that is filled
     assert "Frame 171, 0.58 s from the first." in page.text
     before, after = re.findall(r"<svg class=\"figure\".*?</svg>", page.source)
-    assert before.count("<circle") == scene.cleaning.before.seen[70].sum()
+    assert before.count("<circle") == scene.comparison.before.seen[70].sum()
     assert before.count('class="doubted"') == 1
-    assert after.count("<circle") == scene.cleaning.after.seen[70].sum()
+    assert after.count("<circle") == scene.comparison.after.seen[70].sum()
     assert after.count('class="filled"') == after.count('class="replaced"') == 1
     assert ('class="bones"' in after, 'class="bones"' in before) == (True, False)
 
@@ -177,8 +177,8 @@ def test_the_body_faces_the_viewer_in_the_middle_of_the_picture(scene, tmp_path)
     left, top, width, height = (float(number) for number in page.of_class("svg", "figure")[1]["viewbox"].split())
     circles = re.findall(r'cx="([-\d.]+)" cy="([-\d.]+)" r="2"><title>(\w+):', page.source.split("</figure>")[1])
     place = {label: (float(x), float(y)) for x, y, label in circles}
-    head, foot = scene.cleaning.skeleton.index("Head"), scene.cleaning.skeleton.index("LeftFoot")
-    hands = (place[f"M{scene.cleaning.skeleton.index(side + 'Hand'):02d}"][0] for side in ("Right", "Left"))
+    head, foot = scene.comparison.skeleton.index("Head"), scene.comparison.skeleton.index("LeftFoot")
+    hands = (place[f"M{scene.comparison.skeleton.index(side + 'Hand'):02d}"][0] for side in ("Right", "Left"))
     assert place[f"M{head:02d}"][1] < place[f"M{foot:02d}"][1]  # an SVG's y points down
     assert left < next(hands) < left + width / 2 < next(hands) < left + width
     assert all(top < y < top + height for _, y in place.values())
@@ -206,7 +206,7 @@ def test_residuals_are_listed_from_the_worst_without_the_unknown(scene, tmp_path
 
 
 def test_a_take_without_a_body_reads_well(scene, tmp_path):
-    record = scene.record | {"subject": None, "solve": None, "take": scene.record["take"] | {"marker_set": None}}
+    record = scene.report | {"subject": None, "solve": None, "take": scene.report["take"] | {"marker_set": None}}
     page = page_of(scene, tmp_path, record=record, skeleton=None, joints=None, error=None)
     assert "No body was used" in page.text
     assert "None" not in page.text
@@ -217,9 +217,9 @@ def test_a_take_without_a_body_reads_well(scene, tmp_path):
 
 def test_a_take_without_faults_says_so(scene, tmp_path):
     fill = {"missing_before": 0, "filled": 0, "mended": 0, "relabelled": 0, "left_empty": 0, "left": []}
-    whole, sound = scene.cleaning.before.with_markers(scene.cleaning.joints), {"fill": fill, "changes": []}
+    whole, sound = scene.comparison.before.replace_markers(scene.comparison.joints), {"fill": fill, "changes": []}
     takes = {"before": whole, "labelled": whole, "after": whole}
-    page = page_of(scene, tmp_path, record=scene.record | sound, **takes, faults=Faults(), changes=())
+    page = page_of(scene, tmp_path, record=scene.report | sound, **takes, faults=Faults(), changes=())
     assert "Nothing: every marker is there in every frame, and none strays." in page.text
     assert "Nothing was changed" in page.text
     assert "Nothing: no sample is missing any more." in page.text
@@ -229,7 +229,7 @@ def test_a_take_without_faults_says_so(scene, tmp_path):
 
 
 def test_a_take_without_a_single_sample_has_a_page(scene, tmp_path):
-    nothing = scene.cleaning.before.with_markers(np.full_like(scene.cleaning.before.markers, np.nan))
+    nothing = scene.comparison.before.replace_markers(np.full_like(scene.comparison.before.markers, np.nan))
     takes = {"before": nothing, "labelled": nothing, "after": nothing}
     page = page_of(scene, tmp_path, **takes, skeleton=None, joints=None, error=np.full((240, 31), np.nan))
     assert "31 left empty" in page.text
@@ -246,10 +246,11 @@ def test_the_page_of_a_bad_take_stays_small(scene, tmp_path, count):
     whole, markers = np.zeros((8 * count // 30, 31, 3)), np.zeros((8 * count // 30, 31, 3))
     for fault in items:
         markers[fault.first : fault.last + 1, fault.marker] = np.nan
-    before = replace(scene.cleaning.before, markers=markers, unlabelled=None)
-    after = before.with_markers(whole, np.where(np.isnan(markers[..., 0]), 0.01, np.nan))
+    before = replace(scene.comparison.before, markers=markers, unlabelled=None)
+    after = before.replace_markers(whole, np.where(np.isnan(markers[..., 0]), 0.01, np.nan))
     made = tuple(
-        change for change, _ in changes.made(before, before, after, items, None, np.full((len(whole), 31), "the body", object))
+        change
+        for change, _ in changes.build_changes(before, before, after, items, None, np.full((len(whole), 31), "the body", object))
     )
     takes = {"before": before, "labelled": before, "after": after, "faults": Faults(items), "changes": made}
     page = page_of(scene, tmp_path, **takes, skeleton=None, joints=None, error=None)

@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import prior, synthetic
-from mocapfix.kernels import kinematics
-from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.problem import Attached, Problem, no_limits, no_pull, pull_to
-from mocapfix.skeleton import cmu31
-from mocapfix.solve.deviation import LEAST, PLACED, deviations, strayed
+from mocapfix import synthetic
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_no_joint_limits,
+    build_no_tracking,
+    build_pose_prior_term,
+)
+from mocapfix.solve.pose_uncertainty import CALIBRATION_SD_RATIO, MIN_ESTIMATED_MARKER_SD_M, compute_pose_sd, estimate_marker_sd
 
-BODY = cmu31()
-MEAN = prior.load("mean-pose", BODY.skeleton)
+BODY = load_cmu31_body()
+MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 NAMES = BODY.skeleton.names
 
 
@@ -23,44 +30,44 @@ def test_what_the_pose_took_up_of_the_markers_errors_is_made_good(taken_up):
     distance = np.linalg.norm(left, axis=-1)
     distance[:20] = 0.3  # some markers are not where they are believed to be
     share, everywhere = np.full(distance.shape, taken_up), np.ones(distance.shape, bool)
-    assert strayed(distance, share, everywhere, 0.01) == pytest.approx(0.005, rel=0.07)
+    assert estimate_marker_sd(distance, share, everywhere, 0.01) == pytest.approx(0.005, rel=0.07)
     distance[:, 0], share[:, 0] = 0.0, 1.0  # a marker that the pose follows wholly
     tell = everywhere.copy()
     tell[:, 0] = False
-    assert strayed(distance, share, tell, 0.01) == pytest.approx(0.005, rel=0.07)
+    assert estimate_marker_sd(distance, share, tell, 0.01) == pytest.approx(0.005, rel=0.07)
 
 
 def test_without_a_marker_that_tells_the_deviation_is_the_solves_and_never_nothing():
     some = np.zeros((3, 2))
-    assert strayed(some, some, np.zeros((3, 2), bool), 0.01) == 0.01
-    assert strayed(some, some, np.ones((3, 2), bool), 0.01) == LEAST
+    assert estimate_marker_sd(some, some, np.zeros((3, 2), bool), 0.01) == 0.01
+    assert estimate_marker_sd(some, some, np.ones((3, 2), bool), 0.01) == MIN_ESTIMATED_MARKER_SD_M
 
 
 @pytest.fixture(scope="module")
 def scene():
     """-> a person, their motion and a problem whose markers lie 4 mm per axis off, those of the left hand not seen"""
-    truth = synthetic.take(seed=101, seconds=2.0, rate=60.0)
+    truth = synthetic.compose_take(seed=101, seconds=2.0, rate=60.0)
     subject = truth.subject
-    listened = np.ones(truth.struck.shape, bool)
+    listened = np.ones(truth.missing_mask.shape, bool)
     listened[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False
-    noise = np.random.default_rng(1).normal(0, 0.004, truth.markers.shape)
-    tree = Tree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free)
-    problem = Problem(
-        tree, Attached(subject.joints, subject.places), truth.markers + noise, listened, 0.01, pull_to(MEAN.weakened(0.01)),
-        no_limits(31),
+    noise = np.random.default_rng(1).normal(0, 0.004, truth.marker_positions.shape)
+    tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free_joints)
+    problem = PoseProblem(
+        tree, MarkerAttachment(subject.joints, subject.marker_offsets), truth.marker_positions + noise, listened, 0.01, build_pose_prior_term(MEAN.scale_information(0.01)),
+        build_no_joint_limits(31),
     )  # fmt: skip
     return subject, truth.motion, problem
 
 
 def foretold(scene, course_sd=None, subject=None):
     person, motion, problem = scene
-    alone = problem.uncertainty(motion.root, motion.rotations, no_pull(31), 0.05).markers
-    time = no_pull(31)
+    alone = problem.compute_uncertainty(motion.root, motion.mean_rotations, build_no_tracking(31), 0.05).markers
+    time = build_no_tracking(31)
     if course_sd is not None:
         weight = np.zeros((1, 31))
         weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / course_sd**2
-        time = time._replace(rotations=motion.rotations[:1], weight=weight)
-    return deviations(problem, motion, subject or person, MEAN, alone, time, 0.05)
+        time = time._replace(mean_rotations=motion.mean_rotations[:1], scale=weight)
+    return compute_pose_sd(problem, motion, subject or person, MEAN, alone, time, 0.05)
 
 
 def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scene):
@@ -75,7 +82,7 @@ def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scen
 
 def test_markers_that_stray_less_make_surer_joints(scene):
     subject, motion, problem = scene
-    markers = problem.markers - 0.5 * (problem.markers - kinematics.placed(subject, motion)[1])
+    markers = problem.markers - 0.5 * (problem.markers - kinematics.compute_joint_and_marker_positions(subject, motion)[1])
     _, near = foretold((subject, motion, replace(problem, markers=markers)))
     _, far = foretold(scene)
     knee = NAMES.index("LeftLeg")
@@ -87,5 +94,5 @@ def test_calibrations_own_error_comes_on_top(scene):
     posed_markers, posed_joints = foretold(scene)
     doubted = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))
     markers, joints = foretold(scene, subject=doubted)
-    np.testing.assert_allclose(joints**2, posed_joints**2 + (PLACED * 0.02) ** 2)
-    np.testing.assert_allclose(markers**2, posed_markers**2 + (PLACED * 0.03) ** 2)
+    np.testing.assert_allclose(joints**2, posed_joints**2 + (CALIBRATION_SD_RATIO * 0.02) ** 2)
+    np.testing.assert_allclose(markers**2, posed_markers**2 + (CALIBRATION_SD_RATIO * 0.03) ** 2)

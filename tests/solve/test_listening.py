@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from mocapfix import marker_set
-from mocapfix.skeleton import cmu31
-from mocapfix.solve import listening
+from mocapfix import marker_sets
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import observability
 from mocapfix.subject import Subject
-from mocapfix.take import runs
+from mocapfix.take import find_runs
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 NAMES = BODY.skeleton.names
-SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")
-LEFT = [BODY.skeleton.index(name) for name in ARM]
+LEFT = [BODY.skeleton.find_joint(name) for name in ARM]
 
 
 @pytest.mark.parametrize(
@@ -31,8 +31,8 @@ LEFT = [BODY.skeleton.index(name) for name in ARM]
 def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
     believed = np.ones((100, 2), bool)
     believed[gap[0] : gap[1] + 1, 0] = False
-    mask = listening.beside_gaps(believed, np.zeros((100, 2), bool), rate, 0.05)
-    assert runs(mask[:, 0]) == ([] if silent is None else [silent])
+    mask = observability.find_gap_borders(believed, np.zeros((100, 2), bool), rate, 0.05)
+    assert find_runs(mask[:, 0]) == ([] if silent is None else [silent])
     assert not mask[:, 1].any()
 
 
@@ -40,9 +40,9 @@ def test_beside_a_gap_that_loses_the_joint_from_end_to_end_a_marker_is_listened_
     believed, gone = np.ones((100, 2), bool), np.zeros((100, 2), bool)
     believed[40:60] = False
     gone[40:60, 0], gone[45:60, 1] = True, True
-    mask = listening.beside_gaps(believed, gone, 100.0, 0.05)
+    mask = observability.find_gap_borders(believed, gone, 100.0, 0.05)
     assert not mask[:, 0].any()
-    assert runs(mask[:, 1]) == [(35, 64)]
+    assert find_runs(mask[:, 1]) == [(35, 64)]
 
 
 def test_a_joint_misses_its_own_markers_and_its_childrens():
@@ -51,7 +51,10 @@ def test_a_joint_misses_its_own_markers_and_its_childrens():
     listened[4, WORN.labels.index("LFWT")] = False
     listened[:, WORN.labels.index("RFRM")] = False  # never there: nothing to miss
     joint = NAMES[WORN.joints[WORN.labels.index("LFRM")]]
-    lacking = {(int(t), NAMES[j]) for t, j in np.argwhere(listening.missed(listened, SUBJECT) & BODY.free)}
+    lacking = {
+        (int(t), NAMES[j])
+        for t, j in np.argwhere(observability.find_partly_observed_joints(listened, SUBJECT) & BODY.free_joints)
+    }
     assert lacking == {(3, joint), (3, NAMES[BODY.skeleton.parents[NAMES.index(joint)]])}  # the root never
 
 
@@ -68,7 +71,10 @@ def on(*names):
 
 
 def lost(listened):
-    return {(int(t), BODY.skeleton.names[j]) for t, j in np.argwhere(listening.lost(listened, SUBJECT, BODY.free))}
+    return {
+        (int(t), BODY.skeleton.names[j])
+        for t, j in np.argwhere(observability.find_unobserved_joints(listened, SUBJECT, BODY.free_joints))
+    }
 
 
 def test_while_all_is_seen_nothing_is_lost():
@@ -93,8 +99,8 @@ def test_a_limb_that_the_take_never_shows_is_not_lost_but_unknown():
 def test_the_root_and_joints_that_cannot_turn_are_never_lost():
     nothing = np.zeros((5, len(WORN.labels)), bool)
     nothing[0] = True
-    gone = listening.lost(nothing, SUBJECT, BODY.free)
+    gone = observability.find_unobserved_joints(nothing, SUBJECT, BODY.free_joints)
     assert not gone[:, 0].any()
-    assert not gone[:, ~BODY.free].any()
+    assert not gone[:, ~BODY.free_joints].any()
     assert gone[1:, LEFT].all()
     assert not gone[0].any()

@@ -2,22 +2,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import carried
-from mocapfix.fitted import Fitted
-from mocapfix.prior import models
-from mocapfix.skeleton import cmu31
-from mocapfix.solve.mapped import MappedPeople
-from mocapfix.solve.people import People
+from mocapfix.animation import compose_transforms
+from mocapfix.animations.repair import MappedPriorConditioner
+from mocapfix.animations.retarget import SkeletonAlignment
+from mocapfix.pose_prior import io
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
-OURS = cmu31().skeleton
+OURS = load_cmu31_body().skeleton
 COUNT = len(OURS.names)
-LOST = np.array([OURS.index(name) for name in ("LeftArm", "LeftForeArm")])
-TOLD = np.array([OURS.index(name) for name in ("Spine1", "Neck", "RightArm", "RightForeArm", "LeftUpLeg", "LeftLeg")])
+LOST = np.array([OURS.find_joint(name) for name in ("LeftArm", "LeftForeArm")])
+TOLD = np.array([OURS.find_joint(name) for name in ("Spine1", "Neck", "RightArm", "RightForeArm", "LeftUpLeg", "LeftLeg")])
 
 
 @pytest.fixture(scope="module")
 def model():
-    return models.load("gaussian", OURS)
+    return io.load_pose_model("gaussian", OURS)
 
 
 def posed(frames: int) -> np.ndarray:
@@ -28,7 +28,7 @@ def posed(frames: int) -> np.ndarray:
 
 def theirs(local: np.ndarray, turns: np.ndarray) -> np.ndarray:
     """-> the same poses as a file has them whose joints stand to ours by `turns` (31, 3, 3)."""
-    _, world = carried(OURS.parents, np.zeros(local.shape[:3]), local)
+    _, world = compose_transforms(OURS.parents, np.zeros(local.shape[:3]), local)
     own = world @ np.swapaxes(turns, 1, 2)
     told = own.copy()
     for joint, parent in enumerate(OURS.parents):
@@ -40,9 +40,9 @@ def theirs(local: np.ndarray, turns: np.ndarray) -> np.ndarray:
 def test_a_body_of_the_very_31_joints_is_told_what_people_are(model):
     local, frames = posed(6), np.array([1, 3, 4])
     near = np.tile([0.0, 0, 0, 2.0], (3, len(LOST)))
-    fit = Fitted(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
-    expected = People(lambda: model, 1.0).turns(local, TOLD, LOST, frames, near)
-    found = MappedPeople(lambda: model, 1.0, OURS.parents, fit).turns(local, TOLD, LOST, frames, near)
+    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
+    expected = PriorConditioner(lambda: model, 1.0).predict_rotations(local, TOLD, LOST, frames, near)
+    found = MappedPriorConditioner(lambda: model, 1.0, OURS.parents, fit).predict_rotations(local, TOLD, LOST, frames, near)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -50,12 +50,14 @@ def test_other_axes_and_another_order_of_joints_change_nothing(model):
     """The same poses in a file that has the joints' axes otherwise and a joint more at the end."""
     local, frames, rng = posed(6), np.arange(6), np.random.default_rng(1)
     turns = Rotation.random(COUNT, rng).as_matrix()
-    fit = Fitted(np.arange(COUNT), turns, OURS)
+    fit = SkeletonAlignment(np.arange(COUNT), turns, OURS)
     told = np.concatenate([theirs(local, turns), np.tile(np.eye(3), (6, 1, 1, 1))], axis=1)
     parents = np.r_[OURS.parents, 0]
     near = np.tile([0.0, 0, 0, 2.0], (6, len(LOST) + 1))
-    found = MappedPeople(lambda: model, 1.0, parents, fit).turns(told, TOLD, np.r_[LOST, COUNT], frames, near)
-    said = People(lambda: model, 1.0).turns(local, TOLD, LOST, frames, near[:, :8])
+    found = MappedPriorConditioner(lambda: model, 1.0, parents, fit).predict_rotations(
+        told, TOLD, np.r_[LOST, COUNT], frames, near
+    )
+    said = PriorConditioner(lambda: model, 1.0).predict_rotations(local, TOLD, LOST, frames, near[:, :8])
     whole = local.copy()
     for at, joint in enumerate(LOST):
         whole[:, joint] = Rotation.from_quat(said[:, 4 * at : 4 * at + 4]).as_matrix()
@@ -68,6 +70,8 @@ def test_other_axes_and_another_order_of_joints_change_nothing(model):
 
 def test_where_nothing_is_told_nothing_is_said(model):
     near = np.ones((2, 8))
-    fit = Fitted(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
-    found = MappedPeople(lambda: model, 1.0, OURS.parents, fit).turns(posed(2), np.zeros(0, int), LOST, np.arange(2), near)
+    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
+    found = MappedPriorConditioner(lambda: model, 1.0, OURS.parents, fit).predict_rotations(
+        posed(2), np.zeros(0, int), LOST, np.arange(2), near
+    )
     assert found is near

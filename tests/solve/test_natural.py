@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Points
-from mocapfix.prior.naturalness import Naturalness
-from mocapfix.solve import poses
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.terms import PointTerm
+from mocapfix.pose_prior.autoencoder import NaturalnessModel
+from mocapfix.solve import pose_solver
 from tests.kernels import dense
 from tests.prior.test_autoencoder import MIDDLE, SKELETON, drawn
 from tests.prior.test_naturalness import people
 from tests.solve.test_poses import given
 
-TREE = Tree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
+TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
 ROOT = np.zeros((4, 3))
 START = ROOT + 0.02, np.tile(MIDDLE, (4, 1, 1, 1))
 LOCAL = people(4)
@@ -23,10 +23,10 @@ HANDS_AND_FEET = np.array([0, 5, 10, 16, 22, 29])
 
 @pytest.fixture(scope="module")
 def model():
-    return Naturalness(replace(drawn("euler", "relu"), sigma=np.full(31, 0.5)))
+    return NaturalnessModel(replace(drawn("euler", "relu"), sigma=np.full(31, 0.5)))
 
 
-def points(joints, places) -> Points:
+def points(joints, places) -> PointTerm:
     return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, places=places)
 
 
@@ -34,12 +34,14 @@ def costs(model, seen, root, local, scale=1.0):
     """-> (T,) half the squares of points and number over their deviations"""
     frames = [seen._replace(seen=seen.seen[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
     away = [dense.residual(each, dense.world(TREE, root[t], local[t])) for t, each in enumerate(frames)]
-    return np.array([(each**2).sum() / 2 for each in away]) + (model.at(local)[0] / model.deviation / scale) ** 2 / 2
+    return np.array([(each**2).sum() / 2 for each in away]) + (model.evaluate(local)[0] / model.naturalness_sd / scale) ** 2 / 2
 
 
 def test_the_cost_never_rises_and_falls(model):
     seen, told = points(HANDS_AND_FEET, 1), [START]
-    poses.under(TREE, (seen,), model, *START, scale=0.1, watch=lambda root, local, _: told.append((root.copy(), local.copy())))
+    pose_solver.solve_poses(
+        TREE, (seen,), model, *START, prior_scale=0.1, callback=lambda root, local, _: told.append((root.copy(), local.copy()))
+    )
     fell = np.diff([costs(model, seen, *each, scale=0.1) for each in told], axis=0)
     assert (fell <= 1e-6).all()
     assert (fell[1:] < -0.05).any()
@@ -47,22 +49,22 @@ def test_the_cost_never_rises_and_falls(model):
 
 def test_the_more_it_is_believed_the_more_natural_the_poses_are(model):
     seen = points(HANDS_AND_FEET, 1)
-    found = [poses.under(TREE, (seen,), model, *START, scale=scale) for scale in (0.1, 1e6)]
-    natural, free = (model.at(each.rotations)[0] for each in found)
+    found = [pose_solver.solve_poses(TREE, (seen,), model, *START, prior_scale=scale) for scale in (0.1, 1e6)]
+    natural, free = (model.evaluate(each.local_rotations)[0] for each in found)
     assert (natural < free).all()
 
 
 def test_where_all_is_seen_it_changes_little(model):
-    found = poses.under(TREE, (points(np.arange(31), 4),), model, *START)
-    np.testing.assert_allclose(found.rotations[:, 1:], LOCAL[:, 1:], atol=0.05)
+    found = pose_solver.solve_poses(TREE, (points(np.arange(31), 4),), model, *START)
+    np.testing.assert_allclose(found.local_rotations[:, 1:], LOCAL[:, 1:], atol=0.05)
     assert found.codes.shape == (4, 0)
 
 
 def test_frames_neither_know_their_batch_nor_their_order(model, monkeypatch):
     seen = points(HANDS_AND_FEET, 1)
-    found = poses.under(TREE, (seen,), model, *START)
+    found = pose_solver.solve_poses(TREE, (seen,), model, *START)
     order = np.array([2, 0, 3, 1])
-    monkeypatch.setattr(poses, "BATCH", 3)
-    turned = seen._replace(seen=seen.seen[order], weight=seen.weight[order])
-    again = poses.under(TREE, (turned,), model, *(each[order] for each in START))
-    np.testing.assert_allclose(again.rotations, found.rotations[order], atol=1e-4)
+    monkeypatch.setattr(pose_solver, "BATCH", 3)
+    turned = seen._replace(seen=seen.measured[order], weight=seen.weight[order])
+    again = pose_solver.solve_poses(TREE, (turned,), model, *(each[order] for each in START))
+    np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-4)

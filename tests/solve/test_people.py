@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.prior.linear import Linear
-from mocapfix.skeleton import cmu31
-from mocapfix.solve.people import People
+from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
-BODY = cmu31()
+BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)
 LEFT, RIGHT = NAMES.index("LeftArm"), NAMES.index("RightArm")
-TOLD = np.array([j for j in np.flatnonzero(BODY.free)[1:] if j != LEFT])
+TOLD = np.array([j for j in np.flatnonzero(BODY.free_joints)[1:] if j != LEFT])
 
 
 def mirrors():
@@ -19,7 +19,7 @@ def mirrors():
     components = np.zeros((1, JOINTS, 3))
     components[0, [LEFT, RIGHT], 0] = 1.0
     sigma = np.full(JOINTS, 0.02)
-    return Linear(NAMES, np.tile(np.eye(3), (JOINTS, 1, 1)), sigma, np.zeros((JOINTS, 3)), components, 0.02)
+    return GaussianModel(NAMES, np.tile(np.eye(3), (JOINTS, 1, 1)), sigma, np.zeros((JOINTS, 3)), components, 0.02)
 
 
 def poses(angles):
@@ -34,7 +34,7 @@ def test_a_lost_arm_is_where_the_model_says_that_the_told_one_puts_it(sign):
     angles, frames = np.linspace(-1, 1, 9), np.array([1, 4, 8])
     local = poses(angles)
     near = np.tile([0.0, 0.0, 0.0, sign], (3, 1))
-    turns = People(mirrors, 1.0).turns(local, TOLD, np.array([LEFT]), frames, near)
+    turns = PriorConditioner(mirrors, 1.0).predict_rotations(local, TOLD, np.array([LEFT]), frames, near)
     half = angles[frames] / 2
     expected = 2 * sign * np.stack([np.sin(half), 0 * half, 0 * half, np.cos(half)], axis=1)
     np.testing.assert_allclose(turns, expected, atol=0.02)
@@ -46,6 +46,6 @@ def test_what_is_lost_counts_for_nothing_and_nothing_is_written_into():
     elsewhere[:, LEFT] = Rotation.from_euler("y", 1.0).as_matrix()
     was = elsewhere.copy()
     asked = (TOLD, np.array([LEFT]), np.arange(4), np.ones((4, 4)))
-    people = People(mirrors, 1.0)
-    np.testing.assert_allclose(people.turns(elsewhere, *asked), people.turns(local, *asked), atol=1e-3)
+    people = PriorConditioner(mirrors, 1.0)
+    np.testing.assert_allclose(people.predict_rotations(elsewhere, *asked), people.predict_rotations(local, *asked), atol=1e-3)
     np.testing.assert_array_equal(elsewhere, was)

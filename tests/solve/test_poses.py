@@ -7,29 +7,29 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg import CONVERGED, RAN_OUT
-from mocapfix.kernels.pose import Tree
-from mocapfix.kernels.terms import Latent, Points
-from mocapfix.prior.contract import PoseModel, from_middle
-from mocapfix.prior.linear import Linear
-from mocapfix.solve import poses, search
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_ITERATION_LIMIT
+from mocapfix.kernels.terms import LatentCodeTerm, PointTerm
+from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+from mocapfix.solve import latent_solver, pose_solver
 from tests.kernels import dense, drawn
 
 JOINTS, CODE = 6, 3
 NAMES = tuple("abcdef")
 
 
-def unbent(rng) -> Linear:
+def unbent(rng) -> GaussianModel:
     """-> a linear model whose poses lie well away from half a turn"""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
     middle = drawn.rotations(rng, JOINTS, 1.0)
     middle[0] = np.eye(3)
-    return Linear(NAMES, middle, rng.uniform(0.02, 0.1, JOINTS), mean, components, 0.05)
+    return GaussianModel(NAMES, middle, rng.uniform(0.02, 0.1, JOINTS), mean, components, 0.05)
 
 
 @dataclass(frozen=True)
-class Bent(Linear):
+class Bent(GaussianModel):
     """A linear model with a sine on top; it counts how many codes it is linearised at."""
 
     asked: list
@@ -53,37 +53,37 @@ def bent(rng, **how) -> Bent:
     return Bent(**vars(unbent(rng)), asked=[], **how)
 
 
-def body(rng) -> Tree:
+def body(rng) -> KinematicTree:
     return drawn.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
 
 
 def posed(model: PoseModel, codes):
     """-> (T, J, 3, 3) the poses that codes mean"""
     vectors = model.decode(codes)
-    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3) @ model.middle
+    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3) @ model.reference_rotations
 
 
-def given(rng, tree, root, local, joints, sd=0.005, places=4) -> Points:
+def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
     """-> exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
     seen = np.stack([dense.placed(on, where, dense.world(tree, r, q)) for r, q in zip(root, local, strict=True)])
-    return Points(on, where, seen, np.full(seen.shape[:2], sd**-2))
+    return PointTerm(on, where, seen, np.full(seen.shape[:2], sd**-2))
 
 
 def case(rng, model, frames=5, joints=(1, 3, 4)):
     """-> a body, points of it in some poses of the model, a start, and those poses' codes"""
     tree, codes = body(rng), rng.normal(0, 0.7, (frames, CODE))
     root, local = rng.normal(size=(frames, 3)), posed(model, codes)
-    start = root + 0.05, np.tile(model.middle, (frames, 1, 1, 1))
+    start = root + 0.05, np.tile(model.reference_rotations, (frames, 1, 1, 1))
     return tree, given(rng, tree, root, local, np.array(joints)), start, codes
 
 
 def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
     """-> of frame t, all written out: the points, the pose about what the code means, the code"""
     rows, residuals = np.zeros(1, int), (code / scale)[None]
-    prior = Latent.asked(model.middle, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
-                         model.information / scale**2, np.zeros(1), rows)  # fmt: skip
+    prior = LatentCodeTerm.build(model.reference_rotations, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
+                         model.residual_information / scale**2, np.zeros(1), rows)  # fmt: skip
     seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
     return dense.cost(dense.Frame(tree, (seen, prior), root, local, code / scale))
 
@@ -98,24 +98,26 @@ def test_poses_that_the_model_knows_come_back_from_all_their_joints(make):
     rng = np.random.default_rng(0)
     model = make(rng)
     tree, points, start, codes = case(rng, model, joints=range(JOINTS))
-    found = poses.under(tree, (points,), model, *start)
-    np.testing.assert_allclose(found.rotations, posed(model, codes), atol=0.02)  # a code of zero is likelier than the true one
+    found = pose_solver.solve_poses(tree, (points,), model, *start)
+    np.testing.assert_allclose(
+        found.local_rotations, posed(model, codes), atol=0.02
+    )  # a code of zero is likelier than the true one
     np.testing.assert_allclose(found.codes, codes, atol=0.2)
-    assert (found.status == CONVERGED).all()
+    assert (found.status == STATUS_CONVERGED).all()
 
 
 def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
     rng = np.random.default_rng(1)
     model = unbent(rng)
     tree, points, start, _ = case(rng, model)
-    found = poses.under(tree, (points,), model, *start, scale=1.5)
+    found = pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=1.5)
     np.testing.assert_allclose(found.cost, costs(tree, points, model, found, 1.5), rtol=1e-9)
     for t, cost in enumerate(found.cost):
         slopes = 1.5 * np.moveaxis(model.components, 0, -1)[None]
-        prior = Latent.asked(model.middle, model.mean[None], slopes, np.zeros((1, CODE)), model.information / 1.5**2,
+        prior = LatentCodeTerm.build(model.reference_rotations, model.mean_vectors[None], slopes, np.zeros((1, CODE)), model.residual_information / 1.5**2,
                              np.zeros(1), np.zeros(1, int))  # fmt: skip
-        seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
-        frame = dense.Frame(tree, (seen, prior), found.root[t], found.rotations[t], found.codes[t] / 1.5)
+        seen = points._replace(seen=points.measured[t : t + 1], weight=points.weight[t : t + 1])
+        frame = dense.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
 
         def residuals(x, frame=frame):
             after = dense.moved(frame, x)
@@ -129,10 +131,10 @@ def test_a_bent_model_is_followed_to_where_no_small_change_is_better():
     rng = np.random.default_rng(2)
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
-    found = poses.under(tree, (points,), model, *start, most=200)
+    found = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
     reached = costs(tree, points, model, found)
     for t in range(len(reached)):
-        frame = dense.Frame(tree, (), found.root[t], found.rotations[t], found.codes[t])
+        frame = dense.Frame(tree, (), found.root_position[t], found.local_rotations[t], found.codes[t])
         for _ in range(60):
             after = dense.moved(frame, rng.normal(0, 0.003, dense.unknowns(frame)))
             assert true_cost(tree, points, model, t, *after[2:]) > reached[t] - 0.02
@@ -144,8 +146,10 @@ def test_the_true_cost_never_rises_however_bent_the_model(height):
     model = bent(rng, height=height)
     tree, points, start, _ = case(rng, model, joints=(2, 5))
     told = []
-    found = poses.under(tree, (points,), model, *start, watch=lambda *state: told.append([each.copy() for each in state]))
-    after = [costs(tree, points, model, replace(found, root=r, rotations=q, codes=z)) for r, q, z in told]
+    found = pose_solver.solve_poses(
+        tree, (points,), model, *start, callback=lambda *state: told.append([each.copy() for each in state])
+    )
+    after = [costs(tree, points, model, replace(found, root_position=r, local_rotations=q, codes=z)) for r, q, z in told]
     fell = np.diff(after, axis=0)
     np.testing.assert_allclose(found.cost, after[-1], rtol=1e-6)
     assert (fell <= 1e-9).all()
@@ -157,11 +161,11 @@ def test_frames_neither_know_their_batch_nor_their_order(make, monkeypatch):
     rng = np.random.default_rng(4)
     model = make(rng)
     tree, points, start, _ = case(rng, model, frames=7)
-    found = poses.under(tree, (points,), model, *start)
+    found = pose_solver.solve_poses(tree, (points,), model, *start)
     order = rng.permutation(7)
-    turned = points._replace(seen=points.seen[order], weight=points.weight[order])
-    monkeypatch.setattr(poses, "BATCH", 2)
-    for name, again in vars(poses.under(tree, (turned,), model, *(each[order] for each in start))).items():
+    turned = points._replace(seen=points.measured[order], weight=points.weight[order])
+    monkeypatch.setattr(pose_solver, "BATCH", 2)
+    for name, again in vars(pose_solver.solve_poses(tree, (turned,), model, *(each[order] for each in start))).items():
         np.testing.assert_allclose(again, getattr(found, name)[order], atol=1e-9)
 
 
@@ -169,9 +173,12 @@ def test_a_scale_widens_all_of_the_models_deviations():
     rng = np.random.default_rng(5)
     model = unbent(rng)
     tree, points, start, _ = case(rng, model)
-    wider = replace(model, sigma=2 * model.sigma, components=2 * model.components)
-    expected, found = poses.under(tree, (points,), wider, *start), poses.under(tree, (points,), model, *start, scale=2.0)
-    np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
+    wider = replace(model, residual_sd_rad=2 * model.residual_sd_rad, components=2 * model.components)
+    expected, found = (
+        pose_solver.solve_poses(tree, (points,), wider, *start),
+        pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=2.0),
+    )
+    np.testing.assert_allclose(found.local_rotations, expected.local_rotations, atol=1e-9)
     np.testing.assert_allclose(found.codes, 2 * expected.codes, atol=1e-9)
 
 
@@ -180,14 +187,14 @@ def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
     with monkeypatch.context() as finer:
-        finer.setattr(search, "ENOUGH", 1e-4)
-        first = poses.under(tree, (points,), model, *start, most=200)
+        finer.setattr(latent_solver, "ENOUGH", 1e-4)
+        first = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end
-        root[t], local[t], codes[t] = first.root[t], first.rotations[t], first.codes[t]
+        root[t], local[t], codes[t] = first.root_position[t], first.local_rotations[t], first.codes[t]
     model.asked.clear()
-    again = poses.under(tree, (points,), model, root, local, codes, most=200)
-    assert (again.status == CONVERGED).all()
+    again = pose_solver.solve_poses(tree, (points,), model, root, local, codes, max_iterations=200)
+    assert (again.status == STATUS_CONVERGED).all()
     assert model.asked[:2] == [5, 2]  # codes of the first round differ, else one would be asked for all
 
 
@@ -195,7 +202,7 @@ def test_a_linear_model_is_asked_once_and_rounds_are_told():
     rng = np.random.default_rng(7)
     model, told = unbent(rng), []
     tree, points, start, _ = case(rng, model)
-    found = poses.under(tree, (points,), model, *start, watch=lambda *state: told.append(state))
+    found = pose_solver.solve_poses(tree, (points,), model, *start, callback=lambda *state: told.append(state))
     assert len(told) == 1
     np.testing.assert_array_equal(told[0][2], found.codes)
 
@@ -205,10 +212,10 @@ def test_the_start_is_left_as_it_was_and_few_iterations_run_out():
     model = bent(rng)
     tree, points, start, codes = case(rng, model)
     kept = *(each.copy() for each in start), codes.copy()
-    found = poses.under(tree, (points,), model, *start, codes, most=1)
+    found = pose_solver.solve_poses(tree, (points,), model, *start, codes, max_iterations=1)
     for now, before in zip((*start, codes), kept, strict=True):
         np.testing.assert_array_equal(now, before)
-    assert (found.status == RAN_OUT).any()
+    assert (found.status == STATUS_ITERATION_LIMIT).any()
     assert (found.iterations >= 1).all()
 
 
@@ -216,10 +223,12 @@ def test_the_tilt_is_the_models_and_the_heading_nobodys():
     """Nothing but the root's place is known: the body stands as the mean does, whichever way it faces."""
     rng = np.random.default_rng(9)
     model, tree = unbent(rng), body(rng)
-    root, local = np.zeros((1, 3)), np.tile(model.middle, (1, 1, 1, 1))
+    root, local = np.zeros((1, 3)), np.tile(model.reference_rotations, (1, 1, 1, 1))
     heading = Rotation.from_rotvec([0, 1.2, 0]).as_matrix()
     local[0, 0] = heading @ Rotation.from_rotvec([0.4, 0, -0.3]).as_matrix()
-    points = Points(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 1, 3)), np.full((1, 1), 1e4))
-    found = poses.under(tree, (points,), model, root, local)
-    np.testing.assert_allclose(from_middle(found.rotations, model.middle)[0], model.mean, atol=1e-3)
+    points = PointTerm(np.zeros(1, int), np.zeros((1, 3)), np.zeros((1, 1, 3)), np.full((1, 1), 1e4))
+    found = pose_solver.solve_poses(tree, (points,), model, root, local)
+    np.testing.assert_allclose(
+        compute_pose_vectors(found.local_rotations, model.reference_rotations)[0], model.mean_vectors, atol=1e-3
+    )
     np.testing.assert_allclose(found.codes, 0, atol=0.01)

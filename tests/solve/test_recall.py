@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.skeleton import cmu31
-from mocapfix.solve import recall
-from mocapfix.solve.people import People
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import occluded_joints
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
-BODY = cmu31()
+BODY = load_cmu31_body()
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")
-LEFT = [BODY.skeleton.index(name) for name in ARM]
-RIGHT = [BODY.skeleton.index(name.replace("Left", "Right")) for name in ARM]
+LEFT = [BODY.skeleton.find_joint(name) for name in ARM]
+RIGHT = [BODY.skeleton.find_joint(name.replace("Left", "Right")) for name in ARM]
 RATE, FRAMES = 60.0, 600
 LOST = slice(300, 400)
 
@@ -35,7 +35,7 @@ def recalled(root, truth, gone):
     solved, unsure = truth.copy(), np.full(gone.shape, 1e-4)
     solved[gone], unsure[gone] = np.eye(3), 0.3
     found, variance = solved.copy(), unsure.copy()
-    recall.lost_joints(root, found, variance, gone, BODY.free, RATE)
+    occluded_joints.infer_occluded_joints(root, found, variance, gone, BODY.free_joints, RATE)
     return found, variance, solved, unsure
 
 
@@ -90,7 +90,7 @@ def test_where_the_arm_stopped_mirroring_what_is_nearer_in_time_counts_for_more(
 
 def test_an_arm_that_is_lost_while_a_leg_is_learns_from_the_frames_that_lost_the_leg_alone():
     root, truth = mirroring(np.random.default_rng(3))
-    leg = [BODY.skeleton.index(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
+    leg = [BODY.skeleton.find_joint(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, LEFT] = True
     gone[250:500][:, leg] = True
@@ -101,7 +101,7 @@ def test_an_arm_that_is_lost_while_a_leg_is_learns_from_the_frames_that_lost_the
 def test_with_most_of_the_body_lost_nothing_is_recalled():
     root, truth = mirroring(np.random.default_rng(0))
     gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, 1:] = BODY.free[1:]
+    gone[LOST, 1:] = BODY.free_joints[1:]
     found, variance, solved, was = recalled(root, truth, gone)
     np.testing.assert_array_equal(found, solved)
     np.testing.assert_array_equal(variance, was)
@@ -110,7 +110,7 @@ def test_with_most_of_the_body_lost_nothing_is_recalled():
 def test_a_take_that_shows_the_arm_too_little_is_not_asked():
     root, truth = mirroring(np.random.default_rng(0), frames=200)
     gone = np.zeros(truth.shape[:2], bool)
-    gone[recall.FEWEST - 1 :, LEFT] = True
+    gone[occluded_joints.MIN_TRAINING_FRAMES - 1 :, LEFT] = True
     found, variance, solved, was = recalled(root, truth, gone)
     np.testing.assert_array_equal(found, solved)
     np.testing.assert_array_equal(variance, was)
@@ -147,7 +147,7 @@ def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_
     oracle = Oracle(truth, scale)
     found, variance = truth.copy(), np.full(gone.shape, 1e-4)
     found[gone] = np.eye(3)
-    recall.lost_joints(root, found, variance, gone, BODY.free, RATE, cast(People, oracle))
+    occluded_joints.infer_occluded_joints(root, found, variance, gone, BODY.free_joints, RATE, cast(PriorConditioner, oracle))
     alone = recalled(root, truth, gone)[0]
     assert oracle.asked == 1
     for j in LEFT:
@@ -159,5 +159,7 @@ def test_nobody_is_asked_of_a_gap_that_the_take_is_sure_of():
     gone = np.zeros(truth.shape[:2], bool)
     gone[300:306, LEFT] = True
     oracle = Oracle(truth)
-    recall.lost_joints(root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free, RATE, cast(People, oracle))
+    occluded_joints.infer_occluded_joints(
+        root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free_joints, RATE, cast(PriorConditioner, oracle)
+    )
     assert oracle.asked == 0

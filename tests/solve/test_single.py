@@ -8,24 +8,32 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import solve
 from mocapfix.errors import ConstraintError, SceneError
-from mocapfix.kernels import kinematics
-from mocapfix.prior import models
-from mocapfix.skeleton import cmu31
-from mocapfix.solve import Camera, Direction, Distance, Orientation, Position, Seen
+from mocapfix.pose_prior import io
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics, motion_solver
+from mocapfix.solve.motion_solver import (
+    ConstraintCamera,
+    DirectionConstraint,
+    DistanceConstraint,
+    OrientationConstraint,
+    PixelConstraint,
+    PositionConstraint,
+)
 
-SKELETON = cmu31().skeleton
-GAUSSIAN = models.load("gaussian", SKELETON)
-INDEX = SKELETON.index
+SKELETON = load_cmu31_body().skeleton
+GAUSSIAN = io.load_pose_model("gaussian", SKELETON)
+INDEX = SKELETON.find_joint
 
 
 def somebody(seed=0, heading=0.0):
     """-> joints (31, 3) and world rotations (31, 3, 3) of a pose that the Gaussian knows, facing anywhere"""
-    code = np.random.default_rng(seed).normal(0, 0.7, (1, GAUSSIAN.size))
-    local = Rotation.from_rotvec(GAUSSIAN.decode(code)[0]).as_matrix() @ GAUSSIAN.middle
+    code = np.random.default_rng(seed).normal(0, 0.7, (1, GAUSSIAN.code_size))
+    local = Rotation.from_rotvec(GAUSSIAN.decode(code)[0]).as_matrix() @ GAUSSIAN.reference_rotations
     local[0] = Rotation.from_euler("y", heading).as_matrix() @ local[0]
-    position, rotation = kinematics.carried(kinematics.tree_of(SKELETON), np.array([[1.0, 0.9, -2.0]]), local[None])
+    position, rotation = kinematics.compute_tree_poses(
+        kinematics.build_kinematic_tree(SKELETON), np.array([[1.0, 0.9, -2.0]]), local[None]
+    )
     return position[0], rotation[0]
 
 
@@ -36,26 +44,34 @@ def at(found, joint):
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
 def test_all_joints_tell_the_pose_whichever_way_it_faces(heading):
     joints, _ = somebody(1, heading)
-    found = solve.pose([Position(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian")
-    np.testing.assert_allclose(found.joints, joints, atol=0.01)
+    found = motion_solver.solve_pose(
+        [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian"
+    )
+    np.testing.assert_allclose(found.joint_positions, joints, atol=0.01)
     assert found.status.startswith("solved")
     assert found.iterations > 0
-    assert found.deviation.max() < 0.005
+    assert found.joint_sd.max() < 0.005
 
 
 def test_a_prior_tells_what_is_not_given_better_than_none():
     joints, _ = somebody(2)
-    given = [Position(name, joints[INDEX(name)]) for name in ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot", "Hips")]
-    off = [np.linalg.norm(solve.pose(given, prior).joints - joints, axis=1).mean() for prior in ("gaussian", "none")]
+    given = [
+        PositionConstraint(name, joints[INDEX(name)])
+        for name in ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot", "Hips")
+    ]
+    off = [
+        np.linalg.norm(motion_solver.solve_pose(given, prior).joint_positions - joints, axis=1).mean()
+        for prior in ("gaussian", "none")
+    ]
     assert off[0] < 0.6 * off[1]
 
 
 def test_the_deviation_is_small_where_something_is_said():
     joints, _ = somebody(3)
     names = ("Head", "LeftHand", "LeftFoot", "RightFoot", "Hips")
-    found = solve.pose([Position(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
-    assert all(found.deviation[INDEX(name)] < 0.0045 for name in names)
-    assert found.deviation[INDEX("RightHand")] > 0.05
+    found = motion_solver.solve_pose([PositionConstraint(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
+    assert all(found.joint_sd[INDEX(name)] < 0.0045 for name in names)
+    assert found.joint_sd[INDEX("RightHand")] > 0.05
 
 
 def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded():
@@ -65,13 +81,15 @@ def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded(
         joints[INDEX("LeftHand")] + rotation[INDEX("LeftHand")] @ thumb,
         joints[INDEX("RightLeg")] - joints[INDEX("RightUpLeg")],
     )
-    found = solve.pose(
+    found = motion_solver.solve_pose(
         [
-            Position("Hips", joints[0], 0.001), Position("LeftHand", tip, 0.001, thumb),
-            Direction("RightUpLeg", "RightLeg", 3 * bone, 0.002), Orientation("Head", rotation[INDEX("Head")], 0.002),
+            PositionConstraint("Hips", joints[0], 0.001), PositionConstraint("LeftHand", tip, 0.001, thumb),
+            DirectionConstraint("RightUpLeg", "RightLeg", 3 * bone, 0.002), OrientationConstraint("Head", rotation[INDEX("Head")], 0.002),
         ], GAUSSIAN,
     )  # fmt: skip
-    _, turned = kinematics.carried(kinematics.tree_of(SKELETON), found.root[None], found.rotations[None])
+    _, turned = kinematics.compute_tree_poses(
+        kinematics.build_kinematic_tree(SKELETON), found.root_position[None], found.local_rotations[None]
+    )
     np.testing.assert_allclose(at(found, "LeftHand") + turned[0, INDEX("LeftHand")] @ thumb, tip, atol=0.003)
     away = at(found, "RightLeg") - at(found, "RightUpLeg")
     assert np.dot(away, bone) / np.linalg.norm(away) / np.linalg.norm(bone) > np.cos(0.01)
@@ -80,7 +98,9 @@ def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded(
 
 
 def test_hands_are_as_far_apart_as_said():
-    found = solve.pose([Position("Hips", (0, 1, 0)), Distance(("LeftHand", "RightHand"), 0.1, 0.001)], GAUSSIAN)
+    found = motion_solver.solve_pose(
+        [PositionConstraint("Hips", (0, 1, 0)), DistanceConstraint(("LeftHand", "RightHand"), 0.1, 0.001)], GAUSSIAN
+    )
     assert np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")) == pytest.approx(0.1, abs=0.005)
 
 
@@ -90,33 +110,36 @@ def test_two_cameras_see_the_pose_where_it_is(perspective):
     said, views = [], []
     for turn in (0.3, 1.7):
         rotation = Rotation.from_euler("xy", [np.pi, turn]).as_matrix()
-        camera = Camera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
+        camera = ConstraintCamera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
         before = joints @ rotation.T + camera.translation
         pixels = 800.0 * before[:, :2] / (before[:, 2:] if perspective else 1.0) + [640.0, 360.0]
         views.append(pixels)
-        said += [Seen(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
-    found = solve.pose(said, GAUSSIAN)
-    np.testing.assert_allclose(found.joints, joints, atol=0.03)
+        said += [PixelConstraint(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
+    found = motion_solver.solve_pose(said, GAUSSIAN)
+    np.testing.assert_allclose(found.joint_positions, joints, atol=0.03)
 
 
 def test_a_start_is_where_it_begins():
     joints, _ = somebody(6)
-    given = [Position(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
-    first = solve.pose(given, GAUSSIAN)
-    again = solve.pose(given, GAUSSIAN, start=(first.root, first.rotations))
+    given = [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
+    first = motion_solver.solve_pose(given, GAUSSIAN)
+    again = motion_solver.solve_pose(given, GAUSSIAN, start=(first.root_position, first.local_rotations))
     assert again.iterations <= first.iterations
-    np.testing.assert_allclose(again.joints, first.joints, atol=1e-3)
+    np.testing.assert_allclose(again.joint_positions, first.joint_positions, atol=1e-3)
 
 
 def test_a_scale_lets_the_given_win():
-    given, span = [Position("LeftHand", (3.0, 1.0, 0.0), 1.0), Position("RightHand", (-3.0, 1.0, 0.0), 1.0)], []
+    given, span = (
+        [PositionConstraint("LeftHand", (3.0, 1.0, 0.0), 1.0), PositionConstraint("RightHand", (-3.0, 1.0, 0.0), 1.0)],
+        [],
+    )
     for scale in (0.2, 5.0):
-        found = solve.pose(given, GAUSSIAN, scale=scale)
+        found = motion_solver.solve_pose(given, GAUSSIAN, prior_scale=scale)
         span.append(np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")))
     assert span[1] > 1.5 * span[0]
 
 
-HAND = Position("LeftHand", (0.5, 1.4, 0.3))
+HAND = PositionConstraint("LeftHand", (0.5, 1.4, 0.3))
 
 
 @pytest.mark.parametrize(
@@ -124,48 +147,63 @@ HAND = Position("LeftHand", (0.5, 1.4, 0.3))
     [
         ([], "There is no constraint"),
         ([HAND, "head"], "'head' is no constraint; choose of: Position, Direction, Orientation, Distance, Seen."),
-        ([Position("LeftHnd", (0, 0, 0))], "Position of LeftHnd: there is no joint 'LeftHnd'; the skeleton has: Hips, LHipJoint"),
-        ([Position("Head", (0, np.nan, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, nan, 0\)."),
-        ([Position("Head", (0, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, 0\)."),
-        ([Position("Head", (0, 0, 0), 0.0)], "Position of Head: sd must be more than 0, and is 0.0."),
-        ([Position("Head", (0, 0, 0), cast("float", "x"))], "Position of Head: sd must be one finite number, and is 'x'."),
-        ([Direction("LeftArm", "Head", (0, 1, 0))], "Direction of LeftArm: Head is no child of LeftArm; its parent is Neck1."),
-        ([Direction("Hips", "Hips", (0, 1, 0))], "its parent is none."),
-        ([Direction("LeftArm", "LeftForeArm", (0, 0, 0))], "Direction of LeftArm: seen has no length, and so no direction."),
-        ([Orientation("Head", -np.eye(3))], "Orientation of Head: rotation must have rows of length one"),
-        ([Distance(("Head", "Foot"), 1.0)], "Distance of Head and Foot: there is no joint 'Foot'"),
-        ([Distance(("Head", "Neck"), np.inf)], "length must be one finite number, and is inf."),
-        ([Distance(("Head",), 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
-        ([Distance("Head", 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
-        ([Seen("Head", None, (1, 2))], "Seen of Head: camera must be a solve.Camera, and is None."),  # type: ignore[arg-type]
-        ([Seen("Head", Camera(np.eye(3), (0, 0, 4), 0.0), (1, 2))], "Seen of Head: camera.scale must be more than 0"),
+        (
+            [PositionConstraint("LeftHnd", (0, 0, 0))],
+            "Position of LeftHnd: there is no joint 'LeftHnd'; the skeleton has: Hips, LHipJoint",
+        ),
+        ([PositionConstraint("Head", (0, np.nan, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, nan, 0\)."),
+        ([PositionConstraint("Head", (0, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, 0\)."),
+        ([PositionConstraint("Head", (0, 0, 0), 0.0)], "Position of Head: sd must be more than 0, and is 0.0."),
+        (
+            [PositionConstraint("Head", (0, 0, 0), cast("float", "x"))],
+            "Position of Head: sd must be one finite number, and is 'x'.",
+        ),
+        (
+            [DirectionConstraint("LeftArm", "Head", (0, 1, 0))],
+            "Direction of LeftArm: Head is no child of LeftArm; its parent is Neck1.",
+        ),
+        ([DirectionConstraint("Hips", "Hips", (0, 1, 0))], "its parent is none."),
+        (
+            [DirectionConstraint("LeftArm", "LeftForeArm", (0, 0, 0))],
+            "Direction of LeftArm: seen has no length, and so no direction.",
+        ),
+        ([OrientationConstraint("Head", -np.eye(3))], "Orientation of Head: rotation must have rows of length one"),
+        ([DistanceConstraint(("Head", "Foot"), 1.0)], "Distance of Head and Foot: there is no joint 'Foot'"),
+        ([DistanceConstraint(("Head", "Neck"), np.inf)], "length must be one finite number, and is inf."),
+        ([DistanceConstraint(("Head",), 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
+        ([DistanceConstraint("Head", 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
+        ([PixelConstraint("Head", None, (1, 2))], "Seen of Head: camera must be a solve.Camera, and is None."),  # type: ignore[arg-type]
+        (
+            [PixelConstraint("Head", ConstraintCamera(np.eye(3), (0, 0, 4), 0.0), (1, 2))],
+            "Seen of Head: camera.scale must be more than 0",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_said(wrong, why):
     with pytest.raises(ConstraintError, match=why):
-        solve.pose(wrong, GAUSSIAN)
+        motion_solver.solve_pose(wrong, GAUSSIAN)
 
 
 def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
     with pytest.raises(SceneError, match="There is no trained prior 'gauss'"):
-        solve.pose([HAND], "gauss")
+        motion_solver.solve_pose([HAND], "gauss")
     with pytest.raises(ConstraintError, match=re.escape("A start is a root (3,) and rotations (31, 3, 3)")):
-        solve.pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
+        motion_solver.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
     with pytest.raises(ConstraintError, match="A start's rotations must have rows of length one"):
-        solve.pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
+        motion_solver.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_a_scale_that_is_none_is_said(scale):
     with pytest.raises(ConstraintError, match=f"scale must be more than 0 and finite, and is {scale!r}"):
-        solve.pose([HAND], GAUSSIAN, scale=scale)
+        motion_solver.solve_pose([HAND], GAUSSIAN, prior_scale=scale)
 
 
 def test_the_papers_network_is_refused_by_its_name():
     with pytest.raises(
         SceneError, match=r"Only mocapfix bench prior asks 'mnn-ik', .* choose one of: autoencoder, gaussian, mixture, pca\."
     ):
-        solve.pose([HAND], "mnn-ik")
+        motion_solver.solve_pose([HAND], "mnn-ik")
 
 
 def test_the_readmes_example_runs():

@@ -5,21 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix import initialise, marker_set, prior, solve, synthetic
-from mocapfix.kernels import kinematics
+from mocapfix import marker_sets, synthetic
+from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
-from mocapfix.prior import models
-from mocapfix.skeleton import cmu31
-from mocapfix.solve import SolveOptions, recall
+from mocapfix.pose_prior import io, mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics, motion_solver, occluded_joints
+from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-BODY, WORN = cmu31(), marker_set.load("cmu41")
-MEAN, NONE = (prior.load(name, BODY.skeleton) for name in ("mean-pose", "none"))
-LIMITS = prior.load_limits(BODY.skeleton)
-NO_LIMITS = replace(LIMITS, low=np.full_like(LIMITS.low, -np.inf), high=np.full_like(LIMITS.high, np.inf))
+BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+MEAN, NONE = (mean_pose.load_mean_pose_prior(name, BODY.skeleton) for name in ("mean-pose", "none"))
+LIMITS = mean_pose.load_joint_limits(BODY.skeleton)
+NO_LIMITS = replace(LIMITS, lower_rad=np.full_like(LIMITS.lower_rad, -np.inf), upper_rad=np.full_like(LIMITS.upper_rad, np.inf))
 NAMES = BODY.skeleton.names
-SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, WORN.spread)
+SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
 
 
 @pytest.fixture(scope="module")
@@ -27,31 +28,31 @@ def exact():
     """-> a composed take whose markers are exactly where the body carries them, at a rate"""
 
     def at(rate, seconds=3.0):
-        truth = synthetic.take(seed=2, seconds=seconds, rate=rate)
-        return replace(truth, markers=kinematics.placed(truth.subject, truth.motion)[1])
+        truth = synthetic.compose_take(seed=2, seconds=seconds, rate=rate)
+        return replace(truth, marker_positions=kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)[1])
 
     return at
 
 
 def solved(truth, markers, habits=NONE, limits=LIMITS):
     worn = Take(markers, truth.labels, truth.rate)
-    start = initialise.motion(worn, truth.subject, BODY, habits)
-    return solve.motion(worn, truth.subject, BODY, habits, limits, start, SolveOptions())
+    start = initial_motion.initialise_motion(worn, truth.subject, BODY, habits)
+    return motion_solver.solve_motion(worn, truth.subject, BODY, habits, limits, start, SolveOptions())
 
 
 def off(truth, motion, frames=slice(None)):
     """-> (T, J) metres: the joints from the true ones"""
-    return np.linalg.norm(kinematics.world(truth.subject.skeleton, motion)[0] - truth.joints[frames], axis=-1)
+    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joints[frames], axis=-1)
 
 
 def check(motion: Motion):
     """What holds of every motion whatever was seen: finite, rotations, a deviation for every marker."""
-    assert np.isfinite(motion.root).all()
-    np.testing.assert_allclose(np.linalg.det(motion.rotations), 1.0)
-    across = motion.rotations @ np.swapaxes(motion.rotations, 2, 3)
+    assert np.isfinite(motion.root_position).all()
+    np.testing.assert_allclose(np.linalg.det(motion.local_rotations), 1.0)
+    across = motion.local_rotations @ np.swapaxes(motion.local_rotations, 2, 3)
     np.testing.assert_allclose(across, np.broadcast_to(np.eye(3), across.shape), atol=1e-9)
-    assert np.isfinite(motion.deviation).all()
-    assert (motion.deviation > 0).all()
+    assert np.isfinite(motion.marker_sd).all()
+    assert (motion.marker_sd > 0).all()
 
 
 @pytest.mark.parametrize(("rate", "millimetres"), [(30.0, 2.2), (120.0, 1.2), (240.0, 1.0)])
@@ -74,7 +75,7 @@ def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
     truth = exact(120.0)
     motion = solved(truth, truth.markers, MEAN, LIMITS)
-    carried = kinematics.placed(truth.subject, motion)[1]
+    carried = kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1]
     assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
     told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
     assert off(truth, motion)[:, told].mean() < 0.003
@@ -85,7 +86,7 @@ def test_a_take_may_be_as_short_as_it_likes(exact, frames):
     truth = exact(120.0)
     motion = solved(truth, truth.markers[100 : 100 + frames])
     check(motion)
-    assert motion.frames == frames
+    assert motion.frame_count == frames
     assert off(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
 
 
@@ -99,7 +100,7 @@ def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
     empty = np.zeros(len(markers), bool)
     empty[:10] = empty[150:160] = empty[200:205] = True
     np.testing.assert_array_equal(motion.status == 3, empty)
-    np.testing.assert_allclose(np.diff(motion.root[145:165], 2, axis=0), 0.0, atol=1e-3)  # no jump
+    np.testing.assert_allclose(np.diff(motion.root_position[145:165], 2, axis=0), 0.0, atol=1e-3)  # no jump
 
 
 @pytest.mark.parametrize("habits", [NONE, MEAN], ids=["none", "mean-pose"])
@@ -120,12 +121,12 @@ def test_a_marker_that_lies_far_off_does_not_move_the_body(exact):
 def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
     truth = exact(120.0)
     markers, k = truth.markers.copy(), truth.labels.index("LFIN")
-    sure = solved(truth, markers).deviation
+    sure = solved(truth, markers).marker_sd
     markers[150:250, k] = np.nan
     motion = solved(truth, markers)
-    assert (motion.deviation[160:240, k] > 1.3 * sure[160:240, k]).all()
+    assert (motion.marker_sd[160:240, k] > 1.3 * sure[160:240, k]).all()
     other = truth.labels.index("RFIN")
-    np.testing.assert_allclose(motion.deviation[:, other], sure[:, other], rtol=0.05)
+    np.testing.assert_allclose(motion.marker_sd[:, other], sure[:, other], rtol=0.05)
     assert off(truth, motion)[160:240, NAMES.index("LeftHand")].mean() < 0.01
 
 
@@ -136,7 +137,7 @@ def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
     markers[150:210][:, np.isin(truth.subject.joints, arm)] = np.nan
     motion = solved(truth, markers)
     check(motion)
-    joints = kinematics.world(truth.subject.skeleton, motion)[0]
+    joints = kinematics.compute_world_poses(truth.subject.skeleton, motion)[0]
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     assert step.max() < 1.5 * np.linalg.norm(np.diff(truth.joints, axis=0), axis=-1).max()
     far = [NAMES.index(name) for name in ("RightHand", "LeftFoot", "RightFoot", "Hips")]
@@ -146,9 +147,9 @@ def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
 def test_the_solve_writes_into_nothing_that_it_is_given(exact):
     truth = exact(30.0)
     worn = Take(truth.markers.copy(), truth.labels, truth.rate)
-    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     was = [field.copy() for field in (worn.markers, *vars(start).values())]
-    solve.motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
 
@@ -162,24 +163,29 @@ def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
         raise AssertionError("asked")
 
     worn = Take(markers, truth.labels, truth.rate)
-    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
-    with_model, without = solve.motion(*given, never), solve.motion(*given)
+    with_model, without = motion_solver.solve_motion(*given, never), motion_solver.solve_motion(*given)
     for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
-    monkeypatch.setattr(recall, "SURE", 0.0)  # this take is quiet, and would not ask
+    monkeypatch.setattr(occluded_joints, "SURE", 0.0)  # this take is quiet, and would not ask
     truth = exact(120.0)
     markers = truth.markers.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
     markers[100:, np.isin(truth.subject.joints, arm)] = np.nan  # never seen again: the take is not sure of it
     worn = Take(markers, truth.labels, truth.rate)
-    start = initialise.motion(worn, truth.subject, BODY, MEAN)
+    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
-    motions = solve.motion(*given, lambda: models.load("gaussian", BODY.skeleton)), solve.motion(*given)
-    moved = np.linalg.norm(np.subtract(*(kinematics.world(truth.subject.skeleton, each)[0] for each in motions)), axis=-1)
+    motions = (
+        motion_solver.solve_motion(*given, lambda: io.load_pose_model("gaussian", BODY.skeleton)),
+        motion_solver.solve_motion(*given),
+    )
+    moved = np.linalg.norm(
+        np.subtract(*(kinematics.compute_world_poses(truth.subject.skeleton, each)[0] for each in motions)), axis=-1
+    )
     elbow = [NAMES.index(name) for name in NAMES if name.startswith(("LeftForeArm", "LeftHand", "LeftFinger", "LThumb"))]
     assert moved[200:, elbow].max() > 0.002
     assert np.delete(moved, elbow, axis=1).max() < 3e-4

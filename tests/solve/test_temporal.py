@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.solve import temporal
+from mocapfix.solve import smoothing
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)
@@ -32,28 +32,28 @@ def test_the_course_is_the_least_squares_solution_of_its_definition(seed, frames
     rng = np.random.default_rng(seed)
     path, variance = rng.normal(size=(frames, 2)), 10.0 ** rng.uniform(-5, -1, frames)
     powers = 10.0 ** (power + rng.uniform(-0.5, 0.5, frames))
-    found = temporal.course(path, variance, powers, rate)
+    found = smoothing.smooth_path(path, variance, powers, rate)
     np.testing.assert_allclose(found, dense_course(path, variance, powers, rate), atol=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 100])
 def test_a_straight_line_stays_itself(frames):
     line = np.arange(frames)[:, None] * [[0.1, -2.0]] + [[3.0, 0.5]]
-    np.testing.assert_allclose(temporal.course(line, np.full(frames, 1e-4), np.ones(frames), RATE), line, atol=1e-8)
+    np.testing.assert_allclose(smoothing.smooth_path(line, np.full(frames, 1e-4), np.ones(frames), RATE), line, atol=1e-8)
 
 
 def test_a_gap_is_crossed_on_a_line_where_the_ends_are_straight():
     line = np.linspace(0, 1, 60)[:, None] * [[1.0, 2.0]]
     variance, torn = np.full(60, 1e-4), line.copy()
     variance[20:40], torn[20:40] = 1e8, 100.0
-    np.testing.assert_allclose(temporal.course(torn, variance, np.ones(60), RATE), line, atol=1e-4)
+    np.testing.assert_allclose(smoothing.smooth_path(torn, variance, np.ones(60), RATE), line, atol=1e-4)
 
 
 def test_certain_frames_are_kept_and_stiff_courses_are_lines():
     rng = np.random.default_rng(0)
     path, certain = rng.normal(size=(50, 1)), np.full(50, 1e-12)
-    np.testing.assert_allclose(temporal.course(path, certain, np.ones(50), RATE), path, atol=1e-4)
-    stiff = temporal.course(path, np.full(50, 1.0), np.full(50, 1e-5), RATE)
+    np.testing.assert_allclose(smoothing.smooth_path(path, certain, np.ones(50), RATE), path, atol=1e-4)
+    stiff = smoothing.smooth_path(path, np.full(50, 1.0), np.full(50, 1e-5), RATE)
     t = np.arange(50)
     np.testing.assert_allclose(stiff[:, 0], np.polyval(np.polyfit(t, path[:, 0], 1), t), atol=1e-3)
 
@@ -62,14 +62,14 @@ def test_certain_frames_are_kept_and_stiff_courses_are_lines():
 @pytest.mark.parametrize("power", [0.05, 20.0])
 def test_the_power_of_a_wandering_is_found_again(rate, power):
     path = wandering(np.random.default_rng(1), 40.0, rate, power, components=3)
-    found = temporal.liveliness(path, np.full(len(path), 1e-6), rate, well_known=0.1)
-    assert power < np.median(found) / temporal.LIVELY * 2 < 4 * power
+    found = smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), rate, max_sd=0.1)
+    assert power < np.median(found) / smoothing.PEAK_POWER_RATIO * 2 < 4 * power
 
 
 def test_a_lively_stretch_is_told_from_the_quiet_around_it():
     t = np.arange(1200) / RATE
     quiet, lively = 0.02 * np.sin(2 * np.pi * t), np.where(abs(t - 6) < 1, 0.5 * np.sin(2 * np.pi * 3 * (t - 5)) ** 3, 0)
-    found = temporal.liveliness((quiet + lively)[:, None], np.full(1200, 1e-6), RATE, 0.1)
+    found = smoothing.estimate_acceleration_power((quiet + lively)[:, None], np.full(1200, 1e-6), RATE, 0.1)
     assert np.median(found[540:660]) > 20 * np.median(found[:450])
 
 
@@ -78,9 +78,9 @@ def test_frames_that_are_not_well_known_do_not_tell_the_power():
     path = wandering(rng, 20.0, RATE, 1.0)
     variance, torn = np.full(len(path), 1e-6), path.copy()
     variance[500:700], torn[500:700] = 1.0, torn[500:700] + rng.normal(0, 5.0, (200, 1))
-    told = temporal.liveliness(torn, variance, RATE, 0.1).max()
-    assert told < 10 * temporal.liveliness(path, np.full(len(path), 1e-6), RATE, 0.1).max()
-    assert temporal.liveliness(torn, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * told
+    told = smoothing.estimate_acceleration_power(torn, variance, RATE, 0.1).max()
+    assert told < 10 * smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), RATE, 0.1).max()
+    assert smoothing.estimate_acceleration_power(torn, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * told
 
 
 def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
@@ -88,7 +88,7 @@ def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
     variance, torn = np.full(200, 1e-4), steady.as_quat()
     variance[90:110], torn[90:110] = 1e4, [0.0, 0.0, 0.0, 1.0]
-    smooth = Rotation.from_quat(temporal.smoothed_turns(torn, variance, RATE))
+    smooth = Rotation.from_quat(smoothing.smooth_quaternions(torn, variance, RATE))
     assert (smooth * steady.inv()).magnitude().max() < np.radians(1)
 
 
@@ -97,7 +97,7 @@ def test_a_bridge_leads_across_the_unsure_frames_and_knows_how_unsure_it_is():
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
     unsure, torn = np.zeros(200, bool), steady.as_quat()
     unsure[90:110], torn[90:110] = True, [0.0, 0.0, 0.0, 1.0]
-    bridge, variance = temporal.bridged(torn, np.full(200, 1e-4), unsure, RATE)
+    bridge, variance = smoothing.bridge_quaternions(torn, np.full(200, 1e-4), unsure, RATE)
     assert (Rotation.from_quat(bridge) * steady.inv()).magnitude().max() < np.radians(1)
     np.testing.assert_array_equal(variance > 0, unsure)
     assert 99 <= variance.argmax() <= 100  # the middle
@@ -106,7 +106,7 @@ def test_a_bridge_leads_across_the_unsure_frames_and_knows_how_unsure_it_is():
 def test_the_least_known_is_what_an_integrated_random_acceleration_leaves_open():
     unsure, power = np.zeros(100, bool), np.full(100, 2.0)
     unsure[40:59] = unsure[95:] = True
-    found = temporal.left_open(unsure, power, RATE) / temporal.DOUBT
+    found = smoothing.compute_gap_variance(unsure, power, RATE) / smoothing.GAP_POWER_RATIO
     assert found[49] == pytest.approx(2.0 * 0.1**3 / 24)  # a = b = 0.1 s
     assert found[-1] == pytest.approx(2.0 * 0.05**3 / 3)  # beyond the last known end
     assert not found[~unsure].any()
@@ -117,7 +117,7 @@ def test_the_root_moves_on_through_lost_frames():
     root = t * [[1.2, 0.0, 0.1]]
     variance, torn = np.full(200, 1e-6), root.copy()
     variance[60:90], torn[60:90] = 1e4, 0.0
-    np.testing.assert_allclose(temporal.smoothed_root(torn, variance, RATE)[0], root, atol=1e-3)
+    np.testing.assert_allclose(smoothing.smooth_root_path(torn, variance, RATE)[0], root, atol=1e-3)
 
 
 def test_a_path_that_is_well_known_only_here_and_there_is_as_lively_as_any():
@@ -127,4 +127,4 @@ def test_a_path_that_is_well_known_only_here_and_there_is_as_lively_as_any():
     for lag in (0, 7, 14):
         variance[100 + lag :: 200] = 1e-8
     path = np.random.default_rng(0).normal(size=(frames, 3))
-    np.testing.assert_array_equal(temporal.liveliness(path, variance, rate, 0.01), np.ones(frames))
+    np.testing.assert_array_equal(smoothing.estimate_acceleration_power(path, variance, rate, 0.01), np.ones(frames))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.motion import Motion
-from mocapfix.skeleton import average
+from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.write import bvh
 
 
@@ -23,4 +23,4 @@ def write_bvh(path: Path, rotations: np.ndarray, rate: float = 30.0) -> None:
     frames = len(rotations)
     none = np.zeros((frames, 0))
     motion = Motion(np.zeros((frames, 3)), rotations, np.zeros(frames, int), np.zeros(frames, int), none, none)
-    bvh(path, average(), motion, rate)
+    bvh(path, load_cmu31_skeleton(), motion, rate)

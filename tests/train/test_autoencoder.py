@@ -6,24 +6,23 @@ import numpy as np
 import pytest
 import torch
 
-from mocapfix import prior
 from mocapfix.errors import ReadError
-from mocapfix.prior.network import Network, Shape
-from mocapfix.skeleton import cmu31
+from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.network import AutoencoderNetwork, NetworkArchitecture
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import autoencoder, settings
-from mocapfix.train.autoencoder import falling, norm
-from mocapfix.train.autoencoder import train as trained
+from mocapfix.train.autoencoder import build_rate_schedule, compute_weight_norm, train_network
 from mocapfix.train.settings import AutoencoderSettings
 
-NAMES = cmu31().skeleton.names
-MIDDLE = prior.load("mean-pose", cmu31().skeleton).rotations
-PRIORS = Path(prior.__file__).parents[2] / "priors"
+NAMES = load_cmu31_body().skeleton.names
+MIDDLE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
+PRIORS = Path(mean_pose.__file__).parents[2] / "priors"
 SMALL = {"hidden": (16,), "code": 4, "epochs": 4, "batch": 32, "rate": 3e-3}
 
 
 def small(name, **changes):
     """-> the shipped settings of a network, but small"""
-    said = settings.read(PRIORS / f"{name}.yaml")
+    said = settings.read_prior_settings(PRIORS / f"{name}.yaml")
     assert isinstance(said, AutoencoderSettings)
     return said.model_copy(update=SMALL | changes)
 
@@ -36,7 +35,7 @@ def poses():
 
 def run(poses, checkpoint, said, progress=lambda what: None):
     whose = np.arange(len(poses)) // 80
-    _, network, _ = trained(NAMES, MIDDLE, poses.reshape(-1, 31, 3), whose, said, checkpoint, progress)
+    _, network, _ = train_network(NAMES, MIDDLE, poses.reshape(-1, 31, 3), whose, said, checkpoint, progress)
     return torch.cat([w.flatten() for w in network.state_dict().values()])
 
 
@@ -82,22 +81,24 @@ def test_weights_are_such_as_half_precision_holds(poses, tmp_path):
 
 
 def test_the_papers_norm_is_of_weights_without_offsets():
-    network = Network(2, 2, Shape("euler", "euler", (3,), 1, 0, "relu", straight=False))
+    network = AutoencoderNetwork(2, 2, NetworkArchitecture("euler", "euler", (3,), 1, 0, "relu", skip_connection=False))
     with torch.no_grad():
         for w in network.parameters():
             w.fill_(2.0)
-    assert float(norm(network).detach()) == pytest.approx(2 * np.sqrt(2 * (2 * 3 + 3 * 1)))
+    assert float(compute_weight_norm(network).detach()) == pytest.approx(2 * np.sqrt(2 * (2 * 3 + 3 * 1)))
 
 
 def test_the_papers_weights_start_as_small_as_the_settings_say():
-    said = small("mnn-ik", hidden=(200,))
-    network, _ = autoencoder.initial(93, MIDDLE, Shape("euler", "euler", (200,), 4, 0, "relu", straight=False), said)
+    said = small("mnn-ik", hidden_widths=(200,))
+    network, _ = autoencoder.initialise_network(
+        93, MIDDLE, NetworkArchitecture("euler", "euler", (200,), 4, 0, "relu", skip_connection=False), said
+    )
     first = next(network.encoder.parameters())
     assert float(first.detach().std()) == pytest.approx(0.01, rel=0.02)
 
 
 def test_the_learning_rate_falls_as_the_settings_say():
-    paper, cosine = falling(small("mnn-ik"), 10_000), falling(small("autoencoder"), 100)
+    paper, cosine = build_rate_schedule(small("mnn-ik"), 10_000), build_rate_schedule(small("autoencoder"), 100)
     assert [paper(step) for step in (0, 1999, 2000, 4000)] == pytest.approx([1, 1, 0.98, 0.98**2])
     assert [cosine(step) for step in (0, 50, 100)] == pytest.approx([1, 0.5, 0])
 
@@ -105,11 +106,11 @@ def test_the_learning_rate_falls_as_the_settings_say():
 def test_balance_shows_everybody_alike():
     whose = np.repeat([0, 1], [900, 100])
     for balance, expected in ((0.0, 0.1), (0.5, 0.25), (1.0, 0.5)):
-        weights = torch.as_tensor(autoencoder.shares(whose, balance))
+        weights = torch.as_tensor(autoencoder.compute_sampling_weights(whose, balance))
         assert float(weights[900:].sum() / weights.sum()) == pytest.approx(expected)
         counts = np.zeros(1000)
         for seed in range(20):
-            shown = autoencoder.drawn(weights, torch.Generator().manual_seed(seed)).numpy()
+            shown = autoencoder.sample_epoch(weights, torch.Generator().manual_seed(seed)).numpy()
             assert len(shown) == 1000
             np.add.at(counts, shown, 1)
         assert counts[900:].sum() / counts.sum() == pytest.approx(expected, abs=0.02)
@@ -119,5 +120,5 @@ def test_balance_shows_everybody_alike():
 def test_the_part_of_poses_that_is_corrupted_is_the_one_asked_for(poses):
     vectors = torch.as_tensor(poses.reshape(-1, 31, 3), dtype=torch.float32).repeat(20, 1, 1)
     for part in (0.0, 0.3, 1.0):
-        shown = autoencoder.partly_spoiled(vectors, part, autoencoder.limbs(), torch.Generator().manual_seed(0))
+        shown = autoencoder.corrupt_some_poses(vectors, part, autoencoder.build_limb_masks(), torch.Generator().manual_seed(0))
         assert float((shown != vectors).flatten(1).any(1).float().mean()) == pytest.approx(part, abs=0.04)

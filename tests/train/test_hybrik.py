@@ -4,24 +4,27 @@ import numpy as np
 import pytest
 import torch
 
-from mocapfix import initialise, marker_set
-from mocapfix.bench import contenders, unseen
-from mocapfix.initialise.closed_form import NO_TWIST
-from mocapfix.skeleton import cmu31
+from mocapfix import marker_sets
+from mocapfix.bench import compared_priors, unseen_poses
+from mocapfix.initialise import initial_motion
+from mocapfix.initialise.hybrik import NO_TWIST_INFORMATION
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
 from mocapfix.train import hybrik
 
-WORN = marker_set.load("cmu41")
-SUBJECT = Subject(cmu31().skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, np.zeros(len(WORN.labels)))
-NOTHING_SURE = torch.tensor([NO_TWIST, 0.0])
+WORN = marker_sets.load_marker_set("cmu41")
+SUBJECT = Subject(load_cmu31_body().skeleton, WORN.name, WORN.labels, WORN.joints, WORN.places, np.zeros(len(WORN.labels)))
+NOTHING_SURE = torch.tensor([NO_TWIST_INFORMATION, 0.0])
 
 
 @pytest.fixture(scope="module")
 def given():
     """-> joints (200, J, 3) that lie 2 cm off, and twists (200, J, 2) for the bones."""
     rng = np.random.default_rng(0)
-    rotations = unseen.shipped()[::5]
-    joints = contenders.placed(SUBJECT.skeleton, np.zeros((200, 3)), rotations).joints + rng.uniform(-0.02, 0.02, (200, 31, 3))
+    rotations = unseen_poses.load_unseen_poses()[::5]
+    joints = compared_priors.place_known_poses(SUBJECT.skeleton, np.zeros((200, 3)), rotations).joints + rng.uniform(
+        -0.02, 0.02, (200, 31, 3)
+    )
     angle = rng.uniform(-1, 1, (200, 31))
     return joints, 100 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
@@ -29,9 +32,9 @@ def given():
 @pytest.mark.parametrize("way", ["naive", "adaptive", "x"])
 def test_tensors_and_kernels_find_the_same_pose(given, way):
     joints, twists = given
-    found = initialise.hybrik(joints, SUBJECT, way=way, twists=twists)
+    found = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=twists)
     place, local = hybrik.hybrik(torch.tensor(joints), torch.tensor(twists) + NOTHING_SURE, SUBJECT, way)
-    assert np.abs(place.numpy() - found.root).max() < 1e-10
+    assert np.abs(place.numpy() - found.root_position).max() < 1e-10
     assert np.abs(local.numpy() - found.rotations).max() < 1e-10
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix import prior
-from mocapfix.prior import Prior
-from mocapfix.scenes import folder
-from mocapfix.skeleton import cmu31
+from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import joint_limits
-from mocapfix.train.mean_pose import FOREARM_TURN, HELD
+from mocapfix.train.mean_pose import FOREARM_TWIST_SD_RAD, LOCKED_JOINT_SD_RAD
 
 NAMES = ["Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "Head"]
 STILL = np.tile(np.eye(3), (len(NAMES), 1, 1))
@@ -30,7 +30,7 @@ def swinging(low, high, frames=2001):
 
 
 def measured(trials, people, held=0.0):
-    return joint_limits.measure(NAMES, trials, people, Prior("", STILL, STILL, held * STILL, 0 * STILL))
+    return joint_limits.measure_joint_limits(NAMES, trials, people, MeanPosePrior("", STILL, STILL, held * STILL, 0 * STILL))
 
 
 def test_the_range_of_one_person_is_found_again_and_mirrored():
@@ -43,10 +43,14 @@ def test_the_range_of_one_person_is_found_again_and_mirrored():
 
 
 def test_a_joint_is_given_room_about_the_axes_that_the_skeleton_holds():
-    limits = measured([np.zeros((100, len(NAMES), 3))], ["01"], held=1 / HELD**2)
-    np.testing.assert_allclose(limits["Head"]["high"], 3 * HELD, atol=1e-3)
-    np.testing.assert_allclose(limits["Head"]["low"], -3 * HELD, atol=1e-3)
-    np.testing.assert_allclose(limits["LeftForeArm"]["high"], 3 * np.array([np.hypot(HELD, FOREARM_TURN), HELD, HELD]), atol=1e-3)
+    limits = measured([np.zeros((100, len(NAMES), 3))], ["01"], held=1 / LOCKED_JOINT_SD_RAD**2)
+    np.testing.assert_allclose(limits["Head"]["high"], 3 * LOCKED_JOINT_SD_RAD, atol=1e-3)
+    np.testing.assert_allclose(limits["Head"]["low"], -3 * LOCKED_JOINT_SD_RAD, atol=1e-3)
+    np.testing.assert_allclose(
+        limits["LeftForeArm"]["high"],
+        3 * np.array([np.hypot(LOCKED_JOINT_SD_RAD, FOREARM_TWIST_SD_RAD), LOCKED_JOINT_SD_RAD, LOCKED_JOINT_SD_RAD]),
+        atol=1e-3,
+    )
 
 
 def test_two_people_widen_the_range_by_what_the_wider_one_would_have_needed():
@@ -71,21 +75,21 @@ def test_a_trial_in_which_a_joint_jumps_tells_nothing_of_that_joint_but_of_the_o
 @pytest.mark.parametrize(("step", "expected"), [(0.9, True), (1.1, False)])
 def test_a_jump_is_a_turn_of_a_radian_in_a_thirtieth_of_a_second(step, expected):
     course = Rotation.from_rotvec(np.outer(np.repeat([0.0, step], 5), [0, 0.6, 0.8])).as_matrix()
-    assert joint_limits.believed(course) is expected
-    assert joint_limits.believed(course[:1])
+    assert joint_limits.is_free_of_jumps(course) is expected
+    assert joint_limits.is_free_of_jumps(course[:1])
 
 
 def test_a_measured_file_is_one_that_loads(tmp_path, monkeypatch):
-    names = list(cmu31().skeleton.names)
-    (tmp_path / "mean-pose.yaml").write_bytes((folder("priors") / "mean-pose.yaml").read_bytes())
+    names = list(load_cmu31_body().skeleton.names)
+    (tmp_path / "mean-pose.yaml").write_bytes((find_shipped_folder("priors") / "mean-pose.yaml").read_bytes())
     (tmp_path / "skeletons.json").write_text(f'{{"joints": {names}}}'.replace("'", '"'))
     angles = np.random.default_rng(1).uniform(-20, 20, (40, len(names), 3))
     written = np.round(angles / 180 * 32767).astype(np.int16)
     np.savez(tmp_path / "train-0.npz", euler=written, trial=np.array(["01_01", "02_01"]), start=np.array([0, 25]))
-    joint_limits.main(str(tmp_path), str(tmp_path / "joint-limits.yaml"))
+    joint_limits.write_joint_limits(str(tmp_path), str(tmp_path / "joint-limits.yaml"))
     text = (tmp_path / "joint-limits.yaml").read_text(encoding="utf-8")
     assert "40 frames of 2 trials" in text
     assert "NSF" in text
-    monkeypatch.setattr(prior, "folder", lambda _: tmp_path)
-    limits = prior.load_limits(cmu31().skeleton)
-    assert (limits.low[1:] < limits.high[1:]).all()
+    monkeypatch.setattr(mean_pose, "folder", lambda _: tmp_path)
+    limits = mean_pose.load_joint_limits(load_cmu31_body().skeleton)
+    assert (limits.lower_rad[1:] < limits.upper_rad[1:]).all()

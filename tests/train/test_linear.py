@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.train import linear
+from mocapfix.train import gaussian_models
 
 NAMES, STILL = ("Hips", "Spine", "Head"), np.tile(np.eye(3), (3, 1, 1))
 
@@ -15,8 +15,8 @@ def drawn(deviations, noise, count=20000):
 
 def test_the_spread_that_poses_were_drawn_with_is_found_again():
     poses, axes = drawn([0.6, 0.4, 0.3], 0.1)
-    model = linear.fit(NAMES, STILL, poses, 3)
-    w = model.components.reshape(3, 9)
+    model = gaussian_models.fit_gaussian_model(NAMES, STILL, poses, 3)
+    w = model.max_components.reshape(3, 9)
     np.testing.assert_allclose(model.mean.ravel(), np.arange(9) / 10, atol=0.02)
     np.testing.assert_allclose(model.noise, 0.1, rtol=0.02)
     np.testing.assert_allclose(np.linalg.norm(w, axis=1), [0.6, 0.4, 0.3], rtol=0.03)
@@ -25,19 +25,21 @@ def test_the_spread_that_poses_were_drawn_with_is_found_again():
 
 def test_codes_of_the_poses_are_normal():
     poses, _ = drawn([0.6, 0.4, 0.3], 0.01)
-    codes = linear.fit(NAMES, STILL, poses, 3).encode(poses)
+    codes = gaussian_models.fit_gaussian_model(NAMES, STILL, poses, 3).encode(poses)
     np.testing.assert_allclose(codes.T @ codes / len(codes), np.eye(3), atol=0.02)
 
 
 def test_all_components_are_those_above_the_noise_floor_and_make_the_covariance():
     poses, _ = drawn([0.6, 0.4, 0.3], 0.001)
-    model = linear.fit(NAMES, STILL, poses, None)
+    model = gaussian_models.fit_gaussian_model(NAMES, STILL, poses, None)
     assert model.size == 3
-    assert model.noise == linear.FLOOR
-    w = model.components.reshape(3, 9)
-    np.testing.assert_allclose(w.T @ w + linear.FLOOR**2 * np.eye(9), np.cov(poses.reshape(-1, 9).T), atol=3e-4)
+    assert model.noise == gaussian_models.MIN_NOISE_SD_RAD
+    w = model.max_components.reshape(3, 9)
+    np.testing.assert_allclose(
+        w.T @ w + gaussian_models.MIN_NOISE_SD_RAD**2 * np.eye(9), np.cov(poses.reshape(-1, 9).T), atol=3e-4
+    )
 
 
 def test_no_more_components_than_stand_out_are_kept():
     poses, _ = drawn([0.6, 0.4, 0.3], 0.001)
-    assert linear.fit(NAMES, STILL, poses, 8).size == 3
+    assert gaussian_models.fit_gaussian_model(NAMES, STILL, poses, 8).size == 3

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix import shape
-from mocapfix.scenes import folder
-from mocapfix.skeleton import average
-from mocapfix.train import shape as train
+from mocapfix import skeleton
+from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.skeleton import load_cmu31_skeleton
+from mocapfix.train import body_shape as train
 
 MEAN = np.array([[0, 0, 0], [0, 1.0, 0], [0.5, 0, 0], [-0.5, 0, 0]])  # a trunk with an arm on each side
 MIRRORED = [0, 1, 3, 2]
@@ -24,7 +24,7 @@ def bodies(rng, count=400):
 
 
 def test_what_people_differ_by_is_found_at_one_size():
-    components, explained = train.fit(bodies(np.random.default_rng(0)), MEAN, MIRRORED, 10)
+    components, explained = train.fit_shape_components(bodies(np.random.default_rng(0)), MEAN, MIRRORED, 10)
     assert len(components) == 2
     assert explained == pytest.approx(1.0)
     np.testing.assert_allclose(components[0], [[0, 0, 0], [0, 0, 0], [0, 0.1, 0], [0, 0.1, 0]], atol=0.01)
@@ -33,24 +33,27 @@ def test_what_people_differ_by_is_found_at_one_size():
 
 
 def test_the_largest_components_are_kept():
-    components, explained = train.fit(bodies(np.random.default_rng(0)), MEAN, MIRRORED, 1)
+    components, explained = train.fit_shape_components(bodies(np.random.default_rng(0)), MEAN, MIRRORED, 1)
     assert len(components) == 1
     assert explained == pytest.approx(0.1**2 / (0.1**2 + 0.03**2), abs=0.03)
 
 
 def test_one_person_and_the_mirror_image_differ_in_one_way():
     body = MEAN + [[0, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]
-    components, _ = train.fit(body[None], MEAN, MIRRORED, 10)
+    components, _ = train.fit_shape_components(body[None], MEAN, MIRRORED, 10)
     np.testing.assert_allclose(np.abs(components), [[[0, 0, 0], [0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]], atol=1e-12)
 
 
 def test_no_subject_of_the_test_split_is_fitted():
-    assert not {"02", "05", "06", "16", "49"} & set(train.SUBJECTS)
+    assert not {"02", "05", "06", "16", "49"} & set(train.BODY_SUBJECTS)
 
 
 @pytest.mark.skipif(not MOTION.is_dir(), reason=f"needs CMU's skeletons in {MOTION}")
 def test_what_ships_is_what_the_script_writes(tmp_path):
-    train.main(str(MOTION), str(tmp_path / "shape.yaml"))
-    found, shipped = (shape.load(where / "shape.yaml", average().names) for where in (tmp_path, folder("priors")))
+    train.write_shape_components(str(MOTION), str(tmp_path / "shape.yaml"))
+    found, shipped = (
+        skeleton.load_shape_components(where / "shape.yaml", load_cmu31_skeleton().names)
+        for where in (tmp_path, find_shipped_folder("priors"))
+    )
     np.testing.assert_allclose(found, shipped, atol=2e-5)
-    assert "mocap.cs.cmu.edu" in (folder("priors") / "shape.yaml").read_text()
+    assert "mocap.cs.cmu.edu" in (find_shipped_folder("priors") / "shape.yaml").read_text()

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.motion import Motion
-from mocapfix.skeleton import cmu31
+from mocapfix.skeleton import load_cmu31_body
 
-SKELETON = cmu31().skeleton
+SKELETON = load_cmu31_body().skeleton
 
 
 class Bvh:

@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
-from mocapfix.kernels import kinematics
 from mocapfix.motion import Motion
 from mocapfix.read import amc as reading
-from mocapfix.skeleton import cmu31
-from mocapfix.write.amc import asf_amc, axes_of, bones
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
+from mocapfix.write.asf_amc import get_bone_axes_deg, get_cmu_bone_names, write_asf_amc
 
-SKELETON = cmu31().skeleton
+SKELETON = load_cmu31_body().skeleton
 CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"
 
 
@@ -27,8 +27,8 @@ def moved(seed: int, frames: int = 20, still: tuple[str, ...] = ("LHipJoint", "R
 
 
 def written(folder: Path, motion: Motion, **kinds):
-    asf_amc(folder / "w.asf", folder / "w_1.amc", SKELETON, motion, 100.0, **kinds)
-    return reading.animation(folder / "w_1.amc")
+    write_asf_amc(folder / "w.asf", folder / "w_1.amc", SKELETON, motion, 100.0, **kinds)
+    return reading.read_amc(folder / "w_1.amc")
 
 
 @pytest.mark.parametrize("still", [("LHipJoint", "RHipJoint"), ()])
@@ -36,10 +36,10 @@ def test_what_is_written_is_read_back_where_it_was(tmp_path, still):
     motion = moved(0, still=still)
     found = written(tmp_path, motion, first_frame=301)
     assert (found.frames, found.first_frame, found.rate) == (motion.frames, 301, 100.0)
-    order = [found.index(name) for name in bones(SKELETON)]
-    apart = np.degrees(np.linalg.norm(found.rotations()[:, order] - motion.rotations, axis=(2, 3)) / np.sqrt(2))
+    order = [found.index(name) for name in get_cmu_bone_names(SKELETON)]
+    apart = np.degrees(np.linalg.norm(found.local_rotations()[:, order] - motion.local_rotations, axis=(2, 3)) / np.sqrt(2))
     assert apart.max() < 1e-4
-    position, _ = kinematics.world(SKELETON, motion)
+    position, _ = kinematics.compute_world_poses(SKELETON, motion)
     assert np.linalg.norm(found.world()[0][:, order] - position, axis=-1).max() < 1e-6
     for joint, name in enumerate(SKELETON.names):
         if not np.isnan(SKELETON.ends[joint]).any():
@@ -48,7 +48,7 @@ def test_what_is_written_is_read_back_where_it_was(tmp_path, still):
 
 def test_angles_run_on_from_frame_to_frame(tmp_path):
     motion = moved(1, frames=200, still=SKELETON.names)
-    motion.rotations[:, 0] = Rotation.from_rotvec(np.radians(np.arange(200) * 10.0)[:, None] * [1, 0, 0]).as_matrix()
+    motion.local_rotations[:, 0] = Rotation.from_rotvec(np.radians(np.arange(200) * 10.0)[:, None] * [1, 0, 0]).as_matrix()
     found = written(tmp_path, motion)
     np.testing.assert_allclose(found.values[:, found.turning(0)[0][-1]], np.arange(200) * 10.0, atol=1e-6)
 
@@ -64,7 +64,7 @@ def test_the_form_is_cmus(tmp_path):
 @pytest.mark.skipif(not CMU.is_dir(), reason="the real captures are not here")
 def test_names_order_and_axes_are_those_of_cmus_own_skeleton(tmp_path):
     written(tmp_path, moved(3))
-    own, cmus = reading.animation(tmp_path / "w.asf"), reading.animation(CMU / "02.asf")
+    own, cmus = reading.read_amc(tmp_path / "w.asf"), reading.read_amc(CMU / "02.asf")
     assert sorted(own.names) == sorted(cmus.names)
     for joint, name in enumerate(own.names):
         there = cmus.index(name)
@@ -72,15 +72,15 @@ def test_names_order_and_axes_are_those_of_cmus_own_skeleton(tmp_path):
         above = own.names[own.parents[joint]] if joint else ""
         assert above == (cmus.names[cmus.parents[there]] if joint else "")
     assert own.unit == cmus.unit
-    assert axes_of("rhumerus") == (180, 30, 90)
+    assert get_bone_axes_deg("rhumerus") == (180, 30, 90)
 
 
 def test_what_an_asf_cannot_hold_is_refused_and_nothing_is_left(tmp_path):
     motion, offsets = moved(4), SKELETON.offsets.copy()
     offsets[SKELETON.index("LeftShoulder"), 0] += 0.01
     with pytest.raises(WriteError, match=r"w\.asf: LeftShoulder and Neck do not begin at the same place"):
-        asf_amc(tmp_path / "w.asf", tmp_path / "w.amc", replace(SKELETON, offsets=offsets), motion, 100.0)
+        write_asf_amc(tmp_path / "w.asf", tmp_path / "w.amc", replace(SKELETON, offsets=offsets), motion, 100.0)
     motion.root[3, 1] = np.nan
     with pytest.raises(WriteError, match=r"w\.amc: the motion is not known in every frame"):
-        asf_amc(tmp_path / "w.asf", tmp_path / "w.amc", SKELETON, motion, 100.0)
+        write_asf_amc(tmp_path / "w.asf", tmp_path / "w.amc", SKELETON, motion, 100.0)
     assert not list(tmp_path.iterdir())

@@ -2,7 +2,8 @@ import csv
 
 import numpy as np
 
-from mocapfix import read, write
+from mocapfix import write
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.text_files import STANDING
 
@@ -19,10 +20,10 @@ def test_one_line_of_names_and_then_numbers(tmp_path):
     assert names[-1] == "hand, left_Z_mm"
     assert rows[1] == ["8", "0.020000", "11.00000", "21.00000", "1701.00000", "", "", "", "401.00000", "21.50000", "1001.00000"]
     assert len(rows) == 4
-    assert read.take(tmp_path / "walk.csv").labels == take.labels
+    assert capture.read_capture(tmp_path / "walk.csv").labels == take.labels
 
 
 def test_a_label_that_holds_a_line_end_stays_in_the_line_of_names(tmp_path):
     path = tmp_path / "walk.csv"
     write.csv(path, Take(np.arange(18.0).reshape(3, 2, 3), ("left\nheel", "LTOE"), 100.0))
-    assert read.take(path).labels == ("left heel", "LTOE")
+    assert capture.read_capture(path).labels == ("left heel", "LTOE")

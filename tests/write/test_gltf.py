@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
-from mocapfix.kernels import kinematics
+from mocapfix.solve import kinematics
 from mocapfix.write import gltf
 from tests.write.read_back import SKELETON, motion_of, smooth_rotations
 
 FLOAT, SHORT = 5126, 5123
 WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MOTION = motion_of(smooth_rotations(2, 240, 31, swing=4), np.random.default_rng(1).normal(size=(240, 3)))
-PLACES, TURNS = kinematics.world(SKELETON, MOTION)
+PLACES, TURNS = kinematics.compute_world_poses(SKELETON, MOTION)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def test_the_skin_takes_back_the_rest_pose(glb):
     skin = glb.json["skins"][0]
     assert skin["joints"] == list(range(31))
     assert glb.json["nodes"][31]["skin"] == glb.json["nodes"][31]["mesh"] == 0
-    rest = kinematics.world(SKELETON, motion_of(np.tile(np.eye(3), (1, 31, 1, 1))))[0][0]
+    rest = kinematics.compute_world_poses(SKELETON, motion_of(np.tile(np.eye(3), (1, 31, 1, 1))))[0][0]
     inverse = glb.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)  # written column by column
     at_rest = inverse @ np.concatenate([rest, np.ones((31, 1))], axis=1)[..., None]
     np.testing.assert_allclose(at_rest[..., 0], np.tile([0, 0, 0, 1], (31, 1)), atol=1e-6)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix import read, write
-from mocapfix.c3d_layout import C3DLayout
+from mocapfix import write
 from mocapfix.errors import WriteError
-from mocapfix.table_layout import TableLayout
+from mocapfix.files.layouts import C3dLayout, TableLayout
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.text_files import LABELS, STANDING, trc
 
@@ -22,7 +22,7 @@ Z_UP = np.eye(3)[[1, 2, 0]]
 
 
 def in_axes(unit: float, axes: np.ndarray) -> TableLayout:
-    return TableLayout("utf-8", "\n", "\t", ".", unit, axes=axes)
+    return TableLayout("utf-8", "\n", "\t", ".", unit, rotation_y_up_file=axes)
 
 
 def by_library(path: Path) -> tuple[c3d_library.Reader, np.ndarray]:
@@ -35,7 +35,7 @@ def by_library(path: Path) -> tuple[c3d_library.Reader, np.ndarray]:
 @given(
     markers=arrays(float, (5, 3, 3), elements=st.floats(-3, 3, width=32).filter(lambda x: abs(x) > 1e-6)),
     gone=arrays(bool, (5, 3)),
-    deviation=arrays(float, (5, 3), elements=st.floats(0, 0.05) | st.just(np.nan)),
+    sample_sd=arrays(float, (5, 3), elements=st.floats(0, 0.05) | st.just(np.nan)),
     form=st.sampled_from([(0.001, Z_UP), (0.01, np.eye(3)), (1.0, np.eye(3)), (0.0254, np.eye(3)[[2, 0, 1]])]),
     first=st.sampled_from([0, 1, 695, 65_533, 70_000]),
     rate=st.sampled_from([30.0, 59.94, 120.0, 1000.0]),
@@ -43,16 +43,16 @@ def by_library(path: Path) -> tuple[c3d_library.Reader, np.ndarray]:
 def test_reads_back_the_same(tmp_path_factory, markers, gone, deviation, form, first, rate):
     path = tmp_path_factory.mktemp("new") / "take.c3d"
     labels = ("LFHD", "Jim:LANK", "Zehe_größte")
-    given_in = Take(np.where(gone[..., None], np.nan, markers), labels, rate, first, layout=in_axes(*form), deviation=deviation)
+    given_in = Take(np.where(gone[..., None], np.nan, markers), labels, rate, first, layout=in_axes(*form), sample_sd=deviation)
     write.new_c3d(path, given_in)
-    back = read.take(path)
-    assert (back.labels, back.first_frame, back.frames) == (labels, first, 5)
+    back = capture.read_capture(path)
+    assert (back.labels, back.first_frame, back.frame_count) == (labels, first, 5)
     assert back.rate == pytest.approx(rate, rel=1e-7)
     np.testing.assert_allclose(back.markers, given_in.markers, atol=4e-7)
-    assert isinstance(back.layout, C3DLayout)
-    np.testing.assert_array_equal(back.layout.axes, form[1])
-    assert back.layout.unit == (form[0] if form[0] != 0.0254 else 0.001)
-    words = back.layout.words(path.read_bytes())[..., 3]
+    assert isinstance(back.layout, C3dLayout)
+    np.testing.assert_array_equal(back.layout.rotation_y_up_file, form[1])
+    assert back.layout.unit_m == (form[0] if form[0] != 0.0254 else 0.001)
+    words = back.layout.view_words(path.read_bytes())[..., 3]
     counts = np.clip(np.rint(deviation / 1e-4), 1, 255)
     np.testing.assert_array_equal(words, np.where(gone, -1, np.where(np.isnan(deviation), 0, counts)))
 
@@ -61,7 +61,7 @@ def test_both_libraries_read_it_the_same(tmp_path):
     xyz = STANDING.copy()
     xyz[1, 2] = np.nan
     (tmp_path / "walk.trc").write_text(trc(xyz, first=185))
-    take = read.take(tmp_path / "walk.trc")
+    take = capture.read_capture(tmp_path / "walk.trc")
     write.new_c3d(tmp_path / "walk.c3d", take)
     file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     np.testing.assert_allclose(file["data"]["points"][:3].transpose(2, 1, 0), xyz, rtol=1e-6)
@@ -80,17 +80,17 @@ def test_what_was_filled_is_known_again_by_its_residual(tmp_path):
     deviation[3:9, 1] = 0.004
     computed = np.zeros((40, 3), bool)
     computed[20, 2] = True  # by an earlier file's word; nobody knows how surely
-    write.new_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, deviation=deviation, computed=computed))
-    back = read.take(tmp_path / "take.c3d")
+    write.new_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, sample_sd=deviation, computed=computed))
+    back = capture.read_capture(tmp_path / "take.c3d")
     np.testing.assert_array_equal(back.computed, ~np.isnan(deviation) | computed)
-    assert back.blind is not None
-    assert not back.blind.any()
+    assert back.uncaptured is not None
+    assert not back.uncaptured.any()
 
 
 def test_unlabelled_trajectories_come_behind_the_markers(tmp_path):
     loose = Take(Y_UP[:, :1] + 1, ("*7",), 100)
     write.new_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, unlabelled=loose))
-    back = read.take(tmp_path / "take.c3d")
+    back = capture.read_capture(tmp_path / "take.c3d")
     assert back.labels == LABELS
     assert back.unlabelled is not None
     assert back.unlabelled.labels == ("*7",)
@@ -104,7 +104,7 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
     labels = tuple(f"M{i}".ljust(width, "x") for i in range(count))
     markers = np.random.default_rng(0).normal(size=(2, count, 3))
     write.new_c3d(path, Take(markers, labels, 100))
-    back = read.take(path)
+    back = capture.read_capture(path)
     assert back.labels == labels
     np.testing.assert_allclose(back.markers, markers, atol=1e-6)
     np.testing.assert_allclose(by_library(path)[1][..., :3], markers[..., [2, 0, 1]] * 1000, rtol=1e-4, atol=1e-3)
@@ -113,8 +113,8 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
 def test_more_frames_than_the_header_can_say(tmp_path):
     markers = np.random.default_rng(0).normal(size=(70_000, 1, 3))
     write.new_c3d(tmp_path / "long.c3d", Take(markers, ("LFHD",), 100, first_frame=3))
-    back = read.take(tmp_path / "long.c3d")
-    assert (back.first_frame, back.frames) == (3, 70_000)
+    back = capture.read_capture(tmp_path / "long.c3d")
+    assert (back.first_frame, back.frame_count) == (3, 70_000)
     np.testing.assert_allclose(back.markers, markers, atol=1e-6)
     assert ezc3d.c3d(str(tmp_path / "long.c3d"))["data"]["points"].shape == (4, 1, 70_000)
     reader, points = by_library(tmp_path / "long.c3d")
@@ -125,7 +125,7 @@ def test_a_take_from_no_file_is_in_millimetres_with_z_up(tmp_path):
     write.new_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, first_frame=-20))
     point = ezc3d.c3d(str(tmp_path / "take.c3d"))["parameters"]["POINT"]
     assert (point["UNITS"]["value"], point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["mm"], ["+X"], ["+Z"])
-    assert read.take(tmp_path / "take.c3d").first_frame == 1  # C3D knows none before 0
+    assert capture.read_capture(tmp_path / "take.c3d").first_frame == 1  # C3D knows none before 0
 
 
 def test_what_a_c3d_cannot_hold_is_one_sentence(tmp_path):

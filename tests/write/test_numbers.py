@@ -3,7 +3,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mocapfix.write.numbers import rows
+from mocapfix.write.number_format import format_rows
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 HALVES = st.builds(lambda whole, bits: whole / 2**bits, st.integers(-(10**6), 10**6), st.integers(0, 20))
@@ -18,20 +18,22 @@ def python(values, decimals):
 @example([-0.0, 0.0, -1e-9, 0.5, 1.5, 2.5, 0.125, 0.375, 1e22, 5e-324], 2)
 @example([0.5, 1.5, 2.5, 3.5, -0.5, 4503599627370495.5], 0)
 def test_rows_are_what_python_writes(numbers, decimals):
-    assert rows(np.array([numbers]), decimals) == python([numbers], decimals)
+    assert format_rows(np.array([numbers]), decimals) == python([numbers], decimals)
 
 
 @given(st.lists(st.one_of(st.floats(-4e9, 4e9), HALVES, NEAR_HALVES), min_size=1, max_size=300))
 def test_rows_of_what_captures_hold_are_what_python_writes(numbers):
-    assert rows(np.array([numbers]), 6) == python([numbers], 6)
+    assert format_rows(np.array([numbers]), 6) == python([numbers], 6)
 
 
 def test_signs_between_and_after_are_as_asked():
-    assert rows(np.array([[1.0, -2.5], [3.25, 4.0]]), 1, between=",\t", end="\r\n") == b"1.0,\t-2.5\r\n3.2,\t4.0\r\n"
-    assert rows(np.empty((2, 0)), 6) == b"\n\n"
+    assert (
+        format_rows(np.array([[1.0, -2.5], [3.25, 4.0]]), 1, separator=",\t", line_end="\r\n") == b"1.0,\t-2.5\r\n3.2,\t4.0\r\n"
+    )
+    assert format_rows(np.empty((2, 0)), 6) == b"\n\n"
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_no_number_is_refused(bad):
     with pytest.raises(ValueError, match="not finite"):
-        rows(np.array([[1.0, bad]]), 6)
+        format_rows(np.array([[1.0, bad]]), 6)

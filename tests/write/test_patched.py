@@ -6,7 +6,7 @@ import pytest
 
 from mocapfix.errors import WriteError
 from mocapfix.read import amc, bvh
-from mocapfix.write.patched import patched
+from mocapfix.write.animation_patch import patch_animation
 from tests.asf_files import AMC, ASF
 from tests.bvh_files import TEXT
 
@@ -16,13 +16,13 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 @pytest.fixture
 def figure(tmp_path):
     (tmp_path / "in.bvh").write_bytes(TEXT.replace("\n", "\r\n").encode())
-    return bvh.animation(tmp_path / "in.bvh")
+    return bvh.read_bvh(tmp_path / "in.bvh")
 
 
 def test_changed_numbers_alone_are_spelled_anew(figure, tmp_path):
     values = figure.values.copy()
     values[1, 6], values[2, 15], values[0, 0] = -7.25, 1234.56785001, -0.0
-    patched(tmp_path / "out.bvh", figure, values)
+    patch_animation(tmp_path / "out.bvh", figure, values)
     expected = TEXT.replace("16.0000", "-7.2500").replace(" 7.2000", " 1234.5679").replace("10.5000", "-0.0000")
     assert (tmp_path / "out.bvh").read_bytes() == expected.replace("\n", "\r\n").encode()
 
@@ -30,28 +30,28 @@ def test_changed_numbers_alone_are_spelled_anew(figure, tmp_path):
 def test_new_numbers_have_as_many_decimals_as_most(tmp_path):
     text = TEXT.replace("0000 ", "0 ").replace("0000\n", "0\n").replace("10.50 ", "10 ").replace("11.0 ", "1.1e1 ")
     (tmp_path / "in.bvh").write_text(text)
-    figure = bvh.animation(tmp_path / "in.bvh")
+    figure = bvh.read_bvh(tmp_path / "in.bvh")
     values = figure.values.copy()
     values[0, 6] = 1 / 3
-    patched(tmp_path / "out.bvh", figure, values)
+    patch_animation(tmp_path / "out.bvh", figure, values)
     assert (tmp_path / "out.bvh").read_text() == text.replace(" 15.0 ", " 0.3 ", 1)
 
 
 def test_whole_numbers_get_decimals_where_they_must(tmp_path):
     (tmp_path / "in.bvh").write_text(TEXT.replace(".0000", "").replace("000", ""))
-    figure = bvh.animation(tmp_path / "in.bvh")
+    figure = bvh.read_bvh(tmp_path / "in.bvh")
     figure = replace(figure, values=np.round(figure.values))
-    patched(tmp_path / "out.bvh", figure, figure.values)
+    patch_animation(tmp_path / "out.bvh", figure, figure.values)
     assert (tmp_path / "out.bvh").read_bytes() == (tmp_path / "in.bvh").read_bytes()
 
 
 def test_a_number_that_was_not_there_is_put_in(figure, tmp_path):
     text = TEXT.replace("16.0000", "nan")
     (tmp_path / "in.bvh").write_text(text)
-    figure = bvh.animation(tmp_path / "in.bvh")
-    patched(tmp_path / "out.bvh", figure, figure.values)
+    figure = bvh.read_bvh(tmp_path / "in.bvh")
+    patch_animation(tmp_path / "out.bvh", figure, figure.values)
     assert (tmp_path / "out.bvh").read_text() == text
-    patched(tmp_path / "out.bvh", figure, np.nan_to_num(figure.values, nan=2.5))
+    patch_animation(tmp_path / "out.bvh", figure, np.nan_to_num(figure.values, nan=2.5))
     assert (tmp_path / "out.bvh").read_text() == TEXT.replace("16.0000", "2.5000")
 
 
@@ -59,11 +59,11 @@ def test_an_amc_in_radians_gets_radians_back(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
     text = AMC.replace(":DEGREES", ":RADIANS").replace("lfoot 7.5 8.5", "lfoot 0.5 0.25")
     (tmp_path / "09_01.amc").write_text(text)
-    before = amc.animation(tmp_path / "09_01.amc")
+    before = amc.read_amc(tmp_path / "09_01.amc")
     foot = before.turning(before.names.index("lfoot"))[0]
     values = before.values.copy()
     values[1, foot] *= 2
-    patched(tmp_path / "out.amc", before, values)
+    patch_animation(tmp_path / "out.amc", before, values)
     written = (tmp_path / "out.amc").read_text()
     assert written == text.replace("lfoot 0.5 0.25", "lfoot 1.0 0.5")
 
@@ -71,14 +71,14 @@ def test_an_amc_in_radians_gets_radians_back(tmp_path):
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
 @pytest.mark.parametrize("name", ["cmu/02_01.bvh", "bvh-other/louise.bvh", "bvh-other/02_01_daz-friendly.bvh"])
 def test_nothing_changed_is_the_file_byte_for_byte_and_what_is_changed_comes_back(name, tmp_path):
-    before = bvh.animation(CAPTURES / name)
-    patched(tmp_path / "same.bvh", before, before.values)
+    before = bvh.read_bvh(CAPTURES / name)
+    patch_animation(tmp_path / "same.bvh", before, before.values)
     assert (tmp_path / "same.bvh").read_bytes() == (CAPTURES / name).read_bytes()
     values, rng = before.values.copy(), np.random.default_rng(0)
     frames, columns = rng.integers(0, before.frames, 500), rng.integers(0, values.shape[1], 500)
     values[frames, columns] += rng.normal(0, 20, 500)
-    patched(tmp_path / "changed.bvh", before, values)
-    after = bvh.animation(tmp_path / "changed.bvh")
+    patch_animation(tmp_path / "changed.bvh", before, values)
+    after = bvh.read_bvh(tmp_path / "changed.bvh")
     np.testing.assert_allclose(after.values, values, atol=0.51e-3)
     kept = values == before.values
     np.testing.assert_array_equal(after.values[kept], before.values[kept])
@@ -89,20 +89,20 @@ def test_what_no_file_can_hold_is_refused_and_nothing_is_left(figure, tmp_path, 
     values = figure.values.copy()
     values[1, 6] = bad
     with pytest.raises(WriteError, match="in frame 2 Left Knee would be"):
-        patched(tmp_path / "out.bvh", figure, values)
+        patch_animation(tmp_path / "out.bvh", figure, values)
     assert [each.name for each in tmp_path.iterdir()] == ["in.bvh"]
 
 
 def test_the_input_is_never_written_and_must_be_as_it_was(figure, tmp_path):
     with pytest.raises(WriteError, match="is the input itself"):
-        patched(tmp_path / "in.bvh", figure, figure.values)
+        patch_animation(tmp_path / "in.bvh", figure, figure.values)
     (tmp_path / "in.bvh").write_text("HIERARCHY")
     with pytest.raises(WriteError, match="has become shorter"):
-        patched(tmp_path / "out.bvh", figure, figure.values)
+        patch_animation(tmp_path / "out.bvh", figure, figure.values)
     (tmp_path / "in.bvh").unlink()
     with pytest.raises(WriteError, match="can no longer be read"):
-        patched(tmp_path / "out.bvh", figure, figure.values)
+        patch_animation(tmp_path / "out.bvh", figure, figure.values)
     with pytest.raises(WriteError, match="was not read from a file"):
-        patched(tmp_path / "out.bvh", replace(figure, path=None), figure.values)
+        patch_animation(tmp_path / "out.bvh", replace(figure, path=None), figure.values)
     with pytest.raises(WriteError, match="no file holds just these numbers"):
-        patched(tmp_path / "out.bvh", replace(figure, starts=None), figure.values)
+        patch_animation(tmp_path / "out.bvh", replace(figure, starts=None), figure.values)

@@ -5,18 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix import rig
 from mocapfix.errors import WriteError
-from mocapfix.kernels import kinematics
+from mocapfix.files.shipped import RIG_NAMES
 from mocapfix.motion import Motion
-from mocapfix.read.bvh import animation
-from mocapfix.scenes import RIGS
-from mocapfix.skeleton import cmu31
-from mocapfix.write import bvh_for
-from mocapfix.write.rigged import rigged
+from mocapfix.read.bvh import read_bvh
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics
+from mocapfix.write import rig, write_rig_bvh
+from mocapfix.write.rig import retarget_to_rig
 from tests.write.read_back import SKELETON, Bvh, motion_of, smooth_rotations
 
-FREE = cmu31().free
+FREE = load_cmu31_body().free_joints
 FORWARD, UP, LEFT = np.array([0, 0, 1.0]), np.array([0, 1.0, 0]), np.array([1.0, 0, 0])
 
 
@@ -28,8 +27,8 @@ def moving(seed: int = 0, frames: int = 40) -> Motion:
 
 
 def written(folder, name: str, skeleton, motion) -> tuple[rig.Rig, Bvh]:
-    told = rig.load(name)
-    bvh_for(folder / "walk.bvh", told, skeleton, motion, 120.0)
+    told = rig.load_rig(name)
+    write_rig_bvh(folder / "walk.bvh", told, skeleton, motion, 120.0)
     return told, Bvh((folder / "walk.bvh").read_text())
 
 
@@ -39,28 +38,34 @@ def stretched(seed: int):
     return replace(SKELETON, offsets=SKELETON.offsets + noise * (SKELETON.offsets != 0).any(-1, keepdims=True))
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", RIG_NAMES)
 @given(seed=st.integers(0, 2**32))
 def test_every_joint_that_is_kept_is_where_the_solve_has_it(tmp_path_factory, name, seed):
     skeleton, motion = stretched(seed), moving(seed)
     told, read = written(tmp_path_factory.mktemp("rig"), name, skeleton, motion)
-    places, _ = kinematics.world(skeleton, motion)
-    found = read.world()[int(told.t_pose) :, [read.names.index(joint.name) for joint in told.joints]] * told.unit
+    places, _ = kinematics.compute_world_poses(skeleton, motion)
+    found = (
+        read.world_rotations()[int(told.starts_with_t_pose) :, [read.names.index(joint.name) for joint in told.joints]]
+        * told.unit_m
+    )
     assert read.names[0] == "Hips"
     np.testing.assert_allclose(found, places[:, [skeleton.index(joint.joint) for joint in told.joints]], atol=1e-5)
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", RIG_NAMES)
 def test_every_joint_that_is_kept_turns_as_it_did(name):
-    told, motion = rig.load(name), moving()
-    skeleton, moved = rigged(told, SKELETON, motion)
-    before, after = kinematics.world(SKELETON, motion)[1], kinematics.world(skeleton, moved)[1][int(told.t_pose) :]
+    told, motion = rig.load_rig(name), moving()
+    skeleton, moved = retarget_to_rig(told, SKELETON, motion)
+    before, after = (
+        kinematics.compute_world_poses(SKELETON, motion)[1],
+        kinematics.compute_world_poses(skeleton, moved)[1][int(told.starts_with_t_pose) :],
+    )
     for j, joint in enumerate(told.joints):
         carried = before[:, SKELETON.index(joint.axes)].swapaxes(-1, -2) @ after[:, j]
         np.testing.assert_allclose(carried, np.tile(carried[0], (len(carried), 1, 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", RIG_NAMES)
 def test_the_file_keeps_the_rules_that_programs_have(tmp_path, name):
     _, read = written(tmp_path, name, SKELETON, moving())
     assert [len(names) for names in read.channels] == [6] + [3] * (len(read.names) - 1)
@@ -95,12 +100,12 @@ def test_no_rotation_at_all_is_the_pose_that_the_program_wants_facing_forward(tm
     assert at["LeftUpLeg"] @ LEFT > 0 > at["RightUpLeg"] @ LEFT
 
 
-@pytest.mark.parametrize("name", [name for name in RIGS if rig.load(name).t_pose])
+@pytest.mark.parametrize("name", [name for name in RIG_NAMES if rig.load_rig(name).starts_with_t_pose])
 def test_the_first_frame_is_a_t_pose_on_the_floor_where_the_motion_begins(tmp_path, name):
     motion = moving()
     told, read = written(tmp_path, name, SKELETON, motion)
     assert read.frames == motion.frames + 1
-    place = read.world()[0] * told.unit
+    place = read.world_rotations()[0] * told.unit_m
     at = {joint.joint: place[read.names.index(joint.name)] for joint in told.joints}
     np.testing.assert_allclose(at["Hips"][[0, 2]], motion.root[0, [0, 2]], atol=1e-6)
     np.testing.assert_allclose(at["LeftFoot"][[0, 2]], at["LeftUpLeg"][[0, 2]], atol=1e-4)
@@ -119,10 +124,10 @@ def test_cmu_s_t_pose_turns_the_thighs_as_its_release_does_by_whole_degrees(tmp_
     np.testing.assert_allclose(read.rows[0, thigh : thigh + 3], [-20, 0, 0])  # -21 or so, by the person
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", RIG_NAMES)
 def test_read_again_the_t_pose_is_told_from_the_motion(tmp_path, name):
     told, _ = written(tmp_path, name, stretched(2), moving())
-    assert animation(tmp_path / "walk.bvh").begins_posed == told.t_pose
+    assert read_bvh(tmp_path / "walk.bvh").has_reference_pose == told.starts_with_t_pose
 
 
 def test_a_joint_that_turns_cannot_be_left_out(tmp_path):
@@ -143,5 +148,5 @@ def test_a_skeleton_without_one_of_the_joints_is_named(tmp_path):
 def test_a_bone_that_points_the_other_way_is_turned_right_round():
     offsets = SKELETON.offsets.copy()
     offsets[SKELETON.index("LeftLeg")] = [0, 0.4, 0]
-    skeleton, _ = rigged(rig.load("blender"), replace(SKELETON, offsets=offsets), moving())
+    skeleton, _ = retarget_to_rig(rig.load_rig("blender"), replace(SKELETON, offsets=offsets), moving())
     np.testing.assert_allclose(skeleton.offsets[skeleton.index("LeftLeg")], [0, -0.4, 0], atol=1e-9)

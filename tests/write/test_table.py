@@ -7,11 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix import read, write
+from mocapfix import write
 from mocapfix.errors import WriteError
 from mocapfix.faults import Fragment
-from mocapfix.mend import fragments
-from mocapfix.table_layout import TableLayout
+from mocapfix.files.layouts import TableLayout
+from mocapfix.read import capture
+from mocapfix.repair import relabel
 from mocapfix.take import Take
 from tests.text_files import LABELS, STANDING, motive, motive_rows, nexus, qualisys, trc
 
@@ -39,13 +40,13 @@ FILES = {  # how each spells what is missing, and the fields before the first ma
 def take_in(folder: Path, text: str, encoding: str = "utf-8") -> Take:
     path = folder / "before.txt"
     path.write_bytes(text.encode(encoding))
-    return read.take(path)
+    return capture.read_capture(path)
 
 
 def in_file(take: Take) -> np.ndarray:
     """-> the markers in metres and the file's own axes, for which way is up is told anew when a copy is read."""
     assert isinstance(take.layout, TableLayout)
-    return take.markers @ take.layout.axes
+    return take.markers @ take.layout.rotation_y_up_file
 
 
 def fields_that_differ(one: bytes, other: bytes, between: str, encoding: str = "utf-8") -> set[tuple[int, int]]:
@@ -66,24 +67,24 @@ def test_only_changed_samples_fields_change_and_they_read_back(tmp_path_factory,
     folder = tmp_path_factory.mktemp("mend")
     before = take_in(folder, text)
     assert isinstance(before.layout, TableLayout)
-    assert before.layout.missing == missing.replace(".", before.layout.decimal)
+    assert before.layout.missing_text == missing.replace(".", before.layout.decimal_sign)
     markers = np.where((what == 1)[..., None], values, before.markers)
     markers[what == 2] = np.nan
-    lost = write.table(folder / "after.txt", before, before.with_markers(markers))
+    lost = write.table(folder / "after.txt", before, before.replace_markers(markers))
 
     old, new = ((folder / each).read_bytes() for each in ("before.txt", "after.txt"))
-    first = int(before.layout.lines[0])
+    first = int(before.layout.line_indices[0])
     allowed = {(first + t, lead + 3 * m + axis) for t, m in np.argwhere(what > 0) for axis in range(3)}
     assert fields_that_differ(old, new, between) <= allowed
-    copy = read.take(folder / "after.txt")
-    was, wanted, became = (in_file(take) for take in (before, before.with_markers(markers), copy))
+    copy = capture.read_capture(folder / "after.txt")
+    was, wanted, became = (in_file(take) for take in (before, before.replace_markers(markers), copy))
     np.testing.assert_array_equal(became[what == 0], was[what == 0])
-    step = 10.0 ** -int(before.layout.style[1:-1]) * before.layout.unit
+    step = 10.0 ** -int(before.layout.number_format[1:-1]) * before.layout.unit
     nothing = np.abs(markers).max(-1) <= step / 2  # rounds to all zeros, which read as missing
     assert lost == [(t, m) for t, m in np.argwhere((what == 1) & nothing).tolist()]
     filled = (what == 1) & ~nothing
     np.testing.assert_allclose(became[filled], wanted[filled], atol=0.501 * step)
-    assert not copy.seen[what == 2].any()
+    assert not copy.visible[what == 2].any()
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "latin-1"])
@@ -94,7 +95,7 @@ def test_encoding_and_line_ends_stay(tmp_path, encoding, end):
     markers = before.markers.copy()
     markers[2, 1] += 0.001
     write.table(tmp_path / "same.txt", before, before)
-    write.table(tmp_path / "after.txt", before, before.with_markers(markers))
+    write.table(tmp_path / "after.txt", before, before.replace_markers(markers))
     assert (tmp_path / "same.txt").read_bytes() == (tmp_path / "before.txt").read_bytes()
     old, new = ((tmp_path / each).read_bytes().decode(encoding) for each in ("before.txt", "after.txt"))
     assert new == old.replace("2.500\t32.000\t82.000", "3.500\t33.000\t83.000")
@@ -106,7 +107,7 @@ def test_a_line_that_ends_early_is_made_longer_for_what_is_filled(tmp_path):
     before = take_in(tmp_path, "\r\n".join(lines))
     markers = before.markers.copy()
     markers[1, 2] = (0.0215, 1.001, 0.401)
-    write.table(tmp_path / "after.txt", before, before.with_markers(markers))
+    write.table(tmp_path / "after.txt", before, before.replace_markers(markers))
     after = (tmp_path / "after.txt").read_bytes().decode().split("\r\n")
     assert after[7] == lines[7] + "\t\t\t\t401.000\t21.500\t1001.000"
     assert after[:7] + after[8:] == lines[:7] + lines[8:]
@@ -115,7 +116,7 @@ def test_a_line_that_ends_early_is_made_longer_for_what_is_filled(tmp_path):
 def test_exchanged_labels_bring_each_others_text(tmp_path):
     text = trc().replace("1701.000", "1.7010E+03").replace("81.000", "81")
     before = take_in(tmp_path, text)
-    write.table(tmp_path / "after.txt", before, before.exchanged((0, 1), 1, 1))
+    write.table(tmp_path / "after.txt", before, before.exchange_labels((0, 1), 1, 1))
     old, new = ((tmp_path / each).read_bytes().decode().split("\r\n") for each in ("before.txt", "after.txt"))
     cells = old[7].split("\t")
     assert new[7].split("\t") == cells[:2] + cells[5:8] + cells[2:5] + cells[8:]
@@ -127,8 +128,8 @@ def test_a_piece_that_was_not_labelled_is_moved_under_its_marker(tmp_path):
     xyz[2, 3], xyz[2, 0] = xyz[2, 0], np.nan
     before = take_in(tmp_path, trc(xyz, [*LABELS, "*7"]))
     piece = Fragment("fragment", 0, 2, 2, 0.0, "", donor=3, relation="continues")
-    assert write.table(tmp_path / "after.txt", before, fragments(before, [piece])) == []
-    copy = read.take(tmp_path / "after.txt")
+    assert write.table(tmp_path / "after.txt", before, relabel(before, [piece])) == []
+    copy = capture.read_capture(tmp_path / "after.txt")
     np.testing.assert_allclose(copy.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-12)
     assert copy.unlabelled is None
 
@@ -154,13 +155,13 @@ def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
 @pytest.mark.skipif(not TABLES, reason="no captures beside the repository")
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.name)
 def test_captures_come_back_the_same_but_for_what_was_changed(path, tmp_path):
-    before = read.take(path)
+    before = capture.read_capture(path)
     write.table(tmp_path / "same", before, before)
     assert (tmp_path / "same").read_bytes() == path.read_bytes()
     markers, rng = before.markers.copy(), np.random.default_rng(0)
-    changed = rng.random(before.seen.shape) < 0.02
+    changed = rng.random(before.visible.shape) < 0.02
     markers[changed] = rng.normal(size=(changed.sum(), 3))
-    write.table(tmp_path / "after", before, before.with_markers(markers))
-    copy = read.take(tmp_path / "after")
+    write.table(tmp_path / "after", before, before.replace_markers(markers))
+    copy = capture.read_capture(tmp_path / "after")
     assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
     np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=1e-6)

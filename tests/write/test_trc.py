@@ -4,8 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix import read, write
-from mocapfix.table_layout import TableLayout
+from mocapfix import write
+from mocapfix.files.layouts import TableLayout
+from mocapfix.read import capture
 from mocapfix.take import Take
 from tests.text_files import LABELS, STANDING
 
@@ -25,14 +26,14 @@ def test_reads_back_the_same(tmp_path_factory, writer, markers, gone, form, firs
     path = tmp_path_factory.mktemp("new") / "take"
     gone[0] = False
     there = np.where(gone[..., None], np.nan, markers + TALL)
-    layout = TableLayout("utf-8", "\n", "\t", ".", form[0], axes=form[1])
+    layout = TableLayout("utf-8", "\n", "\t", ".", form[0], rotation_y_up_file=form[1])
     writer(path, Take(there, LABELS, rate, first, layout=layout))
-    back = read.take(path)
+    back = capture.read_capture(path)
     assert (back.labels, back.first_frame, back.notes) == (LABELS, first, ())
     assert back.rate == pytest.approx(rate, rel=1e-3)
     np.testing.assert_allclose(back.markers, there, atol=0.51e-8)
     assert isinstance(back.layout, TableLayout)
-    assert back.layout.unit == form[0]
+    assert back.layout.unit_m == form[0]
 
 
 def test_a_trc_as_others_write_it(tmp_path):

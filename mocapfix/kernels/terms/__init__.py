@@ -12,37 +12,33 @@ distances     distances between points, also of different bodies
 whole         any one number that depends on all joints
 """
 
-from mocapfix.kernels.terms.courses import Courses
-from mocapfix.kernels.terms.directions import Directions
-from mocapfix.kernels.terms.distances import Distances
-from mocapfix.kernels.terms.latent import Latent
-from mocapfix.kernels.terms.limits import Limits
-from mocapfix.kernels.terms.orientations import Orientations
-from mocapfix.kernels.terms.points import Points
-from mocapfix.kernels.terms.robust import GEMAN_MCCLURE, HUBER
-from mocapfix.kernels.terms.targets import Targets
-from mocapfix.kernels.terms.views import Views, normalised
-from mocapfix.kernels.terms.whole import Whole
+from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, HUBER
+from mocapfix.kernels.terms.coupling import DistanceTerm, ScalarTerm
+from mocapfix.kernels.terms.joint_rotations import JointLimitTerm, PosePriorTerm, TrackingTerm
+from mocapfix.kernels.terms.latent_code import LatentCodeTerm
+from mocapfix.kernels.terms.orientations import DirectionTerm, OrientationTerm
+from mocapfix.kernels.terms.points import PointTerm
+from mocapfix.kernels.terms.reprojection import ReprojectionTerm, normalise_pixels
 
 __all__ = [
+    "DirectionTerm",
+    "DistanceTerm",
     "GEMAN_MCCLURE",
     "HUBER",
-    "Courses",
-    "Directions",
-    "Distances",
-    "Latent",
-    "Limits",
-    "Orientations",
-    "Points",
-    "Targets",
-    "Views",
-    "Whole",
-    "normalised",
-    "rows_of",
+    "JointLimitTerm",
+    "LatentCodeTerm",
+    "OrientationTerm",
+    "PointTerm",
+    "PosePriorTerm",
+    "ReprojectionTerm",
+    "ScalarTerm",
+    "TrackingTerm",
+    "count_rows",
+    "normalise_pixels",
 ]
 
 
-def rows_of(terms: tuple) -> int | None:
+def count_rows(terms: tuple) -> int | None:
     """-> how many rows these terms write, as `solve_frames` and `uncertainties` must be told; None for none."""
-    writing = [term for term in terms if isinstance(term, Distances | Whole)]
-    return sum(len(term.joints) if isinstance(term, Distances) else 1 for term in writing) if writing else None
+    writing = [term for term in terms if isinstance(term, DistanceTerm | ScalarTerm)]
+    return sum(len(term.joints) if isinstance(term, DistanceTerm) else 1 for term in writing) if writing else None

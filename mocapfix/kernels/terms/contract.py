@@ -13,26 +13,30 @@ expansion about the pose. A term that touches one body adds to that body's h and
 and b, one on several bodies at once a row (`rows`); one on the unknowns that all joints share to `shared` and the crosses.
 """
 
+import math
+
+import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
 
+# MERGED: mocapfix.kernels.terms.contract
 @njit(cache=True)
-def of_frame(array, t):
+def select_frame(array, t):
     """-> what `array` says of frame t: it has a row for each frame, or one for all."""
     return array[min(t, len(array) - 1)]
 
 
-def add(term, t, scale2, tree, pose, system):
+def add_term(term, t, scale2, tree, pose, system):
     """-> the term's cost; compiled code only (each kind's own function takes its place)."""
     raise NotImplementedError(f"{type(term).__name__} is no term")
 
 
-def adds(kind):
+def register_term(kind):
     """Say that a function adds terms of `kind`."""
 
     def register(function):
-        @overload(add)
+        @overload(add_term)
         def choose(term, t, scale2, tree, pose, system):
             named = isinstance(term, types.NamedTuple | types.NamedUniTuple)
             return function if named and term.instance_class is kind else None
@@ -40,3 +44,28 @@ def adds(kind):
         return function
 
     return register
+
+
+# MERGED: mocapfix.kernels.terms.robust
+# How far-off residuals lose their say.
+GEMAN_MCCLURE, HUBER = 0, 1
+
+
+@njit(cache=True)
+def compute_robust_loss(loss, square, scale2):
+    """-> cost and weight of a squared, normalised residual s^2: a loss, and its derivative to 1/2 s^2.
+
+    Geman & McClure (1987): 1/2 c^2 s^2 / (c^2 + s^2); a far-off sample hardly counts.
+    Huber (1964): 1/2 s^2 up to c, then c s - 1/2 c^2; a far-off sample pulls, but no harder than one at c.
+    scale2 = c^2, infinite for plain least squares. Solving with wide scales first and narrow ones last (annealing) keeps
+    a far-off start from losing sound samples.
+    """
+    if scale2 == np.inf:
+        return 0.5 * square, 1.0
+    if loss == HUBER:
+        if square <= scale2:
+            return 0.5 * square, 1.0
+        ratio = math.sqrt(scale2 / square)
+        return scale2 * (1.0 / ratio - 0.5), ratio
+    part = scale2 / (scale2 + square)
+    return 0.5 * square * part, part * part

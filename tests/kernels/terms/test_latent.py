@@ -5,21 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.terms import Latent
-from mocapfix.kernels.terms.latent import curve, mend
+from mocapfix.kernels.terms import LatentCodeTerm
+from mocapfix.kernels.terms.latent_code import update_code_curvature, update_linearisations
 from tests.kernels import dense, drawn
 
 seeds = st.integers(0, 2**32 - 1)
 SIZE, BENT = 5, 3
 
 
-def asked(rng) -> Latent:
+def asked(rng) -> LatentCodeTerm:
     """-> two linearisations of a decoder that bends the first numbers of its code, and is linear in the others"""
     frame = drawn.frame(rng, 4, codes=SIZE)
     return drawn.latent(rng, dense.world(frame.tree, frame.root, frame.local, frame.shared))
 
 
-def curved(term: Latent) -> np.ndarray:
+def curved(term: LatentCodeTerm) -> np.ndarray:
     return np.einsum("djap,jab,djbq->dpq", term.jacobian, term.information, term.jacobian)
 
 
@@ -33,10 +33,10 @@ def test_the_curvature_is_that_of_all_joints_together(seed):
 def test_a_mended_derivative_explains_the_step_and_changes_by_the_least(seed):
     rng = np.random.default_rng(seed)
     term = asked(rng)
-    before = Latent(*(np.copy(each) for each in term))
+    before = LatentCodeTerm(*(np.copy(each) for each in term))
     step, decoded = rng.normal(size=(1, SIZE)), rng.normal(size=(1, 4, 3))
-    mend(term, np.array([1]), before.at[1:] + step, decoded, BENT)
-    np.testing.assert_allclose(term.at[1:], before.at[1:] + step)
+    update_linearisations(term, np.array([1]), before.code[1:] + step, decoded, BENT)
+    np.testing.assert_allclose(term.code[1:], before.code[1:] + step)
     np.testing.assert_array_equal(term.decoded[1:], decoded)
     np.testing.assert_allclose(term.jacobian[1] @ step[0], decoded[0] - before.decoded[1], atol=1e-9)
     change = (term.jacobian - before.jacobian)[1]
@@ -44,7 +44,7 @@ def test_a_mended_derivative_explains_the_step_and_changes_by_the_least(seed):
     along = step[0, :BENT] / np.linalg.norm(step[0, :BENT])
     np.testing.assert_allclose(change[..., :BENT], (change[..., :BENT] @ along)[..., None] * along, atol=1e-9)
     np.testing.assert_allclose(term.curvature, curved(term), atol=1e-9 * term.curvature.max(initial=1.0))
-    for now, then in zip((term.at, term.decoded, term.jacobian, term.curvature), (before.at, before.decoded, before.jacobian,
+    for now, then in zip((term.code, term.decoded, term.jacobian, term.curvature), (before.code, before.decoded, before.jacobian,
                          before.curvature), strict=True):  # fmt: skip
         np.testing.assert_array_equal(now[0], then[0])
 
@@ -52,7 +52,7 @@ def test_a_mended_derivative_explains_the_step_and_changes_by_the_least(seed):
 def test_no_step_teaches_nothing():
     term = asked(np.random.default_rng(0))
     before = term.jacobian.copy()
-    mend(term, np.array([0, 1]), term.at.copy(), term.decoded + 1e-9, BENT)
+    update_linearisations(term, np.array([0, 1]), term.code.copy(), term.decoded + 1e-9, BENT)
     np.testing.assert_array_equal(term.jacobian, before)
 
 
@@ -61,6 +61,6 @@ def test_only_some_rows_are_curved_anew(rows):
     term = asked(np.random.default_rng(1))
     right = term.curvature.copy()
     term.curvature[:] = -1.0
-    curve(term, np.array(rows), SIZE)
+    update_code_curvature(term, np.array(rows), SIZE)
     np.testing.assert_allclose(term.curvature[rows], right[rows])
     assert (np.delete(term.curvature, rows, axis=0) == -1.0).all()

@@ -5,12 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
-from mocapfix.skeleton import cmu31
-from mocapfix.train import recordings
-from mocapfix.train.recordings import shards
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.train import recording_folders, shard_recordings
 from tests.train.people import walked, write_bvh
 
-NAMES = cmu31().skeleton.names
+NAMES = load_cmu31_body().skeleton.names
 
 
 def saved(folder, name="train-1.npz", joints=NAMES):
@@ -25,24 +24,24 @@ def saved(folder, name="train-1.npz", joints=NAMES):
 
 def test_a_shard_holds_its_trials(tmp_path):
     path, rotations = saved(tmp_path)
-    first, second = shards.read(path)
-    assert [(each.name, each.subject, each.rate) for each in (first, second)] == [("01_02", "01", 30.0), ("14_01", "14", 30.0)]
+    first, second = shard_recordings.read_shard_recordings(path)
+    assert [(each.name, each.subject, each.rate_hz) for each in (first, second)] == [("01_02", "01", 30.0), ("14_01", "14", 30.0)]
     np.testing.assert_allclose(first.rotations, rotations[:10], atol=2e-4)
     np.testing.assert_allclose(second.rotations, rotations[10:], atol=2e-4)
 
 
 def test_motion_that_was_put_back_together_is_left_out(tmp_path):
     path, _ = saved(tmp_path, "train-approx.npz")
-    assert not list(shards.read(path))
+    assert not list(shard_recordings.read_shard_recordings(path))
 
 
 def test_other_joints_and_no_skeletons_are_refused(tmp_path):
     path, _ = saved(tmp_path, joints=NAMES[::-1])
     with pytest.raises(ReadError, match="not the 31"):
-        list(shards.read(path))
+        list(shard_recordings.read_shard_recordings(path))
     (tmp_path / "skeletons.json").unlink()
     with pytest.raises(ReadError, match=r"skeletons\.json"):
-        list(shards.read(path))
+        list(shard_recordings.read_shard_recordings(path))
 
 
 def test_a_folder_gives_all_that_lies_in_it_and_always_in_one_order(tmp_path):
@@ -51,11 +50,11 @@ def test_a_folder_gives_all_that_lies_in_it_and_always_in_one_order(tmp_path):
     for name in ("09_02", "09_01"):
         write_bvh(tmp_path / "more" / f"{name}.bvh", walked(1))
     np.savez(tmp_path / "more" / "them_poses.npz", poses=np.zeros((4, 156)), mocap_framerate=30.0)
-    names = [each.name for each in recordings.read(tmp_path)]
+    names = [each.name for each in recording_folders.read_recordings(tmp_path)]
     assert names == ["01_02", "14_01", "them_poses", "09_01", "09_02"]
 
 
 def test_a_folder_without_motion_is_named(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ReadError, match="holds no motion"):
-        list(recordings.read(tmp_path))
+        list(recording_folders.read_recordings(tmp_path))

@@ -1,0 +1,119 @@
+"""The subject file: one person's bones and marker places as YAML that people can read, mend and give back."""
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, FiniteFloat, NonNegativeInt
+
+from mocapfix.errors import SceneError
+from mocapfix.files.output_files import replace_atomically
+from mocapfix.files.yaml_models import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, read_yaml_model
+from mocapfix.skeleton import Skeleton, load_cmu31_body
+from mocapfix.subject import Subject
+
+SUBJECT_FILE_HEADER = """\
+# A subject of mocapfix: one person's bones and where the markers lie on them.
+# All lengths are in metres. A bone's offset is the joint in its parent's axes, its end the tip of a last bone; a marker's
+# place is in the axes of the joint it rides on, and spread is how far it strays from there on average. What calibration
+# could not tell displaces joints and markers by sd (standard deviation per axis; 0 where they were measured otherwise).
+# Rest pose: a T-pose facing +Z, Y up, every joint's axes along the world's.
+"""
+LENGTH_DECIMALS = 7  # a tenth of a micrometre
+
+
+def read_subject(path: str | Path) -> Subject:
+    """-> the subject that `save` wrote to a YAML file, or that a person mended there.
+
+    Raises SceneError with the file and the path of the wrong key.
+    """
+    form = read_yaml_model(_SubjectModel, Path(path))
+    _check_bones(Path(path), form.bones)
+    skeleton, markers = load_cmu31_body().skeleton, form.markers.values()
+    bones = [form.bones[name] for name in skeleton.names]
+    return Subject(
+        skeleton=Skeleton(
+            skeleton.names,
+            skeleton.parents,
+            np.array([bone.offset for bone in bones], float),
+            np.array([bone.end or [np.nan] * 3 for bone in bones], float),
+        ),
+        marker_set=form.marker_set,
+        labels=tuple(form.markers),
+        joints=np.array([skeleton.find_joint(marker.joint) for marker in markers], int),
+        marker_offsets=np.array([marker.place for marker in markers], float).reshape(-1, 3),
+        marker_spread=np.array([marker.spread for marker in markers], float),
+        joint_sd=np.array([bone.sd for bone in bones], float),
+        marker_sd=np.array([marker.sd for marker in markers], float),
+        frame_count=form.frames,
+    )
+
+
+def write_subject(path: str | Path, subject: Subject) -> None:
+    """Write a subject as YAML, lengths rounded to a tenth of a micrometre.
+
+    Raises WriteError where the folder cannot be written, and then leaves what was there.
+    """
+    skeleton, bones, markers = subject.skeleton, {}, {}
+    names = skeleton.names
+    for name, parent, offset, end, sd in zip(
+        names, skeleton.parents, skeleton.offsets, skeleton.ends, subject.joint_sd, strict=True
+    ):
+        bones[name] = InlineMapping(
+            parent=names[parent] if parent >= 0 else None, offset=_round_lengths(offset), sd=_round_length(sd)
+        )
+        if not np.isnan(end).any():
+            bones[name]["end"] = _round_lengths(end)
+    for label, joint, place, spread, sd in zip(
+        subject.labels, subject.joints, subject.marker_offsets, subject.marker_spread, subject.marker_sd, strict=True
+    ):
+        markers[label] = InlineMapping(
+            joint=names[joint], place=_round_lengths(place), spread=_round_length(spread), sd=_round_length(sd)
+        )
+    data = {"marker_set": subject.marker_set, "frames": int(subject.frame_count), "bones": bones, "markers": markers}
+    with replace_atomically(Path(path)) as part:
+        part.write_text(SUBJECT_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
+
+
+def _round_lengths(vector: np.ndarray) -> list[float]:
+    return [_round_length(x) for x in vector]
+
+
+def _round_length(value: float) -> float:
+    return round(float(value), LENGTH_DECIMALS)
+
+
+class _BoneModel(StrictModel):
+    parent: str | None
+    offset: Vector3
+    end: Vector3 | None = None
+    sd: FiniteFloat = Field(ge=0)
+
+
+class _MarkerModel(StrictModel):
+    joint: JointName
+    place: Vector3
+    spread: FiniteFloat = Field(ge=0)
+    sd: FiniteFloat = Field(ge=0)
+
+
+class _SubjectModel(StrictModel):
+    marker_set: str
+    frames: NonNegativeInt
+    bones: dict[str, _BoneModel]
+    markers: dict[str, _MarkerModel]
+
+
+def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
+    """The bones must be the skeleton's, for the solver knows no other tree."""
+    skeleton = load_cmu31_body().skeleton
+    for name, bone in bones.items():
+        if name not in skeleton.names:
+            raise SceneError(f"{path}: bones.{name}: the skeleton has no such bone; its bones are {', '.join(skeleton.names)}.")
+        joint = skeleton.find_joint(name)
+        parent = skeleton.names[skeleton.parents[joint]] if joint else None
+        if bone.parent != parent:
+            raise SceneError(f"{path}: bones.{name}.parent: must be {parent or 'null'}, not {bone.parent or 'null'}.")
+        if (bone.end is None) != np.isnan(skeleton.ends[joint]).any():
+            raise SceneError(f"{path}: bones.{name}.end: {'is missing' if bone.end is None else 'only a last bone has one'}.")
+    if missing := [name for name in skeleton.names if name not in bones]:
+        raise SceneError(f"{path}: bones.{missing[0]}: is missing.")

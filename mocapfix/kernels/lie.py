@@ -1,0 +1,132 @@
+"""Rotation vectors, quaternions and matrices inside compiled loops (outside them: scipy.spatial.transform).
+
+Matrices are tuples of nine numbers, row by row, as in small.py.
+"""
+
+import math
+
+from numba import njit
+
+MIN_TILT_SINE = 1e-3  # radians: so near to upside down a tilt's axis counts as x, for there is none
+
+
+@njit(cache=True)
+def compute_exponential(x, y, z):
+    """-> the rotation matrix of the rotation vector (x, y, z), radians. Rodrigues' formula."""
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
+        s, c = 1 - angle2 / 6, 0.5 - angle2 / 24
+    else:
+        angle = math.sqrt(angle2)
+        s, c = math.sin(angle) / angle, (1 - math.cos(angle)) / angle2
+    return assemble_rotation(x, y, z, s, c)
+
+
+@njit(cache=True)
+def compute_retraction(x, y, z):
+    """-> a rotation that agrees with `exponential` to second order, without a sine: Cayley's, by 2 atan(length / 2)."""
+    s = 1.0 / (1.0 + 0.25 * (x * x + y * y + z * z))
+    return assemble_rotation(x, y, z, s, 0.5 * s)
+
+
+@njit(cache=True)
+def assemble_rotation(x, y, z, s, c):
+    """-> I + s [v]x + c [v]x^2 for v = (x, y, z)."""
+    return (
+        1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y,
+        c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x,
+        c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def convert_matrix_to_quaternion(m):
+    """-> x, y, z, w of the rotation matrix `m` (nine numbers, row by row), w not negative, of whatever length.
+
+    The largest component is told from the diagonal, the others from it, so that it holds near half a turn too.
+    """
+    trace = m[0] + m[4] + m[8]
+    if trace > m[0] and trace > m[4] and trace > m[8]:
+        w, x, y, z = 1 + trace, m[7] - m[5], m[2] - m[6], m[3] - m[1]
+    elif m[0] >= m[4] and m[0] >= m[8]:
+        w, x, y, z = m[7] - m[5], 1 + 2 * m[0] - trace, m[1] + m[3], m[2] + m[6]
+    elif m[4] >= m[8]:
+        w, x, y, z = m[2] - m[6], m[1] + m[3], 1 + 2 * m[4] - trace, m[5] + m[7]
+    else:
+        w, x, y, z = m[3] - m[1], m[2] + m[6], m[5] + m[7], 1 + 2 * m[8] - trace
+    if w < 0:
+        w, x, y, z = -w, -x, -y, -z
+    return x, y, z, w
+
+
+@njit(cache=True)
+def convert_quaternion_to_matrix(x, y, z, w):
+    """-> the rotation matrix of a quaternion of whatever length but 0."""
+    s = 2 / (x * x + y * y + z * z + w * w)
+    return assemble_rotation(x, y, z, s * w, s)
+
+
+@njit(cache=True)
+def compute_logarithm(m):
+    """-> the rotation vector (radians, length at most pi) of the matrix `m`, and what `left_jacobian_inverse` wants of it.
+
+    Through the quaternion, so that it holds near the identity and near half a turn. The fourth number is
+    (1 - a cot a) / (2 a)^2 for half the angle, a.
+    """
+    x, y, z, w = convert_matrix_to_quaternion(m)
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 1e-3 * w:  # atan t = t - t^3 / 3 + t^5 / 5 - ...
+        t2 = (length / w) ** 2
+        factor, c = 2 * (1 - t2 / 3 + t2 * t2 / 5) / w, 1 / 12 + t2 / 180
+    else:
+        half = math.atan2(length, w)
+        factor, c = 2 * half / length, (1 - half * w / length) / (4 * half * half)
+    return factor * x, factor * y, factor * z, c
+
+
+@njit(cache=True)
+def compute_left_jacobian_inverse(x, y, z, c):
+    """-> J with log(exp(d) exp(r)) = r + J d to first order in d, r and c from `logarithm`.
+
+    Sola, Deray, Atchuthan 2018, Eq. 146.
+    """
+    return (
+        1 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y,
+        c * x * y - 0.5 * z, 1 - c * (x * x + z * z), c * y * z + 0.5 * x,
+        c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1 - c * (x * x + y * y),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def compute_tilt(m):
+    """-> x and z of the rotation vector by which `m` tilts, its heading (a turn about y, after the tilt) taken out, and the
+    matrix of its derivative to a turn given in the turned axes, whose row of y is zero: a tilt is about an axis across y.
+
+    The up vector in the turned axes tells it: u = (z sin a, a cos a, -x sin a) / a for the angle a, and a turn k changes that
+    by u x k. Upside down, where any heading will do, the tilt changes infinitely fast with a turn about some axis.
+    """
+    ux, uy, uz = m[3], m[4], m[5]
+    sine = math.hypot(ux, uz)
+    if uy < 0.0 and sine < MIN_TILT_SINE:
+        ux, uz, sine = 0.0, -MIN_TILT_SINE, MIN_TILT_SINE
+    angle = math.atan2(sine, uy)
+    if angle < 1e-3:  # a cot a = 1 - a^2 / 3 - a^4 / 45 - ...
+        factor, along, c = 1 + angle * angle / 6, 1 - angle * angle / 3, 1 / 3 + angle * angle / 45
+    else:
+        factor = angle / sine
+        along = factor * uy
+        c = (1 - along) / (angle * angle)
+    x, z = -factor * uz, factor * ux
+    return x, z, (along + c * x * x, -z, c * x * z, 0.0, 0.0, 0.0, c * x * z, x, along + c * z * z)
+
+
+@njit(cache=True)
+def orthonormalise_rotation(m):
+    """-> `m`, nearly a rotation, with orthonormal rows again (Gram-Schmidt)."""
+    length = 1.0 / math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    a, b, c = m[0] * length, m[1] * length, m[2] * length
+    along = a * m[3] + b * m[4] + c * m[5]
+    d, e, f = m[3] - along * a, m[4] - along * b, m[5] - along * c
+    length = 1.0 / math.sqrt(d * d + e * e + f * f)
+    d, e, f = d * length, e * length, f * length
+    return a, b, c, d, e, f, b * f - c * e, c * d - a * f, a * e - b * d

@@ -1,0 +1,140 @@
+"""Small dense algebra inside compiled loops: 3 x 3 matrices as tuples of nine numbers, and the inverses the sweep needs.
+
+A tuple lives in registers: nothing is allocated where an array would be.
+"""
+
+import math
+
+from numba import njit
+
+SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # compile long sums of products so: several at once, in any order
+
+
+@njit(cache=True)
+def load_matrix(m, j):
+    """-> matrix `j` of the stack m (J, 3, 3) as nine numbers, row by row."""
+    return (m[j, 0, 0], m[j, 0, 1], m[j, 0, 2], m[j, 1, 0], m[j, 1, 1], m[j, 1, 2], m[j, 2, 0], m[j, 2, 1], m[j, 2, 2])
+
+
+@njit(cache=True)
+def load_single_matrix(m):
+    """-> the matrix m (3, 3) as nine numbers."""
+    return (m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+
+
+@njit(cache=True)
+def multiply_matrices(a, b):
+    """-> a @ b."""
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6], a[0] * b[1] + a[1] * b[4] + a[2] * b[7], a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6], a[3] * b[1] + a[4] * b[4] + a[5] * b[7], a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6], a[6] * b[1] + a[7] * b[4] + a[8] * b[7], a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def transpose_matrix(a):
+    """-> a.T"""
+    return (a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8])
+
+
+@njit(cache=True)
+def multiply_vector(a, x, y, z):
+    """-> a @ (x, y, z)"""
+    return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+def multiply_rows(rows, x):
+    """-> rows (3, N) @ x (N,)"""
+    a, b, c = 0.0, 0.0, 0.0
+    for p in range(len(x)):
+        a += rows[0, p] * x[p]
+        b += rows[1, p] * x[p]
+        c += rows[2, p] * x[p]
+    return a, b, c
+
+
+@njit(cache=True)
+def store_matrix(a, out, j):
+    """Write the nine numbers into matrix `j` of the stack `out` (J, 3, 3)."""
+    out[j, 0, 0], out[j, 0, 1], out[j, 0, 2] = a[0], a[1], a[2]
+    out[j, 1, 0], out[j, 1, 1], out[j, 1, 2] = a[3], a[4], a[5]
+    out[j, 2, 0], out[j, 2, 1], out[j, 2, 2] = a[6], a[7], a[8]
+
+
+@njit(cache=True)
+def invert_symmetric_3x3(m, j):
+    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place. -> L and D^-1 of L D L'
+
+    Cofactors would lose twice the digits. An axis that nothing holds is held: its zero stays a zero, so that the
+    joint does not turn about it.
+    """
+    d0 = m[j, 0, 0]
+    i0 = 1.0 / d0 if d0 > 0.0 else 0.0
+    l10, l20 = m[j, 1, 0] * i0, m[j, 2, 0] * i0
+    d1 = m[j, 1, 1] - m[j, 1, 0] * l10
+    i1 = 1.0 / d1 if d1 > 0.0 else 0.0
+    left = m[j, 2, 1] - m[j, 2, 0] * l10
+    l21 = left * i1
+    d2 = m[j, 2, 2] - m[j, 2, 0] * l20 - left * l21
+    i2 = 1.0 / d2 if d2 > 0.0 else 0.0
+    k20 = l10 * l21 - l20  # of L's inverse
+    m02, m12 = k20 * i2, -l21 * i2
+    m01 = -l10 * i1 - l21 * m02
+    m[j, 0, 0], m[j, 1, 1], m[j, 2, 2] = i0 + l10 * l10 * i1 + k20 * m02, i1 - l21 * m12, i2
+    m[j, 0, 1] = m[j, 1, 0] = m01
+    m[j, 0, 2] = m[j, 2, 0] = m02
+    m[j, 1, 2] = m[j, 2, 1] = m12
+    return l10, l20, l21, i0, i1, i2
+
+
+@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+def factor_cholesky(m):
+    """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
+
+    A direction that nothing holds gets a tiny curvature.
+    """
+    for j in range(len(m)):
+        for i in range(j, len(m)):
+            total = 0.0
+            for c in range(j):
+                total += m[i, c] * m[j, c]
+            total = m[i, j] - total
+            m[i, j] = math.sqrt(max(total, 1e-9)) if i == j else total / m[j, j]
+
+
+@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+def solve_cholesky(m, x):
+    """Solve L L' x = x in place with what `cholesky` left in `m` (N, N); x (N,)."""
+    for i in range(len(m)):
+        total = 0.0
+        for c in range(i):
+            total += m[i, c] * x[c]
+        x[i] = (x[i] - total) / m[i, i]
+    for i in range(len(m) - 1, -1, -1):  # along rows of L, too
+        x[i] /= m[i, i]
+        for c in range(i):
+            x[c] -= m[i, c] * x[i]
+
+
+@njit(cache=True)
+def invert_cholesky(m):
+    """Write the inverse, both triangles, of the matrix that `cholesky` left factored in `m` (N, N), in place."""
+    n = len(m)
+    for j in range(n):  # the lower triangle's inverse
+        m[j, j] = 1.0 / m[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for c in range(j, i):
+                total -= m[i, c] * m[c, j]
+            m[i, j] = total / m[i, i]
+    for i in range(n):  # L^-T L^-1, column by column: row i needs only rows at and below it
+        for j in range(i + 1):
+            total = 0.0
+            for c in range(i, n):
+                total += m[c, i] * m[c, j]
+            m[i, j] = total
+    for i in range(n):
+        for j in range(i + 1, n):
+            m[i, j] = m[j, i]
