@@ -60,7 +60,7 @@ class Animation:
     notes: tuple[str, ...] = ()
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         return len(self.values)
 
     @property
@@ -72,7 +72,7 @@ class Animation:
         """Is the first frame a pose put before the motion, as CMU's BVH release has a T-pose? Its angles are whole degrees,
         those of the next frame are not."""
         turning = np.concatenate([self.get_rotation_channels(joint)[0] for joint in range(len(self.names))])
-        first, second = (self.values[frame, turning] for frame in (0, min(1, self.frames - 1)))
+        first, second = (self.values[frame, turning] for frame in (0, min(1, self.frame_count - 1)))
         return bool((first == np.round(first)).all() and (second != np.round(second)).any())
 
     def index(self, name: str) -> int:
@@ -98,7 +98,7 @@ class Animation:
 
     def compute_local_rotations(self) -> np.ndarray:
         """-> (T, J, 3, 3) each joint's axes in its parent's (the root's in the world), Y up; the identity in the rest pose."""
-        out = np.empty((self.frames, len(self.names), 3, 3))
+        out = np.empty((self.frame_count, len(self.names), 3, 3))
         for joint, (_, rest) in enumerate(self._list_joint_conventions()):
             columns, axes = self.get_rotation_channels(joint)
             turned = self.rotation_y_up_file @ rest
@@ -107,7 +107,7 @@ class Animation:
 
     def compute_local_positions(self) -> np.ndarray:
         """-> (T, J, 3) metres: each joint in its parent's axes (the root in the world), Y up."""
-        out = np.tile(self.offsets, (self.frames, 1, 1))
+        out = np.tile(self.offsets, (self.frame_count, 1, 1))
         for joint, (added, rest) in enumerate(self._list_joint_conventions()):
             columns, axes = self.get_position_channels(joint)
             if added:
@@ -142,7 +142,7 @@ class Animation:
             columns, axes = self.get_rotation_channels(int(joint))
             resting = self.rotation_y_up_file @ own[joint][1]
             turned = resting.T @ rotations[:, at] @ resting
-            for run, among, beside in _iterate_runs(self.frames, frames):
+            for run, among, beside in _iterate_runs(self.frame_count, frames):
                 near = np.nan_to_num(np.radians(values[beside, columns]))
                 values[run[:, None], columns] = np.degrees(
                     euler_angles.compute_continuous_euler_angles(np.ascontiguousarray(turned[among]), axes, near)

@@ -53,7 +53,7 @@ class Take:
     notes: tuple[str, ...] = ()
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         return len(self.markers)
 
     @property
@@ -102,7 +102,7 @@ class Take:
     def select(self, marker_indices: np.ndarray, mask: np.ndarray) -> "Take":
         """-> the K markers at `columns` (K,) alone, in that order, NaN where `believed` (T, M) is False or a column is -1."""
         there = marker_indices >= 0
-        markers = np.full((self.frames, len(marker_indices), 3), np.nan)
+        markers = np.full((self.frame_count, len(marker_indices), 3), np.nan)
         kept = np.where(mask[..., None], self.markers, np.nan)
         markers[:, there] = kept[:, marker_indices[there]]
         labels = tuple(self.labels[c] if c >= 0 else "" for c in marker_indices)
@@ -151,7 +151,7 @@ class Take:
     @property
     def source_points(self) -> np.ndarray:
         """(T, M) the file's point that each sample came from."""
-        return np.tile(self.point_indices, (self.frames, 1)) if self.relabelled_points is None else self.relabelled_points
+        return np.tile(self.point_indices, (self.frame_count, 1)) if self.relabelled_points is None else self.relabelled_points
 
     def replace_markers(self, markers: np.ndarray, sample_sd: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""

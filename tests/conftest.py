@@ -96,7 +96,7 @@ def muddled(tmp_path_factory) -> Muddled:
     truth, path, output = synthetic.compose_take(seed=3, seconds=3.0), folder / "muddled.c3d", folder / "cleaned.c3d"
     muddling.write(path, truth)
     result = pipeline.clean(path, subject=truth.subject)
-    assert write.c3d(output, result.input_take, result.take) == []
+    assert write.patch_c3d(output, result.input_take, result.take) == []
     return Muddled(path, truth.subject, truth.marker_positions, result, output)
 
 

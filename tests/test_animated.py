@@ -62,7 +62,7 @@ def damaged(truth: Animation) -> np.ndarray:
 def walk(tmp_path_factory) -> Walk:
     folder = tmp_path_factory.mktemp("walk")
     made = synthetic.compose_take(seed=1, seconds=6.0)
-    write.bvh(folder / "truth.bvh", made.subject.skeleton, made.motion, made.rate)
+    write.write_bvh(folder / "truth.bvh", made.subject.skeleton, made.motion, made.rate)
     truth = bvh.read_bvh(folder / "truth.bvh")
     patch_animation(folder / "walk.bvh", truth, damaged(truth))
     with pytest.raises(SystemExit) as left:

@@ -43,7 +43,7 @@ def decided(muddled, folder, **by_decision) -> Path:
 def again(muddled, folder, **asked):
     """-> the take cleaned with other wishes, and as a C3D."""
     result, output = pipeline.clean(muddled.path, subject=muddled.subject, **asked), folder / "again.c3d"
-    assert write.c3d(output, result.input_take, result.take) == []
+    assert write.patch_c3d(output, result.input_take, result.take) == []
     return result, output
 
 
@@ -87,7 +87,7 @@ def test_any_of_them_may_be_rejected_and_only_some_kinds_asked_for(muddled, mudd
     before = muddled.result.before
     decided_upon = review_file.read_review_file(decided(muddled, folder, reject=rejected), before)
     after, told = muddled_taken(np.ones(before.visible.shape, bool), tuple(only), decided_upon)
-    write.c3d(folder / "some.c3d", before, after)
+    write.patch_c3d(folder / "some.c3d", before, after)
     made = {each for each in set(WRONG) - rejected if not only or each.split("-")[0] in only}
     alone = {("LWRB", 250, 250)} if SWAP in made else set()
     differs_from_all = touched(set(WRONG) - made) | (alone if INSIDE not in made else set())

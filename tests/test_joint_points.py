@@ -34,7 +34,7 @@ def test_tips_are_the_middle_of_what_hangs_on_a_joint_and_last_the_root(figure):
 def test_reach_is_what_turning_a_joint_a_little_does_to_the_points(figure):
     """Root mean square over many small turns, drawn."""
     rng, sd, draws = np.random.default_rng(0), 0.01, 4000
-    variance = np.zeros((figure.frames, len(figure.names) + 1))
+    variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[1, 3] = sd**2
     tips = joint_points.build_tip_take(figure)
     predicted = joint_points.compute_point_deviation(tips, variance)
@@ -48,7 +48,7 @@ def test_reach_is_what_turning_a_joint_a_little_does_to_the_points(figure):
 
 
 def test_an_unsure_root_moves_everything_alike(figure):
-    variance = np.zeros((figure.frames, len(figure.names) + 1))
+    variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[:, -1] = 0.02**2
     np.testing.assert_allclose(joint_points.compute_point_deviation(joint_points.build_joint_take(figure), variance), 0.02)
 

@@ -58,7 +58,7 @@ def test_what_somebody_vouches_for_is_no_fault_and_stays(muddled):
 def test_every_sample_of_the_file_is_still_in_it_once(muddled, looked):
     take = capture.read_capture(muddled.path)
     sources = looked.take.source_points[looked.take.visible].tolist()
-    frames = np.broadcast_to(np.arange(take.frames)[:, None], take.visible.shape)[looked.take.visible].tolist()
+    frames = np.broadcast_to(np.arange(take.frame_count)[:, None], take.visible.shape)[looked.take.visible].tolist()
     assert len(set(zip(frames, sources, strict=True))) == len(sources)
     assert set(sources) <= set(columns(take).values())
 

@@ -113,7 +113,7 @@ def test_of_an_earlier_cleaning_with_a_body_nothing_stays(solved, without, tmp_p
 
 def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, tmp_path):
     source = tmp_path / "brief.trc"
-    write.trc(source, capture.read_capture(brief.path))
+    write.write_trc(source, capture.read_capture(brief.path))
     result = pipeline.clean(source, subject=brief.subject)
     outputs = result.write(tmp_path / "out", options=OutputOptions(also=("c3d", "trc", "npz")))
     assert [path.name for kind, path in outputs.items() if kind in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]

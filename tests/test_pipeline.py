@@ -199,7 +199,7 @@ def test_faults_and_gaps_left_carry_the_files_own_frame_numbers(brief, known):
 def test_cleaning_an_output_again_changes_nothing(muddled, tmp_path):
     result = pipeline.clean(muddled.output, subject=muddled.subject)
     assert result.changes == ()
-    assert write.c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
+    assert write.patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == muddled.output.read_bytes()
 
 
@@ -208,7 +208,7 @@ def test_a_sound_take_comes_back_byte_by_byte(cleaned, tmp_path):
     sound.write_bytes(as_c3d(cleaned.truth.markers[200:440], cleaned.truth.labels))
     result = pipeline.clean(sound)
     assert (result.faults.items, result.changes, result.unfilled_runs) == ((), (), ())
-    assert write.c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
+    assert write.patch_c3d(tmp_path / "again.c3d", result.input_take, result.take) == []
     assert (tmp_path / "again.c3d").read_bytes() == sound.read_bytes()
 
 

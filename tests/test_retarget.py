@@ -84,7 +84,7 @@ def check(animation: Animation) -> None:
     known = fit.file_joints >= 0
     position, _ = animation.compute_world_poses()
     np.testing.assert_allclose(places(fit, root, rotations)[:, known], position[:, fit.file_joints[known]], atol=1e-6)
-    values = from_cmu31(animation, fit, range(31), np.arange(animation.frames), rotations)
+    values = from_cmu31(animation, fit, range(31), np.arange(animation.frame_count), rotations)
     np.testing.assert_allclose(
         animation.replace_values(values).compute_local_rotations(), animation.compute_local_rotations(), atol=1e-8
     )
@@ -99,7 +99,7 @@ def test_joints_lie_where_the_files_do_and_come_back(seed):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_of_every_capture_joints_lie_where_the_files_do_and_come_back(path):
     found = (bvh if path.suffix == ".bvh" else amc).animation(path)
-    check(found.replace_values(found.values[:: max(1, found.frames // 50)]))
+    check(found.replace_values(found.values[:: max(1, found.frame_count // 50)]))
 
 
 def test_the_rest_pose_is_told_in_our_axes():

@@ -50,11 +50,11 @@ class AnimationBody:
             return None, None
         known, ours = self.alignment.file_joints >= 0, self.alignment.skeleton
         told = [joint if known[joint] else find_ancestor(joint, ours.parents, known) for joint in range(len(known))]
-        none, unsure = np.zeros(joint_take.frames, int), np.zeros(joint_take.visible.shape)
+        none, unsure = np.zeros(joint_take.frame_count, int), np.zeros(joint_take.visible.shape)
         if joint_take.sample_sd is not None:
             unsure = np.nan_to_num(joint_take.sample_sd)
         motion = Motion(
-            root, local, none + PLACED, none, np.zeros((joint_take.frames, 0)), unsure[:, self.alignment.file_joints[told]]
+            root, local, none + PLACED, none, np.zeros((joint_take.frame_count, 0)), unsure[:, self.alignment.file_joints[told]]
         )
         return Subject(ours, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
 

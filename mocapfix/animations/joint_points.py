@@ -16,7 +16,7 @@ def build_tip_take(animation: Animation) -> Take:
     """-> the take by which its cleaning is told: where each joint's tip is, the middle of its children and end sites, and last
     the root. A joint that turns wrongly is at its place all the same, but its tip is not."""
     position, rotation = animation.compute_world_poses()
-    markers = np.empty((animation.frames, len(animation.names) + 1, 3))
+    markers = np.empty((animation.frame_count, len(animation.names) + 1, 3))
     for j in range(len(animation.names)):
         ends = animation.end_sites[j] @ animation.rotation_y_up_file.T * animation.unit_m
         beyond = position[:, [j]] + ends @ np.swapaxes(rotation[:, j], -1, -2)

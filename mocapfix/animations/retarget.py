@@ -45,7 +45,7 @@ class SkeletonAlignment:
 
 def align_skeleton(animation: Animation, mapping: JointMapping) -> SkeletonAlignment | None:
     """-> how the 31 joints lie in the animation's body; None where the figure stands neither in the rest pose nor ever."""
-    few = animation.replace_values(animation.values[:: max(1, animation.frames // MAX_ALIGNMENT_FRAMES)])
+    few = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
     moving = few.compute_world_poses()
     resting = animation.compute_rest_positions()[None], np.tile(np.eye(3), (1, len(animation.names), 1, 1))
     for positions, rotations in (resting, moving):

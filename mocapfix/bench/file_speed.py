@@ -44,7 +44,7 @@ def build_take_jobs(path: Path) -> dict[str, Callable[[], object]]:
     after = take.replace_markers(np.where(mended[..., None], 1.0, take.markers), np.where(mended, 0.001, np.nan))
     return {
         "read C3D": lambda: capture.read_capture(path),
-        "write C3D": lambda: write.c3d(target, take, after),
+        "write C3D": lambda: write.patch_c3d(target, take, after),
     }
 
 
@@ -53,18 +53,18 @@ def build_motion_jobs(path: Path, truth: SyntheticTake) -> dict[str, Callable[[]
     take, skeleton, motion, rate = capture.read_capture(path), truth.subject.skeleton, truth.motion, truth.rate
     bvh, amc, builder = path.with_suffix(".bvh"), path.with_suffix(".amc"), rig.load_rig("motionbuilder")
     captured, target = path.with_name("captured.bvh"), path.with_name("mended.bvh")
-    write.bvh(captured, skeleton, motion, rate)
+    write.write_bvh(captured, skeleton, motion, rate)
     animation = bvh_file.read_bvh(captured)
     mended = np.random.default_rng(0).random(animation.values.shape) < REPAIRED_SAMPLE_SHARE
     values = np.where(mended, animation.values + 1.0, animation.values)
     return {
         "read BVH": lambda: bvh_file.read_bvh(captured),
-        "write BVH, mended": lambda: write.patched(target, animation, values),
-        "write BVH": lambda: write.bvh(bvh, skeleton, motion, rate),
+        "write BVH, mended": lambda: write.patch_animation(target, animation, values),
+        "write BVH": lambda: write.write_bvh(bvh, skeleton, motion, rate),
         "write BVH for MotionBuilder": lambda: write.write_rig_bvh(bvh, builder, skeleton, motion, rate),
-        "write glTF": lambda: write.gltf(path.with_suffix(".glb"), skeleton, motion, rate),
+        "write glTF": lambda: write.write_gltf(path.with_suffix(".glb"), skeleton, motion, rate),
         "write ASF/AMC": lambda: write.write_asf_amc(amc.with_suffix(".asf"), amc, skeleton, motion, rate),
-        "write NPZ": lambda: write.npz(path.with_suffix(".npz"), take, skeleton, motion, rate),
+        "write NPZ": lambda: write.write_npz(path.with_suffix(".npz"), take, skeleton, motion, rate),
         "make 25 frames a second of 120": lambda: resample_motion(motion, rate, 25.0),
     }
 

@@ -110,7 +110,7 @@ def compare_hands(path: Path, damage: HandDamage) -> HandComparison:
     markers[during, columns] = damage.damage_markers(markers[during, columns])
     with TemporaryDirectory() as folder:
         spoiled = Path(folder) / path.name
-        write.c3d(spoiled, take, take.replace_markers(markers))
+        write.patch_c3d(spoiled, take, take.replace_markers(markers))
         mended = pipeline.clean(spoiled, subject=sound.subject)
     subject, motion, cleaned, true = mended.subject, mended.motion, mended.joint_position_world, sound.joint_position_world
     if subject is None or motion is None or cleaned is None or true is None:

@@ -116,7 +116,7 @@ def compare_starts(
         came = {name: evaluate_start(case, way, repeats) for name, way in (build_truth_start(case) | methods).items()}
         alone = find_wrong_frames(case, {name: each.first_solve for name, each in came.items()})
         whole = find_wrong_frames(case, {name: each.full_solve for name, each in came.items()})
-        best = whole.get(TRUTH_START, np.zeros(case.take.frames, bool))
+        best = whole.get(TRUTH_START, np.zeros(case.take.frame_count, bool))
         for name, each in came.items():
             outcomes.setdefault(name, []).append(TakeOutcome(case, each, alone[name], whole[name], whole[name] & ~best))
     return {name: summarise_outcomes(each) for name, each in outcomes.items()}
@@ -131,7 +131,7 @@ def summarise_outcomes(outcomes: list[TakeOutcome]) -> dict:
     """
     came = [each.outcome for each in outcomes]
     return {
-        "frames": sum(each.case.take.frames for each in outcomes),
+        "frames": sum(each.case.take.frame_count for each in outcomes),
         "wrong": int(sum(each.is_wrong.sum() for each in outcomes)),
         "astray": int(sum(each.is_wrong_from_start.sum() for each in outcomes)),
         "wrong_alone": int(sum(each.is_wrong_first_solve.sum() for each in outcomes)),

@@ -111,7 +111,7 @@ def build_outlier_fault(outlier: BodyOutlier, take: Take, max_spike_duration_s: 
         )
         reason = f"{label} is knocked by {outlier.distance_m * 1e3:.0f} mm and stays there: so far from it the body had it on its segment."
         return MarkerShift(
-            "moved", outlier.marker, first, take.frames - 1, outlier.distance_m, reason, confidence, settled_frame=first
+            "moved", outlier.marker, first, take.frame_count - 1, outlier.distance_m, reason, confidence, settled_frame=first
         )
     where = (
         f"{label} lies {outlier.distance_m * 1e3:.0f} mm from where the body has it, {outlier.score_sd:.0f} standard deviations"

@@ -34,7 +34,7 @@ def _build_gap_faults(take: Take, marker: int, gaps: list[tuple[int, int]]) -> l
 
 
 def _classify_gap(take: Take, first: int, last: int) -> FaultKind:
-    match first == 0, last == take.frames - 1:
+    match first == 0, last == take.frame_count - 1:
         case True, True:
             return "absent"
         case True, False:
@@ -47,7 +47,7 @@ def _classify_gap(take: Take, first: int, last: int) -> FaultKind:
 
 def _measure_marker_travel(take: Take, marker: int, first: int, last: int) -> float:
     """-> metres from the sample before a gap to the one after it, NaN where the take begins or ends in it."""
-    if first == 0 or last == take.frames - 1:
+    if first == 0 or last == take.frame_count - 1:
         return float("nan")
     return float(np.linalg.norm(take.markers[last + 1, marker] - take.markers[first - 1, marker]))
 
@@ -100,7 +100,7 @@ def list_body_parts(take: Take, marker_set: MarkerSet) -> list[tuple[str, list[i
 
 
 def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: int, last: int) -> Fault:
-    seconds, whole = (last - first + 1) / take.rate, last - first + 1 == take.frames
+    seconds, whole = (last - first + 1) / take.rate, last - first + 1 == take.frame_count
     time = "in the whole take" if whole else f"for {seconds:.2f} s"
     labels = ", ".join(take.bare_labels[m] for m in markers)
     known = "only its neighbours and people's usual poses tell where it is"
@@ -114,7 +114,7 @@ def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: 
 
 def _measure_part_travel(take: Take, markers: list[int], first: int, last: int) -> float:
     """-> metres: how far the part's markers that are seen on both sides move meanwhile, the median; NaN where none is."""
-    if first == 0 or last == take.frames - 1:
+    if first == 0 or last == take.frame_count - 1:
         return float("nan")
     way = np.linalg.norm(take.markers[last + 1, markers] - take.markers[first - 1, markers], axis=-1)
     return float(np.nanmedian(way)) if np.isfinite(way).any() else float("nan")

@@ -26,7 +26,7 @@ MAX_GHOST_PARTNERS = 3  # steadiest partners, the median of whose distances says
 
 def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s: float = 0.05) -> list[Fault]:
     """-> the ghosts, by marker and first frame: off by at least `smallest` metres and longer than `longest_spike` seconds."""
-    if take.frames < 2 or not take.labels:
+    if take.frame_count < 2 or not take.labels:
         return []
     courses, known = (
         continuity.build_trajectories(take.markers, take.rate),

@@ -128,7 +128,7 @@ def detect_label_swaps(take: Take) -> list[Fault]:
 
 def _select_exchanges(take: Take) -> list[LabelExchange]:
     """-> the exchanges that explain most, by first frame; one that overlaps with a better one waits for the next look."""
-    if take.frames < 2 or not len(take.labels):
+    if take.frame_count < 2 or not len(take.labels):
         return []
     courses, known = continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     chosen: list[LabelExchange] = []
@@ -146,7 +146,7 @@ def _do_exchanges_overlap(one: LabelExchange, other: LabelExchange) -> bool:
 def _build_swap_fault(take: Take, exchange: LabelExchange) -> Fault:
     ring, (first, last) = exchange.cycle, (exchange.first, exchange.last)
     apart = _measure_separation(take.markers[first : last + 1], ring)
-    share = (last - first + 1) / (take.frames + 1)
+    share = (last - first + 1) / (take.frame_count + 1)
     wrong_side = share / (1 - share) * np.exp(-np.clip(exchange.counter_evidence, -50, 50))
     confidence = float((1 - np.exp(-exchange.gain)) / (1 + wrong_side))
     labels = [take.bare_labels[m] for m in ring]

@@ -95,7 +95,7 @@ def build_shift_fault(shift: ShiftEstimate, take: Take) -> MarkerShift:
     reason = f"{label} {how} and stays elsewhere on its segment: {shift.size_m * 1e3:.0f} mm of that the body cannot follow."
     kind, sure = ("drift" if seconds else "moved"), shift.relative_ratio / (1 + shift.relative_ratio)
     return MarkerShift(
-        kind, shift.marker, shift.first, take.frames - 1, shift.size_m, reason, sure, settled_frame=shift.settled_frame
+        kind, shift.marker, shift.first, take.frame_count - 1, shift.size_m, reason, sure, settled_frame=shift.settled_frame
     )
 
 

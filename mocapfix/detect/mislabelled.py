@@ -206,7 +206,7 @@ def _build_mislabelled_fault(
         "mislabelled",
         marker,
         0,
-        take.frames - 1,
+        take.frame_count - 1,
         before,
         reason,
         float(1 / (1 + np.exp(CORRECT_LABEL_LOG_ODDS - gain))),

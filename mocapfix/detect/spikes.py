@@ -33,7 +33,7 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float) -> l
         off = _measure_path_deviation(
             frames, np.ascontiguousarray(take.markers[frames, m]), take.rate, min_distance_m, max_duration_s
         )
-        distance = np.zeros(take.frames)
+        distance = np.zeros(take.frame_count)
         distance[frames] = off
         faults += [
             _build_spike_fault(label, m, first, last, distance[first : last + 1]) for first, last in find_runs(distance > 0)

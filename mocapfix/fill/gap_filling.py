@@ -89,7 +89,7 @@ def compute_editable_mask(take: Take, options: FillOptions) -> np.ndarray:
     for m, (label, bare) in enumerate(zip(take.labels, take.bare_labels, strict=True)):
         touch[:, m] = label not in options.keep and bare not in options.keep
     if options.frames:
-        numbers = take.first_frame + np.arange(take.frames)
+        numbers = take.first_frame + np.arange(take.frame_count)
         touch &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
     return touch
 
@@ -101,7 +101,7 @@ def check_fill_options(take: Take, options: FillOptions) -> None:
         no, its = use_joint_terms("has no marker", take), use_joint_terms("its markers", take)
         raise TakeError(f"{take.name}: {no} {', '.join(strange)} to keep; {its} are {', '.join(take.labels)}.")
     if options.frames:
-        first, last = take.first_frame, take.get_frame_number(take.frames - 1)
+        first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
         a, b = options.frames
         if a > b:
             raise TakeError(f"{take.name}: frames {a} to {b}: the first must not come after the last.")

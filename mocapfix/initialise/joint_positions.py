@@ -48,10 +48,10 @@ def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> J
     people = mean_pose.load_mean_pose_prior("mean-pose", subject.skeleton)
     rigid = build_rigid_skeleton(subject.skeleton, body.free_joints, people)
     order = np.argsort(rigid.carrier_segment[subject.joints], kind="stable")
-    position, variance = np.empty((take.frames, len(body.free_joints), 3)), np.empty((take.frames, len(body.free_joints)))
+    position, variance = np.empty((take.frame_count, len(body.free_joints), 3)), np.empty((take.frame_count, len(body.free_joints)))
     trust = np.empty(take.visible.shape)
     run_over_frames(
-        propagate_segment_frames, take.frames, build_segments(subject, rigid, people, order), build_meetings(rigid),
+        propagate_segment_frames, take.frame_count, build_segments(subject, rigid, people, order), build_meetings(rigid),
         np.ascontiguousarray(take.markers[:, order], float), position, variance, trust,
     )  # fmt: skip
     unknown = ~(variance < MAX_JOINT_SD_M**2)

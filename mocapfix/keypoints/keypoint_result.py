@@ -98,7 +98,7 @@ class KeypointResult:
             images,
         )
         with self.timer("write"):
-            write.bvh(outputs["bvh"], self.skeleton, self.motion, self.rate_hz)
+            write.write_bvh(outputs["bvh"], self.skeleton, self.motion, self.rate_hz)
             keypoint_report.write_keypoint_recording(outputs["rrd"], shown)
             keypoint_report.write_keypoint_page(outputs["report.html"], shown, self.report)
         with replace_atomically(outputs["report.json"]) as part:

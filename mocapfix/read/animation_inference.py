@@ -61,7 +61,7 @@ def infer_up_axis(animation: Animation) -> Animation:
     feet = [j for j, name in enumerate(animation.names) if FOOT_JOINT_PATTERN.search(name)]
     if not head or not feet:
         return animation
-    few = animation.replace_values(animation.values[:: max(1, animation.frames // 200)])
+    few = animation.replace_values(animation.values[:: max(1, animation.frame_count // 200)])
     for positions in (few.compute_world_poses()[0], animation.compute_rest_positions()[None]):
         ways = positions[:, head[0]] - positions[:, feet].mean(1)
         way = ways[np.isfinite(ways).all(1)].sum(0)

@@ -52,16 +52,16 @@ def split_moved_markers(take: Take, faults: Iterable[Fault]) -> MarkerEpochs:
 
     While a marker slides it is at neither place: its samples there are in no column, though they stay as measured.
     """
-    count, frames = len(take.labels), np.arange(take.frames)
-    marker, own = list(range(count)), [np.ones(take.frames, bool) for _ in range(count)]
+    count, frames = len(take.labels), np.arange(take.frame_count)
+    marker, own = list(range(count)), [np.ones(take.frame_count, bool) for _ in range(count)]
     paths = [take.markers[:, m] for m in range(count)]
     moved = sorted((fault for fault in faults if isinstance(fault, MarkerShift)), key=lambda fault: (fault.marker, fault.first))
     for m, each in groupby(moved, key=lambda fault: fault.marker):
         moves = _select_lasting_shifts(list(each), take.visible[:, m], round(MIN_EPOCH_DURATION_S * take.rate))
         starts = [0, *(fault.settled_frame for fault in moves)]
-        stops = [*(fault.first for fault in moves), take.frames]
+        stops = [*(fault.first for fault in moves), take.frame_count]
         middles = [(fault.first + fault.settled_frame) // 2 for fault in moves]
-        stays = list(zip(starts, stops, [0, *middles], [*middles, take.frames], strict=True))
+        stays = list(zip(starts, stops, [0, *middles], [*middles, take.frame_count], strict=True))
         stays.sort(key=lambda stay, m=m: -take.visible[stay[0] : stay[1], m].sum())
         whole = take.markers[:, m]
         for n, (start, stop, begin, end) in enumerate(stays):
@@ -75,7 +75,7 @@ def split_moved_markers(take: Take, faults: Iterable[Fault]) -> MarkerEpochs:
                 marker.append(m)
     columns = np.array(marker, int)
     if len(columns) == count:
-        return MarkerEpochs(take, columns, np.ones((take.frames, count), bool))
+        return MarkerEpochs(take, columns, np.ones((take.frame_count, count), bool))
     labels = tuple(take.labels[m] for m in marker)
     computed = None if take.computed is None else take.computed[:, columns]
     parts = replace(

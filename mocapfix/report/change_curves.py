@@ -76,7 +76,7 @@ def _select_frames(fault: Fault, take: Take) -> np.ndarray:
     last = (
         min(fault.last, fault.first + round(MAX_LABEL_CURVE_DURATION_S * take.rate)) if fault.kind in LABEL_KINDS else fault.last
     )
-    begin, end = 0 if isinstance(fault, MarkerShift) else max(0, fault.first - margin), min(take.frames - 1, last + margin)
+    begin, end = 0 if isinstance(fault, MarkerShift) else max(0, fault.first - margin), min(take.frame_count - 1, last + margin)
     inside = np.linspace(max(begin, fault.first - 1), min(end, last + 1), MAX_CURVE_POINTS)
     return np.unique(np.concatenate([np.linspace(begin, end, MAX_CURVE_POINTS), inside]).round().astype(int))
 
@@ -106,7 +106,7 @@ def _get_position(take: Take, index: int) -> np.ndarray:
 def _get_fill_sd(take: Take, index: int) -> np.ndarray:
     """-> (T,) metres: the samples' predicted standard deviation, NaN where they were measured."""
     if take.sample_sd is None or index >= len(take.labels):
-        return np.full(take.frames, np.nan)
+        return np.full(take.frame_count, np.nan)
     return take.sample_sd[:, index]
 
 

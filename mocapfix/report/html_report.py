@@ -41,6 +41,6 @@ def write_html_report(target: Path, report: dict, comparison: CleaningComparison
 
 def _format_subtitle(report: dict, take: Take) -> str:
     points = f"{report['take']['markers']} {use_joint_terms('markers', take)}"
-    first, last = take.first_frame, take.get_frame_number(take.frames - 1)
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
     worn = f", marker set {report['take']['marker_set']}" if report["take"]["marker_set"] else ""
-    return f"Frames {first} to {last} at {take.rate:g} Hz ({take.frames / take.rate:.1f} s), {points}{worn}."
+    return f"Frames {first} to {last} at {take.rate:g} Hz ({take.frame_count / take.rate:.1f} s), {points}{worn}."

@@ -87,8 +87,8 @@ class _RecordingWriter:
         import rerun as rr
 
         self.recording = recording
-        self.time_s = np.arange(take.frames) / take.rate
-        self.frame_numbers = take.first_frame + np.arange(take.frames)
+        self.time_s = np.arange(take.frame_count) / take.rate
+        self.frame_numbers = take.first_frame + np.arange(take.frame_count)
         labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
         counts = Counter(labels)  # a file may say one label twice
         self.point_names = [label if counts[label] == 1 else f"{label} ({m + 1})" for m, label in enumerate(labels)]

@@ -33,7 +33,7 @@ def build_take_section(take: Take, marker_set: str | None) -> dict:
     return {
         "file": take.path.name if take.path else take.name,
         **({"person": take.subject_name} if take.subject_name else {}),
-        "frames": take.frames,
+        "frames": take.frame_count,
         "first_frame": take.first_frame,
         "rate_hz": take.rate,
         "markers": len(take.labels),

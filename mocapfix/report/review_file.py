@@ -59,7 +59,7 @@ def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -
     """Write the changes of a take. Raises WriteError where the folder cannot be written, and then leaves what was there."""
     said = {
         "take": take.name,
-        "frames": [take.first_frame, take.get_frame_number(take.frames - 1)],
+        "frames": [take.first_frame, take.get_frame_number(take.frame_count - 1)],
         "changes": serialize_changes(changes),
     }
     text = yaml.dump(said, Dumper=_ReviewFileDumper, sort_keys=False, allow_unicode=True, width=120)
@@ -95,7 +95,7 @@ def read_review_file(path: str | Path, take: Take) -> tuple[ReviewedChange, ...]
     form = read_yaml_model(_ReviewFileModel, Path(path))
     if form.take != take.name:
         raise SceneError(f"{path}: take: is about {form.take}, not {take.name}; give the file that its own cleaning wrote.")
-    first, last = take.first_frame, take.get_frame_number(take.frames - 1)
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
     if form.frames != (first, last):
         raise SceneError(
             f"{path}: frames: is about frames {form.frames[0]} to {form.frames[1]}; {take.name} has {first} to {last}."
@@ -120,7 +120,7 @@ def build_fault_filter(take: Take, reviewed_changes: tuple[ReviewedChange, ...])
     """-> whether a fault may be one, for all that somebody decided: none that touches what is kept as measured, and no
     marker has moved that is said not to have."""
     count = len(take.labels)
-    kept = np.zeros((take.frames, count), bool)
+    kept = np.zeros((take.frame_count, count), bool)
     for each in reviewed_changes:
         if each.decision == "keep" and each.entry["kind"] not in (*MISSING_KINDS, *SHIFT_KINDS):
             kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True

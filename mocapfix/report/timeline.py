@@ -78,7 +78,7 @@ def _merge_near_bars(bars: list[_TimelineBar], take: Take) -> Iterator[_Timeline
         kinds[bar.css_class].append(bar)
     for name, each in sorted(kinds.items(), key=lambda kind: -max(bar.last - bar.first for bar in kind[1])):
         starts = [
-            n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last - 1 > take.frames / TIMELINE_RESOLUTION
+            n for n, bar in enumerate(each) if n == 0 or bar.first - each[n - 1].last - 1 > take.frame_count / TIMELINE_RESOLUTION
         ]
         for a, b in zip(starts, [*starts[1:], len(each)], strict=True):
             more = f" And {b - a - 1} more thereabouts." if b - a > 1 else ""
@@ -86,13 +86,13 @@ def _merge_near_bars(bars: list[_TimelineBar], take: Take) -> Iterator[_Timeline
 
 
 def _render_bar(bar: _TimelineBar, take: Take) -> str:
-    place = f"left:{bar.first / take.frames:.3%};width:{(bar.last - bar.first + 1) / take.frames:.3%}"
+    place = f"left:{bar.first / take.frame_count:.3%};width:{(bar.last - bar.first + 1) / take.frame_count:.3%}"
     return f'<i class="{bar.css_class}" style="{place}" title="{escape(bar.title)}"></i>'
 
 
 def render_time_axis(take: Take) -> str:
     """-> HTML of the ticks: the file's frame numbers, and seconds from its first frame."""
-    seconds = take.frames / take.rate
+    seconds = take.frame_count / take.rate
     times = np.arange(0, seconds, compute_round_step(seconds / MAX_TIME_TICKS))
     ticks = "".join(
         f'<i style="left:{time / seconds:.3%}">{take.get_frame_number(round(time * take.rate))}<small>{time:g} s</small></i>'

@@ -49,7 +49,7 @@ def write_c3d(target: str | Path, take: Take) -> None:
     if long := next((label for label in encoded if len(label) > MAX_LABEL_BYTES), None):
         raise WriteError(f"{target}: the label {long.decode()[:30]}... is longer than the 255 bytes a C3D can hold; shorten it.")
     first = take.first_frame if take.first_frame >= 0 else 1
-    last, points = first + take.frames - 1, len(labels)
+    last, points = first + take.frame_count - 1, len(labels)
     start = 2 + len(_encode_parameters(form, take, encoded, first, 0)) // BLOCK_BYTES
     if points > MAX_C3D_POINTS or start - 2 > MAX_PARAMETER_BLOCKS:
         raise WriteError(f"{target}: {points} points with such labels are more than a C3D can hold; write another format.")
@@ -64,11 +64,11 @@ def write_c3d(target: str | Path, take: Take) -> None:
 
 def _encode_parameters(form: FileFrame, take: Take, labels: Sequence[bytes], first: int, start: int) -> bytes:
     """-> whole blocks: the groups POINT and TRIAL, with the number of the `start` block of the samples."""
-    last, up = first + take.frames - 1, int(np.abs(form.rotation_y_up_file[1]).argmax())
+    last, up = first + take.frame_count - 1, int(np.abs(form.rotation_y_up_file[1]).argmax())
     point = [
         _encode_number("USED", "H", len(labels)),
-        _encode_number("FRAMES", "H", min(take.frames, MAX_UINT16)),
-        _encode_number("LONG_FRAMES", "f", take.frames),
+        _encode_number("FRAMES", "H", min(take.frame_count, MAX_UINT16)),
+        _encode_number("LONG_FRAMES", "f", take.frame_count),
         _encode_number("DATA_START", "H", start),
         _encode_number("SCALE", "f", -RESIDUAL_COUNT_M / form.unit_m),
         _encode_number("RATE", "f", take.rate),
@@ -127,7 +127,7 @@ def _encode_text_series(name: str, texts: Sequence[bytes]) -> list[tuple[str, by
 
 def _build_words(form: FileFrame, take: Take) -> np.ndarray:
     """-> (T, P, 4) x, y, z in the file's unit and axes, and the residual word; zeros and -1 where nothing is."""
-    loose = take.unlabelled.markers if take.unlabelled else np.zeros((take.frames, 0, 3))
+    loose = take.unlabelled.markers if take.unlabelled else np.zeros((take.frame_count, 0, 3))
     xyz = form.compute_coordinates(np.concatenate([take.markers, loose], axis=1))
     words = np.zeros((*xyz.shape[:2], 4), "<f4")
     words[..., :3] = xyz

@@ -65,7 +65,7 @@ class OutputFormat:
 
 
 def _write_bvh(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    write.bvh(target, moving.skeleton, moving.motion, moving.rate)
+    write.write_bvh(target, moving.skeleton, moving.motion, moving.rate)
 
 
 def build_rig_format(rig: Rig) -> OutputFormat:
@@ -80,7 +80,7 @@ def build_rig_format(rig: Rig) -> OutputFormat:
 
 
 def _write_gltf(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    write.gltf(target, moving.skeleton, moving.motion, moving.rate)
+    write.write_gltf(target, moving.skeleton, moving.motion, moving.rate)
 
 
 def _write_amc(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
@@ -93,9 +93,9 @@ def _write_npz(target: Path, result: "CleaningResult", moving: ExportedMotion | 
         take = result.output_take.replace_markers(
             result.output_take.markers - [0.0, moving.floor_height_m, 0.0], result.output_take.sample_sd
         )
-        write.npz(target, take, moving.skeleton, moving.motion, moving.rate)
+        write.write_npz(target, take, moving.skeleton, moving.motion, moving.rate)
     else:
-        write.npz(target, result.output_take)
+        write.write_npz(target, result.output_take)
 
 
 def _write_subject(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
@@ -123,15 +123,15 @@ def _write_json_report(target: Path, result: "CleaningResult", moving: ExportedM
 
 
 def _write_c3d(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.new_c3d(target, result.output_take)
+    write.write_c3d(target, result.output_take)
 
 
 def _write_trc(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.trc(target, result.output_take)
+    write.write_trc(target, result.output_take)
 
 
 def _write_csv(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.csv(target, result.output_take)
+    write.write_csv(target, result.output_take)
 
 
 BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
@@ -158,16 +158,16 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     """Write the take's own file with only the changed samples replaced, or, where it has no place for every sample, a plain
     table instead; beside an AMC its skeleton, as it is. -> the (frame, marker) indices that could not be stored."""
     if isinstance(before.layout, Animation) and isinstance(after.layout, Animation):
-        write.patched(target, before.layout, after.layout.values)
+        write.patch_animation(target, before.layout, after.layout.values)
         if before.layout.skeleton_path:
             shutil.copyfile(before.layout.skeleton_path, target.with_suffix(".asf"))
         return []
     if isinstance(before.layout, TableLayout):
         if before.layout.has_field_per_sample:
-            return write.table(target, before, after)
-        write.csv(target, after)
+            return write.patch_table(target, before, after)
+        write.write_csv(target, after)
         return []
-    return write.c3d(target, before, after)
+    return write.patch_c3d(target, before, after)
 
 
 def get_source_suffixes(source: Path | None) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ def write_trc(target: str | Path, take: Take) -> None:
     Raises WriteError where `target` cannot be written.
     """
     target, form = Path(target), get_file_frame(take)
-    rate, first, frames = _format_rate(take.rate), take.first_frame, take.frames
+    rate, first, frames = _format_rate(take.rate), take.first_frame, take.frame_count
     labels = [" ".join(label.split()) for label in take.labels]
     facts = [rate, rate, str(frames), str(len(labels)), form.unit_name, rate, str(first), str(frames)]
     numbers = range(1, len(labels) + 1)
@@ -74,7 +74,7 @@ def write_csv(target: str | Path, take: Take) -> None:
         writer = rows.writer(file, lineterminator="\n")
         labels = (" ".join(label.split()) for label in take.labels)  # one that holds a line's end would end the line of names
         writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{form.unit_name}" for label in labels for axis in "XYZ")])
-        for t, row in enumerate(form.compute_coordinates(take.markers).reshape(take.frames, -1).tolist()):
+        for t, row in enumerate(form.compute_coordinates(take.markers).reshape(take.frame_count, -1).tolist()):
             writer.writerow(
                 [take.get_frame_number(t), f"{t / take.rate:.6f}", *format_cells(row, DECIMALS_BY_UNIT[form.unit_name])]
             )

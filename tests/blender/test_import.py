@@ -26,7 +26,7 @@ SCALES = {"bvh": 0.01, "blender.bvh": 1.0, "motionbuilder.bvh": 0.01, "3dsmax.bv
 @pytest.fixture(scope="module")
 def moments(cleaned) -> np.ndarray:
     """-> (10,) the frames that are looked at"""
-    return np.linspace(0, cleaned.result.motion.frames - 1, 10).astype(int)
+    return np.linspace(0, cleaned.result.motion.frame_count - 1, 10).astype(int)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_the_scene_takes_the_take_s_rate(opened, cleaned, kind):
 
 @pytest.mark.parametrize("kind", SCALES)
 def test_the_motion_lasts_as_long_as_the_take(opened, cleaned, kind):
-    frames = cleaned.result.motion.frames + lead(kind)
+    frames = cleaned.result.motion.frame_count + lead(kind)
     assert opened[kind]["last"] == pytest.approx((frames - 1) / cleaned.result.before.rate, abs=1e-4)
 
 

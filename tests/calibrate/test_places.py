@@ -62,7 +62,7 @@ def test_a_place_that_is_hardly_seen_is_none(walk, seen):
 
 
 def test_where_no_place_is_seen_the_subject_does_not_grow(walk):
-    nothing = np.full((walk.motion.frames, 1, 3), np.nan)
+    nothing = np.full((walk.motion.frame_count, 1, 3), np.nan)
     grown, enough = add_moved_markers(walk.subject, walk.motion, nothing, np.array([3]))
     assert not enough.any()
     assert grown.labels == walk.subject.labels

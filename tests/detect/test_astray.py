@@ -50,7 +50,7 @@ def test_what_lies_between_gaps_is_found_without_a_leap_in_sight():
 def test_what_goes_astray_slowly_is_no_fault_of_the_samples():
     take = solved().take
     markers = take.markers.copy()
-    markers[:, 8, 1] += 0.06 * np.exp(-(((np.arange(take.frames) - 180) / RATE / 0.3) ** 2))
+    markers[:, 8, 1] += 0.06 * np.exp(-(((np.arange(take.frame_count) - 180) / RATE / 0.3) ** 2))
     assert pieces(take.replace_markers(markers)) == []
 
 
@@ -81,7 +81,7 @@ def test_a_marker_that_leaps_once_and_keeps_its_new_place_was_moved(first, last,
     markers[first : last + 1, 8] += (turn @ [0.0, 0.05, 0.0])[first : last + 1]
     (piece,) = pieces(take.replace_markers(markers))
     moved = body_outliers.build_outlier_fault(piece, take, 0.05)
-    assert (moved.kind, moved.marker, moved.first, moved.last) == ("moved", 8, since, take.frames - 1)
+    assert (moved.kind, moved.marker, moved.first, moved.last) == ("moved", 8, since, take.frame_count - 1)
     assert moved.severity == pytest.approx(0.05, abs=0.01)
 
 

@@ -87,7 +87,7 @@ def test_of_two_pieces_at_once_a_marker_is_given_the_right_one():
 def test_a_piece_may_begin_while_the_marker_is_still_seen():
     take = whole()
     m = take.labels.index("STRN")
-    path = np.where((np.arange(take.frames) >= 195)[:, None], take.markers[:, m], np.nan)
+    path = np.where((np.arange(take.frame_count) >= 195)[:, None], take.markers[:, m], np.nan)
     markers = take.markers.copy()
     markers[200:, m] = np.nan
     assert told(take_of(take.replace_markers(markers), [path + 0.001])) == [("continues", "STRN", 195, 719)]

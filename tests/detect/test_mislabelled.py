@@ -38,7 +38,7 @@ def test_an_exchange_is_found_the_right_way_round(ring):
     take = relabelled(sound, *ring)
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     assert set(fault.markers) == set(columns(take, *ring))
-    assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frames - 1)
+    assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frame_count - 1)
     np.testing.assert_array_equal(undone(take, [fault]).markers, sound.markers)
 
 
@@ -87,7 +87,7 @@ def test_labels_that_are_wrong_for_most_of_the_take_are_taken_for_wrong_all_alon
     markers = relabelled(sound, "LKNE", "LANK").markers.copy()
     markers[70:] = sound.markers[70:]
     (fault,) = mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41)
-    assert (fault.first, fault.last) == (0, sound.frames - 1)
+    assert (fault.first, fault.last) == (0, sound.frame_count - 1)
     markers[25:] = sound.markers[25:]
     assert mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41) == []
 

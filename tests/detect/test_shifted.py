@@ -28,7 +28,7 @@ def turned():
 def elsewhere(take, marker, way, first, settled):
     """-> the take with a marker moved by `way` (3,) metres on its segment, from frame `first` on, wholly from `settled` on."""
     markers, subject = take.markers.copy(), solved(seconds=SECONDS).subject
-    share = np.clip((np.arange(take.frames) - first + 1) / (settled - first + 1), 0, 1)
+    share = np.clip((np.arange(take.frame_count) - first + 1) / (settled - first + 1), 0, 1)
     markers[:, marker] += share[:, None] * (turned()[:, subject.joints[marker]] @ way)
     return take.replace_markers(markers)
 
@@ -130,7 +130,7 @@ def test_the_second_look_tells_of_shifts_and_of_none_beside_a_stray():
     take, look = sound(), lambda take: loop.detect_body_faults(take, take.seen, *solved(seconds=SECONDS)[1:])
     knocked = elsewhere(take, 8, np.array([0.0, 0.018, 0.0]), 700, 700)
     (moved,) = look(knocked)
-    assert (moved.kind, moved.marker, moved.first, moved.last) == ("moved", 8, 700, take.frames - 1)
+    assert (moved.kind, moved.marker, moved.first, moved.last) == ("moved", 8, 700, take.frame_count - 1)
     markers = knocked.markers.copy()
     markers[200:260, 8] += [0.0, 0.2, 0.0]
     (ghost,) = look(take.replace_markers(markers))
@@ -145,5 +145,5 @@ def test_the_reason_is_a_sentence():
     where = "stays elsewhere on its segment: 12 mm of that the body cannot follow."
     assert (knock.kind, knock.reason) == ("moved", f"{label} is knocked and {where}")
     assert (slide.kind, slide.reason) == ("drift", f"{label} slides in 6 s and {where}")
-    assert (slide.first, slide.settled_frame, slide.last) == (240, 960, take.frames - 1)
+    assert (slide.first, slide.settled_frame, slide.last) == (240, 960, take.frame_count - 1)
     assert knock.confidence == pytest.approx(2 / 3)

@@ -33,7 +33,7 @@ def test_bones_turn_about_axes_of_their_own(tmp_path):
     found = read(tmp_path)
     assert found.names == ("root", "lhipjoint", "lfemur", "lfoot", "head")
     assert found.parents.tolist() == [-1, 0, 1, 2, 0]
-    assert (found.frames, found.first_frame, found.rate) == (2, 7, 120.0)
+    assert (found.frame_count, found.first_frame, found.rate) == (2, 7, 120.0)
     assert found.unit_m == pytest.approx(UNIT)
     rotations = found.compute_local_rotations()[0]
     np.testing.assert_allclose(rotations[0], turned(10, 20, 30), atol=1e-12)
@@ -97,7 +97,7 @@ def test_the_rate_is_the_files_where_it_has_one(tmp_path):
 def test_a_skeleton_alone_is_its_rest_pose(tmp_path):
     moving = read(tmp_path)
     found = amc.read_amc(tmp_path / "09.asf")
-    assert found.frames == 1
+    assert found.frame_count == 1
     np.testing.assert_allclose(found.compute_world_poses()[0][0], moving.compute_rest_positions())
 
 
@@ -211,4 +211,4 @@ def test_files_with_any_fault_are_read_or_refused_in_a_sentence(tmp_path_factory
     if found is None:
         assert re.match(rf"{re.escape(str(folder))}/09(_01)?\.(asf|amc)\b.*[.)]$", refused, re.DOTALL)
     else:
-        assert found.compute_world_poses()[0].shape == (found.frames, len(found.names), 3)
+        assert found.compute_world_poses()[0].shape == (found.frame_count, len(found.names), 3)

@@ -27,7 +27,7 @@ def test_every_joint_has_its_own_numbers(tmp_path):
     assert found.offsets.tolist() == [[1, 2, 3], [0, -60, 0], [0, -50, 5], [0, 60, 0], [0, 40, 0]]
     assert [each.tolist() for each in found.end_sites] == [[], [], [[0, 0, 20], [5, 0, 18]], [[0, 5, 0]], [[0, 20, 0]]]
     assert found.channels[2] == ("Yrotation", "Zrotation", "Xrotation")
-    assert (found.channels[4], found.rate, found.unit_m, found.frames) == ((), 120.0, 0.01, 3)
+    assert (found.channels[4], found.rate, found.unit_m, found.frame_count) == ((), 120.0, 0.01, 3)
     np.testing.assert_array_equal(found.values, VALUES)
     assert found.notes == ()
     data = (tmp_path / "a.bvh").read_bytes()
@@ -66,7 +66,7 @@ def test_what_is_no_number_in_a_frame_is_not_there(tmp_path):
 
 def test_other_frames_than_declared_are_taken_and_said(tmp_path):
     found = read(tmp_path, TEXT.replace("Frames: 3", "Frames: 500"))
-    assert found.frames == 3
+    assert found.frame_count == 3
     assert found.notes == ("It declares 500 frames and holds 3, which were taken.",)
 
 
@@ -159,7 +159,7 @@ def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
 )  # fmt: skip
 def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, rate):
     found = bvh.read_bvh(CAPTURES / name)
-    assert (len(found.names), found.frames, found.rate) == (joints, frames, rate)
+    assert (len(found.names), found.frame_count, found.rate) == (joints, frames, rate)
     position, _ = found.compute_world_poses()
     np.testing.assert_array_equal(found.rotation_y_up_file, np.eye(3))
     height = np.ptp(position[..., 1], axis=1)
@@ -191,4 +191,4 @@ def test_a_file_with_any_fault_is_read_or_refused_in_a_sentence(tmp_path_factory
     if found is None:
         assert re.match(rf"{re.escape(str(folder))}/\w+\.bvh\b.*[.)]$", refused, re.DOTALL)
     else:
-        assert found.compute_world_poses()[0].shape == (found.frames, len(found.names), 3)
+        assert found.compute_world_poses()[0].shape == (found.frame_count, len(found.names), 3)

@@ -94,7 +94,7 @@ def test_a_coordinate_of_zero_alone_is_valid(tmp_path):
 
 def test_first_frame_of_the_header(tmp_path):
     take = take_of(tmp_path, STANDING, LABELS, first=40)
-    assert (take.first_frame, take.frames, take.get_frame_number(3)) == (40, 4, 43)
+    assert (take.first_frame, take.frame_count, take.get_frame_number(3)) == (40, 4, 43)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -102,7 +102,7 @@ def test_first_frame_of_the_header(tmp_path):
 def test_first_frame_beyond_65535(tmp_path, encoding, header):
     trial = {"TRIAL:ACTUAL_START_FIELD": [70000 - 65536, 1], "TRIAL:ACTUAL_END_FIELD": [70003 - 65536, 1]}
     take = take_of(tmp_path, STANDING, LABELS, encoding=encoding, first=header, extra=trial)
-    assert (take.first_frame, take.frames, take.get_frame_number(3)) == (70000, 4, 70003)
+    assert (take.first_frame, take.frame_count, take.get_frame_number(3)) == (70000, 4, 70003)
 
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
@@ -118,14 +118,14 @@ def test_more_frames_than_the_header_can_say(tmp_path, said, processor):
     xyz = np.ones((70000, 1, 3))
     xyz[-1] = 2
     take = take_of(tmp_path, xyz, ["A"], encoding=(processor, False), extra=said)
-    assert (take.frames, take.notes) == (70000, ())
+    assert (take.frame_count, take.notes) == (70000, ())
     np.testing.assert_allclose(take.markers[[0, -2, -1], 0, 0], [0.001, 0.001, 0.002])
 
 
 def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told(tmp_path):
     take = take_of(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
     assert take.visible[:70000].all()
-    assert take.frames == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
+    assert take.frame_count == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
     assert take.notes == ("The header promises 65535 frames and 70008 are there.",)
 
 
@@ -270,7 +270,7 @@ def test_damage_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_factory, 
         take = capture.read_capture(path)
     except ReadError:
         return
-    assert take.markers.shape == (take.frames, len(take.labels), 3)
+    assert take.markers.shape == (take.frame_count, len(take.labels), 3)
 
 
 MARKERS = {  # by hand from each file's labels
@@ -325,7 +325,7 @@ def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
     name, points, frames, rate, unit = row
     take = capture.read_capture(next(CAPTURES.rglob(name)))
     assert isinstance(take.layout, C3dLayout)
-    assert (take.layout.point_count, take.frames, take.rate) == (int(points), int(frames), float(rate))
+    assert (take.layout.point_count, take.frame_count, take.rate) == (int(points), int(frames), float(rate))
     assert take.layout.unit_m == {"mm": 0.001, "m": 1.0}[unit]
 
 

@@ -23,7 +23,7 @@ def take_of(folder: Path, text: str):
 def test_the_trajectories_are_found_among_the_sections(tmp_path, before, after, rate):
     take = take_of(tmp_path, nexus(before=before, after=after, rate=rate))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
-    assert (take.labels, take.rate, take.first_frame, take.frames, take.other_labels) == (LABELS, 120, 695, 4, ())
+    assert (take.labels, take.rate, take.first_frame, take.frame_count, take.other_labels) == (LABELS, 120, 695, 4, ())
 
 
 def test_section_names_as_a_spreadsheet_saves_them(tmp_path):

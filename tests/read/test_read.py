@@ -100,7 +100,7 @@ def test_a_damaged_text_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_f
         take = capture.read_capture(path)
     except ReadError:
         return
-    assert take.markers.shape == (take.frames, len(take.labels), 3)
+    assert take.markers.shape == (take.frame_count, len(take.labels), 3)
 
 
 @pytest.mark.parametrize("name", [name for name in WHOLE if name not in ("C3D", "TRC in UTF-16", "Motive CSV 1.1", "plain CSV")])
@@ -135,7 +135,7 @@ COUNTS = {  # frames, markers, rate, first frame, missing samples; by each file'
 def test_captures_have_what_their_headers_say(name):
     take = capture.read_capture(CAPTURES / name)
     missing = int((~take.visible).sum())
-    assert (take.frames, len(take.labels), take.rate, take.first_frame, missing) == COUNTS[name]
+    assert (take.frame_count, len(take.labels), take.rate, take.first_frame, missing) == COUNTS[name]
     # What a laboratory captures lies above its floor and within a few metres.
     assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
 
@@ -177,7 +177,7 @@ def test_an_amc_is_told_with_and_without_its_keywords(tmp_path):
     for text in (AMC, FRAMES, f"# somebody's\n{FRAMES}"):
         (tmp_path / "09_01.dat").write_text(text)
         take = capture.read_capture(tmp_path / "09_01.dat")
-        assert (take.labels[0], take.first_frame, take.frames) == ("root", 7, 2)
+        assert (take.labels[0], take.first_frame, take.frame_count) == ("root", 7, 2)
 
 
 def test_a_skeleton_alone_is_no_take(tmp_path):

@@ -77,7 +77,7 @@ def test_counts_that_are_wrong_are_remarked_on(tmp_path):
 def test_every_other_frame_is_remarked_on(tmp_path):
     lines = trc(np.repeat(STANDING, 2, axis=0), first=11).split("\r\n")
     take = take_of(tmp_path, "\r\n".join(lines[:6] + lines[6:-1:2]) + "\r\n")
-    assert (take.first_frame, take.frames) == (11, 4)
+    assert (take.first_frame, take.frame_count) == (11, 4)
     assert any("numbers its frames by 2" in remark for remark in take.notes)
 
 

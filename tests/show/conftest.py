@@ -80,7 +80,7 @@ def record(cleaning: CleaningComparison) -> dict:
     return {
         "take": {
             "file": before.name,
-            "frames": before.frames,
+            "frames": before.frame_count,
             "first_frame": before.first_frame,
             "rate_hz": before.rate,
             "markers": len(LABELS),

@@ -35,7 +35,7 @@ def written(folder: Path, motion: Motion, **kinds):
 def test_what_is_written_is_read_back_where_it_was(tmp_path, still):
     motion = moved(0, still=still)
     found = written(tmp_path, motion, first_frame=301)
-    assert (found.frames, found.first_frame, found.rate) == (motion.frames, 301, 100.0)
+    assert (found.frame_count, found.first_frame, found.rate) == (motion.frame_count, 301, 100.0)
     order = [found.index(name) for name in get_cmu_bone_names(SKELETON)]
     apart = np.degrees(np.linalg.norm(found.local_rotations()[:, order] - motion.local_rotations, axis=(2, 3)) / np.sqrt(2))
     assert apart.max() < 1e-4

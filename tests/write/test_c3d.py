@@ -63,7 +63,7 @@ def assert_only_changed(before: Take, target: Path, changed: np.ndarray) -> Take
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_nothing_to_mend_is_a_byte_identical_copy(tmp_path, encoding):
     before = take_in(tmp_path, encoding)
-    assert write.c3d(tmp_path / "after.c3d", before, before.replace_markers(before.markers.copy())) == []
+    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(before.markers.copy())) == []
     assert (tmp_path / "after.c3d").read_bytes() == (tmp_path / "before.c3d").read_bytes()
 
 
@@ -80,7 +80,7 @@ def test_only_changed_samples_change_and_they_read_back(tmp_path_factory, encodi
     assert isinstance(before.layout, C3dLayout)
     markers = np.where((what == 1)[..., None], values, before.markers)
     markers[what == 2] = np.nan
-    lost = write.c3d(folder / "after.c3d", before, before.replace_markers(markers, deviation))
+    lost = write.patch_c3d(folder / "after.c3d", before, before.replace_markers(markers, deviation))
 
     copy = assert_only_changed(before, folder / "after.c3d", what > 0)
     nothing = np.abs(markers).max(-1) < (0.5e-4 if not encoding[1] else 1e-10)  # rounds to all-zero, which reads as missing
@@ -100,7 +100,7 @@ def test_the_words_of_a_filled_and_of_a_removed_sample(tmp_path, encoding):
         markers[place] = (0.1, 1.25, -0.3)  # metres, Y up; the file is in mm, Z up: (-300, 100, 1250)
     deviation[0, 0], deviation[1, 1], deviation[2, 1], deviation[3, 0] = 0.0021, 1.0, 0.0, 0.00001
     markers[4, 2] = np.nan
-    write.c3d(tmp_path / "after.c3d", before, before.replace_markers(markers, deviation))
+    write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers, deviation))
 
     data = (tmp_path / "after.c3d").read_bytes()
     xyz = (-300, 100, 1250) if encoding[1] else (-3000, 1000, 12500)
@@ -124,7 +124,7 @@ def test_a_value_beyond_an_integer_file_is_left_empty_and_named(tmp_path, proces
     markers[0, 1] = (0, 3.2768, 0)  # 32,768 counts of 0.1 mm
     markers[1, 1] = (0, 3.2767, 0)
     markers[3, 2] = (0, 0, -50)
-    assert write.c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == [(0, 1), (3, 2)]
+    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == [(0, 1), (3, 2)]
     copy = capture.read_capture(tmp_path / "after.c3d")
     assert not copy.visible[0, 1]
     assert not copy.visible[3, 2]
@@ -137,24 +137,24 @@ def test_the_input_is_never_the_target_nor_touched(tmp_path):
     (tmp_path / "link.c3d").symlink_to(tmp_path / "before.c3d")
     for target in (tmp_path / "before.c3d", tmp_path / "link.c3d"):
         with pytest.raises(WriteError, match="is the input itself"):
-            write.c3d(target, before, before.replace_markers(before.markers + 1))
+            write.patch_c3d(target, before, before.replace_markers(before.markers + 1))
     assert (tmp_path / "before.c3d").read_bytes() == original
 
 
 def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
     before = take_in(tmp_path, (84, True))
     with pytest.raises(WriteError, match="was not read from a C3D"):
-        write.c3d(tmp_path / "after.c3d", replace(before, layout=None), before)
+        write.patch_c3d(tmp_path / "after.c3d", replace(before, layout=None), before)
     with pytest.raises(WriteError, match="was not read from a file"):
-        write.c3d(tmp_path / "after.c3d", replace(before, path=None), before)
+        write.patch_c3d(tmp_path / "after.c3d", replace(before, path=None), before)
     with pytest.raises(WriteError, match=r"nowhere.*cannot be written"):
-        write.c3d(tmp_path / "nowhere" / "after.c3d", before, before)
+        write.patch_c3d(tmp_path / "nowhere" / "after.c3d", before, before)
     (tmp_path / "before.c3d").write_bytes((tmp_path / "before.c3d").read_bytes()[:1200])
     with pytest.raises(WriteError, match="has become shorter"):
-        write.c3d(tmp_path / "after.c3d", before, before)
+        write.patch_c3d(tmp_path / "after.c3d", before, before)
     (tmp_path / "before.c3d").unlink()
     with pytest.raises(WriteError, match="can no longer be read"):
-        write.c3d(tmp_path / "after.c3d", before, before)
+        write.patch_c3d(tmp_path / "after.c3d", before, before)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -170,11 +170,11 @@ def test_beyond_what_a_word_and_one_parameter_can_count(tmp_path, encoding, fram
     before = capture.read_capture(path)
     markers = before.markers.copy()
     markers[-1, -1] = (0.1, 1.25, -0.3)
-    assert write.c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == []
+    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == []
     changed = np.zeros((frames, points), bool)
     changed[-1, -1] = True
     copy = assert_only_changed(before, tmp_path / "after.c3d", changed)
-    assert (copy.frames, copy.labels) == (frames, tuple(labels))
+    assert (copy.frame_count, copy.labels) == (frames, tuple(labels))
     np.testing.assert_allclose(copy.markers[-1, -1], markers[-1, -1], rtol=1e-6)
 
 
@@ -184,7 +184,7 @@ def test_a_mended_file_has_the_markers_of_the_original(tmp_path):
     before = capture.read_capture(path)
     markers = before.markers.copy()
     markers[0, 0] += 0.5
-    write.c3d(tmp_path / "after.c3d", before, before.replace_markers(markers))
+    write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers))
     assert capture.read_capture(tmp_path / "after.c3d").labels == before.labels
 
 
@@ -218,7 +218,7 @@ def stored(path: Path, take: Take) -> np.ndarray:
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_exchanged_samples_bring_their_words_along_bit_for_bit(tmp_path, encoding):
     before = take_of_four(tmp_path, encoding)
-    write.c3d(tmp_path / "after.c3d", before, before.exchange_labels((0, 1), 3, 4))
+    write.patch_c3d(tmp_path / "after.c3d", before, before.exchange_labels((0, 1), 3, 4))
     old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
     wanted = old.copy()
     wanted[4, [1, 2]] = old[4, [2, 1]]
@@ -234,7 +234,7 @@ def test_exchanged_samples_bring_their_words_along_bit_for_bit(tmp_path, encodin
 def test_a_joined_fragment_keeps_its_words_and_its_donor_is_invalid_there(tmp_path, encoding, donor, point, frames):
     before = take_of_four(tmp_path, encoding)
     joined = relabel(before, [Fragment("fragment", 0, frames.start, frames.stop - 1, 0.0, "", donor=donor, relation="continues")])
-    write.c3d(tmp_path / "after.c3d", before, joined)
+    write.patch_c3d(tmp_path / "after.c3d", before, joined)
     old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
     np.testing.assert_array_equal(new[frames, 1], old[frames, point])
     assert {each.tobytes() for each in new[frames, point]} == {as_stored(GONE, encoding)}
@@ -249,7 +249,7 @@ def test_a_sample_that_was_exchanged_and_then_mended_is_an_estimate(tmp_path):
     after = before.exchange_labels((0, 1), 4, 4)
     after.markers[4, 0], deviation = 0.5, np.full(after.visible.shape, np.nan)
     deviation[4, 0] = 0.0021
-    write.c3d(tmp_path / "after.c3d", before, replace(after, sample_sd=deviation))
+    write.patch_c3d(tmp_path / "after.c3d", before, replace(after, sample_sd=deviation))
     data = (tmp_path / "after.c3d").read_bytes()
     assert data[sample_bytes(before, 4, 0)] == as_stored((500, 500, 500, 21), (84, True))
     assert data[sample_bytes(before, 4, 1)] == (tmp_path / "before.c3d").read_bytes()[sample_bytes(before, 4, 0)]
@@ -273,7 +273,7 @@ def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
     assert isinstance(layout, C3dLayout)
     markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
     markers[1, 1], markers[4, 2], deviation[1, 1] = (0.1, 1.25, -0.3), np.nan, 0.0021
-    assert write.c3d(target, before, before.replace_markers(markers, deviation)) == []
+    assert write.patch_c3d(target, before, before.replace_markers(markers, deviation)) == []
     with warnings.catch_warnings(action="ignore"), target.open("rb") as handle:
         points = np.array([points for _, points, _ in c3d.Reader(handle).read_frames()])
     np.testing.assert_allclose(points[1, 2, :4], (-300, 100, 1250, 2.1), rtol=1e-6)  # mm, Z up, and the residual
@@ -291,7 +291,7 @@ def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
     target, chance = tmp_path / path.name, np.random.default_rng(7)
     markers, changed = before.markers.copy(), chance.random(before.visible.shape) < 0.005
     markers[changed] = chance.uniform(0.05, 0.8, (changed.sum(), 3))
-    assert write.c3d(target, before, before.replace_markers(markers)) == []
+    assert write.patch_c3d(target, before, before.replace_markers(markers)) == []
     wanted = (markers @ layout.rotation_y_up_file / layout.unit)[changed]
     readers = [by_ezc3d] * (layout.processor_type != 86) + [by_c3d] * (path.name not in NOT_BY_C3D)
     for reader in readers:
@@ -306,7 +306,7 @@ def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
 def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
     before = capture.read_capture(path)
     target = tmp_path / path.name
-    assert write.c3d(target, before, before) == []
+    assert write.patch_c3d(target, before, before) == []
     assert target.read_bytes() == path.read_bytes()
 
     assert isinstance(before.layout, C3dLayout)
@@ -314,7 +314,7 @@ def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
     markers, changed = before.markers.copy(), chance.random(before.visible.shape) < 0.01
     new = chance.uniform(0.05, 0.8, (*changed.shape, 3))
     markers[changed] = np.where(chance.random(changed.shape) < 0.7, 1.0, np.nan)[changed, None] * new[changed]
-    assert write.c3d(target, before, before.replace_markers(markers)) == []
+    assert write.patch_c3d(target, before, before.replace_markers(markers)) == []
     copy = assert_only_changed(before, target, changed)
     step = 1e-7 if before.layout.is_float else 0.5001 * before.layout.scale_factor * before.layout.unit
     np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=step)

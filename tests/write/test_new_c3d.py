@@ -44,7 +44,7 @@ def test_reads_back_the_same(tmp_path_factory, markers, gone, deviation, form, f
     path = tmp_path_factory.mktemp("new") / "take.c3d"
     labels = ("LFHD", "Jim:LANK", "Zehe_größte")
     given_in = Take(np.where(gone[..., None], np.nan, markers), labels, rate, first, layout=in_axes(*form), sample_sd=deviation)
-    write.new_c3d(path, given_in)
+    write.write_c3d(path, given_in)
     back = capture.read_capture(path)
     assert (back.labels, back.first_frame, back.frame_count) == (labels, first, 5)
     assert back.rate == pytest.approx(rate, rel=1e-7)
@@ -62,7 +62,7 @@ def test_both_libraries_read_it_the_same(tmp_path):
     xyz[1, 2] = np.nan
     (tmp_path / "walk.trc").write_text(trc(xyz, first=185))
     take = capture.read_capture(tmp_path / "walk.trc")
-    write.new_c3d(tmp_path / "walk.c3d", take)
+    write.write_c3d(tmp_path / "walk.c3d", take)
     file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     np.testing.assert_allclose(file["data"]["points"][:3].transpose(2, 1, 0), xyz, rtol=1e-6)
     assert file["parameters"]["POINT"]["LABELS"]["value"] == list(LABELS)
@@ -80,7 +80,7 @@ def test_what_was_filled_is_known_again_by_its_residual(tmp_path):
     deviation[3:9, 1] = 0.004
     computed = np.zeros((40, 3), bool)
     computed[20, 2] = True  # by an earlier file's word; nobody knows how surely
-    write.new_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, sample_sd=deviation, computed=computed))
+    write.write_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, sample_sd=deviation, computed=computed))
     back = capture.read_capture(tmp_path / "take.c3d")
     np.testing.assert_array_equal(back.computed, ~np.isnan(deviation) | computed)
     assert back.uncaptured is not None
@@ -89,7 +89,7 @@ def test_what_was_filled_is_known_again_by_its_residual(tmp_path):
 
 def test_unlabelled_trajectories_come_behind_the_markers(tmp_path):
     loose = Take(Y_UP[:, :1] + 1, ("*7",), 100)
-    write.new_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, unlabelled=loose))
+    write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, unlabelled=loose))
     back = capture.read_capture(tmp_path / "take.c3d")
     assert back.labels == LABELS
     assert back.unlabelled is not None
@@ -103,7 +103,7 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
     path = tmp_path_factory.mktemp("many") / "take.c3d"
     labels = tuple(f"M{i}".ljust(width, "x") for i in range(count))
     markers = np.random.default_rng(0).normal(size=(2, count, 3))
-    write.new_c3d(path, Take(markers, labels, 100))
+    write.write_c3d(path, Take(markers, labels, 100))
     back = capture.read_capture(path)
     assert back.labels == labels
     np.testing.assert_allclose(back.markers, markers, atol=1e-6)
@@ -112,7 +112,7 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
 
 def test_more_frames_than_the_header_can_say(tmp_path):
     markers = np.random.default_rng(0).normal(size=(70_000, 1, 3))
-    write.new_c3d(tmp_path / "long.c3d", Take(markers, ("LFHD",), 100, first_frame=3))
+    write.write_c3d(tmp_path / "long.c3d", Take(markers, ("LFHD",), 100, first_frame=3))
     back = capture.read_capture(tmp_path / "long.c3d")
     assert (back.first_frame, back.frame_count) == (3, 70_000)
     np.testing.assert_allclose(back.markers, markers, atol=1e-6)
@@ -122,7 +122,7 @@ def test_more_frames_than_the_header_can_say(tmp_path):
 
 
 def test_a_take_from_no_file_is_in_millimetres_with_z_up(tmp_path):
-    write.new_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, first_frame=-20))
+    write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, first_frame=-20))
     point = ezc3d.c3d(str(tmp_path / "take.c3d"))["parameters"]["POINT"]
     assert (point["UNITS"]["value"], point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["mm"], ["+X"], ["+Z"])
     assert capture.read_capture(tmp_path / "take.c3d").first_frame == 1  # C3D knows none before 0
@@ -131,10 +131,10 @@ def test_a_take_from_no_file_is_in_millimetres_with_z_up(tmp_path):
 def test_what_a_c3d_cannot_hold_is_one_sentence(tmp_path):
     take = Take(Y_UP, LABELS, 100)
     with pytest.raises(WriteError, match="longer than the 255 bytes"):
-        write.new_c3d(tmp_path / "take.c3d", replace(take, labels=("x" * 256, "LANK", "LFIN")))
+        write.write_c3d(tmp_path / "take.c3d", replace(take, labels=("x" * 256, "LANK", "LFIN")))
     many = Take(np.zeros((1, 1000, 3)), tuple(f"{i}".ljust(200, "x") for i in range(1000)), 100)
     with pytest.raises(WriteError, match="1000 points with such labels are more than a C3D can hold"):
-        write.new_c3d(tmp_path / "take.c3d", many)
+        write.write_c3d(tmp_path / "take.c3d", many)
     with pytest.raises(WriteError, match="cannot be written"):
-        write.new_c3d(tmp_path / "nowhere" / "take.c3d", take)
+        write.write_c3d(tmp_path / "nowhere" / "take.c3d", take)
     assert not list(tmp_path.iterdir())

@@ -75,7 +75,7 @@ def test_nothing_changed_is_the_file_byte_for_byte_and_what_is_changed_comes_bac
     patch_animation(tmp_path / "same.bvh", before, before.values)
     assert (tmp_path / "same.bvh").read_bytes() == (CAPTURES / name).read_bytes()
     values, rng = before.values.copy(), np.random.default_rng(0)
-    frames, columns = rng.integers(0, before.frames, 500), rng.integers(0, values.shape[1], 500)
+    frames, columns = rng.integers(0, before.frame_count, 500), rng.integers(0, values.shape[1], 500)
     values[frames, columns] += rng.normal(0, 20, 500)
     patch_animation(tmp_path / "changed.bvh", before, values)
     after = bvh.read_bvh(tmp_path / "changed.bvh")

@@ -104,7 +104,7 @@ def test_no_rotation_at_all_is_the_pose_that_the_program_wants_facing_forward(tm
 def test_the_first_frame_is_a_t_pose_on_the_floor_where_the_motion_begins(tmp_path, name):
     motion = moving()
     told, read = written(tmp_path, name, SKELETON, motion)
-    assert read.frames == motion.frames + 1
+    assert read.frames == motion.frame_count + 1
     place = read.world_rotations()[0] * told.unit_m
     at = {joint.joint: place[read.names.index(joint.name)] for joint in told.joints}
     np.testing.assert_allclose(at["Hips"][[0, 2]], motion.root[0, [0, 2]], atol=1e-6)

@@ -70,7 +70,7 @@ def test_only_changed_samples_fields_change_and_they_read_back(tmp_path_factory,
     assert before.layout.missing_text == missing.replace(".", before.layout.decimal_sign)
     markers = np.where((what == 1)[..., None], values, before.markers)
     markers[what == 2] = np.nan
-    lost = write.table(folder / "after.txt", before, before.replace_markers(markers))
+    lost = write.patch_table(folder / "after.txt", before, before.replace_markers(markers))
 
     old, new = ((folder / each).read_bytes() for each in ("before.txt", "after.txt"))
     first = int(before.layout.line_indices[0])
@@ -94,8 +94,8 @@ def test_encoding_and_line_ends_stay(tmp_path, encoding, end):
     before = take_in(tmp_path, text, encoding)
     markers = before.markers.copy()
     markers[2, 1] += 0.001
-    write.table(tmp_path / "same.txt", before, before)
-    write.table(tmp_path / "after.txt", before, before.replace_markers(markers))
+    write.patch_table(tmp_path / "same.txt", before, before)
+    write.patch_table(tmp_path / "after.txt", before, before.replace_markers(markers))
     assert (tmp_path / "same.txt").read_bytes() == (tmp_path / "before.txt").read_bytes()
     old, new = ((tmp_path / each).read_bytes().decode(encoding) for each in ("before.txt", "after.txt"))
     assert new == old.replace("2.500\t32.000\t82.000", "3.500\t33.000\t83.000")
@@ -107,7 +107,7 @@ def test_a_line_that_ends_early_is_made_longer_for_what_is_filled(tmp_path):
     before = take_in(tmp_path, "\r\n".join(lines))
     markers = before.markers.copy()
     markers[1, 2] = (0.0215, 1.001, 0.401)
-    write.table(tmp_path / "after.txt", before, before.replace_markers(markers))
+    write.patch_table(tmp_path / "after.txt", before, before.replace_markers(markers))
     after = (tmp_path / "after.txt").read_bytes().decode().split("\r\n")
     assert after[7] == lines[7] + "\t\t\t\t401.000\t21.500\t1001.000"
     assert after[:7] + after[8:] == lines[:7] + lines[8:]
@@ -116,7 +116,7 @@ def test_a_line_that_ends_early_is_made_longer_for_what_is_filled(tmp_path):
 def test_exchanged_labels_bring_each_others_text(tmp_path):
     text = trc().replace("1701.000", "1.7010E+03").replace("81.000", "81")
     before = take_in(tmp_path, text)
-    write.table(tmp_path / "after.txt", before, before.exchange_labels((0, 1), 1, 1))
+    write.patch_table(tmp_path / "after.txt", before, before.exchange_labels((0, 1), 1, 1))
     old, new = ((tmp_path / each).read_bytes().decode().split("\r\n") for each in ("before.txt", "after.txt"))
     cells = old[7].split("\t")
     assert new[7].split("\t") == cells[:2] + cells[5:8] + cells[2:5] + cells[8:]
@@ -128,7 +128,7 @@ def test_a_piece_that_was_not_labelled_is_moved_under_its_marker(tmp_path):
     xyz[2, 3], xyz[2, 0] = xyz[2, 0], np.nan
     before = take_in(tmp_path, trc(xyz, [*LABELS, "*7"]))
     piece = Fragment("fragment", 0, 2, 2, 0.0, "", donor=3, relation="continues")
-    assert write.table(tmp_path / "after.txt", before, relabel(before, [piece])) == []
+    assert write.patch_table(tmp_path / "after.txt", before, relabel(before, [piece])) == []
     copy = capture.read_capture(tmp_path / "after.txt")
     np.testing.assert_allclose(copy.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-12)
     assert copy.unlabelled is None
@@ -137,31 +137,31 @@ def test_a_piece_that_was_not_labelled_is_moved_under_its_marker(tmp_path):
 def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
     before = take_in(tmp_path, trc())
     with pytest.raises(WriteError, match="is the input itself"):
-        write.table(tmp_path / "before.txt", before, before)
+        write.patch_table(tmp_path / "before.txt", before, before)
     with pytest.raises(WriteError, match="has no place for every sample"):
-        write.table(tmp_path / "after.txt", replace(before, layout=None), before)
+        write.patch_table(tmp_path / "after.txt", replace(before, layout=None), before)
     (tmp_path / "before.txt").write_text("gone\n")
     with pytest.raises(WriteError, match="has become shorter"):
-        write.table(tmp_path / "after.txt", before, before)
+        write.patch_table(tmp_path / "after.txt", before, before)
     (tmp_path / "before.txt").unlink()
     with pytest.raises(WriteError, match="can no longer be read"):
-        write.table(tmp_path / "after.txt", before, before)
+        write.patch_table(tmp_path / "after.txt", before, before)
     assert not list(tmp_path.iterdir())
     rows = take_in(tmp_path, motive_rows(HOLED / 1000, LABELS))
     with pytest.raises(WriteError, match="has no place for every sample"):
-        write.table(tmp_path / "after.txt", rows, rows)
+        write.patch_table(tmp_path / "after.txt", rows, rows)
 
 
 @pytest.mark.skipif(not TABLES, reason="no captures beside the repository")
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.name)
 def test_captures_come_back_the_same_but_for_what_was_changed(path, tmp_path):
     before = capture.read_capture(path)
-    write.table(tmp_path / "same", before, before)
+    write.patch_table(tmp_path / "same", before, before)
     assert (tmp_path / "same").read_bytes() == path.read_bytes()
     markers, rng = before.markers.copy(), np.random.default_rng(0)
     changed = rng.random(before.visible.shape) < 0.02
     markers[changed] = rng.normal(size=(changed.sum(), 3))
-    write.table(tmp_path / "after", before, before.replace_markers(markers))
+    write.patch_table(tmp_path / "after", before, before.replace_markers(markers))
     copy = capture.read_capture(tmp_path / "after")
     assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
     np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=1e-6)

@@ -14,7 +14,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 TALL = np.array([[0, 1.7, 0], [0, 0.05, 0], [0, 1, 0]])  # head, ankle, hand: which axis is up is told by them
 
 
-@pytest.mark.parametrize("writer", [write.trc, write.csv])
+@pytest.mark.parametrize("writer", [write.write_trc, write.write_csv])
 @given(
     markers=arrays(float, (6, 3, 3), elements=st.floats(-0.3, 0.3)),
     gone=arrays(bool, (6, 3)),
@@ -39,7 +39,7 @@ def test_reads_back_the_same(tmp_path_factory, writer, markers, gone, form, firs
 def test_a_trc_as_others_write_it(tmp_path):
     take = Take(Y_UP.copy(), ("LFHD", "LANK", "Left\tFinger"), 59.94, 185)
     take.markers[1, 1] = np.nan
-    write.trc(tmp_path / "walk.trc", take)
+    write.write_trc(tmp_path / "walk.trc", take)
     lines = (tmp_path / "walk.trc").read_bytes().decode().split("\r\n")
     assert lines[0] == "PathFileType\t4\t(X/Y/Z)\twalk.trc"
     assert lines[2] == "59.94\t59.94\t4\t3\tmm\t59.94\t185\t4"
