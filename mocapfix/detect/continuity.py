@@ -82,7 +82,7 @@ def compute_leap(trajectories, frame, source, target):
 @njit(cache=True)
 def compute_own_leaps(trajectories):
     """-> (T, M) 0..1: how much each label leaps between its last sample and this one."""
-    frames, count = trajectories.last.shape
+    frames, count = trajectories.previous_frame.shape
     own = np.zeros((frames, count))
     for t in range(frames):
         for m in range(count):

@@ -53,17 +53,17 @@ def _mark_continuations(trajectories, distances, leaps, own_contradiction, is_ca
     nobody = np.zeros(count, np.bool_)
     for t in range(1, frames):
         for j in range(count):
-            appears = trajectories.last[t, j] != t - 1
+            appears = trajectories.previous_frame[t, j] != t - 1
             if np.isnan(trajectories.markers[t, j, 0]) or not (leaps[t, j] > MIN_CANDIDATE_LEAP or appears):
                 continue
             for i in range(count):
                 gone = np.isnan(trajectories.markers[t, i, 0])
-                late = t - trajectories.last[t, i] > MAX_UNSEEN_DURATION_S * trajectories.rate
+                late = t - trajectories.previous_frame[t, i] > MAX_UNSEEN_DURATION_S * trajectories.rate
                 if (
                     i == j
                     or is_candidate[i, j]
                     or not (gone or leaps[t, i] > MIN_CANDIDATE_LEAP)
-                    or trajectories.last[t, i] < 0
+                    or trajectories.previous_frame[t, i] < 0
                     or late
                 ):
                     continue

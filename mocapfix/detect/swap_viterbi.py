@@ -85,7 +85,7 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
 @njit(cache=True)
 def _compute_exchange_costs(states, group, trajectories, distances):
     """-> step (T, S, S) into a frame's state from the one before, and stay (T, S) in a state, all in leaps."""
-    frames, count = trajectories.last.shape
+    frames, count = trajectories.previous_frame.shape
     size, n = len(group), len(states)
     left_out = np.zeros(count, np.bool_)
     for marker in group:
@@ -96,7 +96,7 @@ def _compute_exchange_costs(states, group, trajectories, distances):
         for j in range(size):
             there = not np.isnan(trajectories.markers[t, group[j], 0])
             leaps[j, j] = compute_leap(trajectories, t, group[j], group[j])
-            fixed[j] = there and trajectories.last[t, group[j]] == t - 1 and leaps[j, j] < MAX_SMOOTH_LEAP
+            fixed[j] = there and trajectories.previous_frame[t, group[j]] == t - 1 and leaps[j, j] < MAX_SMOOTH_LEAP
             for i in range(size):
                 off = (
                     compute_contradiction(trajectories.markers, distances, t, group[j], group[i], left_out, 1.0) if there else 0.0
