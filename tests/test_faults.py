@@ -31,16 +31,16 @@ def test_doubted_are_the_faulty_samples_that_are_there(take, faults):
 
 
 def test_every_sample_is_missing_doubted_or_believed_and_only_one_of_them(take, faults):
-    together = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.believed(take)
+    together = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.compute_inlier_mask(take)
     np.testing.assert_array_equal(together, 1)
-    assert faults.believed(take).sum() == 30 - 5 - 4
+    assert faults.compute_inlier_mask(take).sum() == 30 - 5 - 4
 
 
 def test_the_body_listens_to_what_trembles_but_not_to_spikes(take, faults):
     assert faults.compute_solver_mask(take)[3:5, 1].all()
     found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_solver_mask(take) & faults.compute_faulty_mask(take))}
     assert found == {(3, 1), (4, 1)}
-    assert not (faults.believed(take) & ~faults.compute_solver_mask(take)).any()
+    assert not (faults.compute_inlier_mask(take) & ~faults.compute_solver_mask(take)).any()
 
 
 @pytest.mark.parametrize("kind", MISSING_KINDS)

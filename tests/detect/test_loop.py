@@ -29,7 +29,7 @@ def looked(muddled):
 
 def test_labels_are_put_right_first_and_what_is_under_them_is_judged_then(muddled, looked):
     labels = looked.take.labels
-    assert [(f.kind, labels[f.marker], f.first, f.last) for f in looked.labels] == [
+    assert [(f.kind, labels[f.marker], f.first, f.last) for f in looked.label_faults] == [
         ("fragment", "RFHD", 100, 159),
         ("fragment", "RHEE", 150, 199),
         ("swap", "LWRA", 220, 289),
@@ -40,7 +40,7 @@ def test_labels_are_put_right_first_and_what_is_under_them_is_judged_then(muddle
         ("spike", "LWRB", 250, 250),  # in the file it is under LWRA
     }
     off = np.linalg.norm(looked.take.markers[:, :-1] - muddled.truth, axis=-1)
-    assert np.nanmax(np.where(looked.believed.visible[:, :-1], off, NAN)) < 1e-6
+    assert np.nanmax(np.where(looked.inlier_take.visible[:, :-1], off, NAN)) < 1e-6
 
 
 def test_what_only_names_a_piece_of_another_is_neither_judged_nor_believed_of_it(looked):
@@ -71,7 +71,7 @@ TAKE = Take(np.random.default_rng(0).normal(size=(100, 3, 3)), tuple("ABC"), 100
 
 def on_body(columns, places) -> BodyFit:
     """-> a body of which only its markers' places are asked"""
-    worn = type("Worn", (), {"places": np.array(places, float)})()
+    worn = type("Worn", (), {"marker_offsets": np.array(places, float)})()
     return BodyFit(worn, worn, None, np.array(columns), np.zeros(0), np.zeros(0))  # pyright: ignore
 
 
@@ -95,9 +95,9 @@ def test_a_move_to_where_it_is_hardly_seen_is_dismissed_and_that_of_no_marker_of
 
 
 def seen_off(monkeypatch, *faults):
-    monkeypatch.setattr(loop, "off_body", lambda *_: list(faults))
-    monkeypatch.setattr(loop, "hardly_moved", lambda *_: [])
-    monkeypatch.setattr(loop, "judged", lambda take, worn_set, stands: Faults((Fault("gap", 2, 0, 3, 0.1, "anew"),)))
+    monkeypatch.setattr(loop, "detect_epoch_body_faults", lambda *_: list(faults))
+    monkeypatch.setattr(loop, "find_unconfirmed_shifts", lambda *_: [])
+    monkeypatch.setattr(loop, "detect_remaining_faults", lambda take, worn_set, stands: Faults((Fault("gap", 2, 0, 3, 0.1, "anew"),)))
 
 
 def again(found, stands=anything):
@@ -145,7 +145,7 @@ def test_what_the_body_showed_before_is_not_forgotten_when_a_swap_is_found(monke
 def test_a_move_that_was_dismissed_stays_so(monkeypatch):
     move = MarkerShift("moved", 2, 60, 99, 0.04, "", settled_frame=60)
     seen_off(monkeypatch)
-    monkeypatch.setattr(loop, "hardly_moved", lambda found, *_: [f for f in found.sample_faults.items if f.kind == "moved"])
+    monkeypatch.setattr(loop, "find_unconfirmed_shifts", lambda found, *_: [f for f in found.sample_faults.items if f.kind == "moved"])
     more = again(DetectionState(TAKE, (), Faults((SPIKE, move))))
     assert more is not None
     assert (more.sample_faults.items, more.rejected_shifts) == ((SPIKE,), (move,))
@@ -169,7 +169,7 @@ def test_what_shows_only_beside_what_is_replaced_is_found_as_well(monkeypatch):
         worse = [burst] if take.measured[10, 0] else [spike] if take.measured[20, 0] else []
         return Faults((gap, *worse))
 
-    monkeypatch.setattr(loop.detect, "faults", found)
+    monkeypatch.setattr(loop, "detect_sample_faults", found)
     assert loop.detect_remaining_faults(TAKE, None, anything).items == (burst, spike, gap)
     assert len(asked) == 3
     np.testing.assert_array_equal(np.flatnonzero(~asked[-1].all(1)), np.arange(10, 21))

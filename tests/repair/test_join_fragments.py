@@ -24,7 +24,7 @@ def piece(marker, first, last, donor, relation):
 
 
 def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(take):
-    joined = repair.fragments(take, [piece(0, 8, 21, 2, "continues")])
+    joined = repair.join_fragments(take, [piece(0, 8, 21, 2, "continues")])
     np.testing.assert_array_equal(joined.markers[10:20, 0], take.markers[10:20, 2])
     kept = np.r_[0:10, 20:30]
     np.testing.assert_array_equal(joined.markers[kept, 0], take.markers[kept, 0])
@@ -37,7 +37,7 @@ def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(t
 
 
 def test_what_replaces_a_marker_takes_its_place_throughout(take):
-    joined = repair.fragments(take, [piece(0, 4, 12, 3, "replaces")])
+    joined = repair.join_fragments(take, [piece(0, 4, 12, 3, "replaces")])
     assert take.unlabelled is not None
     assert joined.unlabelled is not None
     np.testing.assert_array_equal(joined.markers[4:13, 0], take.unlabelled.markers[4:13, 0])
@@ -50,17 +50,17 @@ def test_what_replaces_a_marker_takes_its_place_throughout(take):
 
 @pytest.mark.parametrize("relation", ["doubles", "other"])
 def test_what_is_none_of_the_markers_stays(take, relation):
-    assert repair.fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
+    assert repair.join_fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
 
 
 def test_of_two_pieces_the_first_has_what_both_could_fill(take):
-    joined = repair.fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
+    joined = repair.join_fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
     assert joined.source_points[10:20, 0].tolist() == [0] * 6 + [4] * 4
 
 
 def test_the_take_that_was_given_stays_as_it_was(take):
     was = take.markers.copy()
-    repair.fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
+    repair.join_fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
     np.testing.assert_array_equal(take.markers, was)
     assert take.unlabelled is not None
     assert take.unlabelled.visible.all()

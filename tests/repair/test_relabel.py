@@ -25,20 +25,20 @@ def test_what_is_not_sure_or_no_matter_of_labels_is_left():
         Fault("spike", 0, 5, 9, 0.1, ""),
         Fragment("fragment", 0, 0, 29, 0.1, "", donor=1),
     ]
-    assert repair.labels(TAKE, faults) is TAKE
+    assert repair.undo_label_exchanges(TAKE, faults) is TAKE
 
 
 def test_exchanges_are_put_right_in_the_order_given():
     """A's samples are under B's label, then what is under B's is exchanged with C's: undone the other way round."""
     wrong = TAKE.exchange_labels((0, 1), 0, 19).exchange_labels((1, 2), 10, 29)
     late, early = Fault("swap", 1, 10, 29, 0.1, "", 1.0, (2,)), Fault("mislabelled", 0, 0, 19, 0.1, "", 1.0, (1,))
-    np.testing.assert_array_equal(repair.labels(wrong, [late, early]).markers, TAKE.markers)
-    assert (repair.labels(wrong, [early, late]).markers != TAKE.markers).any()
+    np.testing.assert_array_equal(repair.undo_label_exchanges(wrong, [late, early]).markers, TAKE.markers)
+    assert (repair.undo_label_exchanges(wrong, [early, late]).markers != TAKE.markers).any()
 
 
 @given(st.lists(swaps, max_size=5))
 def test_no_sample_is_lost_or_doubled(faults):
-    right = repair.labels(TAKE, faults)
+    right = repair.undo_label_exchanges(TAKE, faults)
     np.testing.assert_array_equal(np.sort(right.markers[..., 0]), np.sort(TAKE.markers[..., 0]))
     order = np.argsort(right.source_points, axis=1)
     np.testing.assert_array_equal(
@@ -48,7 +48,7 @@ def test_no_sample_is_lost_or_doubled(faults):
 
 @given(st.lists(swaps, max_size=5))
 def test_one_after_the_other_is_the_same_as_all_at_once(faults):
-    np.testing.assert_array_equal(repair.relabel_samples(TAKE, faults).markers, repair.labels(TAKE, faults).markers)
+    np.testing.assert_array_equal(repair.relabel_samples(TAKE, faults).markers, repair.undo_label_exchanges(TAKE, faults).markers)
 
 
 def test_a_fragment_is_joined_before_the_swap_that_it_shows():

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mocapfix import repair
+from mocapfix.repair.apply_decisions import revert_samples
 from mocapfix.take import Take
 
 masks = arrays(bool, (12, 3), elements=st.booleans())
@@ -19,7 +19,7 @@ def test_samples_are_as_before_where_asked_and_as_mended_elsewhere(where, filled
     deviation = np.where(filled, 0.001, np.nan)
     mended = before.exchange_labels((0, 1, 2), 0, 11)
     after = replace(mended, markers=np.where(filled[..., None], 1.0, mended.markers), sample_sd=deviation)
-    back = repair.revert_samples(after, before, where)
+    back = revert_samples(after, before, where)
     for name in ("markers", "sources"):
         was, now, got = (getattr(take, name) for take in (before, after, back))
         np.testing.assert_array_equal(got[where], was[where])
@@ -35,5 +35,5 @@ def test_what_a_program_filled_before_is_so_again():
     before = Take(np.ones((12, 3, 3)), tuple("ABC"), 100.0, computed=computed)
     where = np.zeros((12, 3), bool)
     where[:, 1] = True
-    back = repair.revert_samples(replace(before, computed=None), before, where)
+    back = revert_samples(replace(before, computed=None), before, where)
     np.testing.assert_array_equal(back.measured, before.measured)

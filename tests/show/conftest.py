@@ -59,7 +59,7 @@ def scene() -> Scene:
         MarkerShift("moved", 20, 210, FRAMES - 1, 0.03, "M20 is knocked by 30 mm.", settled_frame=210),
         Fault("absent", 30, 0, FRAMES - 1, np.nan, "never is never seen in this take."),
     )
-    labelled = repair.labels(repair.fragments(before, items), items)
+    labelled = repair.undo_label_exchanges(repair.join_fragments(before, items), items)
     mended, sure = labelled.markers.copy(), np.full((FRAMES, 31), np.nan)
     for where in ((slice(50, 100), 3), (slice(60, 70), 29), (70, 5)):
         mended[where], sure[where] = truth[where], 0.01
