@@ -15,7 +15,7 @@ from mocapfix.fill.marker_estimates import (
     estimate_missing_samples,
 )
 from mocapfix.motion import Motion
-from mocapfix.report.terms import use_joint_terms
+from mocapfix.report.terms import get_point_terms
 from mocapfix.subject import Subject
 from mocapfix.take import Take, find_runs
 
@@ -98,8 +98,9 @@ def check_fill_options(take: Take, options: FillOptions) -> None:
     """Raise TakeError where --keep or --frames name what the take does not have."""
     known = set(take.labels) | set(take.bare_labels)
     if strange := [label for label in options.keep if label not in known]:
-        no, its = use_joint_terms("has no marker", take), use_joint_terms("its markers", take)
-        raise TakeError(f"{take.name}: {no} {', '.join(strange)} to keep; {its} are {', '.join(take.labels)}.")
+        terms = get_point_terms(take)
+        labels = ", ".join(take.labels)
+        raise TakeError(f"{take.name}: has no {terms.point} {', '.join(strange)} to keep; its {terms.points} are {labels}.")
     if options.frames:
         first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
         a, b = options.frames

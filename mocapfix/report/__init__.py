@@ -1,7 +1,1 @@
-"""Showing what was wrong and what was done: a recording to turn and play, and a page to read and print."""
-
-from mocapfix.report.comparison import CleaningComparison
-from mocapfix.report.html_report import write_html_report
-from mocapfix.report.recording import write_recording
-
-__all__ = ["CleaningComparison", "write_html_report", "write_recording"]
+"""Reports on a cleaned take: the JSON and HTML reports, the review file, the notes and the rerun recording."""

@@ -1,26 +1,33 @@
-"""What is shown: a take before and after its cleaning, what was found, and what was done."""
+"""A take before and after cleaning, with its faults and changes: the data that the HTML report and the recording show."""
 
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.changes import Change, list_affected_markers
 from mocapfix.faults import Fault, Faults, Fragment
-from mocapfix.report import sample_states as states
+from mocapfix.report.sample_states import classify_samples
+from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
 
 @dataclass(frozen=True)
 class CleaningComparison:
-    """A take before and after.
+    """A take before and after cleaning.
 
-    before, labelled, after  the take as it was read, with its labels put right, and mended
-    faults    what was wrong, in indices of `labelled`;  changes  what was done about it, in the faults' order
-    skeleton  of the solved body, and joints (T, J, 3) metres, where it is; None without one
-    error     (T, M) metres: each believed marker's distance from the body, NaN where unknown; None without a body
+    input_take       the take as read
+    relabelled_take  the same with corrected labels
+    cleaned_take     the cleaned take
+    faults           detected faults, indexing the markers of `relabelled_take`
+    changes          changes to the take, in the order of the faults
+    skeleton         skeleton of the solved body; None without a body
+    joint_position_world  (T, J, 3) m; None without a body
+    residual_m       (T, M) distance of each inlier marker from the body in metres, NaN if unknown; None without a body
+    terms            words for the points: markers, or joints of an animation
     """
 
     input_take: Take
@@ -29,42 +36,44 @@ class CleaningComparison:
     faults: Faults
     changes: tuple[Change, ...] = ()
     skeleton: Skeleton | None = None
-    joint_position_world: np.ndarray | None = None
-    residual_m: np.ndarray | None = None
+    joint_position_world: Float[np.ndarray, "T J 3"] | None = None
+    residual_m: Float[np.ndarray, "T M"] | None = None
+    terms: PointTerms = MARKER_TERMS
 
     @cached_property
-    def sample_states(self) -> np.ndarray:
-        """(T, M): what became of every sample, as states.STATES."""
-        return states.classify_samples(self.input_take, self.relabelled_take, self.cleaned_take, self.faults)
+    def sample_states(self) -> Int[np.ndarray, "T M"]:
+        """SampleOutcome of every sample."""
+        return classify_samples(self.input_take, self.relabelled_take, self.cleaned_take, self.faults)
 
     @cached_property
     def applied_changes(self) -> list[tuple[Change, Fault]]:
-        """The changes that were made, each with the fault that it mends."""
+        """Changes that were applied, each with the fault that it corrects."""
         return [(change, fault) for change, fault in self._change_fault_pairs if change.decision == "accept"]
 
     @cached_property
     def unchanged_faults(self) -> list[Fault]:
-        """The faults of which nothing was made, and of which nobody decided so."""
-        told = {id(fault) for _, fault in self._change_fault_pairs}
-        return [fault for fault in self.faults.items if id(fault) not in told]
+        """Faults without a change, neither applied nor declined."""
+        paired = {id(fault) for _, fault in self._change_fault_pairs}
+        return [fault for fault in self.faults.items if id(fault) not in paired]
 
     def find_affected_trajectories(self, fault: Fault) -> list[int]:
-        """-> the trajectories that a fault is about: markers and, from their number on, unlabelled ones."""
-        loose = self.input_take.unlabelled
-        return list_affected_markers(fault, len(self.input_take.labels) + (len(loose.labels) if loose else 0))
+        """Return the indices of the trajectories that a fault affects: markers first, then unlabelled trajectories."""
+        unlabelled = self.input_take.unlabelled
+        return list_affected_markers(fault, len(self.input_take.labels) + (len(unlabelled.labels) if unlabelled else 0))
 
     @cached_property
     def fragments_by_donor(self) -> dict[int, list[Fragment]]:
-        """-> what was taken over from each trajectory."""
-        found = defaultdict(list)
+        """Fragments that were joined to a marker, by the index of the trajectory that they came from."""
+        fragments: defaultdict[int, list[Fragment]] = defaultdict(list)
         for _, fault in self.applied_changes:
             if isinstance(fault, Fragment):
-                found[fault.donor].append(fault)
-        return dict(found)
+                fragments[fault.donor].append(fault)
+        return dict(fragments)
 
     @cached_property
     def _change_fault_pairs(self) -> list[tuple[Change, Fault]]:
-        faults = defaultdict(list)
+        """Changes with their faults, matched by kind, labels and first frame."""
+        faults: defaultdict[tuple[str, tuple[str, ...], int], list[Fault]] = defaultdict(list)
         for fault in reversed(self.faults.items):
             labels = tuple(self.input_take.get_label(m) for m in self.find_affected_trajectories(fault))
             faults[fault.kind, labels, self.input_take.get_frame_number(fault.first)].append(fault)

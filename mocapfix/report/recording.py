@@ -1,198 +1,250 @@
-"""The recording: a take before and after, on one time line, to turn and play in rerun.
+"""Rerun recording of a take before and after cleaning.
 
-    world                 Y up, metres; the markers' names
-      before              as the file labels them: grey, red where judged faulty, violet where under another's label
-      unlabelled          what bears no name in the file: grey, violet where it was put under a label
-      after               grey where measured, green where mended, violet where put under their own label
+Entities:
+
+    world                 Y up, metres, with the names of the markers
+      before              input markers: grey, red if faulty, violet if under another label
+      unlabelled          unlabelled trajectories: grey, violet where joined to a marker
+      after               cleaned markers: grey if measured, green if estimated, violet if relabelled
       skeleton            one line from each joint to its parent
-    state/LABEL           what became of the marker, for those with the most faults
-    missing/before|after  how many markers are not there
-    error/LABEL           how far the marker was seen from the body, millimetres, for those farthest off
+    state/LABEL           outcome of each sample, for the markers with the most changes
+    missing/before|after  number of missing markers
+    error/LABEL           distance of the marker from the body in millimetres, for the markers with the largest distances
 
-Everything goes in as whole columns (a list of strips, or a call per frame, takes a hundred times longer), and a frame without
-a marker is a row without points, or rerun would go on showing the frame before.
+All data are sent as whole columns: strips in lists, or one call per frame, take about a hundred times longer. A frame without
+markers is a row without points; without such a row rerun keeps showing the previous frame.
 """
 
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int, UInt32
 
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.report import recording_view
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
     RED,
-    SAMPLE_MEASURED,
-    SAMPLE_RELABELLED,
-    SAMPLE_STATE_NAMES,
-    SAMPLE_SUSPECT,
     VIOLET,
+    SampleOutcome,
     classify_input_samples,
     find_estimated_samples,
 )
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
-MAX_STATE_LANES = 20  # markers in the time line of states
-# On rerun's dark ground: what was there before recedes behind what is there after.
-INPUT_COLOUR, FAULTY_COLOUR, CLEANED_COLOUR, ESTIMATED_COLOUR, RELABELLED_COLOUR, RECORDING_BONE_COLOUR = (
-    "#6b7480",
-    "#ff4f4f",
-    "#c9d0d8",
-    "#2fd07a",
-    "#a98bff",
-    "#4f8fd6",
-)
-STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)
-RESIDUAL_CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # of the markers farthest off
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+MAX_STATE_LANES = 20  # markers in the time line of sample states
+
+# Colours on the dark background of rerun; input markers are darker than cleaned ones.
+INPUT_COLOUR = "#6b7480"
+FAULTY_COLOUR = "#ff4f4f"
+CLEANED_COLOUR = "#c9d0d8"
+ESTIMATED_COLOUR = "#2fd07a"
+RELABELLED_COLOUR = "#a98bff"
+RECORDING_BONE_COLOUR = "#4f8fd6"
+STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)  # by SampleOutcome
+RESIDUAL_CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # one curve each
+
+INPUT_POINT_RADIUS_M = 0.011
+UNLABELLED_POINT_RADIUS_M = 0.008
+CLEANED_POINT_RADIUS_M = 0.013
+BONE_RADIUS_M = 0.007
+
+FIELD_OF_VIEW_RAD = np.radians(55)  # rerun's vertical field of view
+MAX_CAMERA_FRAMES = 1000  # frames used to place the camera
+CAMERA_MARGIN_FACTOR = 1.12  # space around the body at the edges of the picture
+RESIDUAL_CLIP_FACTOR = 3.0  # upper limit of the residual plot, relative to the 95th percentile
 
 
 def write_recording(target: Path, comparison: CleaningComparison) -> None:
-    """Write a rerun recording (.rrd) of a take before and after, with the view that shows it.
+    """Write a rerun recording (.rrd) of a take before and after cleaning, with its blueprint.
 
-    Raises WriteError where `target` cannot be written.
+    Raises WriteError if `target` cannot be written.
     """
     import rerun as rr
 
-    before, after, joints, error = (
-        comparison.input_take,
-        comparison.cleaned_take,
-        comparison.joint_position_world,
-        comparison.residual_m,
-    )
     with replace_atomically(target) as part:
         recording = rr.RecordingStream("mocapfix")
         try:
-            recording.save(part, default_blueprint=recording_view.build_blueprint(before, after, joints, error))
-            recording.send_recording_name(before.name)
-            log = _RecordingWriter(recording, before)
-            log.log_markers(comparison)
-            if comparison.skeleton is not None and joints is not None:
-                log.skeleton(comparison.skeleton, joints)
-            log.log_sample_states(comparison.sample_states)
-            log.log_missing_counts(before, after)
-            if error is not None:
-                log.log_residuals(error)
+            recording.save(part, default_blueprint=build_blueprint(comparison))
+            recording.send_recording_name(comparison.input_take.name)
+            writer = _RecordingWriter(recording, comparison.input_take)
+            writer.log_markers(comparison)
+            if comparison.skeleton is not None and comparison.joint_position_world is not None:
+                writer.log_skeleton(comparison.skeleton, comparison.joint_position_world)
+            writer.log_sample_states(comparison.sample_states)
+            writer.log_missing_counts(comparison.input_take, comparison.cleaned_take)
+            if comparison.residual_m is not None:
+                writer.log_residuals(comparison.residual_m)
         finally:
             recording.disconnect()
 
 
 class _RecordingWriter:
-    """A recording, the time line of its columns, and the take's markers under names of their own."""
+    """A recording with the time columns of a take and unique names of its trajectories."""
 
-    def __init__(self, recording, take: Take):
+    def __init__(self, recording: "rr.RecordingStream", take: Take):
         import rerun as rr
 
         self.recording = recording
         self.time_s = np.arange(take.frame_count) / take.rate
         self.frame_numbers = take.first_frame + np.arange(take.frame_count)
         labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
-        counts = Counter(labels)  # a file may say one label twice
+        counts = Counter(labels)  # a file may contain a label twice
         self.point_names = [label if counts[label] == 1 else f"{label} ({m + 1})" for m, label in enumerate(labels)]
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
-    def send_columns(self, path: str, columns, frames: slice | np.ndarray = slice(None)) -> None:
+    def send_columns(self, path: str, columns: "rr.ComponentColumnList", frames: slice | np.ndarray = slice(None)) -> None:
+        """Send columns with one row for each of `frames`."""
         import rerun as rr
 
-        times = [rr.TimeColumn("time", duration=self.time_s[frames]), rr.TimeColumn("frame", sequence=self.frame_numbers[frames])]
+        times = [
+            rr.TimeColumn("time", duration=self.time_s[frames]),
+            rr.TimeColumn("frame", sequence=self.frame_numbers[frames]),
+        ]
         rr.send_columns(path, times, columns, recording=self.recording)
 
     def log_markers(self, comparison: CleaningComparison) -> None:
-        before, after, state = comparison.input_take, comparison.cleaned_take, comparison.sample_states
-        was = classify_input_samples(before.visible, state)
-        self._log_points(
-            "world/before",
-            before,
-            _select_colours(INPUT_COLOUR, {FAULTY_COLOUR: was == SAMPLE_SUSPECT, RELABELLED_COLOUR: was == SAMPLE_RELABELLED}),
-            0.011,
+        """Log input markers, unlabelled trajectories and cleaned markers."""
+        before, after, outcome = comparison.input_take, comparison.cleaned_take, comparison.sample_states
+        input_state = classify_input_samples(before.visible, outcome)
+        colours = _select_colours(
+            INPUT_COLOUR,
+            {FAULTY_COLOUR: input_state == SampleOutcome.SUSPECT, RELABELLED_COLOUR: input_state == SampleOutcome.RELABELLED},
         )
+        self._log_points("world/before", before, colours, INPUT_POINT_RADIUS_M)
         if before.unlabelled and after.unlabelled:
-            given = before.unlabelled.visible & ~after.unlabelled.visible
-            colours = _select_colours(INPUT_COLOUR, {RELABELLED_COLOUR: given})
-            self._log_points("world/unlabelled", before.unlabelled, colours, 0.008, first_id=len(before.labels))
-        self._log_points(
-            "world/after",
-            after,
-            _select_colours(
-                CLEANED_COLOUR, {ESTIMATED_COLOUR: find_estimated_samples(state), RELABELLED_COLOUR: state == SAMPLE_RELABELLED}
-            ),
-            0.013,
-        )
+            joined = before.unlabelled.visible & ~after.unlabelled.visible
+            colours = _select_colours(INPUT_COLOUR, {RELABELLED_COLOUR: joined})
+            path = "world/unlabelled"
+            self._log_points(path, before.unlabelled, colours, UNLABELLED_POINT_RADIUS_M, first_id=len(before.labels))
+        masks = {ESTIMATED_COLOUR: find_estimated_samples(outcome), RELABELLED_COLOUR: outcome == SampleOutcome.RELABELLED}
+        self._log_points("world/after", after, _select_colours(CLEANED_COLOUR, masks), CLEANED_POINT_RADIUS_M)
 
-    def _log_points(self, path: str, take: Take, colours: np.ndarray, radius: float, first_id: int = 0) -> None:
+    def _log_points(self, path: str, take: Take, colours: UInt32[np.ndarray, "T M"], radius_m: float, first_id: int = 0) -> None:
         import rerun as rr
 
-        seen = take.visible
-        marker = np.broadcast_to(np.arange(first_id, first_id + seen.shape[1], dtype=np.uint16), seen.shape)
-        places = take.markers[seen].astype(np.float32)
-        columns = rr.Points3D.columns(positions=places, colors=colours[seen], class_ids=marker[seen])
-        self.recording.log(path, rr.Points3D.from_fields(radii=radius, show_labels=False), static=True)
-        self.send_columns(path, columns.partition(seen.sum(axis=1)))
+        visible = take.visible
+        marker = np.broadcast_to(np.arange(first_id, first_id + visible.shape[1], dtype=np.uint16), visible.shape)
+        positions = take.markers[visible].astype(np.float32)
+        columns = rr.Points3D.columns(positions=positions, colors=colours[visible], class_ids=marker[visible])
+        self.recording.log(path, rr.Points3D.from_fields(radii=radius_m, show_labels=False), static=True)
+        self.send_columns(path, columns.partition(visible.sum(axis=1)))
 
-    def log_skeleton(self, skeleton: Skeleton, joint_position_world: np.ndarray) -> None:
+    def log_skeleton(self, skeleton: Skeleton, joint_position_world: Float[np.ndarray, "T J 3"]) -> None:
+        """Log one line from each joint to its parent, in the frames where both are known."""
         import rerun as rr
 
         child = np.flatnonzero(skeleton.parents >= 0)
-        bones = np.stack([joint_position_world[:, skeleton.parents[child]], joint_position_world[:, child]], axis=2)
-        there = np.isfinite(bones).all(axis=(2, 3))
-        self.recording.log(
-            "world/skeleton",
-            rr.LineStrips3D.from_fields(radii=0.007, colors=_convert_to_rgba(RECORDING_BONE_COLOUR)),
-            static=True,
-        )
-        self.send_columns(
-            "world/skeleton", rr.LineStrips3D.columns(strips=bones[there].astype(np.float32)).partition(there.sum(axis=1))
-        )
+        parent = skeleton.parents[child]
+        bones = np.stack([joint_position_world[:, parent], joint_position_world[:, child]], axis=2)
+        known = np.isfinite(bones).all(axis=(2, 3))
+        style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(RECORDING_BONE_COLOUR))
+        self.recording.log("world/skeleton", style, static=True)
+        columns = rr.LineStrips3D.columns(strips=bones[known].astype(np.float32))
+        self.send_columns("world/skeleton", columns.partition(known.sum(axis=1)))
 
-    def log_sample_states(self, sample_states: np.ndarray) -> None:
+    def log_sample_states(self, outcome: Int[np.ndarray, "T M"]) -> None:
+        """Log the changes of state of the markers with the most samples that are not simply measured."""
         import rerun as rr
 
-        look = rr.StateConfiguration(
-            values=SAMPLE_STATE_NAMES,
-            labels=(" ", *SAMPLE_STATE_NAMES[1:]),
-            colors=[_convert_to_rgba(colour) for colour in STATE_COLOURS],
+        names = [each.label for each in SampleOutcome]
+        style = rr.StateConfiguration(
+            values=names, labels=(" ", *names[1:]), colors=[_convert_to_rgba(colour) for colour in STATE_COLOURS]
         )
-        count = (sample_states != SAMPLE_MEASURED).sum(axis=0)
+        count = (outcome != SampleOutcome.MEASURED).sum(axis=0)
         for m in sorted(np.argsort(-count, kind="stable")[:MAX_STATE_LANES]):
             if count[m]:
                 path = rr.new_entity_path(["state", self.point_names[m]])
-                turns = np.flatnonzero(np.diff(sample_states[:, m], prepend=-1))
-                self.recording.log(path, look, static=True)
-                self.send_columns(
-                    path, rr.StateChange.columns(state=[SAMPLE_STATE_NAMES[s] for s in sample_states[turns, m]]), turns
-                )
+                starts = np.flatnonzero(np.diff(outcome[:, m], prepend=-1))
+                self.recording.log(path, style, static=True)
+                self.send_columns(path, rr.StateChange.columns(state=[names[s] for s in outcome[starts, m]]), starts)
 
     def log_missing_counts(self, input_take: Take, cleaned_take: Take) -> None:
+        """Log the number of missing markers per frame, before and after."""
         import rerun as rr
 
         for name, take, colour in (("before", input_take, RED), ("after", cleaned_take, GREEN)):
-            self.recording.log(
-                f"missing/{name}", rr.SeriesLines(colors=_convert_to_rgba(colour), widths=2, names=name), static=True
-            )
+            style = rr.SeriesLines(colors=_convert_to_rgba(colour), widths=2, names=name)
+            self.recording.log(f"missing/{name}", style, static=True)
             self.send_columns(f"missing/{name}", rr.Scalars.columns(scalars=(~take.visible).sum(axis=1).astype(float)))
 
-    def log_residuals(self, residual_m: np.ndarray) -> None:
+    def log_residuals(self, residual_m: Float[np.ndarray, "T M"]) -> None:
+        """Log the distance from the body of the markers with the largest 95th percentiles."""
         import rerun as rr
 
         known = np.flatnonzero(np.isfinite(residual_m).any(axis=0))
         worst = known[np.argsort(-np.nanpercentile(residual_m[:, known], 95, axis=0))]
         for m, colour in zip(worst, RESIDUAL_CURVE_COLOURS, strict=False):
             path = rr.new_entity_path(["error", self.point_names[m]])
-            self.recording.log(
-                path, rr.SeriesLines(colors=_convert_to_rgba(colour), widths=1, names=self.point_names[m]), static=True
-            )
+            style = rr.SeriesLines(colors=_convert_to_rgba(colour), widths=1, names=self.point_names[m])
+            self.recording.log(path, style, static=True)
             self.send_columns(path, rr.Scalars.columns(scalars=residual_m[:, m] * 1e3))
 
 
+def build_blueprint(comparison: CleaningComparison) -> "rrb.Blueprint":
+    """Return the blueprint of the recording: a 3-D view of the whole take beside plots of its markers."""
+    import rerun.blueprint as rrb
+
+    position_world = comparison.cleaned_take.markers
+    if comparison.joint_position_world is not None:
+        position_world = np.concatenate([position_world, comparison.joint_position_world], axis=1)
+    eye, target = _compute_eye_position(position_world)
+    controls = rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 1, 0))
+    body = rrb.Spatial3DView(origin="world", name=f"{comparison.input_take.name}: before and after", eye_controls=controls)
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
+    points = comparison.terms.points
+    plots: list[rrb.View] = [
+        rrb.StateTimelineView(origin="state", name=f"State of the {points}"),
+        rrb.TimeSeriesView(origin="missing", name=f"Missing {points}", plot_legend=legend),
+    ]
+    residual_m = comparison.residual_m
+    if residual_m is not None and np.isfinite(residual_m).any():
+        limit_mm = RESIDUAL_CLIP_FACTOR * 1e3 * float(np.nanpercentile(residual_m, 95))
+        axis = rrb.ScalarAxis(range=(0, limit_mm), zoom_lock=False)
+        name = "Largest distances from the body, mm"
+        plots.append(rrb.TimeSeriesView(origin="error", name=name, axis_y=axis, plot_legend=legend))
+    beside = rrb.Vertical(*plots, row_shares=[3, 1, 2][: len(plots)])
+    time = rrb.TimePanel(timeline="time", state="collapsed", play_state="paused")
+    return rrb.Blueprint(rrb.Horizontal(body, beside, column_shares=[3, 2]), time, collapse_panels=True)
+
+
+def _compute_eye_position(
+    position_world: Float[np.ndarray, "T N 3"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return the eye and its target in metres such that all points are in a picture at least as wide as high.
+
+    The view is perpendicular to the main direction of travel and slightly from above.
+    """
+    position_world = position_world[:: -(-len(position_world) // MAX_CAMERA_FRAMES)]
+    points = position_world[np.isfinite(position_world).all(axis=-1)]
+    if not len(points):
+        return np.array([0.0, 1.5, 4.0]), np.array([0.0, 1.0, 0.0])
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    x, _, z = np.ptp(points, axis=0)
+    towards = np.array([0.35, 0.3, 1.0]) if x >= z else np.array([1.0, 0.3, 0.35])
+    towards /= np.linalg.norm(towards)
+    right = np.cross([0.0, 1.0, 0.0], towards)
+    right /= np.linalg.norm(right)
+    position_eye = (points - target) @ np.stack([right, np.cross(towards, right), towards], axis=1)
+    half_width = CAMERA_MARGIN_FACTOR * np.abs(position_eye[:, :2]).max(axis=1)
+    distance = (position_eye[:, 2] + half_width / np.tan(FIELD_OF_VIEW_RAD / 2)).max()
+    return target + distance * towards, target
+
+
 def _convert_to_rgba(colour: str) -> np.uint32:
-    """-> "#rrggbb" as rerun takes it, 0xRRGGBBAA."""
+    """Convert "#rrggbb" to 0xRRGGBBAA."""
     return np.uint32(int(colour[1:] + "ff", 16))
 
 
-def _select_colours(default: str, colours: dict[str, np.ndarray]) -> np.ndarray:
-    """-> (T, M) colours as rerun takes them: each where its mask (T, M) is, else the usual one."""
-    return np.select(list(colours.values()), [_convert_to_rgba(colour) for colour in colours], _convert_to_rgba(default))
+def _select_colours(default: str, masks: dict[str, Bool[np.ndarray, "T M"]]) -> UInt32[np.ndarray, "T M"]:
+    """Return the RGBA colours of samples: of the first mask that holds, else the default."""
+    return np.select(list(masks.values()), [_convert_to_rgba(colour) for colour in masks], _convert_to_rgba(default))

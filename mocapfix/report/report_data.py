@@ -1,76 +1,82 @@
-"""The record of a cleaning: what the report file says, as plain data with stable keys.
-
-take     file, person (whose it is, where it is one person's of several), frames, first_frame, rate_hz, markers, marker_set
-         (null where none fits), labels; animation (true: its markers are joints)
-faults   a list: kind, marker, first, last (the file's own frame numbers, inclusive), severity_m (null for a gap that has
-         no second edge), confidence, reason; of an animation's joint that turns wrongly also severity_deg
-changes  a list, as the changes file holds it (see mocapfix.changes): what was done, interval by interval
-subject  null, or marker_set, frames (calibrated from), bones_m (joint: length to its parent), spread_m (marker: strays)
-solve    null, or marker_residual_mm (mean, p95, by_marker), joint_deviation_mm (joint: mean, p95 of its predicted standard
-         deviation per axis), start (the way to each frame's first pose), prior (null, or name, scale: what could be asked of
-         lost limbs), iterations_mean, status (sentence: frames)
-fill     missing_before, filled (estimated where nothing was under the right label), mended (faulty samples estimated),
-         relabelled (measured samples that were another label's), left_empty, left (a list: marker, first, last, reason)
-seconds  per stage, and total
-notes    sentences on anything else a technician should know
-"""
+"""Builders of the sections of the JSON report; see mocapfix.report.report for their contents."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.animation import Animation
 from mocapfix.changes import UnfilledRun
-from mocapfix.faults import Faults
+from mocapfix.faults import Fault, Faults
 from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.report.report import (
+    ErrorSummary,
+    FaultEntry,
+    FillSection,
+    InspectionReport,
+    SolveSection,
+    SubjectSection,
+    TakeSection,
+)
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 
-def build_take_section(take: Take, marker_set: str | None) -> dict:
-    """-> the record's `take`."""
-    return {
+def build_take_section(take: Take, marker_set: str | None) -> TakeSection:
+    """Return the section on the input; `marker_set` is None if none matches."""
+    section: TakeSection = {
         "file": take.path.name if take.path else take.name,
-        **({"person": take.subject_name} if take.subject_name else {}),
         "frames": take.frame_count,
         "first_frame": take.first_frame,
         "rate_hz": take.rate,
         "markers": len(take.labels),
         "marker_set": marker_set,
         "labels": list(take.labels),
-        **({"animation": True} if isinstance(take.layout, Animation) else {}),
     }
+    if take.subject_name:
+        section["person"] = take.subject_name
+    if isinstance(take.layout, Animation):
+        section["animation"] = True
+    return section
 
 
-def build_fault_entries(take: Take, faults: Faults) -> list[dict]:
-    """-> the record's `faults`."""
-    return [
-        {
-            "kind": fault.kind,
-            "marker": take.get_label(fault.marker),
-            "first": take.get_frame_number(fault.first),
-            "last": take.get_frame_number(fault.last),
-            "severity_m": _round_or_none(fault.severity, 5) if fault.severity_unit == "m" else None,
-            **({"severity_deg": _round_or_none(np.degrees(fault.severity), 2)} if fault.severity_unit == "rad" else {}),
-            "confidence": round(fault.confidence, 3),
-            "reason": fault.reason,
-        }
-        for fault in faults.items
-    ]
+def build_fault_entries(take: Take, faults: Faults) -> list[FaultEntry]:
+    """Return the entries of all faults, with the labels and frame numbers of `take`."""
+    return [_build_fault_entry(take, fault) for fault in faults.items]
+
+
+def _build_fault_entry(take: Take, fault: Fault) -> FaultEntry:
+    entry: FaultEntry = {
+        "kind": fault.kind,
+        "marker": take.get_label(fault.marker),
+        "first": take.get_frame_number(fault.first),
+        "last": take.get_frame_number(fault.last),
+        "severity_m": _round_or_none(fault.severity, 5) if fault.severity_unit == "m" else None,
+        "confidence": round(fault.confidence, 3),
+        "reason": fault.reason,
+    }
+    if fault.severity_unit == "rad":
+        entry["severity_deg"] = _round_or_none(float(np.degrees(fault.severity)), 2)
+    return entry
 
 
 def _round_or_none(value: float, digits: int) -> float | None:
     return None if np.isnan(value) else round(float(value), digits)
 
 
-def build_inspection_report(take: Take, marker_set: str | None, fault_take: Take, faults: Faults, notes: list[str]) -> dict:
-    """-> what is known of a take that is only looked at: the record's `take`, `faults` (of `shown`) and `notes`."""
+def build_inspection_report(
+    take: Take, marker_set: str | None, fault_take: Take, faults: Faults, notes: list[str]
+) -> InspectionReport:
+    """Return the report of a take that was inspected only.
+
+    fault_take  the take whose markers the faults index
+    """
     return {"take": build_take_section(take, marker_set), "faults": build_fault_entries(fault_take, faults), "notes": notes}
 
 
-def build_subject_section(subject: Subject) -> dict:
-    """-> the record's `subject`."""
+def build_subject_section(subject: Subject) -> SubjectSection:
+    """Return the section on the calibrated subject."""
     lengths = np.linalg.norm(subject.skeleton.offsets, axis=1)
     return {
         "marker_set": subject.marker_set,
@@ -81,24 +87,33 @@ def build_subject_section(subject: Subject) -> dict:
 
 
 def build_solve_section(
-    take: Take, subject: Subject, motion: Motion, residual_m: np.ndarray, prior_name: str, prior_scale: float, start_name: str
-) -> dict:
-    """-> the record's `solve`. error (T, M) metres: seen and believed markers from the body, NaN elsewhere.
+    take: Take,
+    subject: Subject,
+    motion: Motion,
+    residual_m: Float[np.ndarray, "T M"],
+    prior_name: str,
+    prior_scale: float,
+    start_name: str,
+) -> SolveSection:
+    """Return the section on the solve.
 
-    prior  the trained prior that could be asked, "none" for none; scale, times its standard deviations
-    start  the way to each frame's first pose
+    residual_m   distance of each inlier marker from the body in metres, NaN for other samples
+    prior_name   pose prior for occluded limbs, "none" without one
+    prior_scale  factor of the prior's standard deviations
+    start_name   method that initialises each pose
     """
-    there = np.flatnonzero(~np.isnan(residual_m).all(0))
-    twice = {label for label, count in Counter(take.labels).items() if count > 1}
-    names = [f"{label} #{m + 1}" if label in twice else label for m, label in enumerate(take.labels)]
+    compared = np.flatnonzero(~np.isnan(residual_m).all(0))
+    repeated = {label for label, count in Counter(take.labels).items() if count > 1}
+    names = [f"{label} #{m + 1}" if label in repeated else label for m, label in enumerate(take.labels)]
+    overall = _summarise_errors(residual_m)
+    joint_sd = zip(subject.skeleton.names, motion.joint_sd.T, strict=True)
     return {
         "marker_residual_mm": {
-            **_summarise_errors(residual_m),
-            "by_marker": {names[m]: _summarise_errors(residual_m[:, m]) for m in there},
+            "mean": overall["mean"],
+            "p95": overall["p95"],
+            "by_marker": {names[m]: _summarise_errors(residual_m[:, m]) for m in compared},
         },
-        "joint_deviation_mm": {
-            name: _summarise_errors(deviation) for name, deviation in zip(subject.skeleton.names, motion.joint_sd.T, strict=True)
-        },
+        "joint_deviation_mm": {name: _summarise_errors(sd) for name, sd in joint_sd},
         "start": start_name,
         "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
@@ -106,7 +121,8 @@ def build_solve_section(
     }
 
 
-def _summarise_errors(error_m: np.ndarray) -> dict:
+def _summarise_errors(error_m: Float[np.ndarray, "*shape"]) -> ErrorSummary:
+    """Return the mean and the 95th percentile in millimetres; NaN samples are ignored."""
     known = error_m[~np.isnan(error_m)] * 1e3
     if len(known) == 0:
         return {"mean": None, "p95": None}
@@ -117,34 +133,34 @@ def build_fill_section(
     input_take: Take,
     relabelled_take: Take,
     cleaned_take: Take,
-    unfilled_runs: tuple[UnfilledRun, ...],
+    unfilled_runs: Sequence[UnfilledRun],
     fragment_donors: Collection[int] = (),
-) -> dict:
-    """-> the record's `fill`.
+) -> FillSection:
+    """Return the numbers of filled, replaced, relabelled and empty samples.
 
-    before, labelled, after  the take as it was read, with its labels right, and mended
-    donors  markers whose labels only name pieces of others, and which do not count
+    input_take, relabelled_take, cleaned_take  the take as read, with corrected labels, and cleaned
+    fragment_donors  markers whose samples are fragments of other markers; they are not counted
     """
     counts = np.ones(len(input_take.labels), bool)
     counts[list(fragment_donors)] = False
-    estimated = np.zeros(input_take.visible.shape, bool) if cleaned_take.sample_sd is None else ~np.isnan(cleaned_take.sample_sd)
-    there = relabelled_take.visible
+    sample_sd = cleaned_take.sample_sd
+    estimated = np.zeros(input_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
+    visible = relabelled_take.visible
+    relabelled = cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points)
     return {
         "missing_before": int((~input_take.visible & counts).sum()),
-        "filled": int((estimated & ~there & counts).sum()),
-        "mended": int((estimated & there & counts).sum()),
-        "relabelled": int(
-            (cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points) & counts).sum()
-        ),
+        "filled": int((estimated & ~visible & counts).sum()),
+        "mended": int((estimated & visible & counts).sum()),
+        "relabelled": int((relabelled & counts).sum()),
         "left_empty": int((~cleaned_take.visible & counts).sum()),
         "left": [
             {
-                "marker": input_take.labels[each.marker],
-                "first": input_take.get_frame_number(each.first),
-                "last": input_take.get_frame_number(each.last),
-                "reason": each.reason,
+                "marker": input_take.labels[run.marker],
+                "first": input_take.get_frame_number(run.first),
+                "last": input_take.get_frame_number(run.last),
+                "reason": run.reason,
             }
-            for each in unfilled_runs
-            if counts[each.marker]
+            for run in unfilled_runs
+            if counts[run.marker]
         ],
     }

@@ -1,7 +1,7 @@
-"""The changes file: every change to a take as YAML, for somebody to decide on and give back."""
+"""The review file: all changes of a take as YAML, with a decision for each, to be edited and read back."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,137 +13,17 @@ from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING_KINDS, SHIFT_KINDS, Fault, FaultKind
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
+from mocapfix.report.report import ChangeEntry
 from mocapfix.take import Take
 
 REVIEW_FILE_HEADER = """\
-# What mocapfix changed in a take, interval by interval; frames are the file's own, inclusive.
-# To take something back, set its decision and clean the take again with --changes and this file:
-#   accept  it is made
-#   reject  it is not made: its samples stay as they were, and nothing else differs
-#   keep    it is not made, and what was measured there is believed: the body follows it
+# Changes that mocapfix made to a take, interval by interval. Frame numbers are the file's own, inclusive.
+# To decline a change, edit its decision and clean the take again with --changes and this file:
+#   accept  apply the change
+#   reject  do not apply the change; the samples stay as they were, and nothing else is affected
+#   keep    do not apply the change; leave the samples as they are and use them in the solve
 """
-
-
-@dataclass(frozen=True)
-class ReviewedChange:
-    """A change that somebody decided not to accept: what it was, and the decision; indices into the take."""
-
-    entry: dict
-    markers: tuple[int, ...]
-    first: int
-    last: int
-    decision: Decision
-
-    def matches(self, fault: Fault) -> bool:
-        """Is it this fault that was decided upon?"""
-        return fault.kind == self.entry["kind"] and fault.marker == self.markers[0] and self._overlaps(fault)
-
-    def keeps(self, fault: Fault) -> bool:
-        """Did somebody say that what is there is right?"""
-        return self.decision == "keep" and self.matches(fault)
-
-    def rejects(self, fault: Fault) -> bool:
-        """Did somebody say that it is to stay?"""
-        return self.decision == "reject" and self.matches(fault)
-
-    def to_change(self) -> Change:
-        """-> the change as it was, with the decision, for the record of a cleaning that did not make it."""
-        before = SampleState(**self.entry["before"])
-        return Change(**{**self.entry, "markers": tuple(self.entry["markers"]), "before": before, "after": before, "samples": 0})
-
-    def _overlaps(self, fault: Fault) -> bool:
-        return fault.first <= self.last and self.first <= fault.last
-
-
-def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -> None:
-    """Write the changes of a take. Raises WriteError where the folder cannot be written, and then leaves what was there."""
-    said = {
-        "take": take.name,
-        "frames": [take.first_frame, take.get_frame_number(take.frame_count - 1)],
-        "changes": serialize_changes(changes),
-    }
-    text = yaml.dump(said, Dumper=_ReviewFileDumper, sort_keys=False, allow_unicode=True, width=120)
-    with replace_atomically(Path(path)) as part:
-        part.write_text(REVIEW_FILE_HEADER + text, encoding="utf-8", newline="\n")
-
-
-def serialize_changes(changes: Sequence[Change]) -> list[dict]:
-    """-> the changes as plain data, as the record and the file hold them."""
-    return [{**asdict(change), "markers": list(change.markers)} for change in changes]
-
-
-def read_review_files(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[ReviewedChange, ...]]:
-    """-> what somebody decided of each take, in the file that is about it, if there is one. Raises SceneError as `load`."""
-    names, about = [take.name for take in takes], {}
-    for path in paths:
-        name = read_yaml_model(_ReviewFileModel, Path(path)).take
-        if name not in names:
-            whose, one = " or ".join(names), any(name.startswith(f"{each} (") for each in names)
-            alone = ", or say with --subject-prefix whose it is" if one else ""
-            raise SceneError(f"{path}: take: is about {name}, not {whose}; give the file that its own cleaning wrote{alone}.")
-        if name in about:
-            raise SceneError(f"{path}: take: is about {name}, as {about[name]} is; give one of them.")
-        about[name] = path
-    return [read_review_file(about[take.name], take) if take.name in about else () for take in takes]
-
-
-def read_review_file(path: str | Path, take: Take) -> tuple[ReviewedChange, ...]:
-    """-> what of the changes in a file that `save` wrote somebody decided not to accept.
-
-    Raises SceneError with the file and the path of the wrong key, also where the file is about another take.
-    """
-    form = read_yaml_model(_ReviewFileModel, Path(path))
-    if form.take != take.name:
-        raise SceneError(f"{path}: take: is about {form.take}, not {take.name}; give the file that its own cleaning wrote.")
-    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
-    if form.frames != (first, last):
-        raise SceneError(
-            f"{path}: frames: is about frames {form.frames[0]} to {form.frames[1]}; {take.name} has {first} to {last}."
-        )
-    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
-    known = {}
-    for index in reversed(range(count)):
-        known[take.get_label(index)] = index
-    decided = []
-    for n, each in enumerate(form.changes):
-        if strange := [label for label in each.markers if label not in known]:
-            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {', '.join(strange)}.")
-        if not first <= each.first <= each.last <= last:
-            raise SceneError(f"{path}: changes.{n}: frames {each.first} to {each.last} are not in {take.name}.")
-        if each.decision != "accept":
-            markers = tuple(known[label] for label in each.markers)
-            decided.append(ReviewedChange(each.model_dump(), markers, each.first - first, each.last - first, each.decision))
-    return tuple(decided)
-
-
-def build_fault_filter(take: Take, reviewed_changes: tuple[ReviewedChange, ...]) -> Callable[[Fault], bool]:
-    """-> whether a fault may be one, for all that somebody decided: none that touches what is kept as measured, and no
-    marker has moved that is said not to have."""
-    count = len(take.labels)
-    kept = np.zeros((take.frame_count, count), bool)
-    for each in reviewed_changes:
-        if each.decision == "keep" and each.entry["kind"] not in (*MISSING_KINDS, *SHIFT_KINDS):
-            kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
-
-    def stands(fault: Fault) -> bool:
-        if fault.kind in MISSING_KINDS:
-            return True  # nobody can vouch for what is not there
-        if fault.kind in SHIFT_KINDS:
-            return not any(each.matches(fault) for each in reviewed_changes)
-        return not kept[fault.frame_slice][:, list_affected_markers(fault, count)].any()
-
-    return stands
-
-
-class _ReviewFileDumper(yaml.SafeDumper):
-    """Short lists in one line."""
-
-
-def _represent_list(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not any(isinstance(each, dict) for each in data))
-
-
-_ReviewFileDumper.add_representer(list, _represent_list)
+REVIEW_FILE_WIDTH = 120  # characters a line
 
 
 class _IntervalStateModel(StrictModel):
@@ -151,7 +31,9 @@ class _IntervalStateModel(StrictModel):
     off_body_mm: float | None
 
 
-class _ChangeModel(StrictModel):
+class ChangeModel(StrictModel):
+    """A change in a review file; see mocapfix.changes.Change."""
+
     id: str
     kind: FaultKind
     markers: list[str] = Field(min_length=1)
@@ -169,4 +51,173 @@ class _ChangeModel(StrictModel):
 class _ReviewFileModel(StrictModel):
     take: str
     frames: tuple[int, int]
-    changes: list[_ChangeModel]
+    changes: list[ChangeModel]
+
+
+@dataclass(frozen=True)
+class ReviewedChange:
+    """A change that a review declined.
+
+    entry        the change as in the file
+    markers      indices of its markers and unlabelled trajectories in the take
+    first, last  frame indices, inclusive
+    """
+
+    entry: ChangeModel
+    markers: tuple[int, ...]
+    first: int
+    last: int
+
+    @property
+    def decision(self) -> Decision:
+        """ "reject" or "keep"."""
+        return self.entry.decision
+
+    def matches(self, fault: Fault) -> bool:
+        """Return whether the change corrected this fault: the same kind and marker, and overlapping frames."""
+        return fault.kind == self.entry.kind and fault.marker == self.markers[0] and self._overlaps(fault)
+
+    def keeps(self, fault: Fault) -> bool:
+        """Return whether the review declares the samples of this fault correct."""
+        return self.decision == "keep" and self.matches(fault)
+
+    def rejects(self, fault: Fault) -> bool:
+        """Return whether the review leaves this fault uncorrected."""
+        return self.decision == "reject" and self.matches(fault)
+
+    def to_change(self) -> Change:
+        """Return the change with its decision, as an entry of a report in which it is not applied."""
+        entry = self.entry
+        state = SampleState(entry.before.missing, entry.before.off_body_mm)
+        return Change(
+            id=entry.id,
+            kind=entry.kind,
+            markers=tuple(entry.markers),
+            first=entry.first,
+            last=entry.last,
+            samples=0,
+            why=entry.why,
+            method=entry.method,
+            before=state,
+            after=state,
+            predicted_mm=entry.predicted_mm,
+            decision=entry.decision,
+        )
+
+    def _overlaps(self, fault: Fault) -> bool:
+        return fault.first <= self.last and self.first <= fault.last
+
+
+def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -> None:
+    """Write the changes of a take.
+
+    Raises WriteError if the folder cannot be written; an existing file stays as it is then.
+    """
+    last_frame = take.get_frame_number(take.frame_count - 1)
+    data = {"take": take.name, "frames": [take.first_frame, last_frame], "changes": serialize_changes(changes)}
+    with replace_atomically(Path(path)) as part:
+        text = REVIEW_FILE_HEADER + yaml.dump(
+            data, Dumper=_ReviewFileDumper, sort_keys=False, allow_unicode=True, width=REVIEW_FILE_WIDTH
+        )
+        part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def serialize_changes(changes: Sequence[Change]) -> list[ChangeEntry]:
+    """Return the changes as plain data, as in the review file and the JSON report."""
+    return [
+        {
+            "id": change.id,
+            "kind": change.kind,
+            "markers": list(change.markers),
+            "first": change.first,
+            "last": change.last,
+            "samples": change.samples,
+            "why": change.why,
+            "method": change.method,
+            "before": {"missing": change.before.missing, "off_body_mm": change.before.off_body_mm},
+            "after": {"missing": change.after.missing, "off_body_mm": change.after.off_body_mm},
+            "predicted_mm": change.predicted_mm,
+            "decision": change.decision,
+        }
+        for change in changes
+    ]
+
+
+def read_review_files(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[ReviewedChange, ...]]:
+    """Return the declined changes of each take, from the file on that take, if there is one.
+
+    Raises SceneError as `read_review_file`, and if two files are on one take or a file is on none of them.
+    """
+    names = [take.name for take in takes]
+    path_by_take: dict[str, str | Path] = {}
+    for path in paths:
+        name = read_yaml_model(_ReviewFileModel, Path(path)).take
+        if name not in names:
+            is_subject = any(name.startswith(f"{each} (") for each in names)
+            remedy = ", or select the subject with --subject-prefix" if is_subject else ""
+            raise SceneError(
+                f"{path}: take: the file is for {name}, not for {' or '.join(names)}; use the review file of this take{remedy}."
+            )
+        if name in path_by_take:
+            raise SceneError(f"{path}: take: {path_by_take[name]} is for {name} as well; give one of them.")
+        path_by_take[name] = path
+    return [read_review_file(path_by_take[take.name], take) if take.name in path_by_take else () for take in takes]
+
+
+def read_review_file(path: str | Path, take: Take) -> tuple[ReviewedChange, ...]:
+    """Return the declined changes in a file written by `write_review_file`.
+
+    Raises SceneError with the file and the key if the file is invalid or is for another take.
+    """
+    file = read_yaml_model(_ReviewFileModel, Path(path))
+    if file.take != take.name:
+        raise SceneError(f"{path}: take: the file is for {file.take}, not for {take.name}; use the review file of this take.")
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    if file.frames != (first, last):
+        raise SceneError(
+            f"{path}: frames: the file is for frames {file.frames[0]} to {file.frames[1]}; {take.name} has {first} to {last}."
+        )
+    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    index_by_label = {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
+    declined: list[ReviewedChange] = []
+    for n, entry in enumerate(file.changes):
+        if unknown := [label for label in entry.markers if label not in index_by_label]:
+            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {', '.join(unknown)}.")
+        if not first <= entry.first <= entry.last <= last:
+            raise SceneError(f"{path}: changes.{n}: frames {entry.first} to {entry.last} are not in {take.name}.")
+        if entry.decision != "accept":
+            markers = tuple(index_by_label[label] for label in entry.markers)
+            declined.append(ReviewedChange(entry, markers, entry.first - first, entry.last - first))
+    return tuple(declined)
+
+
+def build_fault_filter(take: Take, reviewed_changes: Sequence[ReviewedChange]) -> Callable[[Fault], bool]:
+    """Return the function that decides whether a fault may be detected.
+
+    Excluded are faults of samples that the review keeps as measured, and marker shifts that the review declines.
+    """
+    count = len(take.labels)
+    kept = np.zeros((take.frame_count, count), bool)
+    for each in reviewed_changes:
+        if each.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
+            kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
+
+    def is_accepted(fault: Fault) -> bool:
+        if fault.kind in MISSING_KINDS:
+            return True  # missing samples cannot be declared correct
+        if fault.kind in SHIFT_KINDS:
+            return not any(each.matches(fault) for each in reviewed_changes)
+        return not kept[fault.frame_slice][:, list_affected_markers(fault, count)].any()
+
+    return is_accepted
+
+
+class _ReviewFileDumper(yaml.SafeDumper):
+    """YAML writer with lists of scalars on one line."""
+
+
+def _represent_list(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not any(isinstance(each, dict) for each in data))
+
+
+_ReviewFileDumper.add_representer(list, _represent_list)

@@ -1,4 +1,4 @@
-"""How long each stage takes, and whom to tell that one begins."""
+"""Wall-clock time of each processing stage."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,13 +10,18 @@ ProgressCallback = Callable[[str], None]
 
 @dataclass
 class StageTimer:
-    """Seconds per stage, with their total, told as the stages go by; a stage that comes again is counted on."""
+    """Seconds spent in each stage.
+
+    stage_seconds    seconds by stage, rounded to milliseconds, and their sum as "total"; a stage that runs again adds to its time
+    report_progress  called with the name of each stage when it starts; None makes no calls
+    """
 
     stage_seconds: dict[str, float] = field(default_factory=dict)
     report_progress: ProgressCallback | None = None
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
+        """Time the enclosed block as `stage`."""
         if self.report_progress:
             self.report_progress(stage)
         start = perf_counter()

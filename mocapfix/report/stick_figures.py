@@ -1,174 +1,168 @@
-"""Stick figures of one frame, before and after, as SVG: seen from where the body faces, from one side and a little above."""
+"""SVG stick figures of one frame, before and after cleaning, in front of the body, from one side and slightly above."""
 
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
+from jaxtyping import Float, Int
+from markupsafe import Markup
 
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.sample_states import (
-    SAMPLE_EMPTY,
-    SAMPLE_RELABELLED,
-    SAMPLE_STATE_NAMES,
+    SampleOutcome,
     classify_input_samples,
     find_estimated_samples,
 )
-from mocapfix.report.terms import use_joint_terms
 from mocapfix.skeleton import Skeleton
 
-VIEW_YAW_RAD, VIEW_PITCH_RAD = np.radians(25), np.radians(8)
-STICK_FIGURE_MARGIN_M = 0.12  # metres around the body
-MAX_DRAWN_STRAY_DISTANCE_M = 0.4  # metres off the body up to which a faulty marker still widens the picture
-FLOOR_TILE_SIZE_M, FLOOR_TILES_PER_SIDE = 0.5, 2  # metres: the floor's tiles, and how many on each side of the body
+VIEW_YAW_RAD = np.radians(25)
+VIEW_PITCH_RAD = np.radians(8)
+STICK_FIGURE_MARGIN_M = 0.12  # around the body
+MAX_DRAWN_STRAY_DISTANCE_M = 0.4  # distance from the body up to which faulty markers enlarge the picture
+FLOOR_TILE_SIZE_M = 0.5
+FLOOR_TILES_PER_SIDE = 2  # on each side of the body
+CM_PER_M = 100
+MARKER_RADIUS_CM = 2
+MIN_DIRECTION_LENGTH = 1e-9  # shorter level directions are replaced by the world's X axis
 
 
-def find_worst_frame(sample_states: np.ndarray, joint_position_world: np.ndarray | None) -> int:
-    """-> the index of the frame with most markers mended or relabelled, or else most empty, of those in which there is a body.
+def find_worst_frame(sample_states: Int[np.ndarray, "T M"], joint_position_world: Float[np.ndarray, "T J 3"] | None) -> int:
+    """Return the frame with the most estimated or relabelled markers, then the most empty ones.
 
-    state (T, M) as states.states gives it; joints (T, J, 3). Among equals it is the one in the middle.
+    Frames without a body are excluded if there are others. Of several equal frames the middle one is returned.
     """
-    score = (find_estimated_samples(sample_states) | (sample_states == SAMPLE_RELABELLED)).sum(axis=1) * (
-        sample_states.shape[1] + 1
-    ) + (sample_states == SAMPLE_EMPTY).sum(axis=1)
+    corrected = find_estimated_samples(sample_states) | (sample_states == SampleOutcome.RELABELLED)
+    score = corrected.sum(axis=1) * (sample_states.shape[1] + 1) + (sample_states == SampleOutcome.EMPTY).sum(axis=1)
     if joint_position_world is not None:
         score = np.where(np.isfinite(joint_position_world).all(axis=(1, 2)), score, -1)
     worst = np.flatnonzero(score == score.max())
     return int(worst[len(worst) // 2])
 
 
-def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[str, str]:
-    """-> two SVG pictures on one scale: the markers as they were, and the body with the markers as they are.
+def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
+    """Return two SVG pictures on one scale: the input markers, and the body with the cleaned markers.
 
-    Without skeleton and joints, and where no joint is known in this frame, there are markers only.
+    Only markers are drawn if there is no skeleton or a joint is unknown in this frame.
     """
-    before, after, skeleton, joints = (
-        comparison.input_take,
-        comparison.cleaned_take,
-        comparison.skeleton,
-        comparison.joint_position_world,
-    )
-    state = comparison.sample_states[frame]
-    was = classify_input_samples(before.visible[frame], state)
-    body = joints[frame] if joints is not None else np.empty((0, 3))
+    before, after, skeleton = comparison.input_take, comparison.cleaned_take, comparison.skeleton
+    outcome = comparison.sample_states[frame]
+    input_state = classify_input_samples(before.visible[frame], outcome)
+    body = comparison.joint_position_world[frame] if comparison.joint_position_world is not None else np.empty((0, 3))
     body = body if np.isfinite(body).all() else np.empty((0, 3))
-    across = (
-        _find_left_direction(skeleton, body)
-        if skeleton is not None and len(body)
-        else _find_widest_direction(after.markers[frame])
-    )
-    picture = _fit_view(before.markers[frame], after.markers[frame], body, across)
-    floor = picture.draw_floor()
-    bones = picture.draw_bones(skeleton, body) if skeleton is not None and len(body) else ""
-    shown = use_joint_terms("the markers", before)
+    has_body = skeleton is not None and len(body) > 0
+    left = _find_left_direction(skeleton, body) if has_body else _find_widest_direction(after.markers[frame])
+    view = _fit_view(before.markers[frame], after.markers[frame], body, left)
+    floor = view.draw_floor()
+    bones = view.draw_bones(skeleton, body) if has_body else ""
+    points = comparison.terms.points
     return (
-        picture.render_svg(floor + picture.draw_markers(before.markers[frame], was, before.labels), f"{shown} before"),
-        picture.render_svg(floor + bones + picture.draw_markers(after.markers[frame], state, after.labels), f"{shown} after"),
+        view.render_svg(floor + view.draw_markers(before.markers[frame], input_state, before.labels), f"{points} before"),
+        view.render_svg(floor + bones + view.draw_markers(after.markers[frame], outcome, after.labels), f"{points} after"),
     )
 
 
 @dataclass(frozen=True)
 class _FigureView:
-    """How a frame is drawn: centimetres on paper, y down.
+    """Orthographic view of one frame, in centimetres with y down.
 
-    axes    (3, 3) rows: right, up and towards the viewer, in the world
-    ground  (3,) metres: a point on the floor under the body
-    box     left, top, width and height in centimetres
+    rotation_view_world    (3, 3) rows: right, up and towards the viewer
+    ground_position_world  (3,) m: point on the floor below the body
+    box_cm                 left, top, width and height
     """
 
-    axes: np.ndarray
-    ground_position_world: np.ndarray
+    rotation_view_world: Float[np.ndarray, "3 3"]
+    ground_position_world: Float[np.ndarray, "3"]
     box_cm: tuple[float, float, float, float]
 
-    def project_points(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) metres -> (..., 3) centimetres right, down and towards the viewer."""
-        return (points @ self.axes.T) * [100, -100, 100]
+    def project_points(self, position_world: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Project points in metres to centimetres: right, down and towards the viewer."""
+        return (position_world @ self.rotation_view_world.T) * [CM_PER_M, -CM_PER_M, CM_PER_M]
 
-    def render_svg(self, content: str, name: str) -> str:
+    def render_svg(self, content: str, name: str) -> Markup:
         box = " ".join(f"{side:.1f}" for side in self.box_cm)
-        return f'<svg class="figure" viewBox="{box}" role="img" aria-label="{name}">{content}</svg>'
+        return Markup(f'<svg class="figure" viewBox="{box}" role="img" aria-label="{name}">{content}</svg>')
 
     def draw_floor(self) -> str:
-        steps, far = (
-            np.arange(-FLOOR_TILES_PER_SIDE, FLOOR_TILES_PER_SIDE + 1) * FLOOR_TILE_SIZE_M,
-            FLOOR_TILES_PER_SIDE * FLOOR_TILE_SIZE_M,
-        )
-        ends = [[(s, 0, -far), (s, 0, far)] for s in steps] + [[(-far, 0, s), (far, 0, s)] for s in steps]
-        return _draw_lines("floor", self.project_points(self.ground_position_world + np.array(ends)))
+        steps = np.arange(-FLOOR_TILES_PER_SIDE, FLOOR_TILES_PER_SIDE + 1) * FLOOR_TILE_SIZE_M
+        end = FLOOR_TILES_PER_SIDE * FLOOR_TILE_SIZE_M
+        lines = [[(s, 0, -end), (s, 0, end)] for s in steps] + [[(-end, 0, s), (end, 0, s)] for s in steps]
+        return _draw_lines("floor", self.project_points(self.ground_position_world + np.array(lines)))
 
-    def draw_bones(self, skeleton: Skeleton, joint_position: np.ndarray) -> str:
+    def draw_bones(self, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> str:
         child = np.flatnonzero(skeleton.parents >= 0)
-        return _draw_lines(
-            "bones", self.project_points(np.stack([joint_position[skeleton.parents[child]], joint_position[child]], axis=1))
-        )
+        ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]], axis=1)
+        return _draw_lines("bones", self.project_points(ends))
 
-    def draw_markers(self, marker_position: np.ndarray, sample_states: np.ndarray, labels: tuple[str, ...]) -> str:
-        """Circles, the farthest first, so that near ones cover them; markers that are not there are left out."""
-        placed = self.project_points(marker_position)
-        return "".join(
-            f'<circle class="{SAMPLE_STATE_NAMES[sample_states[m]]}" cx="{placed[m, 0]:.1f}" cy="{placed[m, 1]:.1f}" r="2">'
-            f"<title>{escape(labels[m])}: {SAMPLE_STATE_NAMES[sample_states[m]]}</title></circle>"
-            for m in np.argsort(placed[:, 2])
-            if np.isfinite(placed[m]).all()
-        )
+    def draw_markers(
+        self, marker_position: Float[np.ndarray, "M 3"], sample_states: Int[np.ndarray, " M"], labels: tuple[str, ...]
+    ) -> str:
+        """Return circles of the visible markers, the farthest first, so that near ones cover them."""
+        projected = self.project_points(marker_position)
+        circles = ""
+        for m in np.argsort(projected[:, 2]):
+            if np.isfinite(projected[m]).all():
+                state = SampleOutcome(sample_states[m]).label
+                circles += (
+                    f'<circle class="{state}" cx="{projected[m, 0]:.1f}" cy="{projected[m, 1]:.1f}" r="{MARKER_RADIUS_CM}">'
+                    f"<title>{escape(labels[m])}: {state}</title></circle>"
+                )
+        return circles
 
 
-def _draw_lines(name: str, lines: np.ndarray) -> str:
-    """lines (N, 2, 3) centimetres -> one SVG path of that class."""
-    return f'<path class="{name}" d="{"".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in lines)}"/>'
+def _draw_lines(css_class: str, lines_cm: Float[np.ndarray, "N 2 3"]) -> str:
+    """Return one SVG path of all lines."""
+    path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in lines_cm)
+    return f'<path class="{css_class}" d="{path}"/>'
 
 
 def _fit_view(
-    input_position: np.ndarray, cleaned_position: np.ndarray, joint_position: np.ndarray, left_direction: np.ndarray
+    input_position: Float[np.ndarray, "M 3"],
+    cleaned_position: Float[np.ndarray, "M 3"],
+    joint_position: Float[np.ndarray, "J 3"],
+    left_direction: Float[np.ndarray, "3"],
 ) -> _FigureView:
-    """-> the picture that holds markers (M, 3) and body (J, 3); `across` (3,) is level and shall lie left to right in it."""
+    """Return the view that contains all markers and joints.
+
+    left_direction  level unit vector to the body's left, which is the right side of the picture
+    """
     up = np.array([0.0, 1.0, 0.0])
     front = np.cross(left_direction, up)
-    right, towards = (
-        left_direction * np.cos(VIEW_YAW_RAD) - front * np.sin(VIEW_YAW_RAD),
-        front * np.cos(VIEW_YAW_RAD) + left_direction * np.sin(VIEW_YAW_RAD),
-    )
-    axes = np.stack(
-        [
-            right,
-            up * np.cos(VIEW_PITCH_RAD) - towards * np.sin(VIEW_PITCH_RAD),
-            towards * np.cos(VIEW_PITCH_RAD) + up * np.sin(VIEW_PITCH_RAD),
-        ]
-    )
+    right = left_direction * np.cos(VIEW_YAW_RAD) - front * np.sin(VIEW_YAW_RAD)
+    towards = front * np.cos(VIEW_YAW_RAD) + left_direction * np.sin(VIEW_YAW_RAD)
+    tilted_up = up * np.cos(VIEW_PITCH_RAD) - towards * np.sin(VIEW_PITCH_RAD)
+    tilted_towards = towards * np.cos(VIEW_PITCH_RAD) + up * np.sin(VIEW_PITCH_RAD)
+    axes = np.stack([right, tilted_up, tilted_towards])
     points = np.concatenate([cleaned_position, joint_position])
     points = points[np.isfinite(points).all(axis=1)]
     points = points if len(points) else np.zeros((1, 3))
     low, high = points.min(axis=0), points.max(axis=0)
     ground = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
-    stray = np.clip(
-        input_position[np.isfinite(input_position).all(axis=1)],
-        low - MAX_DRAWN_STRAY_DISTANCE_M,
-        high + MAX_DRAWN_STRAY_DISTANCE_M,
-    )
-    picture = _FigureView(axes, ground, (0, 0, 0, 0))
-    flat = picture.project_points(np.concatenate([points, stray]))[:, :2]
-    (left, top), (width, height) = (
-        flat.min(axis=0) - 100 * STICK_FIGURE_MARGIN_M,
-        np.ptp(flat, axis=0) + 200 * STICK_FIGURE_MARGIN_M,
-    )
+    stray = input_position[np.isfinite(input_position).all(axis=1)]
+    stray = np.clip(stray, low - MAX_DRAWN_STRAY_DISTANCE_M, high + MAX_DRAWN_STRAY_DISTANCE_M)
+    view = _FigureView(axes, ground, (0, 0, 0, 0))
+    projected = view.project_points(np.concatenate([points, stray]))[:, :2]
+    left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
+    width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
     return _FigureView(axes, ground, (left, top, width, height))
 
 
-def _find_left_direction(skeleton: Skeleton, joint_position: np.ndarray) -> np.ndarray:
-    """-> (3,) the level direction to the body's left, which is +X in its rest pose."""
-    across = skeleton.rest_positions[:, 0]
-    return _project_to_floor((across - across.mean()) @ joint_position)
+def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "3"]:
+    """Return the level direction to the body's left, +X in the rest pose, from the regression of the joints on the rest pose."""
+    lateral = skeleton.rest_positions[:, 0]
+    return _project_to_floor((lateral - lateral.mean()) @ joint_position)
 
 
-def _find_widest_direction(points: np.ndarray) -> np.ndarray:
-    """-> (3,) the level direction in which points (N, 3), some NaN, are spread most."""
-    points = points[np.isfinite(points).all(axis=1)][:, [0, 2]]
-    if len(points) < 2:
+def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+    """Return the level direction of the largest spread of points; NaN points are ignored."""
+    level = position[np.isfinite(position).all(axis=1)][:, [0, 2]]
+    if len(level) < 2:
         return np.array([1.0, 0.0, 0.0])
-    x, z = np.linalg.svd(points - points.mean(axis=0))[2][0]
+    x, z = np.linalg.svd(level - level.mean(axis=0))[2][0]
     return _project_to_floor(np.array([x, 0.0, z]))
 
 
-def _project_to_floor(direction: np.ndarray) -> np.ndarray:
+def _project_to_floor(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the level unit vector of a direction, the world's X axis for vertical ones."""
     direction = direction * [1, 0, 1]
     length = np.linalg.norm(direction)
-    return direction / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+    return direction / length if length > MIN_DIRECTION_LENGTH else np.array([1.0, 0.0, 0.0])

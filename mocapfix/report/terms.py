@@ -1,63 +1,87 @@
-"""The kinds of fault in a technician's words, and in the few groups that the page tells apart."""
+"""Wording of reports: names of fault kinds, groups of kinds, and terms for the points of a take or an animation."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from mocapfix.animation import Animation
 from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
 from mocapfix.take import Take
 
-# MERGED: mocapfix.show.kinds
-# Classes of the page's style sheet, and what they mean.
+# CSS classes of the HTML report with their legend.
 FAULT_GROUPS = (
     ("missing", "missing, filled"),
-    ("faulty", "measured wrongly, replaced"),
-    ("label", "under another label, put right"),
-    ("place", "marker at another place from then on"),
-    ("missing left", "outlined: left as it was"),
+    ("faulty", "measurement error, replaced"),
+    ("label", "wrong label, corrected"),
+    ("place", "marker shifted on its segment from here on"),
+    ("missing left", "outlined: left unchanged"),
 )
+# Singular and plural of each fault kind, in the order in which they are listed. All kinds of missing samples count as gaps.
 FAULT_KIND_NAMES = {
-    "mislabelled": ("exchange of labels throughout", "exchanges of labels throughout"),
-    "swap": ("exchange of labels", "exchanges of labels"),
-    "fragment": ("piece under another label", "pieces under another label"),
-    "moved": ("marker knocked to another place", "markers knocked to another place"),
-    "drift": ("marker that slid", "markers that slid"),
-    "segment lost": ("segment lost", "segments lost"),
+    "mislabelled": ("label exchange over the whole take", "label exchanges over the whole take"),
+    "swap": ("label swap", "label swaps"),
+    "fragment": ("fragment under another label", "fragments under another label"),
+    "moved": ("marker shift", "marker shifts"),
+    "drift": ("sliding marker", "sliding markers"),
+    "segment lost": ("segment without enough markers", "segments without enough markers"),
     "gap": ("gap", "gaps"),
     "spike": ("spike", "spikes"),
     "pop": ("pop", "pops"),
     "flip": ("flip", "flips"),
     "jitter": ("burst of jitter", "bursts of jitter"),
-    "stuck": ("stretch held at one value", "stretches held at one value"),
+    "stuck": ("frozen interval", "frozen intervals"),
     "straight": ("straight-line fill", "straight-line fills"),
-    "computed": ("fill of another program", "fills of another program"),
-    "ghost": ("jump to a ghost", "jumps to a ghost"),
+    "computed": ("fill by another program", "fills by another program"),
+    "ghost": ("ghost marker", "ghost markers"),
     "noise": ("noisy marker", "noisy markers"),
 }
 
 
+@dataclass(frozen=True)
+class PointTerms:
+    """Words for the points of a capture and for their samples."""
+
+    point: str
+    points: str
+    sample: str
+    samples: str
+    measured: str
+
+
+MARKER_TERMS = PointTerms("marker", "markers", "sample", "samples", "measured")
+JOINT_TERMS = PointTerms("joint", "joints", "value", "values", "read from the file")
+
+
+def get_point_terms(take: Take) -> PointTerms:
+    """Return the words for the points of a take, which are joints if it was made from an animation."""
+    return JOINT_TERMS if isinstance(take.layout, Animation) else MARKER_TERMS
+
+
 def get_fault_group(kind: FaultKind) -> str:
-    """-> the group of a kind of fault, a class of the page's style sheet."""
+    """Return the group of a fault kind: a CSS class of the HTML report."""
     if kind in (*MISSING_KINDS, "segment lost"):
         return "missing"
-    return "label" if kind in (*LABEL_KINDS, "fragment") else "place" if kind in SHIFT_KINDS else "faulty"
+    if kind in (*LABEL_KINDS, "fragment"):
+        return "label"
+    return "place" if kind in SHIFT_KINDS else "faulty"
 
 
 def format_fault_counts(kinds: Iterable[str]) -> str:
-    """-> "3 gaps, 1 spike and 2 bursts of jitter"; all that is missing is a gap."""
+    """Return a list such as "3 gaps, 1 spike and 2 bursts of jitter"."""
     counts = Counter("gap" if kind in MISSING_KINDS else kind for kind in kinds)
-    return join_words([f"{counts[kind]:,} {words[counts[kind] > 1]}" for kind, words in FAULT_KIND_NAMES.items() if counts[kind]])
+    return join_words([f"{counts[kind]:,} {names[counts[kind] > 1]}" for kind, names in FAULT_KIND_NAMES.items() if counts[kind]])
 
 
-def join_words(words: list[str]) -> str:
-    """-> "a, b and c"."""
+def join_words(words: Sequence[str]) -> str:
+    """Return "a, b and c"."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
-# MERGED: mocapfix.words
-# Sentences that are said of markers, said of what a take has: an animation has joints.
-def use_joint_terms(text: str, take: Take) -> str:
-    """-> a sentence about markers as one about the take's points. It must hold no names out of files, which stay as they are."""
-    if not isinstance(take.layout, Animation):
-        return text
-    return text.replace("marker", "joint").replace("Marker", "Joint").replace("measured", "read").replace("sample", "value")
+def format_frame_range(first: int, last: int) -> str:
+    """Return a range of frame numbers, inclusive at both ends, such as "101–150"."""
+    return f"{first}–{last}" if last > first else f"{first}"
+
+
+def format_number(value: float | None, digits: int = 1) -> str:
+    """Return a number with thousands separators, or a dash if it is unknown (None, NaN or infinite)."""
+    return "–" if value is None or value != value or abs(value) == float("inf") else f"{value:,.{digits}f}"

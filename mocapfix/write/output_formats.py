@@ -148,7 +148,11 @@ OPTIONAL_FORMATS = {
         "amc", _write_amc, ("asf",), needs_body=True, usage_note="goes with the asf: CMU's form, units of 56.444 mm, Y up."
     ),
     "npz": OutputFormat("npz", _write_npz),
-    "c3d": OutputFormat("c3d", _write_c3d, usage_note="is new: the markers alone, with how sure each filled sample is."),
+    "c3d": OutputFormat(
+        "c3d",
+        _write_c3d,
+        usage_note="is a new file with positions only and the predicted standard deviation of each filled sample.",
+    ),
     "trc": OutputFormat("trc", _write_trc),
     "csv": OutputFormat("csv", _write_csv),
 }

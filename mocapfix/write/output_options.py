@@ -8,7 +8,6 @@ from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.motion import Motion
-from mocapfix.report.terms import use_joint_terms
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write import rig
@@ -74,11 +73,7 @@ class OutputOptions:
             for kind in self.formats
             if kind not in (BVH_FORMAT, *DEFAULT_FORMATS) and kind.suffix not in get_source_suffixes(take.path)
         ]
-        said = [
-            f"{kind.suffix} {use_joint_terms(kind.usage_note, take)}"
-            for kind in asked
-            if kind.usage_note and (has_body or not kind.needs_body)
-        ]
+        said = [f"{kind.suffix} {kind.usage_note}" for kind in asked if kind.usage_note and (has_body or not kind.needs_body)]
         whose = "whose joints are whose is not known" if isinstance(take.layout, Animation) else "the take has no skeleton"
         said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.needs_body and not has_body]
         if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:

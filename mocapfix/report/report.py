@@ -1,0 +1,178 @@
+"""The JSON report of a cleaned take: typed sections with stable keys; see mocapfix.report.report_data for their builders."""
+
+from typing import NotRequired, TypedDict
+
+from mocapfix.changes import Decision
+from mocapfix.faults import FaultKind
+
+
+class ErrorSummary(TypedDict):
+    """Mean and 95th percentile in millimetres; None without values."""
+
+    mean: float | None
+    p95: float | None
+
+
+class ResidualSummary(ErrorSummary):
+    """Distances of the inlier markers from the body, also by marker label."""
+
+    by_marker: dict[str, ErrorSummary]
+
+
+class TakeSection(TypedDict):
+    """The input file.
+
+    person      subject whose markers these are, in a take of several subjects
+    marker_set  None if no marker set matches
+    animation   True if the points are the joints of an animation
+    """
+
+    file: str
+    person: NotRequired[str]
+    frames: int
+    first_frame: int
+    rate_hz: float
+    markers: int
+    marker_set: str | None
+    labels: list[str]
+    animation: NotRequired[bool]
+
+
+class FaultEntry(TypedDict):
+    """A fault; frame numbers are the file's own, inclusive.
+
+    severity_m    None for a gap without a second edge and for rotations
+    severity_deg  for rotations of a joint
+    """
+
+    kind: FaultKind
+    marker: str
+    first: int
+    last: int
+    severity_m: float | None
+    severity_deg: NotRequired[float | None]
+    confidence: float
+    reason: str
+
+
+class SampleStateEntry(TypedDict):
+    """Missing samples of an interval, and the median distance of the others from the body (None if unknown)."""
+
+    missing: int
+    off_body_mm: float | None
+
+
+class ChangeEntry(TypedDict):
+    """A change, as in the review file; see mocapfix.changes.Change."""
+
+    id: str
+    kind: str
+    markers: list[str]
+    first: int
+    last: int
+    samples: int
+    why: str
+    method: str
+    before: SampleStateEntry
+    after: SampleStateEntry
+    predicted_mm: float | None
+    decision: Decision
+
+
+class SubjectSection(TypedDict):
+    """The calibrated subject.
+
+    frames    number of frames used for the calibration
+    bones_m   length from the parent by joint
+    spread_m  standard deviation of the marker on its segment by label
+    """
+
+    marker_set: str
+    frames: int
+    bones_m: dict[str, float]
+    spread_m: dict[str, float]
+
+
+class PriorEntry(TypedDict):
+    """A pose prior, and the factor of its standard deviations."""
+
+    name: str
+    scale: float
+
+
+class SolveSection(TypedDict):
+    """The solve.
+
+    joint_deviation_mm  predicted standard deviation per axis by joint
+    start               method that initialises each pose
+    prior               pose prior for occluded limbs; None without one
+    status              number of frames by final status
+    """
+
+    marker_residual_mm: ResidualSummary
+    joint_deviation_mm: dict[str, ErrorSummary]
+    start: str
+    prior: PriorEntry | None
+    iterations_mean: float
+    status: dict[str, int]
+
+
+class UnfilledEntry(TypedDict):
+    """An interval that stays empty; frame numbers are the file's own, inclusive."""
+
+    marker: str
+    first: int
+    last: int
+    reason: str
+
+
+class FillSection(TypedDict):
+    """Numbers of samples.
+
+    missing_before  missing in the input
+    filled          estimated where the correctly labelled input has no sample
+    mended          faulty and replaced by an estimate
+    relabelled      measured, but under another label in the input
+    left_empty      missing in the output
+    left            the empty intervals
+    """
+
+    missing_before: int
+    filled: int
+    mended: int
+    relabelled: int
+    left_empty: int
+    left: list[UnfilledEntry]
+
+
+class InspectionReport(TypedDict):
+    """Report of a take that was inspected only."""
+
+    take: TakeSection
+    faults: list[FaultEntry]
+    notes: list[str]
+
+
+class Report(TypedDict):
+    """Report of a cleaned take.
+
+    subject  None without a body
+    solve    None without a body
+    seconds  time by stage, and "total"
+    notes    sentences on what else needs attention
+    """
+
+    take: TakeSection
+    faults: list[FaultEntry]
+    changes: list[ChangeEntry]
+    subject: SubjectSection | None
+    solve: SolveSection | None
+    fill: FillSection
+    seconds: dict[str, float]
+    notes: list[str]
+
+
+class MultiSubjectReport(TypedDict):
+    """Reports of a take of several subjects, by name."""
+
+    people: dict[str, Report]
