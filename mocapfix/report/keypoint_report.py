@@ -9,18 +9,23 @@ Entities of the recording:
       skeleton     one line from each joint to its parent
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.report.change_list import Figure
 from mocapfix.report.html_page import write_page
 from mocapfix.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 
 KEYPOINT_FIGURE_COUNT = 4  # frames on the page, evenly spaced
 KEYPOINT_FIGURE_MARGIN = 0.12  # around the body, relative to its height

@@ -1,10 +1,12 @@
 """SVG stick figures of one frame, before and after cleaning, in front of the body, from one side and slightly above."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.report.comparison import CleaningComparison
@@ -14,6 +16,10 @@ from mocapfix.report.sample_states import (
     find_estimated_samples,
 )
 from mocapfix.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 
 VIEW_YAW_RAD = np.radians(25)
 VIEW_PITCH_RAD = np.radians(8)
@@ -71,7 +77,7 @@ class _FigureView:
     """
 
     rotation_view_world: Float[np.ndarray, "3 3"]
-    ground_position_world: Float[np.ndarray, "3"]
+    ground_position_world: Float[np.ndarray, 3]
     box_cm: tuple[float, float, float, float]
 
     def project_points(self, position_world: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -119,7 +125,7 @@ def _fit_view(
     input_position: Float[np.ndarray, "M 3"],
     cleaned_position: Float[np.ndarray, "M 3"],
     joint_position: Float[np.ndarray, "J 3"],
-    left_direction: Float[np.ndarray, "3"],
+    left_direction: Float[np.ndarray, 3],
 ) -> _FigureView:
     """Return the view that contains all markers and joints.
 
@@ -146,13 +152,13 @@ def _fit_view(
     return _FigureView(axes, ground, (left, top, width, height))
 
 
-def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "3"]:
+def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, 3]:
     """Return the level direction to the body's left, +X in the rest pose, from the regression of the joints on the rest pose."""
     lateral = skeleton.rest_positions[:, 0]
     return _project_to_floor((lateral - lateral.mean()) @ joint_position)
 
 
-def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, 3]:
     """Return the level direction of the largest spread of points; NaN points are ignored."""
     level = position[np.isfinite(position).all(axis=1)][:, [0, 2]]
     if len(level) < 2:
@@ -161,7 +167,7 @@ def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarr
     return _project_to_floor(np.array([x, 0.0, z]))
 
 
-def _project_to_floor(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+def _project_to_floor(direction: Float[np.ndarray, 3]) -> Float[np.ndarray, 3]:
     """Return the level unit vector of a direction, the world's X axis for vertical ones."""
     direction = direction * [1, 0, 1]
     length = np.linalg.norm(direction)

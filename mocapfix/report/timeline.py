@@ -3,18 +3,24 @@
 Positions and widths are shares of the take's length, so that they scale with the page.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from mocapfix.faults import Fault
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.sample_states import SampleOutcome
 from mocapfix.report.terms import get_fault_group
 from mocapfix.take import Take, find_runs
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 
 MAX_TIME_TICKS = 6
 MAX_RESIDUAL_BINS = 500

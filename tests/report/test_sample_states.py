@@ -30,9 +30,7 @@ def test_samples_moved_to_another_label_are_reassigned_not_empty(scene):
 def test_input_states_are_suspect_relabelled_or_empty(scene):
     visible, faults = scene.comparison.input_take.visible, scene.comparison.faults
     state = classify_input_samples(visible, scene.comparison.sample_states)
-    np.testing.assert_array_equal(
-        state == SampleOutcome.SUSPECT, faults.compute_faulty_mask(scene.comparison.input_take)
-    )
+    np.testing.assert_array_equal(state == SampleOutcome.SUSPECT, faults.compute_faulty_mask(scene.comparison.input_take))
     np.testing.assert_array_equal(state == SampleOutcome.EMPTY, ~visible)
     relabelled = state == SampleOutcome.RELABELLED
     assert [column.sum() for column in relabelled.T if column.any()] == [20, 20]
