@@ -13,6 +13,7 @@ from mocapfix.calibrate import calibration as frames
 from mocapfix.calibrate import parameters, refinement
 from mocapfix.initialise import initial_motion
 from mocapfix.pose_prior import mean_pose as prior
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.solve.motion_solver import SolveOptions
@@ -70,7 +71,7 @@ def compute_mean_joint_errors(
     """-> (J,) metres: how far the joints of poses solved on a subject are off, on average."""
     start = initial_motion.initialise_motion(take, subject, body, mean_pose)
     motion = motion_solver.solve_motion(
-        take, subject, body, mean_pose, prior.load_joint_limits(body.skeleton), start, SolveOptions()
+        take, subject, body, mean_pose, load_joint_limits(body.skeleton), start, SolveOptions()
     )
     joints, _ = kinematics.compute_world_poses(subject.skeleton, motion)
     return np.linalg.norm(joints - truth.joint_positions, axis=2).mean(0)

@@ -18,6 +18,7 @@ from mocapfix.kernels.levenberg_marquardt import STATUS_ITERATION_LIMIT, compute
 from mocapfix.kernels.terms import count_rows
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose as prior
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.solve.motion_solver import SolveOptions
@@ -59,7 +60,7 @@ class StartOutcome(NamedTuple):
 def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) -> StartOutcome:
     """-> what becomes of a take from one start, `repeats` times: the median is the time, and of three leaves compilation out."""
     body, options = load_cmu31_body(), SolveOptions()
-    mean_pose, limits = prior.load_mean_pose_prior("mean-pose", body.skeleton), prior.load_joint_limits(body.skeleton)
+    mean_pose, limits = prior.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
     given = case.take, case.subject, body, mean_pose
 
     def start_and_solve() -> tuple[Motion, Motion, float, float]:

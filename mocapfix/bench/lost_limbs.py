@@ -15,6 +15,7 @@ from mocapfix.errors import ReadError
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
@@ -185,7 +186,7 @@ def draw_limb_gaps(motions: list[PerformedMotion], duration_s: float, count: int
 def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator[tuple[str, Motion]]:
     """Yield what the solve makes of the take with the gap, and each other way alone of the same solve, by name."""
     body, subject = load_cmu31_body(), build_full_marker_subject()
-    habits, limits = mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), mean_pose.load_joint_limits(body.skeleton)
+    habits, limits = mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
     worn = remove_limb_markers(gap, limb, subject)
     start = initial_motion.initialise_motion(worn, subject, body, habits)
     found = motion_solver.solve_motion(

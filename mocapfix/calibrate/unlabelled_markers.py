@@ -11,7 +11,8 @@ from mocapfix.errors import TakeError
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_sets import MarkerSet, load_shipped_marker_sets
 from mocapfix.motion import Motion
-from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.pose_prior.joint_limits import JointLimits
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import (

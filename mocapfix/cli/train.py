@@ -40,7 +40,7 @@ def run_train_prior(
             data,
             target,
             lambda what: status.update(f"{escape(target.name)}: {escape(what)}"),
-            interleaved,
+            is_interleaved=interleaved,
         )
     stdout_console.print(
         f"{escape(str(target))}: gives poses back to {scores.training_deg:.1f} degrees, and to {scores.held_out_deg:.1f} those "

@@ -13,7 +13,8 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_sets import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.pose_prior.joint_limits import JointLimits, load_joint_limits
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import (
@@ -63,7 +64,7 @@ def build_body_fitter(subject: Subject) -> BodyFitter:
     """-> the body of a subject."""
     body = load_cmu31_body()
     return BodyFitter(
-        body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), mean_pose.load_joint_limits(body.skeleton)
+        body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
     )
 
 

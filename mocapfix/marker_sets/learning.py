@@ -16,6 +16,7 @@ from mocapfix.calibrate.marker_set_fit import MarkerSetFit
 from mocapfix.errors import TakeError
 from mocapfix.marker_sets import MarkerSet, label_words
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.read import capture
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
@@ -134,7 +135,7 @@ def guess_marker_set(take: Take, labels: tuple[str, ...], like: str | Path | Non
             f"The labels of {len(guess.labels)} markers told about where they are; the rest is by how they move.",
         )
     body = load_cmu31_body()
-    limits = mean_pose.load_joint_limits(body.skeleton)
+    limits = load_joint_limits(body.skeleton)
     guess = unlabelled_markers.guess_from_marker_cloud(
         take, labels, body, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), limits
     )

@@ -1,21 +1,22 @@
-"""An autoencoder of poses (MNN-IK, section 3 and appendix A): a network that squeezes a pose through a few numbers.
+"""Autoencoder pose models (MNN-IK, section 3 and appendix A), and the naturalness measure of MNN-IK.
 
-The network's own code is of no particular size; here it is measured in the deviations that encoded poses have, so that a code
-costs half its square. What a network misses it misses in many joints at once, most of all of people it has not seen; so further
-numbers of the code are deviations along the directions in which poses stray from the network's.
+The scale of a network's code is arbitrary. Here the code is normalised by the covariance of the codes of training poses, so that
+its cost is half its sum of squares. The residuals of decoded poses are correlated between joints, above all for subjects that the
+network was not trained on; further code dimensions are amplitudes along the directions of these residuals.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from mocapfix.pose_prior.model import PoseModel, validate_tensors
+from mocapfix.pose_prior.model import Header, PoseModel, Tensors, validate_tensors
 from mocapfix.pose_prior.network import AutoencoderNetwork, NetworkArchitecture, build_network, propagate_slopes
 from mocapfix.pose_prior.pose_features import (
     FEATURE_TYPES,
@@ -25,18 +26,36 @@ from mocapfix.pose_prior.pose_features import (
     compute_tilt_tensor,
 )
 
-# MERGED: mocapfix.prior.autoencoder
-EVALUATION_BATCH_POSES = 512  # poses at once: memory stays small, and a larger batch is hardly faster
+EVALUATION_BATCH_POSES = 512  # larger batches need more memory and are hardly faster
+# The standard deviations of a model are inflated by this. In the fourth power that would leave g hardly any weight.
+NATURALNESS_SD_INFLATION = 2.0
+FIELD_OF_TENSOR = {
+    "middle": "reference_rotations",
+    "sigma": "residual_sd_rad",
+    "mean": "code_mean",
+    "spread": "code_cholesky",
+    "astray": "residual_directions",
+}
+ARCHITECTURE_FIELD_OF_KEY = {
+    "features": "input_features",
+    "gives": "output_features",
+    "hidden": "hidden_widths",
+    "code": "code_size",
+    "astray": "residual_directions",
+    "activation": "activation",
+    "straight": "skip_connection",
+}
+NETWORK_PREFIX = "network."  # of the names of the network's weights in a file
 
 
 @dataclass(frozen=True)
 class AutoencoderModel(PoseModel):
-    """A trained network.
+    """A trained autoencoder whose code has N dimensions of the network and P - N amplitudes of residuals.
 
-    shape   what it is made of: kind of features, hidden layers, code, activation
-    mean    (N,) of the network's own code of people's poses; that is mean + spread code, of the code's first N numbers
-    spread  (N, N) lower triangular
-    astray  (P - N, J, 3) radians: how poses stray from the network's, each row for one deviation of another number of the code
+    code_mean            (N,) mean of the network's code over the training poses
+    code_cholesky        (N, N) lower triangular: the network's code is code_mean + code_cholesky @ code[:N]
+    residual_directions  (P - N, J, 3) radians: residual of the decoded pose for one standard deviation of each further code
+                         dimension
     """
 
     architecture: NetworkArchitecture
@@ -44,14 +63,15 @@ class AutoencoderModel(PoseModel):
     code_mean: np.ndarray
     code_cholesky: np.ndarray
     residual_directions: np.ndarray
+    kind: ClassVar[str] = "autoencoder"
 
     @cached_property
     def input_features(self) -> PoseFeatures:
-        return FEATURE_TYPES[self.architecture.input_features](torch.as_tensor(self.reference_rotations, dtype=torch.float32))
+        return self._build_features(self.architecture.input_features)
 
     @cached_property
     def output_features(self) -> PoseFeatures:
-        return FEATURE_TYPES[self.architecture.output_features](torch.as_tensor(self.reference_rotations, dtype=torch.float32))
+        return self._build_features(self.architecture.output_features)
 
     @property
     def code_size(self) -> int:
@@ -61,41 +81,56 @@ class AutoencoderModel(PoseModel):
     def nonlinear_code_size(self) -> int:
         return len(self.code_mean)
 
-    def encode(self, pose_vectors: np.ndarray) -> np.ndarray:
-        """-> (N, P): the network's numbers, and the likeliest of the others beside these."""
-        own, decoded = evaluate_in_batches(self._encode_batch, pose_vectors)
-        axes = 3 * len(self.joint_names)
-        weights = (self.residual_directions / self.residual_sd_rad[:, None]).reshape(len(self.residual_directions), axes)
-        away = ((pose_vectors - decoded) / self.residual_sd_rad[:, None]).reshape(len(pose_vectors), axes)
-        others = np.linalg.solve(weights @ weights.T + np.eye(len(weights)), weights @ away.T).T
-        return np.concatenate([np.linalg.solve(self.code_cholesky, (own - self.code_mean).T).T, others], axis=1)
+    def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        """Return the codes of poses: the network's code, and the most probable residual amplitudes given the network's code."""
+        network_code, decoded = evaluate_in_batches(self._encode_batch, pose_vectors)
+        axis_count = 3 * len(self.joint_names)
+        sd = self.residual_sd_rad[:, None]
+        directions = (self.residual_directions / sd).reshape(len(self.residual_directions), axis_count)
+        residuals = ((pose_vectors - decoded) / sd).reshape(len(pose_vectors), axis_count)
+        amplitudes = np.linalg.solve(directions @ directions.T + np.eye(len(directions)), directions @ residuals.T).T
+        normalised = np.linalg.solve(self.code_cholesky, (network_code - self.code_mean).T).T
+        return np.concatenate([normalised, amplitudes], axis=1)
 
-    def decode(self, codes: np.ndarray) -> np.ndarray:
+    def decode(self, codes: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N J 3"]:
         (decoded,) = evaluate_in_batches(self._decode_batch, self._compute_network_code(codes))
         return decoded + self._compute_residual(codes)
 
-    def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        decoded, slopes = evaluate_in_batches(self._linearise_batch, self._compute_network_code(codes))
-        others = np.broadcast_to(np.moveaxis(self.residual_directions, 0, -1), (*decoded.shape, len(self.residual_directions)))
-        return decoded + self._compute_residual(codes), np.concatenate([slopes, others], axis=-1)
+    def linearise(self, codes: Float[np.ndarray, "N P"]) -> tuple[Float[np.ndarray, "N J 3"], Float[np.ndarray, "N J 3 P"]]:
+        decoded, jacobian = evaluate_in_batches(self._linearise_batch, self._compute_network_code(codes))
+        directions = np.moveaxis(self.residual_directions, 0, -1)
+        residual_jacobian = np.broadcast_to(directions, (*decoded.shape, len(self.residual_directions)))
+        return decoded + self._compute_residual(codes), np.concatenate([jacobian, residual_jacobian], axis=-1)
 
-    def serialise(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """Half precision for the weights: sigma, mean and spread were measured after rounding them."""
-        weights = {f"network.{name}": w.numpy().astype(np.float16) for name, w in self.network.state_dict().items()}
-        tensors = {name: getattr(self, name).astype(np.float32) for name in ("middle", "sigma", "mean", "spread", "astray")}
-        return {"shape": asdict(self.architecture)}, tensors | weights
+    def serialise(self) -> tuple[Header, Tensors]:
+        """Return header and tensors; the weights in half precision, for which standard deviations and code scale were
+        estimated."""
+        weights = {_name_file_weight(name): w.numpy().astype(np.float16) for name, w in self.network.state_dict().items()}
+        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
+        shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}
+        return {"shape": shape}, tensors | weights
 
     @classmethod
-    def deserialise(cls, joint_names: tuple[str, ...], header: dict, tensors: dict[str, np.ndarray]) -> "AutoencoderModel":
-        shape = NetworkArchitecture(**header["shape"] | {"hidden": tuple(header["shape"]["hidden"])})
-        weights = {name: tensors.pop(name) for name in list(tensors) if name.startswith("network.")}
-        count, size = len(joint_names), shape.code_size
-        shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (size,), "spread": (size, size)}
-        known = validate_tensors(tensors, **shapes, astray=(shape.residual_directions, count, 3))
-        network = build_network(shape, known["middle"])
-        state = {name.removeprefix("network."): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "AutoencoderModel":
+        shape = header["shape"] | {"hidden": tuple(header["shape"]["hidden"])}
+        architecture = NetworkArchitecture(**{ARCHITECTURE_FIELD_OF_KEY[key]: value for key, value in shape.items()})
+        weights = {name: tensors.pop(name) for name in list(tensors) if name.startswith(NETWORK_PREFIX)}
+        joint_count, size = len(joint_names), architecture.code_size
+        shapes = {
+            "middle": (joint_count, 3, 3),
+            "sigma": (joint_count,),
+            "mean": (size,),
+            "spread": (size, size),
+            "astray": (architecture.residual_directions, joint_count, 3),
+        }
+        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        network = build_network(architecture, fields["reference_rotations"])
+        state = {_name_module_weight(name): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
         network.load_state_dict(state, strict=True)
-        return cls(joint_names, known.pop("middle"), known.pop("sigma"), shape, network.eval(), **known)
+        return cls(joint_names, architecture=architecture, network=network.eval(), **fields)
+
+    def _build_features(self, kind: str) -> PoseFeatures:
+        return FEATURE_TYPES[kind](torch.as_tensor(self.reference_rotations, dtype=torch.float32))
 
     def _compute_network_code(self, codes: np.ndarray) -> np.ndarray:
         return self.code_mean + codes[:, : len(self.code_mean)] @ self.code_cholesky.T
@@ -104,73 +139,53 @@ class AutoencoderModel(PoseModel):
         return np.tensordot(codes[:, len(self.code_mean) :], self.residual_directions, 1)
 
     def _encode_batch(self, vectors: Tensor) -> tuple[Tensor, Tensor]:
-        own = self.network.encoder(self.input_features.compute_features(vectors))
-        return own, *self._decode_batch(own)
+        network_code = self.network.encoder(self.input_features.compute_features(vectors))
+        return network_code, *self._decode_batch(network_code)
 
-    def _decode_batch(self, own: Tensor) -> tuple[Tensor]:
-        return (self.output_features.compute_vectors(self.network.decoder(own)),)
+    def _decode_batch(self, network_code: Tensor) -> tuple[Tensor]:
+        return (self.output_features.compute_vectors(self.network.decoder(network_code)),)
 
-    def _linearise_batch(self, own: Tensor) -> tuple[Tensor, Tensor]:
-        features, slopes = propagate_slopes(self.network.decoder, own, torch.as_tensor(self.code_cholesky.T, dtype=torch.float32))
+    def _linearise_batch(self, network_code: Tensor) -> tuple[Tensor, Tensor]:
+        directions = torch.as_tensor(self.code_cholesky.T, dtype=torch.float32)
+        features, slopes = propagate_slopes(self.network.decoder, network_code, directions)
         return self.output_features.linearise_vectors(features, slopes)
-
-
-@contextmanager
-def use_one_torch_thread() -> Iterator[None]:
-    """Let torch use one core for what this thread asks of it."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def evaluate_in_batches(function: Callable[[Tensor], tuple[Tensor, ...]], rows: np.ndarray) -> list[np.ndarray]:
-    """-> float64, what a function of torch says of the rows, a batch at a time.
-
-    On one core: those who want more call it from several threads, which then need not wait for each other after every layer.
-    """
-    with torch.no_grad(), use_one_torch_thread():
-        parts = [function(part) for part in torch.as_tensor(np.asarray(rows, np.float32)).split(EVALUATION_BATCH_POSES)]
-        return [torch.cat(said).double().numpy() for said in zip(*parts, strict=True)]
-
-
-# MERGED: mocapfix.prior.naturalness
-# MNN-IK's own way to use its network (Eq. 3.3): one number, g, by how much the network changes a pose.
-#
-#     g(theta) = |theta - decoder(encoder(theta))|^2,   theta the 93 Euler angles
-#
-# Small for people's poses, of which the network has seen many. It stands in the solve as one dense row (kernels.terms.whole).
-SIGMA_INFLATION = 2.0  # of sigma, over what unseen people stray: to the fourth power it would leave g without a say
 
 
 @dataclass(frozen=True)
 class NaturalnessModel:
-    """How far from people's a pose is, by an autoencoder on Euler angles; in the solve it has no code."""
+    """MNN-IK's naturalness measure (Eq. 3.3): the change that an autoencoder of Euler angles makes to a pose.
+
+        g(theta) = |theta - decoder(encoder(theta))|^2,   theta the 93 Euler angles
+
+    It is small for poses like those of the training subjects. It has no code; in the solver it is one dense row
+    (`kernels.terms.scalar`).
+    """
 
     autoencoder: AutoencoderModel
     code_size: ClassVar[int] = 0
     is_linear: ClassVar[bool] = False
 
     def __post_init__(self):
-        if (self.autoencoder.architecture.input_features, self.autoencoder.architecture.output_features) != ("euler", "euler"):
-            raise ValueError("naturalness is measured in Euler angles; this network is told or gives others")
+        architecture = self.autoencoder.architecture
+        if (architecture.input_features, architecture.output_features) != ("euler", "euler"):
+            raise ValueError("naturalness needs a network with Euler angles as input and output features")
 
     @property
     def naturalness_sd(self) -> float:
-        """-> rad^2, by how much g differs among people whom the network has not seen: a sum of squares of normal angles."""
-        return float(np.sqrt(6 * ((self.autoencoder.residual_sd_rad / SIGMA_INFLATION) ** 4).sum()))
+        """Standard deviation of g in rad^2 over the poses of held-out subjects: that of a sum of squares of normal angles."""
+        sd = self.autoencoder.residual_sd_rad / NATURALNESS_SD_INFLATION
+        return float(np.sqrt(6 * (sd**4).sum()))
 
-    def evaluate(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """-> (N,) rad^2, g of poses, local rotations (N, J, 3, 3), and how it changes as each joint turns, (N, J, 3) rad.
+    def evaluate(self, local: Float[np.ndarray, "N J 3 3"]) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N J 3"]]:
+        """Return g of poses in rad^2 and its gradient in rad, given local joint rotations.
 
-        The turns are rotation vectors in the parents' axes, the root's in the world's. Its heading makes no difference.
+        The gradient is with respect to rotation vectors of the joints in the axes of their parents, of the root in the world. The
+        root's heading does not affect g.
         """
         with use_one_torch_thread():
             parts = [self._evaluate_batch(part) for part in torch.as_tensor(local).split(EVALUATION_BATCH_POSES)]
-        value, gradient = (torch.cat(part).numpy().astype(float) for part in zip(*parts, strict=True))
-        return value, gradient
+        values, gradients = (torch.cat(part).numpy().astype(float) for part in zip(*parts, strict=True))
+        return values, gradients
 
     def _evaluate_batch(self, local: Tensor) -> tuple[Tensor, Tensor]:
         network = self.autoencoder.network
@@ -181,3 +196,34 @@ class NaturalnessModel:
         theta = compute_euler_tensor(torch.cat([tilt, turned[:, 1:]], 1)).flatten(-2)
         value = ((theta - network(theta)) ** 2).sum(-1)
         return value.detach(), torch.autograd.grad(value.sum(), turn)[0]
+
+
+@contextmanager
+def use_one_torch_thread() -> Iterator[None]:
+    """Limit torch to one thread inside the context."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def evaluate_in_batches(function: Callable[[Tensor], tuple[Tensor, ...]], rows: np.ndarray) -> list[np.ndarray]:
+    """Return the outputs (N, ...) of a torch function for rows (N, ...), as float64.
+
+    Torch uses one thread. Callers run this in several threads instead, which avoids synchronisation after every layer.
+    """
+    with torch.no_grad(), use_one_torch_thread():
+        parts = [function(part) for part in torch.as_tensor(np.asarray(rows, np.float32)).split(EVALUATION_BATCH_POSES)]
+        return [torch.cat(outputs).double().numpy() for outputs in zip(*parts, strict=True)]
+
+
+def _name_file_weight(name: str) -> str:
+    """Return the name in a weights file of a weight of the network."""
+    return NETWORK_PREFIX + name.replace("0.layers.", "0.bent.").replace("0.skip.", "0.straight.")
+
+
+def _name_module_weight(name: str) -> str:
+    """Return the name in the network of a weight in a weights file."""
+    return name.removeprefix(NETWORK_PREFIX).replace("0.bent.", "0.layers.").replace("0.straight.", "0.skip.")

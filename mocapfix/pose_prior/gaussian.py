@@ -1,49 +1,64 @@
-"""Poses as a Gaussian: a mean and components, each one standard deviation of the code.
+"""Linear Gaussian pose models: a mean pose and components, each scaled to one standard deviation of the code.
 
-With few components this is probabilistic principal components (Tipping and Bishop, 1999, Eqs. 5-8), with as many as stand out
-of the noise the full Gaussian.
+With few components this is probabilistic principal component analysis (Tipping and Bishop, 1999, Eqs. 5-8); with all components
+above the noise it is the full Gaussian.
 """
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
-from mocapfix.pose_prior.model import PoseModel, validate_tensors
+from mocapfix.pose_prior.model import Header, PoseModel, Tensors, validate_tensors
+
+FIELD_OF_TENSOR = {
+    "middle": "reference_rotations",
+    "sigma": "residual_sd_rad",
+    "mean": "mean_vectors",
+    "components": "components",
+}
 
 
 @dataclass(frozen=True)
 class GaussianModel(PoseModel):
-    """mean (J, 3) and components (P, J, 3) in radians; noise, radians: the deviation of each axis about them."""
+    """A Gaussian with P components.
+
+    mean_vectors  (J, 3) radians: rotation vectors from the reference pose to the mean pose
+    components    (P, J, 3) radians: each is one standard deviation
+    noise_sd_rad  radians: standard deviation of each axis around mean and components
+    """
 
     mean_vectors: np.ndarray
     components: np.ndarray
     noise_sd_rad: float
+    kind: ClassVar[str] = "linear"
     is_linear: ClassVar[bool] = True
 
     @property
     def code_size(self) -> int:
         return len(self.components)
 
-    def encode(self, pose_vectors: np.ndarray) -> np.ndarray:
-        """-> (N, P) the mean of the codes that a pose may have (Tipping and Bishop, Eq. 8)."""
+    def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        """Return the posterior mean of the codes of poses (Tipping and Bishop, Eq. 8)."""
         w = self.components.reshape(self.code_size, -1)
-        away = (pose_vectors - self.mean_vectors).reshape(len(pose_vectors), -1)
-        return np.linalg.solve(w @ w.T + self.noise_sd_rad**2 * np.eye(self.code_size), w @ away.T).T
+        deviation = (pose_vectors - self.mean_vectors).reshape(len(pose_vectors), -1)
+        return np.linalg.solve(w @ w.T + self.noise_sd_rad**2 * np.eye(self.code_size), w @ deviation.T).T
 
-    def decode(self, codes: np.ndarray) -> np.ndarray:
+    def decode(self, codes: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N J 3"]:
         return self.mean_vectors + np.tensordot(codes, self.components, 1)
 
-    def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        slope = np.moveaxis(self.components, 0, -1)
-        return self.decode(codes), np.broadcast_to(slope, (len(codes), *slope.shape))
+    def linearise(self, codes: Float[np.ndarray, "N P"]) -> tuple[Float[np.ndarray, "N J 3"], Float[np.ndarray, "N J 3 P"]]:
+        jacobian = np.moveaxis(self.components, 0, -1)
+        return self.decode(codes), np.broadcast_to(jacobian, (len(codes), *jacobian.shape))
 
-    def serialise(self) -> tuple[dict, dict[str, np.ndarray]]:
-        tensors = {name: getattr(self, name).astype(np.float32) for name in ("middle", "sigma", "mean", "components")}
+    def serialise(self) -> tuple[Header, Tensors]:
+        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
         return {"noise": self.noise_sd_rad}, tensors
 
     @classmethod
-    def deserialise(cls, joint_names: tuple[str, ...], header: dict, tensors: dict[str, np.ndarray]) -> "GaussianModel":
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "GaussianModel":
         count, size = len(joint_names), len(tensors["components"])
         shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (count, 3), "components": (size, count, 3)}
-        return cls(joint_names, **validate_tensors(tensors, **shapes), noise_sd_rad=float(header["noise"]))
+        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        return cls(joint_names, **fields, noise_sd_rad=float(header["noise"]))

@@ -1,4 +1,4 @@
-"""Trained models as files: NAME.safetensors, whose header says of what kind the model is and for which joints."""
+"""Weights files of trained pose models: NAME.safetensors, whose header holds the kind of the model and its joints."""
 
 import json
 from pathlib import Path
@@ -13,65 +13,67 @@ from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton
 
-OTHER_WEIGHT_FILES = ("twist",)  # on the shelf of weights, but no model of poses
-MNN_IK = "mnn-ik"  # which stands in a solve in another way, as one number, so that benchmarks can compare it
+OTHER_WEIGHT_FILES = ("twist",)  # weights in priors/ that are not pose models
+MNN_IK = "mnn-ik"  # enters the solver as one scalar, unlike the other models; used by the benchmarks only
 
 
 def find_pose_model(name: str) -> Path:
-    """-> where the model is that is shipped as priors/NAME.safetensors, or the file, where `name` ends so.
+    """Return the path of the model shipped as priors/NAME.safetensors, or `name` itself if it ends in .safetensors.
 
-    Raises SceneError naming the models there are; also for the paper's, which goes by its file alone.
+    Raises SceneError that lists the available models if there is none; also for MNN-IK, which is available by its path only.
     """
     path = Path(name) if name.endswith(".safetensors") else find_shipped_folder("priors") / f"{Path(name).name}.safetensors"
-    shelf = {each.stem for each in find_shipped_folder("priors").glob("*.safetensors")}
-    there = ", ".join(sorted(shelf - {MNN_IK, *OTHER_WEIGHT_FILES}))
+    shipped = {each.stem for each in find_shipped_folder("priors").glob("*.safetensors")}
+    available = ", ".join(sorted(shipped - {MNN_IK, *OTHER_WEIGHT_FILES}))
     if name == MNN_IK:
-        raise SceneError(f"Only mocapfix bench prior asks {name!r}, to compare it with the others; choose one of: {there}.")
+        raise SceneError(f"The prior {name!r} is available in mocapfix bench prior only; choose one of: {available}.")
     if not path.is_file() or name in OTHER_WEIGHT_FILES:
-        raise SceneError(f"There is no trained prior {name!r}; choose one of: {there}; or give a .safetensors file.")
+        raise SceneError(f"There is no trained prior {name!r}; choose one of: {available}; or give a .safetensors file.")
     return path
 
 
 def load_pose_model(name: str, skeleton: Skeleton) -> PoseModel:
-    """-> the model that `find` finds.
+    """Return the model that `find_pose_model` finds.
 
-    Raises SceneError naming the models there are; or the file, where it holds none or one of another skeleton.
+    Raises SceneError that lists the available models if there is none, or names the file if it is invalid or was trained for
+    another skeleton.
     """
     path = find_pose_model(name)
     try:
         with safe_open(path, "numpy") as file:
-            said = json.loads((file.metadata() or {}).get("mocapfix", "null"))
-            if said is None:
-                raise ValueError("it does not say what kind of model it holds")
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (it is no mapping)
-        joints = tuple(said.pop("joints"))
-        if joints == skeleton.names:
-            return get_model_class(said.pop("kind")).deserialise(joints, said, tensors)
+            header = json.loads((file.metadata() or {}).get("mocapfix", "null"))
+            if header is None:
+                raise ValueError("the header does not give the kind of the model")
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (safe_open is not a mapping)
+        joint_names = tuple(header.pop("joints"))
+        if joint_names == skeleton.names:
+            return get_model_class(header.pop("kind")).deserialise(joint_names, header, tensors)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise SceneError(f"{path}: is no prior that mocapfix trained ({' '.join(str(error).split())}).") from error
-    raise SceneError(f"{path}: was trained for the joints {', '.join(joints)}, in this order; the skeleton has others.")
+        raise SceneError(f"{path}: is not a prior trained by mocapfix ({' '.join(str(error).split())}).") from error
+    joints = ", ".join(joint_names)
+    raise SceneError(f"{path}: was trained for the joints {joints}, in this order; the joints of the skeleton differ.")
 
 
 def save_pose_model(path: Path, model: PoseModel) -> None:
-    """Put a model into place, whole or not at all. Raises WriteError where the folder cannot be written."""
-    said, tensors = model.serialise()
-    header = {"mocapfix": json.dumps({"kind": type(model).__name__.lower(), "joints": model.joint_names, **said})}
-    with replace_atomically(path) as part:
-        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, part, header)
+    """Write a model, replacing the file atomically. Raises WriteError if the folder cannot be written."""
+    header, tensors = model.serialise()
+    metadata = {"mocapfix": json.dumps({"kind": model.kind, "joints": model.joint_names, **header})}
+    with replace_atomically(path) as temporary:
+        save_file({name: np.ascontiguousarray(values) for name, values in tensors.items()}, temporary, metadata)
 
 
-def get_model_class(name: str) -> type[PoseModel]:
-    """-> the class of models; only a network's brings torch with it."""
-    if name == "linear":
+def get_model_class(kind: str) -> type[PoseModel]:
+    """Return the class of models of a kind. Only the class of neural networks imports torch."""
+    if kind == "linear":
         from mocapfix.pose_prior.gaussian import GaussianModel
 
         return GaussianModel
-    if name == "mixture":
+    if kind == "mixture":
         from mocapfix.pose_prior.mixture import MixtureModel
 
         return MixtureModel
-    if name == "autoencoder":
+    if kind == "autoencoder":
         from mocapfix.pose_prior.autoencoder import AutoencoderModel
 
         return AutoencoderModel
-    raise ValueError(f"of a kind {name!r} that is not known")
+    raise ValueError(f"the kind {kind!r} is unknown")

@@ -1,29 +1,32 @@
-"""What people's poses are like, where nothing else tells: the mean pose and the joint limits; trained models in `models`."""
+"""The mean-pose prior: the mean rotation of every joint, and the covariance of poses around it."""
 
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
-# on the shelf of priors, but not of this kind: the last six say how a model was trained
+NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
+# YAML files in priors/ that are not mean-pose priors; the last six are training settings.
 OTHER_PRIOR_FILES = ("joint-limits", "shape", "autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist")
 
 
 @dataclass(frozen=True)
 class MeanPosePrior:
-    """A mean pose and how far each joint strays from it.
+    """A mean pose and the inverse covariance of the poses around it.
 
-    rotations    (J, 3, 3) local joint rotations; the root's is the identity and never used
-    information  (J, 3, 3) inverse covariance, in 1/rad^2, of the rotation vector from the mean pose to a pose, in the
-                 axes of the joint's parent; zero for the root, of which the prior knows nothing
-    held         (J, 3, 3) the part of it about axes that the skeleton itself holds: hinges and fixed joints
-    between      (J, 3, 3) rad^2: the covariance of a take's mean pose about people's, nothing about the held axes
+    mean_rotations            (J, 3, 3) local joint rotations; the root's is the identity and is not used
+    information               (J, 3, 3) 1/rad^2: inverse covariance of the rotation vector from the mean pose to a pose, in the
+                              axes of the joint's parent; zero for the root, whose rotation the prior does not constrain
+    locked_information        (J, 3, 3) 1/rad^2: the part of `information` about locked axes, in which the skeleton does not
+                              rotate (fixed joints, and hinges across their axis)
+    between_take_covariance   (J, 3, 3) rad^2: covariance of the mean poses of takes; zero about locked axes
     """
 
     name: str
@@ -33,93 +36,70 @@ class MeanPosePrior:
     between_take_covariance: np.ndarray
 
     def scale_information(self, scale: float) -> "MeanPosePrior":
-        """-> the same mean pose, its information times `weight` but for the held axes.
+        """Return the prior with its information multiplied by `scale`, except about locked axes.
 
-        What the skeleton holds is true in every frame; the rest is people's habit, which a take need not share.
+        Locked axes are a property of the skeleton and apply to every frame. The rest are habits of people, which vary between
+        takes.
         """
         return replace(self, information=scale * (self.information - self.locked_information) + self.locked_information)
 
     def build_within_take_prior(self) -> "MeanPosePrior":
-        """-> what a take's poses are like about their own mean, which strays from people's by `between`: variances add up."""
+        """Return the prior of a take's poses around the take's own mean pose.
+
+        Total covariance is the sum of the covariance within takes and between takes.
+        """
         information = self.information.copy()
         information[1:] = np.linalg.inv(np.linalg.inv(self.information[1:]) - self.between_take_covariance[1:])
         return replace(self, information=information)
 
 
-@dataclass(frozen=True)
-class JointLimits:
-    """How far each joint turns from the mean pose, along the axes of its parent.
-
-    rotations    (J, 3, 3) local joint rotations of the mean pose, as in Prior
-    low, high    (J, 3) radians: between them lies the rotation vector from the mean pose to a person's pose; infinite for
-                 the root
-    """
-
-    mean_rotations: np.ndarray
-    lower_rad: np.ndarray
-    upper_rad: np.ndarray
-
-
 def load_mean_pose_prior(name: str, skeleton: Skeleton) -> MeanPosePrior:
-    """-> the prior shipped as priors/NAME.yaml; "none" is the rest pose, held so weakly that it only breaks ties.
+    """Return the prior shipped as priors/NAME.yaml, or for "none" the rest pose with a standard deviation of NO_PRIOR_SD_RAD.
 
-    Raises SceneError naming the priors there are.
+    Raises SceneError that lists the available priors if there is none of this name.
     """
-    joints = len(skeleton.names)
+    joint_count = len(skeleton.names)
     if name == "none":
-        weak = np.tile(np.eye(3) / 3.0**2, (joints, 1, 1))
-        weak[0] = 0
-        eye = np.tile(np.eye(3), (joints, 1, 1))
-        return MeanPosePrior(name, eye, weak, np.zeros_like(weak), eye * 3.0**2 / 2)
+        information = np.tile(np.eye(3) / NO_PRIOR_SD_RAD**2, (joint_count, 1, 1))
+        information[0] = 0
+        identity = np.tile(np.eye(3), (joint_count, 1, 1))
+        return MeanPosePrior(name, identity, information, np.zeros_like(information), identity * NO_PRIOR_SD_RAD**2 / 2)
     path = find_shipped_folder("priors") / f"{Path(name).name}.yaml"
     if not path.is_file() or path.stem in OTHER_PRIOR_FILES:
-        there = ", ".join(sorted(p.stem for p in find_shipped_folder("priors").glob("*.yaml") if p.stem not in OTHER_PRIOR_FILES))
-        raise SceneError(f"There is no prior named {name!r}; choose one of: {there}, none.")
+        available = sorted(p.stem for p in find_shipped_folder("priors").glob("*.yaml") if p.stem not in OTHER_PRIOR_FILES)
+        raise SceneError(f"There is no prior named {name!r}; choose one of: {', '.join(available)}, none.")
     return read_mean_pose_prior(path, skeleton.names)
 
 
 @cache
 def read_mean_pose_prior(path: Path, joint_names: tuple[str, ...]) -> MeanPosePrior:
-    """-> the prior in a file, for joints of these names; read once. Raises SceneError where it does not say what it must."""
-    data, joints = read_yaml(path), len(joint_names)
-    rotations, (information, held, between) = np.tile(np.eye(3), (joints, 1, 1)), np.zeros((3, joints, 3, 3))
+    """Return the prior in a file, for joints of these names. The file is read once.
+
+    Raises SceneError if a joint of the file is missing or incomplete.
+    """
+    data, joint_count = read_yaml(path), len(joint_names)
+    mean_rotations = np.tile(np.eye(3), (joint_count, 1, 1))
+    information, locked_information, between_take_covariance = np.zeros((3, joint_count, 3, 3))
     for j, joint in enumerate(joint_names[1:], start=1):
         try:
-            said = data["joints"][joint]
-            rotations[j] = Rotation.from_quat(said["quaternion_xyzw"]).as_matrix()
-            covariance, between[j] = build_symmetric_matrix(said["covariance"]), build_symmetric_matrix(said["between"])
-            np.linalg.cholesky(covariance - between[j])  # there is no more between takes than there is altogether
+            entry = data["joints"][joint]
+            mean_rotations[j] = Rotation.from_quat(entry["quaternion_xyzw"]).as_matrix()
+            covariance = build_symmetric_matrix(entry["covariance"])
+            between_take_covariance[j] = build_symmetric_matrix(entry["between_takes"])
+            np.linalg.cholesky(covariance - between_take_covariance[j])  # the covariance within takes is positive definite
             information[j] = np.linalg.inv(covariance)
-            for axis in np.array(said["held"], float).reshape(-1, 3):  # held axes are axes of the covariance
-                held[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
+            for axis in np.array(entry["locked_axes"], float).reshape(-1, 3):  # locked axes are principal axes of the covariance
+                locked_information[j] += (axis @ information[j] @ axis) * np.outer(axis, axis)
         except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
-            keys = "quaternion_xyzw, covariance and between (xx, yy, zz, xy, xz, yz) and held"
+            keys = "quaternion_xyzw, covariance and between_takes (xx, yy, zz, xy, xz, yz) and locked_axes"
             raise SceneError(f"{path}: joints.{joint} must hold {keys}.") from error
-    return MeanPosePrior(path.stem, rotations, information, held, between)
+    return MeanPosePrior(path.stem, mean_rotations, information, locked_information, between_take_covariance)
 
 
-def build_symmetric_matrix(entries: list) -> np.ndarray:
-    """-> (3, 3) of its six numbers. Raises TypeError or ValueError where they are none."""
+def build_symmetric_matrix(entries: list[float]) -> Float[np.ndarray, "3 3"]:
+    """Return the symmetric matrix of its entries xx, yy, zz, xy, xz, yz.
+
+    Raises TypeError or ValueError unless these are six numbers.
+    """
     xx, yy, zz, xy, xz, yz = (float(v) for v in entries)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def load_joint_limits(skeleton: Skeleton) -> JointLimits:
-    """-> the joint limits shipped as priors/joint-limits.yaml.
-
-    Raises SceneError naming the file and the joint that does not say what it must.
-    """
-    path, rotations = (
-        find_shipped_folder("priors") / "joint-limits.yaml",
-        load_mean_pose_prior("mean-pose", skeleton).mean_rotations,
-    )
-    data, bounds = read_yaml(path), np.full((2, len(skeleton.names), 3), np.inf)
-    bounds[0, 0] = -np.inf
-    for j, joint in enumerate(skeleton.names[1:], start=1):
-        try:
-            bounds[:, j] = [[float(v) for v in data["joints"][joint][side]] for side in ("low", "high")]
-        except (KeyError, TypeError, ValueError) as error:
-            raise SceneError(f"{path}: joints.{joint} must hold low and high (x, y, z).") from error
-        if not (bounds[0, j] < bounds[1, j]).all():
-            raise SceneError(f"{path}: joints.{joint} has a low that is not below its high.")
-    return JointLimits(rotations, *bounds)

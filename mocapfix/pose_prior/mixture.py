@@ -1,27 +1,39 @@
-"""Poses as a mixture of Gaussians (Wei and Chai, IEEE Computer Graphics and Applications, 2011): reduced linearly, then a density
-of many components.
+"""Gaussian mixture pose models (Wei and Chai, IEEE Computer Graphics and Applications, 2011).
 
-The components compete: a pose is told by the one in which it costs least, with that one's linear decoder, and belongs to another
-as soon as that is cheaper. `near` says to which.
+Poses are projected onto principal axes, and their density there is a mixture of Gaussians. A pose is described by the component
+of least cost, with the linear decoder of that component. `select_components` selects that component for each pose.
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
-from mocapfix.pose_prior.model import PoseModel, validate_tensors
+from mocapfix.pose_prior.model import Header, PoseModel, Tensors, validate_tensors
+
+FIELD_OF_TENSOR = {
+    "middle": "reference_rotations",
+    "sigma": "residual_sd_rad",
+    "mean": "mean_vectors",
+    "axes": "principal_axes",
+    "weights": "component_weights",
+    "centres": "component_means",
+    "spreads": "component_cholesky",
+}
 
 
 @dataclass(frozen=True)
 class MixtureModel(PoseModel):
-    """C Gaussians in a space of P numbers, which are a pose's coordinates along `axes`.
+    """C Gaussians in the P coordinates of a pose along the principal axes.
 
-    mean     (J, 3) radians
-    axes     (P, J, 3) of unit length and across each other
-    weights  (C,) of the components; their sum is 1
-    centres  (C, P) radians
-    spreads  (C, P, P) radians, lower triangular: a code of the component c is at centres[c] + spreads[c] code
-    chosen   (N,) or (1,): of which component the codes are
+    mean_vectors        (J, 3) radians
+    principal_axes      (P, J, 3) orthonormal
+    component_weights   (C,), their sum is 1
+    component_means     (C, P) radians
+    component_cholesky  (C, P, P) radians, lower triangular: Cholesky factor of the covariance of each component. A code of the
+                        component c is at component_means[c] + component_cholesky[c] @ code
+    component_index     (N,) or (1,): the component of each code
     """
 
     mean_vectors: np.ndarray
@@ -30,61 +42,67 @@ class MixtureModel(PoseModel):
     component_means: np.ndarray
     component_cholesky: np.ndarray
     component_index: np.ndarray
+    kind: ClassVar[str] = "mixture"
 
     @property
     def code_size(self) -> int:
         return len(self.principal_axes)
 
-    def project_poses(self, pose_vectors: np.ndarray) -> np.ndarray:
-        """-> (N, P) radians, poses' coordinates along the axes."""
-        return (pose_vectors - self.mean_vectors).reshape(len(pose_vectors), -1) @ self.principal_axes.reshape(
-            self.code_size, -1
-        ).T
+    def project_poses(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        """Return the coordinates of poses along the principal axes, in radians."""
+        deviation = (pose_vectors - self.mean_vectors).reshape(len(pose_vectors), -1)
+        return deviation @ self.principal_axes.reshape(self.code_size, -1).T
 
     @property
-    def component_offsets(self) -> np.ndarray:
-        """-> (C,) what a component costs beside half the square of the code: the logarithm of its spread over its weight."""
-        return np.log(np.diagonal(self.component_cholesky, axis1=1, axis2=2)).sum(1) - np.log(self.component_weights)
+    def component_offsets(self) -> Float[np.ndarray, " C"]:
+        """The cost of a component besides half the squared code: log of the determinant of its Cholesky factor minus log
+        weight."""
+        log_determinant = np.log(np.diagonal(self.component_cholesky, axis1=1, axis2=2)).sum(1)
+        return log_determinant - np.log(self.component_weights)
 
-    def compute_component_costs(self, pose_vectors: np.ndarray) -> np.ndarray:
-        """-> (N, C) what poses cost in each component: but for a constant, the negative logarithm of density times weight."""
-        rows, parts = self.project_poses(pose_vectors), np.empty((len(self.component_weights), len(pose_vectors)))
-        for part, centre, spread, offset in zip(
-            parts, self.component_means, self.component_cholesky, self.component_offsets, strict=True
-        ):
-            part[:] = 0.5 * (np.linalg.solve(spread, (rows - centre).T) ** 2).sum(0) + offset
-        return parts.T
+    def compute_component_costs(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N C"]:
+        """Return the negative logarithm of weight times density of poses in each component, up to a constant."""
+        rows, costs = self.project_poses(pose_vectors), np.empty((len(self.component_weights), len(pose_vectors)))
+        components = zip(costs, self.component_means, self.component_cholesky, self.component_offsets, strict=True)
+        for cost, mean, cholesky, offset in components:
+            cost[:] = 0.5 * (np.linalg.solve(cholesky, (rows - mean).T) ** 2).sum(0) + offset
+        return costs.T
 
-    def select_components(self, pose_vectors: np.ndarray) -> "MixtureModel":
-        """-> the same mixture, the codes of which are each of the component in which that pose costs least."""
+    def select_components(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> "MixtureModel":
+        """Return the mixture whose n-th code belongs to the component of least cost for the n-th pose."""
         return replace(self, component_index=self.compute_component_costs(pose_vectors).argmin(1))
 
-    def encode(self, pose_vectors: np.ndarray) -> np.ndarray:
-        away = self.project_poses(pose_vectors) - self.component_means[self.component_index]
-        return np.linalg.solve(self._take_selected(self.component_cholesky, away), away[..., None])[..., 0]
+    def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        deviation = self.project_poses(pose_vectors) - self.component_means[self.component_index]
+        return np.linalg.solve(self._take_selected(self.component_cholesky, deviation), deviation[..., None])[..., 0]
 
-    def decode(self, codes: np.ndarray) -> np.ndarray:
-        rows = self.component_means[self.component_index] + np.einsum(
-            "npq,nq->np", self._take_selected(self.component_cholesky, codes), codes
-        )
+    def decode(self, codes: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N J 3"]:
+        cholesky = self._take_selected(self.component_cholesky, codes)
+        rows = self.component_means[self.component_index] + np.einsum("npq,nq->np", cholesky, codes)
         return self.mean_vectors + np.tensordot(rows, self.principal_axes, 1)
 
-    def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self.decode(codes), np.einsum(
-            "paj,npq->najq", self.principal_axes, self._take_selected(self.component_cholesky, codes)
-        )
+    def linearise(self, codes: Float[np.ndarray, "N P"]) -> tuple[Float[np.ndarray, "N J 3"], Float[np.ndarray, "N J 3 P"]]:
+        cholesky = self._take_selected(self.component_cholesky, codes)
+        return self.decode(codes), np.einsum("paj,npq->najq", self.principal_axes, cholesky)
 
-    def serialise(self) -> tuple[dict, dict[str, np.ndarray]]:
-        names = ("middle", "sigma", "mean", "axes", "weights", "centres", "spreads")
-        return {}, {name: getattr(self, name).astype(np.float32) for name in names}
+    def serialise(self) -> tuple[Header, Tensors]:
+        return {}, {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
 
     @classmethod
-    def deserialise(cls, joint_names: tuple[str, ...], header: dict, tensors: dict[str, np.ndarray]) -> "MixtureModel":
-        count, (parts, size) = len(joint_names), tensors["centres"].shape
-        poses = {"middle": (count, 3, 3), "sigma": (count,), "mean": (count, 3), "axes": (size, count, 3)}
-        known = validate_tensors(tensors, **poses, weights=(parts,), centres=(parts, size), spreads=(parts, size, size))
-        return cls(joint_names, **known, component_index=np.zeros(1, int))
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "MixtureModel":
+        joint_count, (component_count, size) = len(joint_names), tensors["centres"].shape
+        shapes = {
+            "middle": (joint_count, 3, 3),
+            "sigma": (joint_count,),
+            "mean": (joint_count, 3),
+            "axes": (size, joint_count, 3),
+            "weights": (component_count,),
+            "centres": (component_count, size),
+            "spreads": (component_count, size, size),
+        }
+        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        return cls(joint_names, **fields, component_index=np.zeros(1, int))
 
     def _take_selected(self, component_values: np.ndarray, codes: np.ndarray) -> np.ndarray:
-        """-> (N, ...) what the component of each of the codes (N, P) has."""
+        """Return (N, ...) the values (C, ...) of the component that each code (N, P) belongs to."""
         return np.broadcast_to(component_values[self.component_index], (len(codes), *component_values.shape[1:]))

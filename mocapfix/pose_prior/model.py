@@ -1,93 +1,107 @@
-"""What a trained model of poses can be asked: one contract for linear models and networks.
+"""The interface of trained pose models, linear models and neural networks alike.
 
-A pose is given as rotation vectors from a middle pose, in the parents' axes; the root's is its tilt, for where somebody
-stands and which way he faces says nothing about his pose. A code is P numbers that are independent and normal, each in its
-own standard deviation: half their sum of squares is what a code costs. Decoding says what pose a code means, and a person's
-pose lies about that by `sigma`. This is what kernels.terms.latent takes.
+A pose is given as rotation vectors that lead from a reference pose to the pose, in the axes of each joint's parent. The root's
+vector is its tilt: position and heading are not part of the pose. A code has P numbers that are independent and standard normal
+under the prior, so the cost of a code is half its sum of squares. A pose is normally distributed around the decoded pose of its
+code with the standard deviation `residual_sd_rad`. `kernels.terms.latent` uses this interface in the solver.
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+
+Header = dict[str, Any]  # the JSON header of a weights file
+Tensors = dict[str, np.ndarray]  # the tensors of a weights file, by name
 
 
 @dataclass(frozen=True)
 class PoseModel(ABC):
-    """A model of poses with a latent code.
+    """A model of human poses with a latent code.
 
-    joints  J names
-    middle  (J, 3, 3) local joint rotations of the middle pose; the identity for the root
-    sigma   (J,) radians: deviation per axis of unseen people's poses from the decoded pose of their code
+    joint_names          J names
+    reference_rotations  (J, 3, 3) local joint rotations of the reference pose; the root's is the identity
+    residual_sd_rad      (J,) radians per axis: standard deviation of held-out subjects' poses around the decoded pose of their
+                         code
     """
 
     joint_names: tuple[str, ...]
     reference_rotations: np.ndarray
     residual_sd_rad: np.ndarray
-    is_linear: ClassVar[bool] = False  # whether decoding is, so that the model is linearised once and for all
+    kind: ClassVar[str]  # of the model in a weights file
+    is_linear: ClassVar[bool] = False  # a linear decoder is linearised only once
 
     @property
     @abstractmethod
     def code_size(self) -> int:
-        """P, of how many numbers a code is."""
+        """P, the number of dimensions of a code."""
 
     @property
     def nonlinear_code_size(self) -> int:
-        """B, how many of a code's first numbers decoding bends; it is linear in the others, which say the same at all codes."""
+        """The number of leading code dimensions in which decoding is nonlinear; the Jacobian of the others is constant."""
         return 0 if self.is_linear else self.code_size
 
     @abstractmethod
-    def encode(self, pose_vectors: np.ndarray) -> np.ndarray:
-        """-> (N, P) codes of poses (N, J, 3)."""
+    def encode(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N P"]:
+        """Return the codes of poses, given as rotation vectors in radians."""
 
     @abstractmethod
-    def decode(self, codes: np.ndarray) -> np.ndarray:
-        """-> (N, J, 3) radians, the poses that codes (N, P) mean."""
+    def decode(self, codes: Float[np.ndarray, "N P"]) -> Float[np.ndarray, "N J 3"]:
+        """Return the poses of codes, as rotation vectors in radians."""
 
     @abstractmethod
-    def linearise(self, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """-> (N, J, 3) radians, as `decode`, and how they change with the code, (N, J, 3, P) radians."""
+    def linearise(self, codes: Float[np.ndarray, "N P"]) -> tuple[Float[np.ndarray, "N J 3"], Float[np.ndarray, "N J 3 P"]]:
+        """Return the decoded poses and their Jacobian with respect to the codes, both in radians."""
 
     @abstractmethod
-    def serialise(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """-> what a file's header must say of the model beside its joints, and the file's tensors."""
+    def serialise(self) -> tuple[Header, Tensors]:
+        """Return the file's header, without kind and joints, and the file's tensors."""
 
     @classmethod
     @abstractmethod
-    def deserialise(cls, joint_names: tuple[str, ...], header: dict, tensors: dict[str, np.ndarray]) -> "PoseModel":
-        """-> the model again. Raises KeyError, TypeError, ValueError or RuntimeError where anything lacks or is too much."""
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> Self:
+        """Return the model of a file.
 
-    def select_components(self, pose_vectors: np.ndarray) -> "PoseModel":
-        """-> the model to encode and decode these poses (N, J, 3) by: another only where several compete for each of them."""
+        Raises KeyError, TypeError, ValueError or RuntimeError if header or tensors are incomplete, unknown or have wrong shapes.
+        """
+
+    def select_components(self, pose_vectors: Float[np.ndarray, "N J 3"]) -> "PoseModel":
+        """Return the model to encode and decode these poses with. Only a mixture selects a component for each pose."""
         return self
 
     @property
-    def residual_information(self) -> np.ndarray:
-        """-> (J, 3, 3) in 1/rad^2, of a pose about the decoded one; the root's is that of its tilt."""
+    def residual_information(self) -> Float[np.ndarray, "J 3 3"]:
+        """The inverse covariance in 1/rad^2 of a pose around its decoded pose; the root's is that of its tilt."""
         return self.residual_sd_rad[:, None, None] ** -2 * np.eye(3)
 
 
-def validate_tensors(tensors: dict[str, np.ndarray], **shapes: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """-> the tensors as float64. Raises ValueError unless they are the named ones, of these shapes, and finite."""
-    found = {name: values.shape for name, values in tensors.items()}
-    if found != shapes or not all(np.isfinite(values).all() for values in tensors.values()):
-        raise ValueError(f"it should hold {shapes} and finite numbers; it holds {found}")
+def validate_tensors(tensors: Tensors, **shapes: tuple[int, ...]) -> Tensors:
+    """Return the tensors as float64.
+
+    Raises ValueError unless the tensors have exactly these names and shapes and are finite.
+    """
+    actual_shapes = {name: values.shape for name, values in tensors.items()}
+    if actual_shapes != shapes or not all(np.isfinite(values).all() for values in tensors.values()):
+        raise ValueError(f"expected finite tensors of the shapes {shapes}, found the shapes {actual_shapes}")
     return {name: values.astype(float) for name, values in tensors.items()}
 
 
-def compute_pose_vectors(rotations: np.ndarray, reference_rotations: np.ndarray) -> np.ndarray:
-    """-> (N, J, 3) radians: local joint rotations (N, J, 3, 3) as vectors from `middle` (J, 3, 3), the heading taken out."""
+def compute_pose_vectors(
+    rotations: Float[np.ndarray, "N J 3 3"], reference_rotations: Float[np.ndarray, "J 3 3"]
+) -> Float[np.ndarray, "N J 3"]:
+    """Return the rotation vectors in radians from the reference pose to local joint rotations, without the root's heading."""
     local = np.concatenate([remove_heading(rotations[:, 0])[:, None], rotations[:, 1:]], axis=1)
-    away = local @ np.swapaxes(reference_rotations, 1, 2)
-    return Rotation.from_matrix(away.reshape(-1, 3, 3)).as_rotvec().reshape(*rotations.shape[:2], 3)
+    difference = local @ np.swapaxes(reference_rotations, 1, 2)
+    return Rotation.from_matrix(difference.reshape(-1, 3, 3)).as_rotvec().reshape(*rotations.shape[:2], 3)
 
 
-def remove_heading(rotations: np.ndarray) -> np.ndarray:
-    """-> (N, 3, 3) rotations (N, 3, 3) without their turn about the vertical, by swing and twist.
+def remove_heading(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
+    """Return rotations without their heading, by swing-twist decomposition.
 
-    R = heading tilt, the heading a turn about y, the tilt one about an axis across it.
+    R = heading @ tilt, where heading is a rotation about the vertical axis y, and the axis of tilt is perpendicular to y.
     """
     quaternions = Rotation.from_matrix(rotations).as_quat()
     heading = 2 * np.arctan2(quaternions[:, 1], quaternions[:, 3])

@@ -1,28 +1,30 @@
-"""The network of an autoencoder: what it is made of, and how what its decoder says changes with the code."""
+"""The neural network of an autoencoder: its architecture, and the derivative of its decoder with respect to the code."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from mocapfix.pose_prior.pose_features import FEATURE_TYPES
 
-ACTIVATIONS = {"silu": nn.SiLU, "relu": nn.ReLU}
+ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "relu": nn.ReLU}
 
 
 @dataclass(frozen=True)
 class NetworkArchitecture:
-    """What a network is made of.
+    """The architecture of a network.
 
-    features    how it is told a pose: a key of KINDS
-    gives       how it tells one, likewise
-    hidden      widths of the encoder's layers; the decoder's are the same, in reverse
-    code        how many numbers it squeezes a pose through
-    astray      how many directions poses may stray from it
-    activation  a key of ACTIVATIONS, on the hidden layers
-    straight    whether the code goes to the decoder's end past all layers too: what is linear need not be learned by bending
+    input_features       features that the encoder takes: a key of FEATURE_TYPES
+    output_features      features that the decoder returns: a key of FEATURE_TYPES
+    hidden_widths        widths of the encoder's hidden layers; the decoder has the same in reverse order
+    code_size            dimensions of the network's code
+    residual_directions  number of further code dimensions, along the directions of the decoded poses' residuals
+    activation           activation of the hidden layers: a key of ACTIVATIONS
+    skip_connection      whether a linear map from the code is added to the decoder's output
     """
 
     input_features: str
@@ -35,7 +37,7 @@ class NetworkArchitecture:
 
 
 class SkipConnection(nn.Module):
-    """The sum of what layers and one linear map say."""
+    """The sum of a stack of layers and a linear map."""
 
     def __init__(self, layers: nn.Sequential, skip: nn.Linear):
         super().__init__()
@@ -46,58 +48,59 @@ class SkipConnection(nn.Module):
 
 
 class AutoencoderNetwork(nn.Module):
-    """Fully connected layers down to the code and up again; code and output are not bent."""
+    """A fully connected encoder and decoder; code and output have no activation."""
 
     def __init__(self, input_count: int, output_count: int, architecture: NetworkArchitecture):
         super().__init__()
-        self.encoder = build_layers((input_count, *architecture.hidden_widths, architecture.code_size), architecture.activation)
-        self.decoder = build_layers(
-            (architecture.code_size, *architecture.hidden_widths[::-1], output_count), architecture.activation
-        )
+        code_size, hidden_widths = architecture.code_size, architecture.hidden_widths
+        self.encoder = build_layers((input_count, *hidden_widths, code_size), architecture.activation)
+        self.decoder = build_layers((code_size, *hidden_widths[::-1], output_count), architecture.activation)
         if architecture.skip_connection:
-            self.decoder = nn.Sequential(
-                SkipConnection(self.decoder, nn.Linear(architecture.code_size, output_count, bias=False))
-            )
+            self.decoder = nn.Sequential(SkipConnection(self.decoder, nn.Linear(code_size, output_count, bias=False)))
 
     def forward(self, features: Tensor) -> Tensor:
         return self.decoder(self.encoder(features))
 
 
-def build_network(architecture: NetworkArchitecture, reference_rotations: np.ndarray) -> AutoencoderNetwork:
-    """-> an untrained network for poses about a middle pose (J, 3, 3)."""
-    told, given = (
-        FEATURE_TYPES[kind](torch.as_tensor(reference_rotations, dtype=torch.float32)).size
-        for kind in (architecture.input_features, architecture.output_features)
-    )
-    return AutoencoderNetwork(told, given, architecture)
+def build_network(architecture: NetworkArchitecture, reference_rotations: Float[np.ndarray, "J 3 3"]) -> AutoencoderNetwork:
+    """Return an untrained network for poses relative to a reference pose."""
+    reference = torch.as_tensor(reference_rotations, dtype=torch.float32)
+    input_count = FEATURE_TYPES[architecture.input_features](reference).feature_count
+    output_count = FEATURE_TYPES[architecture.output_features](reference).feature_count
+    return AutoencoderNetwork(input_count, output_count, architecture)
 
 
-def build_layers(sizes: tuple[int, ...], activation: str) -> nn.Sequential:
-    steps: list[nn.Module] = []
-    for a, b in pairwise(sizes):
-        steps += [nn.Linear(a, b), ACTIVATIONS[activation]()]
-    return nn.Sequential(*steps[:-1])
+def build_layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+    """Return fully connected layers of these widths, with an activation between them."""
+    layers: list[nn.Module] = []
+    for input_width, output_width in pairwise(widths):
+        layers += [nn.Linear(input_width, output_width), ACTIVATIONS[activation]()]
+    return nn.Sequential(*layers[:-1])
 
 
-def propagate_slopes(layers: nn.Sequential, rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """-> what layers make of rows (N, A), and of their slopes (N or 1, P, A) along P directions: (N, B) and (N, P, B).
+def propagate_slopes(layers: Iterable[nn.Module], rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the output (N, B) of layers for rows (N, A), and the derivatives (N, P, B) of the output along P directions.
 
-    The chain rule by hand: matrix products as large as the batch, and none for what is the same in all rows.
+    slopes  (N, P, A) or (1, P, A) derivatives of the rows along the directions
+
+    The chain rule is applied explicitly: its matrix products span the whole batch, and derivatives that are equal for all rows
+    are computed once.
     """
-    for step in layers:
-        if isinstance(step, nn.Linear):
-            rows, slopes = step(rows), slopes @ step.weight.T
-        elif isinstance(step, SkipConnection):
-            (a, b), (c, d) = propagate_slopes(step.layers, rows, slopes), propagate_slopes(nn.Sequential(step.skip), rows, slopes)
-            rows, slopes = a + c, b + d
+    for layer in layers:
+        if isinstance(layer, nn.Linear):
+            rows, slopes = layer(rows), slopes @ layer.weight.T
+        elif isinstance(layer, SkipConnection):
+            nonlinear_rows, nonlinear_slopes = propagate_slopes(layer.layers, rows, slopes)
+            linear_rows, linear_slopes = propagate_slopes([layer.skip], rows, slopes)
+            rows, slopes = nonlinear_rows + linear_rows, nonlinear_slopes + linear_slopes
         else:
-            bend = compute_elementwise_derivative(step, rows)
-            rows, slopes = step(rows), slopes * bend[:, None]
+            derivative = compute_elementwise_derivative(layer, rows)
+            rows, slopes = layer(rows), slopes * derivative[:, None]
     return rows, slopes
 
 
-def compute_elementwise_derivative(function, values: Tensor) -> Tensor:
-    """-> (...) the derivative of each number that a function makes of one number alone, or of their sum of many such."""
+def compute_elementwise_derivative(function: nn.Module, values: Tensor) -> Tensor:
+    """Return the derivative (...) of a function that acts on each element of `values` (...) separately."""
     with torch.enable_grad():
-        asked = values.detach().requires_grad_()
-        return torch.autograd.grad(function(asked).sum(), asked)[0]
+        variable = values.detach().requires_grad_()
+        return torch.autograd.grad(function(variable).sum(), variable)[0]

@@ -14,6 +14,7 @@ from mocapfix.initialise import initial_motion
 from mocapfix.marker_sets import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.stage_timer import StageTimer
@@ -130,7 +131,7 @@ def fit_motion(take: Take, subject: Subject, settings: FitSettings, timer: Stage
             subject,
             average,
             poses,
-            mean_pose.load_joint_limits(average.skeleton),
+            load_joint_limits(average.skeleton),
             start,
             settings.solve_options,
             settings.load_pose_model,

@@ -8,7 +8,8 @@ import numpy as np
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.pose_prior.joint_limits import JointLimits
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics, observability, occluded_joints, smoothing

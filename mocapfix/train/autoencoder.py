@@ -1,13 +1,19 @@
-"""Spoiling poses, for a network to mend: what it learns is the way back to people's poses from beside them."""
+"""Training of autoencoder pose models: MNN-IK's network (section 3, appendix A), and a denoising variational autoencoder.
+
+The random numbers of an epoch depend only on the seed and the number of the epoch. Training that was interrupted therefore
+continues from the checkpoint of its last epoch to the same weights.
+"""
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from torch import Generator, Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
@@ -18,243 +24,255 @@ from mocapfix.pose_prior.pose_features import FEATURE_TYPES, PoseFeatures
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train.settings import AutoencoderSettings
 
-# MERGED: mocapfix.train.corruption
-MAX_JOINT_NOISE_SD_RAD = 0.35  # radians: the most that all joints' noise deviates, drawn per pose
-LIMB_NOISE_SD_RAD = 1.0  # radians: the deviation of a limb that is all noise
-CORRUPTED_POSE_SHARE = 0.6  # of the poses lose limbs
-CORRUPTED_LIMB_SHARE = 0.22  # of the limbs of these
-LIMB_ROOT_JOINTS = ("LeftShoulder", "RightShoulder", "LHipJoint", "RHipJoint", "Neck")  # each with all that hangs on it
+RATE_DECAY_INTERVAL_STEPS = 2000  # after so many steps a rate schedule's factor is applied (MNN-IK, appendix A)
+MAX_JOINT_NOISE_SD_RAD = 0.35  # standard deviation of the noise of all joints: at most this, drawn for each corrupted pose
+LIMB_NOISE_SD_RAD = 1.0  # standard deviation of the noise of a limb that is replaced by noise
+CORRUPTED_POSE_SHARE = 0.6  # fraction of the corrupted poses that have corrupted limbs
+CORRUPTED_LIMB_SHARE = 0.22  # fraction of the limbs of these poses that are corrupted
+LIMB_ROOT_JOINTS = ("LeftShoulder", "RightShoulder", "LHipJoint", "RHipJoint", "Neck")  # a limb is all joints below one of them
+MIN_FEATURE_SD = math.radians(1.0)  # lower bound of a feature's standard deviation: the solved motion is not more accurate
+INITIAL_FEATURE_SD = 0.1  # radians: standard deviation of the decoded pose before training
+INITIAL_CODE_SD = 0.3  # standard deviation of the code before training
 
 
-def build_limb_masks() -> Tensor:
-    """-> (L, J) bool: which joints belong to which limb."""
-    skeleton = load_cmu31_body().skeleton
-    rows = torch.zeros(len(LIMB_ROOT_JOINTS), len(skeleton.names), dtype=torch.bool)
-    for row, first in zip(rows, LIMB_ROOT_JOINTS, strict=True):
-        for j, name in enumerate(skeleton.names):
-            row[j] = name == first or bool(row[skeleton.parents[j]])  # parents come before children; the root is no limb's
-    return rows
+@dataclass(frozen=True)
+class TrainedNetwork:
+    """A trained network, its weights rounded to half precision, and the distribution of its residuals."""
+
+    architecture: NetworkArchitecture
+    network: AutoencoderNetwork
+    residual_model: "ResidualModel"
 
 
-def corrupt_poses(pose_vectors: Tensor, limb_masks: Tensor, generator: Generator) -> Tensor:
-    """-> (N, J, 3) poses (N, J, 3) with noise on all joints, and some limbs lost.
+class _Stateful(Protocol):
+    """A part of the training whose state a checkpoint holds."""
 
-    A lost limb is that of the middle pose, of another pose, all noise, or drawn some way to the middle; each as often.
-    """
+    def state_dict(self) -> dict[str, Any]: ...
 
-    def uniform(*shape: int) -> Tensor:
-        return torch.rand(shape, generator=generator)
-
-    count, joints = len(pose_vectors), pose_vectors.shape[1]
-    noise = torch.randn(pose_vectors.shape, generator=generator)
-    shaken = pose_vectors + MAX_JOINT_NOISE_SD_RAD * uniform(count, 1, 1) * noise
-    lost = (uniform(count, len(limb_masks)) < CORRUPTED_LIMB_SHARE) & (uniform(count, 1) < CORRUPTED_POSE_SHARE)
-    instead = torch.stack(
-        [
-            torch.zeros_like(pose_vectors),
-            pose_vectors[torch.randperm(count, generator=generator)],
-            pose_vectors + LIMB_NOISE_SD_RAD * noise,
-            pose_vectors * uniform(count, 1, 1),
-        ]
-    )
-    way = torch.randint(len(instead), lost.shape, generator=generator)
-    for limb, its in enumerate(limb_masks):
-        other = instead[way[:, limb], torch.arange(count)]
-        shaken = torch.where((lost[:, limb, None] & its)[..., None].expand(count, joints, 1), other, shaken)
-    return shaken
-
-
-# MERGED: mocapfix.train.evidence
-# How likely a network makes poses: the lower bound on the evidence that variational autoencoders learn by (Kingma and Welling,
-# 2014, Eq. 10).
-#
-# The code of a pose is not one point but known only so far, and drawn about the encoder's: so neighbouring codes must mean
-# neighbouring poses, and all codes together are normal, which is what the solve takes them for. How far, and how poses stray
-# from what their codes mean, each axis by itself and many together, is learned with the network; joints that nobody can
-# tell weigh little by themselves.
-MIN_FEATURE_SD = math.radians(1.0)  # what a pose strays by at least: the solve that it comes from is not better
-INITIAL_SDS = 0.1, 0.3  # radians of the pose, deviations of the code: how far they are known before any training
+    def load_state_dict(self, state_dict: dict[str, Any]) -> object: ...
 
 
 class ResidualModel(nn.Module):
-    """How poses stray from what their codes mean, and codes from the encoder's.
+    """The distribution of poses around the decoded pose of their code, and of codes around the encoder's.
 
-    pose    (F,) logarithms of each feature's deviation by itself
-    astray  (R, F) directions in which they stray together, each as long as its deviation
-    code    (P,) logarithms of the code's deviations
+    log_feature_sd       (F,) logarithms of each feature's independent standard deviation
+    residual_directions  (R, F) directions of correlated residuals, each as long as its standard deviation
+    log_code_sd          (P,) logarithms of the code's standard deviations
     """
 
     def __init__(self, output_count: int, direction_count: int, code_size: int):
         super().__init__()
-        self.log_feature_sd = nn.Parameter(torch.full((output_count,), math.log(INITIAL_SDS[0])))
-        self.residual_directions = nn.Parameter(
-            INITIAL_SDS[0] * torch.randn(direction_count, output_count) / math.sqrt(output_count)
-        )
-        self.log_code_sd = nn.Parameter(torch.full((code_size,), math.log(INITIAL_SDS[1])))
+        self.log_feature_sd = nn.Parameter(torch.full((output_count,), math.log(INITIAL_FEATURE_SD)))
+        directions = INITIAL_FEATURE_SD * torch.randn(direction_count, output_count) / math.sqrt(output_count)
+        self.residual_directions = nn.Parameter(directions)
+        self.log_code_sd = nn.Parameter(torch.full((code_size,), math.log(INITIAL_CODE_SD)))
 
     @property
     def feature_sd(self) -> Tensor:
-        """-> (F,) each feature's deviation by itself."""
+        """(F,) each feature's independent standard deviation."""
         return self.log_feature_sd.clamp_min(math.log(MIN_FEATURE_SD)).exp()
 
     def compute_negative_log_likelihood(self, residuals: Tensor) -> Tensor:
-        """-> (N,) minus the logarithm of how likely poses stray so (N, F), but for a constant."""
+        """Return (N,) the negative log-likelihood of residuals (N, F), up to a constant."""
         covariance = torch.diag(self.feature_sd**2) + self.residual_directions.T @ self.residual_directions
         root = torch.linalg.cholesky(covariance)
-        alike = torch.linalg.solve_triangular(root, residuals.T, upper=False)
-        return 0.5 * (alike**2).sum(0) + root.diagonal().log().sum()
+        whitened = torch.linalg.solve_triangular(root, residuals.T, upper=False)
+        return 0.5 * (whitened**2).sum(0) + root.diagonal().log().sum()
+
+
+def train_network(
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    pose_vectors: Float[np.ndarray, "N J 3"],
+    subject_index: Int[np.ndarray, " N"],
+    settings: AutoencoderSettings,
+    checkpoint: Path,
+    progress: Callable[[str], object],
+) -> TrainedNetwork:
+    """Return a network trained on poses.
+
+    subject_index  the number of the subject of each pose
+    checkpoint     a file that is written after each epoch; training continues from it if it has the same settings and poses
+
+    Raises ReadError if the checkpoint is not one.
+    """
+    architecture = NetworkArchitecture(**{field.name: getattr(settings, field.name) for field in fields(NetworkArchitecture)})
+    reference = torch.as_tensor(reference_rotations, dtype=torch.float32)
+    input_features = FEATURE_TYPES[architecture.input_features](reference)
+    output_features = FEATURE_TYPES[architecture.output_features](reference)
+    network, residual_model = initialise_network(output_features.feature_count, reference_rotations, architecture, settings)
+    poses = torch.as_tensor(pose_vectors, dtype=torch.float32)
+    weights = torch.as_tensor(compute_sampling_weights(subject_index, settings.subject_balance))
+    step_count = -(-len(poses) // settings.batch_poses)
+    parameters = [*network.parameters(), *residual_model.parameters()]
+    optimizer = torch.optim.AdamW(parameters, settings.learning_rate, weight_decay=settings.weight_decay)
+    schedule = LambdaLR(optimizer, build_rate_schedule(settings, step_count * settings.epochs))
+    states: dict[str, _Stateful] = {
+        "network": network,
+        "residual_model": residual_model,
+        "optimizer": optimizer,
+        "schedule": schedule,
+    }
+    fingerprint, limb_masks = compute_training_fingerprint(settings, poses), build_limb_masks()
+    for epoch in range(resume_training(checkpoint, fingerprint, states), settings.epochs):
+        generator, total_loss = Generator().manual_seed(settings.seed * 1_000_003 + epoch), 0.0
+        for batch in sample_epoch(weights, generator).split(settings.batch_poses):
+            corrupted = corrupt_some_poses(poses[batch], settings.corrupted_share, limb_masks, generator)
+            inputs = input_features.compute_features(corrupted)
+            if settings.loss == "evidence":
+                loss = compute_evidence_loss(network, residual_model, inputs, poses[batch], output_features, generator)
+            else:
+                residuals = network(inputs) - output_features.compute_features(poses[batch])
+                loss = (residuals**2).sum(1).mean() + settings.norm_weight * compute_weight_norm(network)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            total_loss += float(loss.detach())
+        progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total_loss / step_count:.4f}")
+        with replace_atomically(checkpoint) as temporary:
+            state_dicts = {name: each.state_dict() for name, each in states.items()}
+            torch.save({"fingerprint": fingerprint, "epoch": epoch + 1} | state_dicts, temporary)
+    return TrainedNetwork(architecture, network.half().float().eval(), residual_model)
 
 
 def compute_evidence_loss(
     network: AutoencoderNetwork,
     residual_model: ResidualModel,
     input_features: Tensor,
-    pose_vectors: Tensor,
+    poses: Tensor,
     output_features: PoseFeatures,
     generator: Generator,
 ) -> Tensor:
-    """-> minus the bound, per pose, but for a constant.
+    """Return the negative evidence lower bound per pose, up to a constant (Kingma and Welling, 2014, Eq. 10).
 
-    shown  (N, F) features of poses, perhaps corrupted, as the encoder is told them; poses (N, J, 3): which those were
+    The code of a pose is drawn around the encoder's. Neighbouring codes must therefore decode to neighbouring poses, and all
+    codes together are normally distributed, as the solver assumes. The standard deviations of code and residuals are learned with
+    the network, so that joints that cannot be predicted have little weight.
+
+    input_features  (N, F) features of the poses, which may be corrupted
+    poses           (N, J, 3) the true poses
     """
     code = network.encoder(input_features)
-    drawn = code + residual_model.log_code_sd.exp() * torch.randn(code.shape, generator=generator)
-    spent = 0.5 * (code**2 + (2 * residual_model.log_code_sd).exp()) - residual_model.log_code_sd
-    return (
-        residual_model.compute_negative_log_likelihood(
-            network.decoder(drawn) - output_features.compute_features(pose_vectors)
-        ).mean()
-        + spent.sum(1).mean()
-    )
+    sampled = code + residual_model.log_code_sd.exp() * torch.randn(code.shape, generator=generator)
+    divergence = 0.5 * (code**2 + (2 * residual_model.log_code_sd).exp()) - residual_model.log_code_sd
+    residuals = network.decoder(sampled) - output_features.compute_features(poses)
+    return residual_model.compute_negative_log_likelihood(residuals).mean() + divergence.sum(1).mean()
 
 
-# MERGED: mocapfix.train.autoencoder
-# Training an autoencoder of poses: MNN-IK's (section 3, appendix A), and the denoising one that makes the better prior.
-#
-# An epoch's randomness depends on the seed and its number alone. So training that was interrupted goes on from the checkpoint
-# of its last epoch to the same weights.
-RATE_DECAY_INTERVAL_STEPS = 2000  # steps, after which a falling factor is applied (MNN-IK, appendix A)
-
-
-def train_network(
-    joint_names: tuple[str, ...],
-    reference_rotations: np.ndarray,
-    pose_vectors: np.ndarray,
-    subject_index: np.ndarray,
-    settings: AutoencoderSettings,
-    checkpoint: Path,
-    progress: Callable[[str], None],
-) -> tuple[NetworkArchitecture, AutoencoderNetwork, ResidualModel]:
-    """-> a network trained on poses (N, J, 3), its weights rounded to half precision, and how poses stray from it.
-
-    whose       (N,) the number of the subject of each pose
-    checkpoint  a file that is written after each epoch; training goes on from it where it is of these settings and poses
-    """
-    shape = NetworkArchitecture(**{field.name: getattr(settings, field.name) for field in fields(NetworkArchitecture)})
-    features, given = (
-        FEATURE_TYPES[kind](torch.as_tensor(reference_rotations, dtype=torch.float32))
-        for kind in (shape.input_features, shape.output_features)
-    )
-    network, doubt = initialise_network(given.size, reference_rotations, shape, settings)
-    poses, weights = (
-        torch.as_tensor(pose_vectors, dtype=torch.float32),
-        torch.as_tensor(compute_sampling_weights(subject_index, settings.subject_balance)),
-    )
-    steps = -(-len(poses) // settings.batch_poses)
-    learned = [*network.parameters(), *doubt.parameters()]
-    optimizer = torch.optim.AdamW(learned, settings.learning_rate, weight_decay=settings.weight_decay)
-    schedule = LambdaLR(optimizer, build_rate_schedule(settings, steps * settings.epochs))
-    parts = {"network": network, "doubt": doubt, "optimizer": optimizer, "schedule": schedule}
-    mark, of_limbs = compute_training_fingerprint(settings, poses), build_limb_masks()
-    for epoch in range(resume_training(checkpoint, mark, parts), settings.epochs):
-        generator, total = Generator().manual_seed(settings.seed * 1_000_003 + epoch), 0.0
-        for batch in sample_epoch(weights, generator).split(settings.batch_poses):
-            shown = features.compute_features(corrupt_some_poses(poses[batch], settings.corrupted_share, of_limbs, generator))
-            if settings.loss == "evidence":
-                loss = compute_evidence_loss(network, doubt, shown, poses[batch], given, generator)
-            else:
-                away = network(shown) - given.compute_features(poses[batch])
-                loss = (away**2).sum(1).mean() + settings.norm_weight * compute_weight_norm(network)
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-            total += float(loss.detach())
-        progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total / steps:.4f}")
-        with replace_atomically(checkpoint) as part:
-            torch.save({"mark": mark, "epoch": epoch + 1} | {name: each.state_dict() for name, each in parts.items()}, part)
-    return shape, network.half().float().eval(), doubt
-
-
-def compute_sampling_weights(subject_index: np.ndarray, balance: float) -> np.ndarray:
-    """-> (N,) how often each pose is to be shown: subjects with few poses the oftener, as `balance` says."""
-    return np.bincount(subject_index)[subject_index] ** -float(balance)
-
-
-def sample_epoch(weights: Tensor, generator: Generator) -> Tensor:
-    """-> (N,) an epoch's poses: all, in random order, where they weigh alike; else as many, drawn by their weights (N,)."""
-    if weights.min() == weights.max():
-        return torch.randperm(len(weights), generator=generator)
-    reach = weights.cumsum(0)
-    return torch.searchsorted(reach, reach[-1] * torch.rand(len(weights), generator=generator, dtype=reach.dtype))
-
-
-def corrupt_some_poses(pose_vectors: Tensor, share: float, limb_masks: Tensor, generator: Generator) -> Tensor:
-    """-> the poses (N, J, 3), that part of them corrupted."""
-    if share == 0:
-        return pose_vectors
-    which = torch.rand((len(pose_vectors), 1, 1), generator=generator) < share
-    return torch.where(which, corrupt_poses(pose_vectors, limb_masks, generator), pose_vectors)
+def compute_weight_norm(network: AutoencoderNetwork) -> Tensor:
+    """Return the Euclidean norm of all weights, biases excluded (MNN-IK, Eq. 3.2)."""
+    return torch.cat([w.flatten() for w in network.parameters() if w.ndim > 1]).norm()
 
 
 def initialise_network(
-    output_count: int, reference_rotations: np.ndarray, architecture: NetworkArchitecture, settings: AutoencoderSettings
+    output_count: int,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    architecture: NetworkArchitecture,
+    settings: AutoencoderSettings,
 ) -> tuple[AutoencoderNetwork, ResidualModel]:
-    """-> the network before training and what is learned with it, drawn by the seed; given: features of a decoded pose."""
+    """Return the untrained network and residual model, drawn with the seed of the settings."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network, doubt = (
-            build_network(architecture, reference_rotations),
-            ResidualModel(output_count, architecture.residual_directions, architecture.code_size),
-        )
+        network = build_network(architecture, reference_rotations)
+        residual_model = ResidualModel(output_count, architecture.residual_directions, architecture.code_size)
         if settings.initial_weight_sd is not None:
             for weight in network.parameters():
                 nn.init.normal_(weight, 0.0, settings.initial_weight_sd)
-    return network, doubt
+    return network, residual_model
 
 
-def build_rate_schedule(settings: AutoencoderSettings, steps: int) -> Callable[[int], float]:
-    """-> the learning rate over its first, by step."""
+def build_rate_schedule(settings: AutoencoderSettings, step_count: int) -> Callable[[int], float]:
+    """Return a function from the step to the learning rate, relative to the first one."""
     if settings.rate_schedule == "cosine":
-        return lambda step: 0.5 * (1 + math.cos(math.pi * min(step / steps, 1.0)))
+        return lambda step: 0.5 * (1 + math.cos(math.pi * min(step / step_count, 1.0)))
     factor = float(settings.rate_schedule)
     return lambda step: factor ** (step // RATE_DECAY_INTERVAL_STEPS)
 
 
-def compute_weight_norm(network: AutoencoderNetwork) -> Tensor:
-    """-> the root of the sum of squares of all weights, but for the offsets (MNN-IK, Eq. 3.2)."""
-    return torch.cat([w.flatten() for w in network.parameters() if w.ndim > 1]).norm()
+def compute_sampling_weights(subject_index: Int[np.ndarray, " N"], balance: float) -> Float[np.ndarray, " N"]:
+    """Return the relative sampling frequency of each pose: 1 for a balance of 0, the inverse of the subject's poses for 1."""
+    return np.bincount(subject_index)[subject_index] ** -float(balance)
+
+
+def sample_epoch(weights: Tensor, generator: Generator) -> Tensor:
+    """Return the indices (N,) of an epoch's poses: a permutation if all weights (N,) are equal, else drawn by the weights."""
+    if weights.min() == weights.max():
+        return torch.randperm(len(weights), generator=generator)
+    cumulative = weights.cumsum(0)
+    uniform = torch.rand(len(weights), generator=generator, dtype=cumulative.dtype)
+    return torch.searchsorted(cumulative, cumulative[-1] * uniform)
+
+
+def corrupt_some_poses(pose_vectors: Tensor, share: float, limb_masks: Tensor, generator: Generator) -> Tensor:
+    """Return poses (N, J, 3), a fraction of them corrupted."""
+    if share == 0:
+        return pose_vectors
+    is_corrupted = torch.rand((len(pose_vectors), 1, 1), generator=generator) < share
+    return torch.where(is_corrupted, corrupt_poses(pose_vectors, limb_masks, generator), pose_vectors)
+
+
+def corrupt_poses(pose_vectors: Tensor, limb_masks: Tensor, generator: Generator) -> Tensor:
+    """Return poses (N, J, 3) with noise on all joints, some of them with corrupted limbs.
+
+    A corrupted limb is, with equal probability, that of the reference pose, that of another pose, the limb with strong noise, or
+    the limb moved towards the reference pose.
+    """
+
+    def draw_uniform(*shape: int) -> Tensor:
+        return torch.rand(shape, generator=generator)
+
+    pose_count, joint_count = len(pose_vectors), pose_vectors.shape[1]
+    noise = torch.randn(pose_vectors.shape, generator=generator)
+    corrupted = pose_vectors + MAX_JOINT_NOISE_SD_RAD * draw_uniform(pose_count, 1, 1) * noise
+    limb_draw, pose_draw = draw_uniform(pose_count, len(limb_masks)), draw_uniform(pose_count, 1)
+    is_corrupted = (limb_draw < CORRUPTED_LIMB_SHARE) & (pose_draw < CORRUPTED_POSE_SHARE)
+    replacements = torch.stack(
+        [
+            torch.zeros_like(pose_vectors),
+            pose_vectors[torch.randperm(pose_count, generator=generator)],
+            pose_vectors + LIMB_NOISE_SD_RAD * noise,
+            pose_vectors * draw_uniform(pose_count, 1, 1),
+        ]
+    )
+    choice = torch.randint(len(replacements), is_corrupted.shape, generator=generator)
+    for limb, limb_joints in enumerate(limb_masks):
+        replacement = replacements[choice[:, limb], torch.arange(pose_count)]
+        is_replaced = (is_corrupted[:, limb, None] & limb_joints)[..., None].expand(pose_count, joint_count, 1)
+        corrupted = torch.where(is_replaced, replacement, corrupted)
+    return corrupted
+
+
+def build_limb_masks() -> Tensor:
+    """Return (L, J) bool: the joints of each limb."""
+    skeleton = load_cmu31_body().skeleton
+    masks = torch.zeros(len(LIMB_ROOT_JOINTS), len(skeleton.names), dtype=torch.bool)
+    for mask, first in zip(masks, LIMB_ROOT_JOINTS, strict=True):
+        for j, name in enumerate(skeleton.names):  # parents come before children, and the root belongs to no limb
+            mask[j] = name == first or bool(mask[skeleton.parents[j]])
+    return masks
 
 
 def compute_training_fingerprint(settings: AutoencoderSettings, pose_vectors: Tensor) -> str:
-    """-> what a checkpoint must be of, to be gone on from."""
-    said = settings.model_dump(exclude={"test", "unseen"})  # sets, which come in any order; the poses tell of them
-    return f"{said} {tuple(pose_vectors.shape)} {pose_vectors.double().sum():.9g} {pose_vectors.double().square().sum():.9g}"
+    """Return a string that identifies settings and poses, for the comparison with those of a checkpoint."""
+    # The sets of subjects have no defined order; the poses depend on them.
+    values = settings.model_dump(exclude={"test_subjects", "held_out_subjects"})
+    sums = f"{pose_vectors.double().sum():.9g} {pose_vectors.double().square().sum():.9g}"
+    return f"{values} {tuple(pose_vectors.shape)} {sums}"
 
 
-def resume_training(checkpoint: Path, fingerprint: str, states: dict) -> int:
-    """-> the epoch to begin with; the parts put back to where they were, if the checkpoint is of the same training.
+def resume_training(checkpoint: Path, fingerprint: str, states: dict[str, _Stateful]) -> int:
+    """Return the first epoch to train. If the checkpoint has the same fingerprint, its states are restored.
 
-    Raises ReadError where a file of this name is no checkpoint.
+    Raises ReadError if a file of this name is not a checkpoint.
     """
     if not checkpoint.is_file():
         return 0
     try:
-        found = torch.load(checkpoint, weights_only=True)
+        content = torch.load(checkpoint, weights_only=True)
     except (OSError, EOFError, RuntimeError, UnpicklingError) as error:
-        raise ReadError(f"{checkpoint}: is no checkpoint of training; move it away.") from error
-    if found["mark"] != fingerprint:
+        raise ReadError(f"{checkpoint}: is not a training checkpoint; move it away.") from error
+    if content["fingerprint"] != fingerprint:
         return 0
-    for name, part in states.items():
-        part.load_state_dict(found[name])
-    return found["epoch"]
+    for name, state in states.items():
+        state.load_state_dict(content[name])
+    return content["epoch"]

@@ -1,8 +1,9 @@
-"""Fit how people's bones vary: python -m mocapfix.train.body_shape MOTION_FOLDER priors/shape.yaml
+"""Fit the shape components of bodies: python -m mocapfix.train.body_shape MOTION_FOLDER priors/shape.yaml
 
-MOTION_FOLDER holds skeletons.json, where `offsets_asf` are the bones of a subject's own body. SUBJECTS are those of the
-training split of which they are known. Each counts twice, as they are and mirrored, and as large as the average body:
-size is another matter. What then differs is taken apart into principal components (SCOPE's shape parameters, Eqs. 60-64).
+MOTION_FOLDER holds skeletons.json, whose `offsets_asf` are the joint offsets of each subject. BODY_SUBJECTS are the subjects of
+the training split whose offsets are known. Each body is used twice, as measured and mirrored, and scaled to the size of the
+average body, because size is a separate parameter. The components are principal components of the remaining differences (SCOPE's
+shape parameters, Eqs. 60-64).
 """
 
 import json
@@ -10,20 +11,22 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import yaml
+from jaxtyping import Float
 
 from mocapfix.skeleton import load_cmu31_skeleton
+from mocapfix.train.mean_pose import write_prior_yaml
 from mocapfix.train.training_poses import mirror_joint_name
 
 BODY_SUBJECTS = ("01", "03", "07", "11", "127", "14", "17", "29", "35")
-MAX_SHAPE_COMPONENTS = 10  # components kept
+MAX_SHAPE_COMPONENTS = 10
+MIN_WRITTEN_OFFSET_M = 5e-6  # a smaller offset is rounded to zero and not written
 SHAPE_HEADER = """\
-# How people's bones differ from the average body's, at one size: principal components of the 31 joints' offsets, the
-# largest first. Each is one standard deviation of it, in metres in the parent's axes; joints that it leaves alone are not
-# listed. Together these {components} explain {explained:.0%} of the variance.
+# Shape components of bodies: principal components of the 31 joints' offsets from those of the average body, at equal size,
+# the largest first. Each is one standard deviation, in metres in the axes of the joint's parent; joints with zero offset
+# are not listed. These {components} together explain {explained:.0%} of the variance.
 #
-# Fitted by mocapfix.train.body_shape to no more than {subjects} subjects of the CMU database and their mirror images: the components
-# hold what these few differ by most, the smaller ones hardly more than that, and anybody may differ otherwise.
+# Fitted by mocapfix.train.body_shape to only {subjects} subjects of the CMU database and their mirror images: the components
+# describe the largest differences between these few subjects, and other bodies may differ in other ways.
 #
 # The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
 # EIA-0196217.
@@ -31,40 +34,45 @@ SHAPE_HEADER = """\
 
 
 def fit_shape_components(
-    body_offsets: np.ndarray, mean_offsets: np.ndarray, mirrored_index: list[int], max_components: int
-) -> tuple[np.ndarray, float]:
-    """-> (P, J, 3) metres: P <= `most` components of one standard deviation; and the share of the variance they explain.
+    body_offsets: Float[np.ndarray, "N J 3"],
+    mean_offsets: Float[np.ndarray, "J 3"],
+    mirrored_index: list[int],
+    max_components: int,
+) -> tuple[Float[np.ndarray, "P J 3"], float]:
+    """Return the shape components, each one standard deviation in metres, and the share of the variance that they explain.
 
-    bodies    (N, J, 3) people's offsets
-    mean      (J, 3) the average body's
-    mirrored  (J,) the joint on the other side
+    body_offsets    offsets of the joints of N bodies
+    mean_offsets    offsets of the average body
+    mirrored_index  (J,) the joint on the other side
     """
     sizes = np.einsum("nja,ja->n", body_offsets, mean_offsets) / (mean_offsets**2).sum()
-    away = body_offsets / sizes[:, None, None] - mean_offsets
-    both = np.concatenate([away, away[:, mirrored_index] * [-1.0, 1.0, 1.0]])
+    differences = body_offsets / sizes[:, None, None] - mean_offsets
+    both = np.concatenate([differences, differences[:, mirrored_index] * [-1.0, 1.0, 1.0]])
     _, values, components = np.linalg.svd(both.reshape(len(both), -1), full_matrices=False)
     count = min(max_components, int((values > 1e-6 * values[0]).sum()))
     scaled = values[:count, None] / np.sqrt(len(both)) * components[:count]
     signs = np.sign(scaled[np.arange(count), np.abs(scaled).argmax(1)])
-    return (signs[:, None] * scaled).reshape(count, *mean_offsets.shape), float((values[:count] ** 2).sum() / (values**2).sum())
+    explained = float((values[:count] ** 2).sum() / (values**2).sum())
+    return (signs[:, None] * scaled).reshape(count, *mean_offsets.shape), explained
 
 
 def write_shape_components(motion_folder: str, target_path: str) -> None:
+    """Fit shape components to the bodies in a folder of motion and write their file."""
     data, skeleton = json.loads((Path(motion_folder) / "skeletons.json").read_text()), load_cmu31_skeleton()
-    bodies = data["unit_to_metres"] * np.array([data["skeletons"][subject]["offsets_asf"] for subject in BODY_SUBJECTS])
-    mirrored = [skeleton.find_joint(mirror_joint_name(name)) for name in skeleton.names]
-    components, explained = fit_shape_components(bodies, skeleton.offsets, mirrored, MAX_SHAPE_COMPONENTS)
+    offsets = [data["skeletons"][subject]["offsets_asf"] for subject in BODY_SUBJECTS]
+    mirrored_index = [skeleton.find_joint(mirror_joint_name(name)) for name in skeleton.names]
+    body_offsets = data["unit_to_metres"] * np.array(offsets)
+    components, explained = fit_shape_components(body_offsets, skeleton.offsets, mirrored_index, MAX_SHAPE_COMPONENTS)
     rounded = [
         {
             name: [round(float(v), 5) + 0.0 for v in offset]
             for name, offset in zip(skeleton.names, component, strict=True)
-            if np.abs(offset).max() >= 5e-6
+            if np.abs(offset).max() >= MIN_WRITTEN_OFFSET_M
         }
         for component in components
     ]
-    text = yaml.safe_dump({"components": rounded}, sort_keys=False, default_flow_style=None, width=120)
-    card = SHAPE_HEADER.format(components=len(components), explained=explained, subjects=len(BODY_SUBJECTS))
-    Path(target_path).write_text(card + text)
+    header = SHAPE_HEADER.format(components=len(components), explained=explained, subjects=len(BODY_SUBJECTS))
+    write_prior_yaml(target_path, header, {"components": rounded})
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""Fitting a Gaussian to poses: probabilistic principal components (Tipping and Bishop, 1999, Eqs. 7 and 8)."""
+"""Fitting Gaussian pose models: probabilistic principal component analysis, and a mixture of Gaussians on principal axes."""
 
 import warnings
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Float
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
@@ -12,16 +13,26 @@ from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.mixture import MixtureModel
 from mocapfix.train.settings import MixtureSettings
 
-# MERGED: mocapfix.train.linear
-MIN_NOISE_SD_RAD = np.radians(1.0)  # what stands out by less is noise of the solve that the poses come from
+MIN_NOISE_SD_RAD = np.radians(1.0)  # smaller deviations are noise of the solved motion that the poses come from
+INITIAL_FIT_STRIDE = 5  # initial values are compared on every fifth pose, because consecutive frames are nearly the same
+MIXTURE_FIT_SUMMARY = """\
+Of {} fits to every {}th pose, each initialised by k-means, the one of greatest likelihood (converged after {} iterations) was
+fitted to all poses (converged after {}). Convergence means that an iteration raises the mean log-likelihood of a pose by less
+than {:g}. The poses are projected onto {} principal axes; the mean log-likelihood of a projected pose is {:.2f}."""
 
 
 def fit_gaussian_model(
-    joint_names: tuple[str, ...], reference_rotations: np.ndarray, pose_vectors: np.ndarray, max_components: int | None
+    joint_names: tuple[str, ...],
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    pose_vectors: Float[np.ndarray, "N J 3"],
+    max_components: int | None,
 ) -> GaussianModel:
-    """-> the maximum-likelihood model of poses (N, J, 3), but for a noise of at least FLOOR; its sigma is still the noise.
+    """Return the maximum-likelihood model of poses with a noise of at least MIN_NOISE_SD_RAD (Tipping and Bishop, 1999, Eqs. 7,
+    8).
 
-    components  at most so many; None for all that stand out
+    The residual standard deviation of the model is the noise; it is yet to be measured on held-out poses.
+
+    max_components  None for all components above the noise
     """
     rows = pose_vectors.reshape(len(pose_vectors), -1)
     values, axes = np.linalg.eigh(np.cov(rows.T, bias=True, dtype=float))
@@ -31,69 +42,72 @@ def fit_gaussian_model(
     kept = min(kept, int((values > noise).sum()))
     w = axes[:, :kept] * np.sqrt(values[:kept] - noise)
     mean = rows.mean(0, dtype=float).reshape(len(joint_names), 3)
-    sigma = np.full(len(joint_names), np.sqrt(noise))
-    return GaussianModel(
-        joint_names, reference_rotations, sigma, mean, w.T.reshape(kept, len(joint_names), 3), float(np.sqrt(noise))
-    )
-
-
-# MERGED: mocapfix.train.mixture
-# Fitting a mixture of Gaussians to poses, as Wei and Chai do: principal components, then expectation maximisation in these.
-INITIAL_FIT_STRIDE = 5  # poses: the beginnings are compared on every fifth, for frames that follow each other say the same
-MIXTURE_FIT_SUMMARY = """\
-Of {} fits to every {}th pose, each from where k-means begins, the likeliest was taken (at rest after {} iterations), and fitted
-to all (at rest after {}): an iteration raised the mean log-likelihood of a pose by less than {:g}. The reduced space has {} axes;
-a pose's mean log-likelihood in it is {:.2f}."""
+    residual_sd = np.full(len(joint_names), np.sqrt(noise))
+    components = w.T.reshape(kept, len(joint_names), 3)
+    return GaussianModel(joint_names, reference_rotations, residual_sd, mean, components, float(np.sqrt(noise)))
 
 
 def fit_mixture_model(
     joint_names: tuple[str, ...],
-    reference_rotations: np.ndarray,
-    pose_vectors: np.ndarray,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    pose_vectors: Float[np.ndarray, "N J 3"],
     settings: MixtureSettings,
-    progress: Callable[[str], None],
+    progress: Callable[[str], object],
 ) -> tuple[MixtureModel, str]:
-    """-> the likeliest of some mixtures fitted to poses (N, J, 3), its sigma still the floor; and how it was fitted, in words.
+    """Return the mixture of greatest likelihood out of several fits by expectation maximisation, and a summary of the fit.
 
-    No component is narrower than FLOOR along any axis: frames that follow each other are all but the same pose, and a component
-    of such alone would be infinitely likely.
+    The method is that of Wei and Chai (2011). The residual standard deviation of the model is MIN_NOISE_SD_RAD; it is yet to be
+    measured on held-out poses. No component is narrower than MIN_NOISE_SD_RAD along any axis: consecutive frames are nearly the
+    same pose, and a component for such frames alone would have infinite likelihood.
 
-    Raises SceneError where expectation maximisation does not come to rest.
+    Raises SceneError if expectation maximisation does not converge.
     """
     rows = pose_vectors.reshape(len(pose_vectors), -1)
     mean, axes = rows.mean(0, dtype=float), compute_principal_axes(rows, settings.variance_share)
-    reduced = ((rows - mean) @ axes.T).astype(np.float32)  # in single precision each iteration takes less than half the time
-    starts = []
+    projected = ((rows - mean) @ axes.T).astype(np.float32)  # an iteration takes less than half the time in single precision
+    fits: list[GaussianMixture] = []
     for number in range(settings.restarts):
         progress(f"fit {number + 1} of {settings.restarts}")
-        starts.append(
-            fit_until_converged(
-                build_gaussian_mixture(settings, random_state=settings.seed + number), reduced[::INITIAL_FIT_STRIDE], settings
-            )
-        )
-    best = max(starts, key=lambda each: each.score(reduced))
-    progress("fitting the likeliest to all poses")
-    begun = {"weights_init": best.weights_, "means_init": best.means_, "precisions_init": best.precisions_}
-    found, shape = fit_until_converged(build_gaussian_mixture(settings, **begun), reduced, settings), (len(joint_names), 3)
-    told = MIXTURE_FIT_SUMMARY.format(
-        settings.restarts, INITIAL_FIT_STRIDE, best.n_iter_, found.n_iter_, settings.tolerance, len(axes), found.score(reduced)
+        unfitted = build_gaussian_mixture(settings, random_state=settings.seed + number)
+        fits.append(fit_until_converged(unfitted, projected[::INITIAL_FIT_STRIDE], settings))
+    best = max(fits, key=lambda each: each.score(projected))
+    progress("fitting all poses")
+    initial_values = {"weights_init": best.weights_, "means_init": best.means_, "precisions_init": best.precisions_}
+    fit = fit_until_converged(build_gaussian_mixture(settings, **initial_values), projected, settings)
+    summary = MIXTURE_FIT_SUMMARY.format(
+        settings.restarts,
+        INITIAL_FIT_STRIDE,
+        best.n_iter_,
+        fit.n_iter_,
+        settings.tolerance,
+        len(axes),
+        fit.score(projected),
     )
-    weights, centres, covariances = (np.asarray(each, float) for each in (found.weights_, found.means_, found.covariances_))
-    return MixtureModel(
-        joint_names, reference_rotations, np.full(len(joint_names), MIN_NOISE_SD_RAD), mean.reshape(shape), axes.reshape(-1, *shape), weights, centres,
-        np.linalg.cholesky(covariances), np.zeros(1, int),
-    ), told  # fmt: skip
+    weights, means, covariances = (np.asarray(each, float) for each in (fit.weights_, fit.means_, fit.covariances_))
+    shape = (len(joint_names), 3)
+    model = MixtureModel(
+        joint_names,
+        reference_rotations,
+        np.full(len(joint_names), MIN_NOISE_SD_RAD),
+        mean_vectors=mean.reshape(shape),
+        principal_axes=axes.reshape(-1, *shape),
+        component_weights=weights,
+        component_means=means,
+        component_cholesky=np.linalg.cholesky(covariances),
+        component_index=np.zeros(1, int),
+    )
+    return model, summary
 
 
-def compute_principal_axes(rows: np.ndarray, variance_share: float) -> np.ndarray:
-    """-> (P, F) the fewest orthonormal axes along which rows (N, F) have at least this part of their variance."""
+def compute_principal_axes(rows: Float[np.ndarray, "N F"], variance_share: float) -> Float[np.ndarray, "P F"]:
+    """Return the fewest orthonormal axes along which rows have at least this fraction of their variance."""
     values, axes = np.linalg.eigh(np.cov(rows.T, bias=True, dtype=float))
-    kept = np.cumsum(values[::-1]) / values.sum()
-    return axes.T[::-1][: int(np.searchsorted(kept, variance_share)) + 1]
+    kept_share = np.cumsum(values[::-1]) / values.sum()
+    return axes.T[::-1][: int(np.searchsorted(kept_share, variance_share)) + 1]
 
 
-def build_gaussian_mixture(settings: MixtureSettings, **initial_values) -> GaussianMixture:
-    """-> one that is still to be fitted, and where it begins."""
+def build_gaussian_mixture(settings: MixtureSettings, **initial_values: object) -> GaussianMixture:
+    """Return a mixture that is yet to be fitted, with initial values by scikit-learn's names."""
     return GaussianMixture(
         settings.components,
         tol=settings.tolerance,
@@ -103,10 +117,10 @@ def build_gaussian_mixture(settings: MixtureSettings, **initial_values) -> Gauss
     )
 
 
-def fit_until_converged(mixture: GaussianMixture, rows: np.ndarray, settings: MixtureSettings) -> GaussianMixture:
-    """-> the mixture, fitted to rows (N, P)."""
-    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # said below
+def fit_until_converged(mixture: GaussianMixture, rows: Float[np.ndarray, "N P"], settings: MixtureSettings) -> GaussianMixture:
+    """Return the mixture, fitted to rows. Raises SceneError if it does not converge."""
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # raised as an error below
         mixture.fit(rows)
     if not mixture.converged_:
-        raise SceneError(f"The mixture did not come to rest in {settings.max_iterations} iterations; allow more (most).")
+        raise SceneError(f"EM did not converge in {settings.max_iterations} iterations; raise max_iterations.")
     return mixture

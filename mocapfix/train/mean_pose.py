@@ -1,13 +1,13 @@
 """Fit the mean-pose prior: python -m mocapfix.train.mean_pose MOTION_FOLDER priors/mean-pose.yaml
 
-MOTION_FOLDER holds skeletons.json and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, 32767 = 180 degrees.
-Each motion counts twice, as it is and mirrored, so the mean pose has no handedness. A joint's covariance is that of
-the rotation vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent. How much of it lies
-between takes, for each has its own mean pose, is said beside it: a take tells that one only once, however long it is.
+MOTION_FOLDER holds skeletons.json and shards train-*.npz: `euler` int16 (frames, 31, 3), ZYX, where 32767 is 180 degrees. Each
+motion is used twice, as recorded and mirrored, so that the mean pose is symmetric. A joint's covariance is that of the rotation
+vectors from the mean pose to the poses of all subjects, in the axes of the joint's parent. The part of it that lies between
+takes, each of which has its own mean pose, is given separately: a take observes that part only once, regardless of its length.
 
-CMU's skeleton is a hinge at the knee and the elbow, turns the forearm only at the wrist and holds the clavicle still.
-People are not so stiff and markers see it: axes about which its joints never turn are `held`, with a deviation of HELD, or
-HINGE where the joint turns about another; and the elbow is given the forearm's turn.
+In CMU's skeleton knee and elbow are hinges, the forearm rotates only at the wrist, and the clavicle is fixed. Real joints have
+some freedom about these axes, and markers show it. Axes about which a joint never rotates are locked: their standard deviation is
+LOCKED_JOINT_SD_RAD, or HINGE_CROSS_AXIS_SD_RAD if the joint rotates about another axis. The elbow is given the forearm's twist.
 """
 
 import json
@@ -16,19 +16,20 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.train.training_poses import MIRROR_X_MATRIX, mirror_joint_name
 
-MAX_LOCKED_AXIS_MOTION_RAD = 0.02  # radians: an axis that turns less than this in all the data is one that the skeleton holds
-LOCKED_JOINT_SD_RAD = 0.2  # radians, of a joint that never turns at all: people do shrug
-HINGE_CROSS_AXIS_SD_RAD = 0.1  # radians, across a joint's own axes: knees give way by a few degrees
-FOREARM_TWIST_SD_RAD = 0.5  # radians
-FOREARM_TWIST_BETWEEN_TAKES_SD_RAD = 0.25  # radians: the part of it that lies between takes, as at the wrists
+MAX_LOCKED_AXIS_MOTION_RAD = 0.02  # a root-mean-square rotation below this, over all the data, means that the axis is locked
+LOCKED_JOINT_SD_RAD = 0.2  # standard deviation assumed for a joint that never rotates: people do shrug
+HINGE_CROSS_AXIS_SD_RAD = 0.1  # standard deviation assumed across the axes of a joint: knees yield by a few degrees
+FOREARM_TWIST_SD_RAD = 0.5  # standard deviation assumed for the twist of the forearm
+FOREARM_TWIST_BETWEEN_TAKES_SD_RAD = 0.25  # the part of it that lies between takes, as measured at the wrists
 MEAN_POSE_HEADER = """\
-# The mean pose of people in motion, and how each joint strays from it: covariance of its rotation vectors from the
-# mean in its parent's axes, in square radians (xx, yy, zz, xy, xz, yz); and the part of it that lies between the takes' own
-# mean poses. About the axes `held` the skeleton does not turn.
+# The mean pose of people in motion, and the covariance of poses around it: that of each joint's rotation vectors from the mean
+# pose in the axes of its parent, in square radians (xx, yy, zz, xy, xz, yz); and the part of it that lies between the mean poses
+# of takes. The skeleton does not rotate about the `locked_axes`.
 # Fitted by mocapfix.train.mean_pose to {frames} frames of {trials} trials of the CMU database, each also mirrored.
 #
 # The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF
@@ -36,43 +37,50 @@ MEAN_POSE_HEADER = """\
 """
 
 
-def compute_chordal_mean_rotation(rotations: np.ndarray) -> np.ndarray:
-    """-> the rotation (3, 3) nearest, in the chordal sense, to all of `matrices` (N, 3, 3)."""
+def compute_chordal_mean_rotation(rotations: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of least mean squared chordal distance to all rotations."""
     u, _, vt = np.linalg.svd(rotations.mean(0))
     return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
 
 
-def fit_mean_pose(joint_names: list[str], euler_deg: np.ndarray, take_index: np.ndarray) -> dict:
-    """-> the prior's mapping, from joint names, Euler angles (N, J, 3) in degrees, ZYX, and which take each is of (N,)."""
-    matrices = {n: Rotation.from_euler("ZYX", euler_deg[:, j], degrees=True).as_matrix() for j, n in enumerate(joint_names)}
-    joints = {}
+def fit_mean_pose(
+    joint_names: list[str], euler_deg: Float[np.ndarray, "N J 3"], take_index: Int[np.ndarray, " N"]
+) -> dict[str, dict[str, list[float] | list[list[float]]]]:
+    """Return the entries of the prior's file by joint, given ZYX Euler angles and the take of each frame."""
+    rotations = {n: Rotation.from_euler("ZYX", euler_deg[:, j], degrees=True).as_matrix() for j, n in enumerate(joint_names)}
+    joints: dict[str, dict[str, list[float] | list[list[float]]]] = {}
     for name in joint_names[1:]:
-        both = np.concatenate([matrices[name], MIRROR_X_MATRIX @ matrices[mirror_joint_name(name)] @ MIRROR_X_MATRIX])
+        mirrored = MIRROR_X_MATRIX @ rotations[mirror_joint_name(name)] @ MIRROR_X_MATRIX
+        both = np.concatenate([rotations[name], mirrored])
         mean = compute_chordal_mean_rotation(both)
         quaternion = Rotation.from_matrix(mean).as_quat(canonical=True)
-        away, forearm = both @ mean.T, name.endswith("ForeArm")
-        c, held = compute_pose_covariance(away, is_forearm=forearm)
-        apart = compute_between_take_covariance(away, np.r_[take_index, take_index + take_index.max() + 1], held)
-        if forearm:
-            apart[0, 0] = min(FOREARM_TWIST_BETWEEN_TAKES_SD_RAD**2, c[0, 0] / 2)
+        difference, is_forearm = both @ mean.T, name.endswith("ForeArm")
+        covariance, locked_axes = compute_pose_covariance(difference, is_forearm=is_forearm)
+        both_takes = np.r_[take_index, take_index + take_index.max() + 1]
+        between_takes = compute_between_take_covariance(difference, both_takes, locked_axes)
+        if is_forearm:
+            between_takes[0, 0] = min(FOREARM_TWIST_BETWEEN_TAKES_SD_RAD**2, covariance[0, 0] / 2)
         joints[name] = {
             "quaternion_xyzw": [round(float(q), 5) for q in quaternion],
-            "covariance": pack_symmetric_matrix(c),
-            "between": pack_symmetric_matrix(apart),
-            "held": [[round(float(v), 5) for v in axis] for axis in held],
+            "covariance": pack_symmetric_matrix(covariance),
+            "between_takes": pack_symmetric_matrix(between_takes),
+            "locked_axes": [[round(float(v), 5) for v in axis] for axis in locked_axes],
         }
     return joints
 
 
-def pack_symmetric_matrix(matrix: np.ndarray) -> list[float]:
-    """-> what a file says of a symmetric matrix (3, 3)."""
-    return [round(float(v), 5) for v in (matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[0, 1], matrix[0, 2], matrix[1, 2])]
+def pack_symmetric_matrix(matrix: Float[np.ndarray, "3 3"]) -> list[float]:
+    """Return the rounded entries xx, yy, zz, xy, xz, yz of a symmetric matrix."""
+    entries = (matrix[0, 0], matrix[1, 1], matrix[2, 2], matrix[0, 1], matrix[0, 2], matrix[1, 2])
+    return [round(float(v), 5) for v in entries]
 
 
-def compute_between_take_covariance(rotations: np.ndarray, take_index: np.ndarray, locked_axes: np.ndarray) -> np.ndarray:
-    """-> (3, 3) covariance of the takes' mean rotation vectors, takes counting by their lengths; nothing about the axes `held`.
+def compute_between_take_covariance(
+    rotations: Float[np.ndarray, "N 3 3"], take_index: Int[np.ndarray, " N"], locked_axes: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "3 3"]:
+    """Return the covariance of the takes' mean rotation vectors, weighted by their lengths and without the locked axes.
 
-    away  (N, 3, 3), takes (N,) the take that each is of
+    rotations  from the mean pose of all takes
     """
     vectors = Rotation.from_matrix(rotations).as_rotvec() @ (np.eye(3) - locked_axes.T @ locked_axes)
     count = np.bincount(take_index)
@@ -80,30 +88,40 @@ def compute_between_take_covariance(rotations: np.ndarray, take_index: np.ndarra
     return (means * count[:, None]).T @ means / len(rotations)
 
 
-def compute_pose_covariance(rotations: np.ndarray, is_forearm: bool) -> tuple[np.ndarray, np.ndarray]:
-    """-> (3, 3) covariance of the rotation vectors of `away` (N, 3, 3), and the axes (n, 3) that are held.
+def compute_pose_covariance(
+    rotations: Float[np.ndarray, "N 3 3"], *, is_forearm: bool
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "n 3"]]:
+    """Return the covariance of the rotation vectors of rotations from the mean pose, and the locked axes.
 
-    turns_along_x  for a forearm: it turns about x, its own axis, though the data have that turn at the wrist
+    is_forearm  whether the joint twists about its own axis x, though the data have that rotation at the wrist
     """
     vectors = Rotation.from_matrix(rotations).as_rotvec()
-    value, axes = np.linalg.eigh(vectors.T @ vectors / len(vectors))
-    stiff = value < MAX_LOCKED_AXIS_MOTION_RAD**2
-    if is_forearm and stiff.sum() == 2:
+    variance, axes = np.linalg.eigh(vectors.T @ vectors / len(vectors))
+    is_locked = variance < MAX_LOCKED_AXIS_MOTION_RAD**2
+    if is_forearm and is_locked.sum() == 2:
         third = np.cross(axes[:, 2], [1.0, 0.0, 0.0])
         axes = np.stack([third / np.linalg.norm(third), np.cross(axes[:, 2], third / np.linalg.norm(third)), axes[:, 2]], 1)
-        value, stiff = np.array([HINGE_CROSS_AXIS_SD_RAD**2, FOREARM_TWIST_SD_RAD**2, value[2]]), np.array([True, False, False])
-    value = np.where(stiff, LOCKED_JOINT_SD_RAD**2 if stiff.all() else HINGE_CROSS_AXIS_SD_RAD**2, value)
-    return (axes * value) @ axes.T, axes[:, stiff].T
+        variance = np.array([HINGE_CROSS_AXIS_SD_RAD**2, FOREARM_TWIST_SD_RAD**2, variance[2]])
+        is_locked = np.array([True, False, False])
+    variance = np.where(is_locked, LOCKED_JOINT_SD_RAD**2 if is_locked.all() else HINGE_CROSS_AXIS_SD_RAD**2, variance)
+    return (axes * variance) @ axes.T, axes[:, is_locked].T
+
+
+def write_prior_yaml(target_path: str, header: str, content: object) -> None:
+    """Write a header of comments and YAML whose innermost lists and mappings take one line."""
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+    Path(target_path).write_text(header + text, encoding="utf-8")
 
 
 def write_mean_pose(motion_folder: str, target_path: str) -> None:
+    """Fit the mean pose to a folder of motion and write the prior's file."""
     names = json.loads((Path(motion_folder) / "skeletons.json").read_text())["joints"]
     shards = [np.load(path) for path in sorted(Path(motion_folder).glob("train-*.npz")) if "approx" not in path.name]
-    euler = np.concatenate([shard["euler"] for shard in shards]) / 32767 * 180
+    euler_deg = np.concatenate([shard["euler"] for shard in shards]) / 32767 * 180
     lengths = np.concatenate([shard["length"] for shard in shards])
-    joints = fit_mean_pose(names, euler, np.repeat(np.arange(len(lengths)), lengths))
-    text = yaml.safe_dump({"joints": joints}, sort_keys=False, default_flow_style=None, width=120)
-    Path(target_path).write_text(MEAN_POSE_HEADER.format(frames=len(euler), trials=len(lengths)) + text)
+    joints = fit_mean_pose(names, euler_deg, np.repeat(np.arange(len(lengths)), lengths))
+    header = MEAN_POSE_HEADER.format(frames=len(euler_deg), trials=len(lengths))
+    write_prior_yaml(target_path, header, {"joints": joints})
 
 
 if __name__ == "__main__":

@@ -1,50 +1,54 @@
-"""Training a prior: settings and motion in; a model, measured on people it has not seen, and its card out."""
+"""Training of a pose prior: fit a model, measure it on held-out subjects, write weights and card."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
-from mocapfix.pose_prior import io, mean_pose
+from mocapfix.pose_prior.io import save_pose_model
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train import gaussian_models as linear
 from mocapfix.train.cards import PriorScores, write_prior_card
 from mocapfix.train.settings import AutoencoderSettings, GaussianSettings, PriorSettings
 from mocapfix.train.training_poses import TrainingPoses, gather_training_poses
 
-SD_INFLATION = 2.5  # times what is measured: the few unseen subjects stand for everybody, and what markers say shall stand
-MIN_RESIDUAL_SD_RAD = np.radians(1.0)  # a prior that says it knows a joint better than this is wrong
+# Measured standard deviations are multiplied by this: the held-out subjects are few, and measurements shall outweigh the prior.
+SD_INFLATION = 2.5
+MIN_RESIDUAL_SD_RAD = np.radians(1.0)  # lower bound of a joint's standard deviation
+SCORE_STRIDE = 10  # the score of training poses is measured on every tenth pose
 
 
 def train_pose_prior(
-    settings: PriorSettings, folder: Path, target: Path, progress: Callable[[str], None], is_interleaved: bool = False
+    settings: PriorSettings, folder: Path, target: Path, progress: Callable[[str], object], *, is_interleaved: bool = False
 ) -> PriorScores:
-    """Train a model and write it to `target`, its card beside it as .md. -> its scores
+    """Train a model, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 
-    interleaved  learn from three frames of every five, of everybody, as MNN-IK did: only to be compared with it
-    Training that is interrupted goes on, when it is asked for again, from `target` with .checkpoint in place of its suffix.
+    Interrupted training of an autoencoder continues from `target` with the suffix .checkpoint when it is started again.
 
-    Raises ReadError where the folder holds no motion of the subjects that are needed, WriteError where nothing can be written.
+    is_interleaved  train on three frames of every five of all subjects, which is MNN-IK's split; for comparison with MNN-IK only
+
+    Raises ReadError if the folder holds no motion of the required subjects, WriteError if the files cannot be written.
     """
     if target.suffix != ".safetensors":
-        raise WriteError(f"{target}: weights are kept in the form safetensors; give a name that ends in .safetensors.")
+        raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     skeleton = load_cmu31_body().skeleton
-    middle = mean_pose.load_mean_pose_prior("mean-pose", skeleton).mean_rotations
-    poses = gather_training_poses(folder, middle, settings.test_subjects, settings.held_out_subjects, progress, is_interleaved)
+    reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
+    test, held_out = settings.test_subjects, settings.held_out_subjects
+    poses = gather_training_poses(folder, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
     checkpoint = target.with_suffix(".checkpoint")
-    model, told = fit_pose_model(settings, skeleton.names, middle, poses, checkpoint, progress)
+    model, fit_summary = fit_pose_model(settings, skeleton.names, reference_rotations, poses, checkpoint, progress)
     progress("measuring")
-    # by MNN-IK's split nobody is unseen but in the frames that it is tested on: they must not set anything
-    model = replace(
-        model, residual_sd_rad=compute_residual_sd(model, poses.training_vectors if is_interleaved else poses.held_out_vectors)
-    )
+    # In MNN-IK's split the held-out poses are its test set, which must not determine any parameter.
+    vectors = poses.training_vectors if is_interleaved else poses.held_out_vectors
+    model = replace(model, residual_sd_rad=compute_residual_sd(model, vectors))
     scores = compute_prior_scores(model, poses)
-    io.save_pose_model(target, model)
-    write_prior_card(target.with_suffix(".md"), settings, model, poses, scores, told)
+    save_pose_model(target, model)
+    write_prior_card(target.with_suffix(".md"), settings, model, poses, scores, fit_summary)
     checkpoint.unlink(missing_ok=True)
     return scores
 
@@ -52,72 +56,88 @@ def train_pose_prior(
 def fit_pose_model(
     settings: PriorSettings,
     joint_names: tuple[str, ...],
-    reference_rotations: np.ndarray,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
     poses: TrainingPoses,
     checkpoint: Path,
-    progress,
+    progress: Callable[[str], object],
 ) -> tuple[PoseModel, str]:
-    """-> a model whose sigma is still to be measured, and what its card must tell of the fit beside the settings."""
+    """Return a model whose residual standard deviations are yet to be measured, and a summary of the fit for its card."""
     if isinstance(settings, AutoencoderSettings):
         return fit_autoencoder(settings, joint_names, reference_rotations, poses, checkpoint, progress), ""
+    from mocapfix.train.gaussian_models import fit_gaussian_model, fit_mixture_model
+
     progress("fitting")
     if isinstance(settings, GaussianSettings):
         components = settings.components if isinstance(settings.components, int) else None
-        return linear.fit_gaussian_model(joint_names, reference_rotations, poses.training_vectors, components), ""
-    from mocapfix.train import gaussian_models as mixture
-
-    return mixture.fit_mixture_model(joint_names, reference_rotations, poses.training_vectors, settings, progress)
+        return fit_gaussian_model(joint_names, reference_rotations, poses.training_vectors, components), ""
+    return fit_mixture_model(joint_names, reference_rotations, poses.training_vectors, settings, progress)
 
 
 def fit_autoencoder(
     settings: AutoencoderSettings,
     joint_names: tuple[str, ...],
-    reference_rotations: np.ndarray,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
     poses: TrainingPoses,
     checkpoint: Path,
-    progress,
+    progress: Callable[[str], object],
 ) -> PoseModel:
-    """-> a trained network with the density of its code; its sigma is still to be measured."""
+    """Return a trained autoencoder with the distribution of its code; its residual standard deviations are yet to be measured."""
     from mocapfix.pose_prior.autoencoder import AutoencoderModel
     from mocapfix.train.autoencoder import train_network
 
-    shape, network, doubt = train_network(
-        joint_names, reference_rotations, poses.training_vectors, poses.subject_index, settings, checkpoint, progress
+    training_vectors, subject_index = poses.training_vectors, poses.subject_index
+    trained = train_network(reference_rotations, training_vectors, subject_index, settings, checkpoint, progress)
+    architecture, residual_model = trained.architecture, trained.residual_model
+    noise, directions = (
+        SD_INFLATION * each.detach().numpy().astype(float)
+        for each in (residual_model.feature_sd, residual_model.residual_directions)
     )
-    noise, astray = (SD_INFLATION * each.detach().numpy().astype(float) for each in (doubt.feature_sd, doubt.residual_directions))
-    sigma = np.maximum(np.sqrt((noise.reshape(len(joint_names), 3) ** 2).mean(1)), MIN_RESIDUAL_SD_RAD)
-    astray = astray.reshape(shape.residual_directions, len(joint_names), 3)
-    raw = AutoencoderModel(
-        joint_names, reference_rotations, sigma, shape, network, np.zeros(shape.code_size), np.eye(shape.code_size), astray
+    residual_sd = np.maximum(np.sqrt((noise.reshape(len(joint_names), 3) ** 2).mean(1)), MIN_RESIDUAL_SD_RAD)
+    size = architecture.code_size
+    unscaled = AutoencoderModel(
+        joint_names,
+        reference_rotations,
+        residual_sd,
+        architecture,
+        trained.network,
+        code_mean=np.zeros(size),
+        code_cholesky=np.eye(size),
+        residual_directions=directions.reshape(architecture.residual_directions, len(joint_names), 3),
     )
-    codes = raw.encode(poses.training_vectors)[:, : shape.code_size]
-    covariance = np.cov(codes.T).reshape(shape.code_size, shape.code_size)
-    least = 1e-6 * np.trace(covariance) / shape.code_size  # so that a number that the network never uses does no harm
-    spread = SD_INFLATION * np.linalg.cholesky(covariance + least * np.eye(shape.code_size))
-    return replace(raw, code_mean=codes.mean(0), code_cholesky=spread)
+    codes = unscaled.encode(training_vectors)[:, :size]
+    covariance = np.cov(codes.T).reshape(size, size)
+    regularisation = 1e-6 * np.trace(covariance) / size  # for code dimensions that the network does not use
+    cholesky = SD_INFLATION * np.linalg.cholesky(covariance + regularisation * np.eye(size))
+    return replace(unscaled, code_mean=codes.mean(0), code_cholesky=cholesky)
 
 
-def compute_reconstruction_error(model: PoseModel, pose_vectors: np.ndarray) -> np.ndarray:
-    """-> (N, J) radians between poses (N, J, 3) and what the model makes of them."""
+def compute_reconstruction_error(model: PoseModel, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N J"]:
+    """Return the angles in radians between poses and the decoded poses of their codes."""
     model = model.select_components(pose_vectors)
     decoded = model.decode(model.encode(pose_vectors))
-    turns = Rotation.from_rotvec(pose_vectors.reshape(-1, 3)) * Rotation.from_rotvec(decoded.reshape(-1, 3)).inv()
-    return turns.magnitude().reshape(pose_vectors.shape[:2])
+    difference = Rotation.from_rotvec(pose_vectors.reshape(-1, 3)) * Rotation.from_rotvec(decoded.reshape(-1, 3)).inv()
+    return difference.magnitude().reshape(pose_vectors.shape[:2])
 
 
-def compute_residual_sd(model: PoseModel, held_out_vectors: np.ndarray) -> np.ndarray:
-    """-> (J,) radians per axis: sigma, from poses of people the model has not seen; of the root's tilt as measured, not LOOSE,
-    for in the solve that places people best whom the model has not seen."""
-    loose = np.where(np.arange(len(model.joint_names)) == 0, 1.0, SD_INFLATION)
-    return np.maximum(
-        loose * np.sqrt((compute_reconstruction_error(model, held_out_vectors) ** 2).mean(0) / 3), MIN_RESIDUAL_SD_RAD
-    )
+def compute_residual_sd(model: PoseModel, held_out_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, " J"]:
+    """Return the standard deviations per axis in radians of held-out poses around their decoded poses, inflated by SD_INFLATION.
+
+    That of the root's tilt is not inflated: the solver is then most accurate for people that the model was not trained on.
+    """
+    inflation = np.where(np.arange(len(model.joint_names)) == 0, 1.0, SD_INFLATION)
+    error = compute_reconstruction_error(model, held_out_vectors)
+    return np.maximum(inflation * np.sqrt((error**2).mean(0) / 3), MIN_RESIDUAL_SD_RAD)
 
 
 def compute_prior_scores(model: PoseModel, poses: TrainingPoses) -> PriorScores:
-    """-> how near the model comes to poses, by themselves and decoded."""
-    seen, unseen = (
-        np.degrees(compute_reconstruction_error(model, each)) for each in (poses.training_vectors[::10], poses.held_out_vectors)
+    """Return the reconstruction errors of training and held-out poses, and the root mean square of the held-out codes."""
+    training_deg, held_out_deg = (
+        np.degrees(compute_reconstruction_error(model, vectors))
+        for vectors in (poses.training_vectors[::SCORE_STRIDE], poses.held_out_vectors)
     )
-    spread = np.sqrt((model.select_components(poses.held_out_vectors).encode(poses.held_out_vectors) ** 2).mean())
-    return PriorScores(float(seen[:, 1:].mean()), float(unseen[:, 1:].mean()), float(spread))
+    codes = model.select_components(poses.held_out_vectors).encode(poses.held_out_vectors)
+    return PriorScores(
+        training_deg=float(training_deg[:, 1:].mean()),
+        held_out_deg=float(held_out_deg[:, 1:].mean()),
+        code_rms=float(np.sqrt((codes**2).mean())),
+    )

@@ -1,4 +1,4 @@
-"""How a prior, or the regressor of twists, is to be trained: what priors/NAME.yaml says."""
+"""The settings of training: the form of priors/NAME.yaml for a pose prior or the twist regressor."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -7,44 +7,53 @@ from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 
+NonNegativeFloat = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 
-class GaussianSettings(StrictModel):
-    """Probabilistic principal components.
 
-    title       one line, for the card
-    test        subjects that are never read: they are for the benchmarks
-    unseen      subjects kept from the fit, by whom sigma and the scores are measured
-    components  how many; "all" takes those above the noise floor, which makes it the full Gaussian
+class SubjectSettings(StrictModel):
+    """Settings that all training has.
+
+    title              one line for the card
+    test_subjects      subjects that training never reads; the benchmarks use them
+    held_out_subjects  subjects that are not trained on; standard deviations and scores are measured on them
+    """
+
+    title: str
+    test_subjects: frozenset[str]
+    held_out_subjects: frozenset[str]
+
+
+class GaussianSettings(SubjectSettings):
+    """Probabilistic principal component analysis.
+
+    components  number of components; "all" keeps those above the noise floor, which gives the full Gaussian
     """
 
     model: Literal["linear"]
-    title: str
-    test_subjects: frozenset[str]
-    held_out_subjects: frozenset[str]
     components: PositiveInt | Literal["all"]
 
 
-class AutoencoderSettings(StrictModel):
-    """An autoencoder; title, test and unseen as in LinearSettings.
+class AutoencoderSettings(SubjectSettings):
+    """An autoencoder.
 
-    seed        of weights, order and corruption
-    features, gives, hidden, code, astray, activation, straight   the network, see mocapfix.pose_prior.network.NetworkArchitecture
-    initial     standard deviation of the weights at the start; null for torch's own
-    epochs      times that every pose is seen
-    batch       poses in a step
-    rate        of learning, at the start
-    falling     "cosine", to zero at the end; or a factor every 2,000 steps
-    decay       AdamW's, of weights
-    norm        times the norm of all weights is added to the loss (MNN-IK, Eq. 3.2)
-    loss        "paper", squares and the norm (MNN-IK, Eq. 3.2); or "evidence", see mocapfix.train.autoencoder
-    balance     0: poses are shown as they come; 1: those of every subject as often; between, between
-    denoising   part of the poses that the network is shown corrupted, to learn the way back to people's
+    seed               of weights, order and corruption
+    input_features, output_features, hidden_widths, code_size, residual_directions, activation, skip_connection
+                       the architecture, see mocapfix.pose_prior.network.NetworkArchitecture
+    initial_weight_sd  standard deviation of the initial weights; null for torch's default
+    epochs             passes over all poses
+    batch_poses        poses per step
+    learning_rate      at the start
+    rate_schedule      "cosine", down to zero at the end; or a factor that is applied every 2,000 steps
+    weight_decay       of AdamW
+    norm_weight        weight of the norm of all weights in the loss (MNN-IK, Eq. 3.2)
+    loss               "paper" for squared errors and the norm (MNN-IK, Eq. 3.2); "evidence" for the evidence lower bound, see
+                       mocapfix.train.autoencoder.compute_evidence_loss
+    subject_balance    0 samples every pose equally often, 1 every subject equally often; values between interpolate
+    corrupted_share    fraction of the poses that are corrupted, from which a denoising autoencoder learns
     """
 
     model: Literal["autoencoder"]
-    title: str
-    test_subjects: frozenset[str]
-    held_out_subjects: frozenset[str]
     seed: int
     input_features: Literal["continuous", "euler", "vectors"]
     output_features: Literal["euler", "vectors"]
@@ -58,28 +67,25 @@ class AutoencoderSettings(StrictModel):
     batch_poses: PositiveInt
     learning_rate: PositiveFloat
     rate_schedule: Literal["cosine"] | Annotated[float, Field(gt=0, le=1)]
-    weight_decay: Annotated[float, Field(ge=0)]
-    norm_weight: Annotated[float, Field(ge=0)]
+    weight_decay: NonNegativeFloat
+    norm_weight: NonNegativeFloat
     loss: Literal["paper", "evidence"]
-    subject_balance: Annotated[float, Field(ge=0, le=1)]
-    corrupted_share: Annotated[float, Field(ge=0, le=1)]
+    subject_balance: Fraction
+    corrupted_share: Fraction
 
 
-class MixtureSettings(StrictModel):
-    """A mixture of Gaussians; title, test and unseen as in LinearSettings.
+class MixtureSettings(SubjectSettings):
+    """A Gaussian mixture.
 
-    seed        of where the fits begin
-    variance    part of the poses' variance that the reduced space keeps
-    components  how many Gaussians
-    fits        from so many beginnings; the likeliest is taken
-    tolerance   expectation maximisation ends where an iteration raises the mean log-likelihood of a pose by less
-    most        iterations, in which it must have ended
+    seed            of the initial values of the fits
+    variance_share  fraction of the poses' variance that the principal axes keep
+    components      number of Gaussians
+    restarts        number of fits from different initial values; the one of greatest likelihood is used
+    tolerance       EM has converged when an iteration raises the mean log-likelihood of a pose by less
+    max_iterations  of EM
     """
 
     model: Literal["mixture"]
-    title: str
-    test_subjects: frozenset[str]
-    held_out_subjects: frozenset[str]
     seed: int
     variance_share: Annotated[float, Field(gt=0, lt=1)]
     components: PositiveInt
@@ -88,29 +94,26 @@ class MixtureSettings(StrictModel):
     max_iterations: PositiveInt
 
 
-class TwistSettings(StrictModel):
-    """The regressor of twists, which is no prior; title, test and unseen as in LinearSettings.
+class TwistSettings(SubjectSettings):
+    """The twist regressor, which is not a pose prior.
 
-    seed     of weights, order, bodies and displacements
-    hidden   widths of the layers
-    epochs   times that every pose is seen
-    batch    poses in a step
-    rate     of learning, at the start; it falls to zero as a cosine does
-    decay    AdamW's, of weights
-    balance  0: poses are shown as they come; 1: those of every subject as often; between, between
+    seed             of weights, order, bodies and displacements
+    hidden_widths    widths of the hidden layers
+    epochs           passes over all poses
+    batch_poses      poses per step
+    learning_rate    at the start; it falls to zero along a cosine
+    weight_decay     of AdamW
+    subject_balance  as in AutoencoderSettings
     """
 
     model: Literal["twist"]
-    title: str
-    test_subjects: frozenset[str]
-    held_out_subjects: frozenset[str]
     seed: int
     hidden_widths: tuple[PositiveInt, ...]
     epochs: PositiveInt
     batch_poses: PositiveInt
     learning_rate: PositiveFloat
-    weight_decay: Annotated[float, Field(ge=0)]
-    subject_balance: Annotated[float, Field(ge=0, le=1)]
+    weight_decay: NonNegativeFloat
+    subject_balance: Fraction
 
 
 PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings
@@ -118,10 +121,10 @@ PRIOR_SETTINGS_ADAPTER: TypeAdapter[PriorSettings] = TypeAdapter(Annotated[Prior
 
 
 def read_prior_settings(path: Path) -> PriorSettings:
-    """-> a prior's settings. Raises SceneError naming the file and the key that is not as it must be."""
+    """Return the training settings of a pose prior. Raises SceneError that names the file and the first invalid key."""
     return read_yaml_model(PRIOR_SETTINGS_ADAPTER, path)
 
 
 def read_twist_settings(path: Path) -> TwistSettings:
-    """-> the settings of a regressor of twists. Raises SceneError likewise."""
+    """Return the training settings of the twist regressor. Raises SceneError that names the file and the first invalid key."""
     return read_yaml_model(TwistSettings, path)

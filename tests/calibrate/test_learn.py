@@ -10,11 +10,12 @@ from mocapfix.calibrate import marker_set_fit, unlabelled_markers
 from mocapfix.errors import TakeError
 from mocapfix.marker_sets import label_words, load_marker_set
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
 BODY, CMU = load_cmu31_body(), load_marker_set("cmu41")
-POSES, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
+POSES, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_joint_limits(BODY.skeleton)
 NAMELESS = tuple(f"P{m}" for m in range(41))
 HIDDEN = ("LUPA", "RBAC", "LTHI", "RSHN", "RTOE", "LBHD", "RFIN", "LBWT")
 

@@ -7,13 +7,14 @@ from mocapfix import synthetic
 from mocapfix.initialise import initial_motion
 from mocapfix.initialise.initial_motion import start_from_previous
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.take import Take
 
 BODY = load_cmu31_body()
-MEAN, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
+MEAN, LIMITS = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), load_joint_limits(BODY.skeleton)
 
 
 @pytest.fixture(scope="module")

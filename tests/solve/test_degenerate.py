@@ -6,13 +6,14 @@ from mocapfix import synthetic
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import STATUS_TEXTS
 from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.take import Take
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
-LIMITS = mean_pose.load_joint_limits(BODY.skeleton)
+LIMITS = load_joint_limits(BODY.skeleton)
 
 
 def solved(truth, markers):

@@ -9,6 +9,7 @@ from mocapfix import marker_sets, synthetic
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import io, mean_pose
+from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver, occluded_joints
 from mocapfix.solve.motion_solver import SolveOptions
@@ -17,7 +18,7 @@ from mocapfix.take import Take
 
 BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 MEAN, NONE = (mean_pose.load_mean_pose_prior(name, BODY.skeleton) for name in ("mean-pose", "none"))
-LIMITS = mean_pose.load_joint_limits(BODY.skeleton)
+LIMITS = load_joint_limits(BODY.skeleton)
 NO_LIMITS = replace(LIMITS, lower_rad=np.full_like(LIMITS.lower_rad, -np.inf), upper_rad=np.full_like(LIMITS.upper_rad, np.inf))
 NAMES = BODY.skeleton.names
 SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)

@@ -1,4 +1,4 @@
-"""Motion that some people might have made, for the readers and the training to read."""
+"""Files of synthetic motion, for the tests of readers and training."""
 
 from pathlib import Path
 
@@ -10,17 +10,17 @@ from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.write import bvh
 
 
-def walked(seed: int, frames: int = 24, spread: float = 0.3) -> np.ndarray:
-    """-> (T, 31, 3, 3) local rotations of a body that bends slowly, in ways that differ by `seed`"""
+def draw_motion(seed: int, frames: int = 24, spread: float = 0.3) -> np.ndarray:
+    """Return the local rotations (T, 31, 3, 3) of a body that bends slowly, depending on the seed."""
     rng = np.random.default_rng(seed)
     first, last = rng.normal(0, spread, (2, 31, 3))
-    way = np.linspace(0, 1, frames)[:, None, None]
-    vectors = first + way * (last - first)
+    share = np.linspace(0, 1, frames)[:, None, None]
+    vectors = first + share * (last - first)
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(frames, 31, 3, 3)
 
 
 def write_bvh(path: Path, rotations: np.ndarray, rate: float = 30.0) -> None:
     frames = len(rotations)
-    none = np.zeros((frames, 0))
-    motion = Motion(np.zeros((frames, 3)), rotations, np.zeros(frames, int), np.zeros(frames, int), none, none)
+    empty = np.zeros((frames, 0))
+    motion = Motion(np.zeros((frames, 3)), rotations, np.zeros(frames, int), np.zeros(frames, int), empty, empty)
     bvh(path, load_cmu31_skeleton(), motion, rate)

@@ -1,4 +1,4 @@
-"""Models as files: what was saved comes back, and nothing else is taken for it."""
+"""Weights files: saved models are restored, and invalid files are rejected."""
 
 import json
 import subprocess
@@ -14,31 +14,33 @@ from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior import io
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
-from tests.prior.test_autoencoder import drawn
+from tests.pose_prior.test_autoencoder import draw_model
 
 SKELETON = load_cmu31_body().skeleton
 CODES = np.random.default_rng(0).normal(size=(3, 3))
 
 
 @pytest.fixture
-def linear():
+def gaussian():
     rng = np.random.default_rng(1)
-    middle, sigma = np.tile(np.eye(3), (31, 1, 1)), rng.uniform(0.1, 0.3, 31)
-    return GaussianModel(SKELETON.names, middle, sigma, rng.normal(0, 0.1, (31, 3)), rng.normal(0, 0.1, (3, 31, 3)), 0.05)
+    reference, residual_sd = np.tile(np.eye(3), (31, 1, 1)), rng.uniform(0.1, 0.3, 31)
+    return GaussianModel(
+        SKELETON.names, reference, residual_sd, rng.normal(0, 0.1, (31, 3)), rng.normal(0, 0.1, (3, 31, 3)), 0.05
+    )
 
 
-def test_a_linear_model_comes_back(tmp_path, linear):
-    io.save_pose_model(tmp_path / "mine.safetensors", linear)
+def test_saved_gaussian_is_restored(tmp_path, gaussian):
+    io.save_pose_model(tmp_path / "mine.safetensors", gaussian)
     loaded = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     assert isinstance(loaded, GaussianModel)
-    np.testing.assert_allclose(loaded.decode(CODES), linear.decode(CODES), atol=1e-6)
-    np.testing.assert_allclose(loaded.encode(linear.decode(CODES)), linear.encode(linear.decode(CODES)), atol=1e-4)
-    np.testing.assert_allclose(loaded.residual_information, linear.information, rtol=1e-6)
+    np.testing.assert_allclose(loaded.decode(CODES), gaussian.decode(CODES), atol=1e-6)
+    np.testing.assert_allclose(loaded.encode(gaussian.decode(CODES)), gaussian.encode(gaussian.decode(CODES)), atol=1e-4)
+    np.testing.assert_allclose(loaded.residual_information, gaussian.residual_information, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("kind", "activation"), [("continuous", "silu"), ("euler", "relu")])
-def test_a_rounded_network_comes_back_as_it_was(tmp_path, kind, activation):
-    model = drawn(kind, activation)
+@pytest.mark.parametrize(("features", "activation"), [("continuous", "silu"), ("euler", "relu")])
+def test_saved_network_is_restored(tmp_path, features, activation):
+    model = draw_model(features, activation)
     model.network.half().float()
     io.save_pose_model(tmp_path / "mine.safetensors", model)
     loaded = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
@@ -47,11 +49,11 @@ def test_a_rounded_network_comes_back_as_it_was(tmp_path, kind, activation):
     np.testing.assert_allclose(loaded.encode(model.decode(CODES)), model.encode(model.decode(CODES)), atol=1e-4)
 
 
-def spoilt(tmp_path, model, change):
-    """-> the path of a saved model whose header and tensors have been changed"""
+def save_changed(tmp_path, model, change):
+    """Return the path of a saved model whose header and tensors have been changed."""
     path = tmp_path / "mine.safetensors"
     io.save_pose_model(path, model)
-    header, tensors = {"kind": type(model).__name__.lower(), "joints": model.joint_names, **model.serialise()[0]}, load_file(path)
+    header, tensors = {"kind": model.kind, "joints": model.joint_names, **model.serialise()[0]}, load_file(path)
     change(header, tensors)
     save_file(tensors, path, {"mocapfix": json.dumps(header)})
     return str(path)
@@ -60,43 +62,45 @@ def spoilt(tmp_path, model, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda header, tensors: tensors.pop("sigma"), "should hold"),
-        (lambda header, tensors: tensors.update(more=np.ones(2)), "should hold"),
-        (lambda header, tensors: tensors.update(sigma=np.ones(30, np.float32)), "should hold"),
+        (lambda header, tensors: tensors.pop("sigma"), "expected finite tensors"),
+        (lambda header, tensors: tensors.update(more=np.ones(2)), "expected finite tensors"),
+        (lambda header, tensors: tensors.update(sigma=np.ones(30, np.float32)), "expected finite tensors"),
         (lambda header, tensors: tensors["mean"].__setitem__(0, np.nan), "finite"),
         (lambda header, tensors: header.pop("noise"), "noise"),
-        (lambda header, tensors: header.update(kind="forest"), "'forest' that is not known"),
+        (lambda header, tensors: header.update(kind="forest"), "kind 'forest' is unknown"),
     ],
 )
-def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, linear, change, message):
+def test_incomplete_or_unknown_content_raises(tmp_path, gaussian, change, message):
     with pytest.raises(SceneError, match=message):
-        io.load_pose_model(spoilt(tmp_path, linear, change), SKELETON)
+        io.load_pose_model(save_changed(tmp_path, gaussian, change), SKELETON)
 
 
-def test_a_network_of_other_weights_is_refused(tmp_path):
-    path = spoilt(tmp_path, drawn("continuous", "silu"), lambda header, tensors: tensors.pop("network.decoder.0.weight"))
+def test_missing_network_weights_raise(tmp_path):
+    path = save_changed(
+        tmp_path, draw_model("continuous", "silu"), lambda header, tensors: tensors.pop("network.decoder.0.weight")
+    )
     with pytest.raises(SceneError, match=r"decoder\.0\.weight"):
         io.load_pose_model(path, SKELETON)
 
 
-def test_a_model_of_other_joints_or_another_order_is_refused(tmp_path, linear):
-    path = spoilt(tmp_path, linear, lambda header, tensors: header.update(joint_names=SKELETON.names[::-1]))
+def test_model_of_other_joints_raises(tmp_path, gaussian):
+    path = save_changed(tmp_path, gaussian, lambda header, tensors: header.update(joints=SKELETON.names[::-1]))
     with pytest.raises(SceneError, match="in this order"):
         io.load_pose_model(path, SKELETON)
-    io.save_pose_model(tmp_path / "mine.safetensors", linear)
+    io.save_pose_model(tmp_path / "mine.safetensors", gaussian)
     with pytest.raises(SceneError, match="in this order"):
         io.load_pose_model(str(tmp_path / "mine.safetensors"), replace(SKELETON, names=SKELETON.names[:-1]))
 
 
-def test_another_file_and_no_file_are_refused(tmp_path):
+def test_missing_and_invalid_files_raise(tmp_path):
     (tmp_path / "text.safetensors").write_text("not that")
-    with pytest.raises(SceneError, match=r"text\.safetensors: is no prior"):
+    with pytest.raises(SceneError, match=r"text\.safetensors: is not a prior"):
         io.load_pose_model(str(tmp_path / "text.safetensors"), SKELETON)
     with pytest.raises(SceneError, match="no trained prior 'nobody'"):
         io.load_pose_model("nobody", SKELETON)
 
 
-def test_what_ships_loads_and_is_small():
+def test_shipped_models_load_and_are_small():
     shipped = sorted(find_shipped_folder("priors").glob("*.safetensors"))
     assert sum(path.stat().st_size for path in shipped) < 25e6
     for path in shipped:
@@ -109,13 +113,15 @@ def test_what_ships_loads_and_is_small():
             assert np.isfinite(decoded).all()
 
 
-def test_the_regressor_of_twists_is_no_prior():
+def test_twist_regressor_is_not_a_pose_prior():
     with pytest.raises(SceneError, match="no trained prior 'twist'; choose one of: autoencoder, gaussian, mixture, pca;"):
         io.load_pose_model("twist", SKELETON)
 
 
-def test_a_linear_model_needs_no_torch(tmp_path, linear):
-    io.save_pose_model(tmp_path / "mine.safetensors", linear)
-    code = "import sys; from mocapfix.pose_prior.mean_pose import models; from mocapfix.skeleton import cmu31; "
-    code += f"models.load({str(tmp_path / 'mine.safetensors')!r}, cmu31().skeleton); print('torch' in sys.modules)"
+def test_gaussian_does_not_import_torch(tmp_path, gaussian):
+    io.save_pose_model(tmp_path / "mine.safetensors", gaussian)
+    code = "import sys; from mocapfix.pose_prior import io; from mocapfix.skeleton import load_cmu31_body; "
+    code += (
+        f"io.load_pose_model({str(tmp_path / 'mine.safetensors')!r}, load_cmu31_body().skeleton); print('torch' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"

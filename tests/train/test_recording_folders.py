@@ -5,38 +5,38 @@ import pytest
 
 from mocapfix.errors import ReadError
 from mocapfix.train import recording_folders
-from tests.train.people import walked, write_bvh
+from tests.train.motion_files import draw_motion, write_bvh
 
 CMU = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "captures" / "cmu"
 
 
-def test_what_mocapfix_writes_it_reads(tmp_path):
-    rotations = walked(0)
+def test_written_bvh_is_read_back(tmp_path):
+    rotations = draw_motion(0)
     write_bvh(tmp_path / "07_02.bvh", rotations)
-    (found,) = recording_folders.read_bvh_recording(tmp_path / "07_02.bvh")
-    assert (found.name, found.subject) == ("07_02", "07")
-    assert found.rate_hz == pytest.approx(30.0)
-    np.testing.assert_allclose(found.rotations, rotations, atol=1e-7)
+    (recording,) = recording_folders.read_bvh_recording(tmp_path / "07_02.bvh")
+    assert (recording.name, recording.subject) == ("07_02", "07")
+    assert recording.rate_hz == pytest.approx(30.0)
+    np.testing.assert_allclose(recording.rotations, rotations, atol=1e-7)
 
 
-def test_fast_motion_is_thinned_and_a_t_pose_at_its_start_left_out(tmp_path):
-    rotations = walked(1)
+def test_high_rate_is_reduced_and_initial_t_pose_skipped(tmp_path):
+    rotations = draw_motion(1)
     rotations[0] = np.eye(3)
     write_bvh(tmp_path / "a.bvh", rotations, rate=120.0)
-    (found,) = recording_folders.read_bvh_recording(tmp_path / "a.bvh")
-    assert found.rate_hz == pytest.approx(30.0)
-    assert found.subject == tmp_path.name
-    np.testing.assert_allclose(found.rotations, rotations[1::4], atol=1e-7)
+    (recording,) = recording_folders.read_bvh_recording(tmp_path / "a.bvh")
+    assert recording.rate_hz == pytest.approx(30.0)
+    assert recording.subject == tmp_path.name
+    np.testing.assert_allclose(recording.rotations, rotations[1::4], atol=1e-7)
 
 
-def test_frames_that_are_not_all_there_are_left_out(tmp_path):
-    rotations = walked(2)
+def test_incomplete_frames_are_skipped(tmp_path):
+    rotations = draw_motion(2)
     write_bvh(tmp_path / "a.bvh", rotations)
     lines = (tmp_path / "a.bvh").read_text().splitlines()
     lines[-3] = " ".join(["nan", *lines[-3].split()[1:-1], "nan"])
     (tmp_path / "a.bvh").write_text("\n".join(lines))
-    (found,) = recording_folders.read_bvh_recording(tmp_path / "a.bvh")
-    np.testing.assert_allclose(found.rotations, np.delete(rotations, -3, axis=0), atol=1e-7)
+    (recording,) = recording_folders.read_bvh_recording(tmp_path / "a.bvh")
+    np.testing.assert_allclose(recording.rotations, np.delete(rotations, -3, axis=0), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,8 @@ def test_frames_that_are_not_all_there_are_left_out(tmp_path):
         ("\n0.0", "\n0.0 1 ", "is torn there"),
     ],
 )
-def test_another_skeleton_or_a_torn_file_is_refused(tmp_path, old, new, message):
-    write_bvh(tmp_path / "a.bvh", walked(3))
+def test_unknown_skeleton_or_truncated_file_raises(tmp_path, old, new, message):
+    write_bvh(tmp_path / "a.bvh", draw_motion(3))
     text = (tmp_path / "a.bvh").read_text()
     assert old in text
     (tmp_path / "a.bvh").write_text(text.replace(old, new, 1))
@@ -56,8 +56,8 @@ def test_another_skeleton_or_a_torn_file_is_refused(tmp_path, old, new, message)
         list(recording_folders.read_bvh_recording(tmp_path / "a.bvh"))
 
 
-@pytest.mark.skipif(not CMU.is_dir(), reason="the real captures are not here")
-def test_a_trial_of_cmu_is_the_same_poses_as_amc_and_as_bvh():
+@pytest.mark.skipif(not CMU.is_dir(), reason="needs the real captures")
+def test_amc_and_bvh_of_a_cmu_trial_have_equal_poses():
     (motion,), (release,) = (
         recording_folders.read_amc_recording(CMU / "02_01.amc"),
         recording_folders.read_bvh_recording(CMU / "02_01.bvh"),

@@ -7,14 +7,14 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import ReadError
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import recording_folders, shard_recordings
-from tests.train.people import walked, write_bvh
+from tests.train.motion_files import draw_motion, write_bvh
 
 NAMES = load_cmu31_body().skeleton.names
 
 
-def saved(folder, name="train-1.npz", joints=NAMES):
-    """-> a shard of two trials, and their rotations"""
-    rotations = walked(0)
+def write_shard(folder, name="train-1.npz", joints=NAMES):
+    """Write a shard of two trials and return its path and the rotations."""
+    rotations = draw_motion(0)
     degrees = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True).reshape(-1, 31, 3)
     euler = np.round(degrees / 180 * 32767).astype(np.int16)
     np.savez(folder / name, euler=euler, trial=np.array(["01_02", "14_01"]), start=np.array([0, 10]), length=np.array([10, 14]))
@@ -22,21 +22,21 @@ def saved(folder, name="train-1.npz", joints=NAMES):
     return folder / name, rotations
 
 
-def test_a_shard_holds_its_trials(tmp_path):
-    path, rotations = saved(tmp_path)
+def test_shard_yields_its_trials(tmp_path):
+    path, rotations = write_shard(tmp_path)
     first, second = shard_recordings.read_shard_recordings(path)
     assert [(each.name, each.subject, each.rate_hz) for each in (first, second)] == [("01_02", "01", 30.0), ("14_01", "14", 30.0)]
     np.testing.assert_allclose(first.rotations, rotations[:10], atol=2e-4)
     np.testing.assert_allclose(second.rotations, rotations[10:], atol=2e-4)
 
 
-def test_motion_that_was_put_back_together_is_left_out(tmp_path):
-    path, _ = saved(tmp_path, "train-approx.npz")
+def test_reconstructed_motion_is_skipped(tmp_path):
+    path, _ = write_shard(tmp_path, "train-approx.npz")
     assert not list(shard_recordings.read_shard_recordings(path))
 
 
-def test_other_joints_and_no_skeletons_are_refused(tmp_path):
-    path, _ = saved(tmp_path, joints=NAMES[::-1])
+def test_other_joints_or_missing_skeletons_raise(tmp_path):
+    path, _ = write_shard(tmp_path, joints=NAMES[::-1])
     with pytest.raises(ReadError, match="not the 31"):
         list(shard_recordings.read_shard_recordings(path))
     (tmp_path / "skeletons.json").unlink()
@@ -44,17 +44,17 @@ def test_other_joints_and_no_skeletons_are_refused(tmp_path):
         list(shard_recordings.read_shard_recordings(path))
 
 
-def test_a_folder_gives_all_that_lies_in_it_and_always_in_one_order(tmp_path):
-    saved(tmp_path)
+def test_folder_yields_all_recordings_in_a_fixed_order(tmp_path):
+    write_shard(tmp_path)
     (tmp_path / "more").mkdir()
     for name in ("09_02", "09_01"):
-        write_bvh(tmp_path / "more" / f"{name}.bvh", walked(1))
-    np.savez(tmp_path / "more" / "them_poses.npz", poses=np.zeros((4, 156)), mocap_framerate=30.0)
+        write_bvh(tmp_path / "more" / f"{name}.bvh", draw_motion(1))
+    np.savez(tmp_path / "more" / "others_poses.npz", poses=np.zeros((4, 156)), mocap_framerate=30.0)
     names = [each.name for each in recording_folders.read_recordings(tmp_path)]
-    assert names == ["01_02", "14_01", "them_poses", "09_01", "09_02"]
+    assert names == ["01_02", "14_01", "others_poses", "09_01", "09_02"]
 
 
-def test_a_folder_without_motion_is_named(tmp_path):
+def test_folder_without_motion_raises(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ReadError, match="holds no motion"):
         list(recording_folders.read_recordings(tmp_path))
