@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.kernels import euler_angles
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 AXIS_LETTERS = "XYZ"
 

@@ -156,9 +156,3 @@ class Take:
     def replace_markers(self, markers: np.ndarray, sample_sd: np.ndarray | None = None) -> "Take":
         """The same take with other positions (T, M, 3)."""
         return replace(self, markers=markers, sample_sd=sample_sd)
-
-
-def find_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """-> the runs of True in `mask` (T,) as (first, last) indices, both inclusive."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]

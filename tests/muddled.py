@@ -8,9 +8,10 @@ import numpy as np
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
-from mocapfix.take import Take, find_runs
+from mocapfix.take import Take
 from tests.c3d_files import c3d_bytes
 
 FIRST = 301  # the file's number of the first frame

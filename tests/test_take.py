@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 NO_VALUES, ALL_ZERO, VALUE_HELD = "has no numbers", "is at zero", "is held at one value"
 MIN_HELD_DURATION_S = 0.1  # seconds of one value; of several joints together one frame is enough

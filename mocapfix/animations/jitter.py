@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.stats.constant_offsets import multiply_quaternions
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 POWER_WINDOW_S, MIN_JITTER_DURATION_S = 0.2, 0.15  # seconds: over which the size is measured, and that a tremble lasts
 MIN_JITTER_FRAMES, MIN_POWER_WINDOW_FRAMES = (

@@ -19,7 +19,7 @@ from mocapfix.faults import Fault, build_fault_mask
 from mocapfix.kernels import quaternions
 from mocapfix.solve import occluded_joints, state_features
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 
 # MERGED: mocapfix.solve.mapped

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from mocapfix.pipeline import CleaningResult
+from mocapfix.stats.runs import find_runs
 from mocapfix.synthetic import SyntheticTake
-from mocapfix.take import find_runs
 
 MIN_ARM_MARKERS = 6  # markers lost at once: an arm's
 MAX_SHORT_GAP_S = 0.5  # seconds: half of all gaps are shorter, nine tenths of what is missing lies in longer ones

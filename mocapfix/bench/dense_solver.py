@@ -52,7 +52,7 @@ def write_shape_motion(tree, rotation, stretch):
     """Write how every joint moves in the world (P, J, 3) with each shape parameter."""
     for p in range(len(stretch)):
         for j in range(1, len(tree.parents)):
-            up, by = tree.parents[j], tree.shape[p, j]
+            up, by = tree.parents[j], tree.shape_basis[p, j]
             x, y, z = multiply_vector(load_matrix(rotation, up), by[0], by[1], by[2])
             stretch[p, j, 0] = stretch[p, up, 0] + x
             stretch[p, j, 1] = stretch[p, up, 1] + y
@@ -87,18 +87,18 @@ def write_jacobian(tree, points, views, directions, pose, stretch, jacobian, res
     position, rotation, row, still, turn, shift = pose.position, pose.rotation, 0, np.zeros(3), np.zeros(3), np.zeros(3)
     write_shape_motion(tree, rotation, stretch)
     for n in range(len(points.joints)):
-        j, place, root = points.joints[n], points.places[n], np.sqrt(points.weight[0, n])
+        j, place, root = points.joints[n], points.offsets[n], np.sqrt(points.weight[0, n])
         x, y, z = multiply_vector(load_matrix(rotation, j), place[0], place[1], place[2])
         at = (x + position[j, 0], y + position[j, 1], z + position[j, 2])
         for a in range(3):
             shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
             shift[a] = root
-            residual[row] = root * (at[a] - points.seen[0, n, a])
+            residual[row] = root * (at[a] - points.measured[0, n, a])
             write_jacobian_row(tree, position, stretch, j, at[0] - position[0, 0], at[1] - position[0, 1], at[2] - position[0, 2],
                   still, shift, jacobian[row])  # fmt: skip
             row += 1
     for n in range(len(views.joints)):
-        j, place, root = views.joints[n], views.places[n], np.sqrt(views.weight[0, n])
+        j, place, root = views.joints[n], views.offsets[n], np.sqrt(views.weight[0, n])
         x, y, z = multiply_vector(load_matrix(rotation, j), place[0], place[1], place[2])
         x, y, z = x + position[j, 0], y + position[j, 1], z + position[j, 2]
         m, origin = views.rotation[views.cameras[n]], views.translation[views.cameras[n]]
@@ -108,18 +108,18 @@ def write_jacobian(tree, points, views, directions, pose, stretch, jacobian, res
             seen = (image[a] + origin[a]) / depth
             for c in range(3):
                 shift[c] = root * (m[a, c] - seen * m[2, c]) / depth
-            residual[row] = root * (seen - views.seen[0, n, a])
+            residual[row] = root * (seen - views.measured[0, n, a])
             write_jacobian_row(tree, position, stretch, j, x - position[0, 0], y - position[0, 1], z - position[0, 2],
                   still, shift, jacobian[row])  # fmt: skip
             row += 1
     shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
     for n in range(len(directions.joints)):
-        j, along, root = directions.joints[n], directions.along[n], np.sqrt(directions.weight[0, n])
+        j, along, root = directions.joints[n], directions.bone_axes[n], np.sqrt(directions.weight[0, n])
         d = multiply_vector(load_matrix(rotation, j), along[0], along[1], along[2])
         for a in range(3):  # a turn w moves the direction by w x d
             b, c = (a + 1) % 3, (a + 2) % 3
             turn[a], turn[b], turn[c] = 0.0, root * d[c], -root * d[b]
-            residual[row] = root * (d[a] - directions.seen[0, n, a])
+            residual[row] = root * (d[a] - directions.measured[0, n, a])
             write_jacobian_row(tree, position, stretch, j, 0.0, 0.0, 0.0, turn, shift, jacobian[row])
             row += 1
 
@@ -131,7 +131,7 @@ def add_dense_tracking_term(tree, terms, pose, system, curvature, gradient):
     for j in range(len(tree.parents)):
         at = 3 + 3 * j if j else 0
         for a in range(3):
-            gradient[at + a] += system.b[j, a] if j else system.g[0, a]
+            gradient[at + a] += system.g_joint[j, a] if j else system.g[0, a]
             for c in range(a + 1):
                 curvature[at + a, at + c] += system.h_joint[j, a, c]
     for i in range(len(gradient)):

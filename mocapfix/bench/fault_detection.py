@@ -31,7 +31,7 @@ from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.repair.relabel import JOINED_RELATIONS
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
 REFILL_OPTIONS = FillOptions(refill=True)  # so that straight fills are estimated, too

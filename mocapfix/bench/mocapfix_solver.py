@@ -85,7 +85,7 @@ def build_workspace(scene: ScopeScene) -> SolveWorkspace:
 def repeat_direction(tree, terms, pose, work, times):
     """Linearise all terms of a scene and solve for the Gauss-Newton step, into the work's step; so many times."""
     for _ in range(times):
-        linearise_terms(tree, terms, 0, np.inf, pose, work.system)
+        linearise_terms(tree, terms, 0, np.inf, pose, work.equations)
         levenberg_marquardt.compute_direction(tree, work, DIRECTION_DAMPING)
 
 

@@ -15,9 +15,9 @@ from mocapfix import pipeline, synthetic
 from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.pipeline import DEFAULT_FILL_OPTIONS
 from mocapfix.result import CleaningResult
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
-from mocapfix.take import find_runs
 
 UNCERTAINTY_SEEDS = range(8)  # people on whom no constant was set; those that were used for it have numbers from 100 on
 MAX_SHORT_FILL_S, MIN_LONG_FILL_S = 0.2, 1.0  # seconds

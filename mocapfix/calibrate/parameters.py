@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from mocapfix.kernels.schur import ShapeDeformations
+from mocapfix.calibrate.shape_responses import ShapeDeformations
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, Skeleton
 from mocapfix.subject import Subject

@@ -11,9 +11,9 @@ import numpy as np
 
 from mocapfix.calibrate import parameters as freedom
 from mocapfix.calibrate.parameters import CalibrationParameters
+from mocapfix.calibrate.shape_responses import SharedResponses, compute_shared_responses, reduce_shared_equations
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.schur import SharedResponses, compute_shared_responses, reduce_shared_equations
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel

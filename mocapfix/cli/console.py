@@ -19,7 +19,7 @@ stderr_console = Console(stderr=True, highlight=False)
 @contextmanager
 def show_progress(name: str) -> Iterator:
     """Show on a terminal which stage a take is in; in a pipe, nothing but the one-time compilation."""
-    from mocapfix.solve.pose_problem import is_solver_compiled
+    from mocapfix.kernels.compilation_cache import is_solver_compiled
 
     if not is_solver_compiled():
         stderr_console.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")

@@ -7,7 +7,7 @@ held at one value, or laid on a line or a cubic, follow these to that digit.
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 FLOAT32_RESOLUTION = 2.0**-23  # of a coordinate: the last digit of the 32-bit floats in which files keep them
 MAX_SAMPLED_STEPS = 50_000  # steps looked at, evenly spread, to tell whether all coordinates are multiples of one number

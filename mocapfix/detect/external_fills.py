@@ -14,7 +14,8 @@ from mocapfix.detect.exact_samples import (
     trim_measured_ends,
 )
 from mocapfix.faults import Fault
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 
 # MERGED: mocapfix.detect.computed

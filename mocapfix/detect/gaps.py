@@ -9,7 +9,8 @@ import numpy as np
 from mocapfix.faults import Fault, FaultKind
 from mocapfix.marker_sets import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 # MERGED: mocapfix.detect.gaps
 MAX_FLICKER_DURATION_S = 0.02  # seconds: how long a flicker lasts at most, but for one frame, which is always one

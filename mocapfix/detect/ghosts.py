@@ -13,7 +13,8 @@ from mocapfix.detect.continuity import compute_own_leaps
 from mocapfix.detect.marker_distances import MarkerDistances, compute_own_contradictions
 from mocapfix.detect.swap_viterbi import CONTRADICTION_S_PER_LEAP, MAX_SMOOTH_LEAP, SMOOTH_CHANGE_COST, find_cheapest_states
 from mocapfix.faults import Fault
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 GHOST_CORRECT_FRACTION = (
     0.8  # of the take in which a marker is where it should: more than for swaps, for a pose that is rare is no ghost

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.faults import Fault
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 # MERGED: mocapfix.detect.noise
 NEIGHBOUR_OFFSETS = (-2, -1, 1, 2)  # the four neighbours of a sample

@@ -12,7 +12,8 @@ from mocapfix.detect.continuity import MarkerTrajectories, compute_leap, compute
 from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction, compute_own_contradictions
 from mocapfix.detect.swap_viterbi import LabelExchange, find_exchanges
 from mocapfix.faults import MIN_LABEL_CONFIDENCE, Fault
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 # MERGED: mocapfix.detect.candidates
 MIN_CANDIDATE_LEAP = 0.5  # of a leap: a label that does so may change its marker

@@ -12,7 +12,8 @@ import numpy as np
 from numba import njit
 
 from mocapfix.faults import Fault
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 BEND_TOLERANCE_M_PER_S2 = 200.0  # m/s2: what a marker on a body does in a blow or a heel strike
 BEND_TOLERANCE_M = 0.010  # metres: how sharp a bend noise and skin make in whatever little time

@@ -14,7 +14,7 @@ from numba import njit
 
 from mocapfix.detect.continuity import MarkerTrajectories, compute_leap
 from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 LABEL_CHANGE_COST = 0.5  # leaps: the price of a label's change from one marker to another
 MAX_SMOOTH_LEAP = 0.25  # of a leap: a label that goes on so well from one frame to the next has not changed its marker

@@ -39,7 +39,13 @@ def fill_from_body(
         if (known := ~np.isnan(distance)).any():
             residual[distance > max(MAX_EDGE_RESIDUAL_M, MAX_EDGE_RESIDUAL_RATIO * float(np.median(distance[known])))] = np.nan
         course, variance, power = interpolate_residual(
-            residual, is_wanted[:, k], rate, BODY_RESIDUAL_FADE_S, BODY_RESIDUAL_REACH_S, BODY_SAMPLE_NOISE_M, MIN_BODY_RESIDUAL_M
+            residual,
+            is_wanted[:, k],
+            rate,
+            time_scale_s=BODY_RESIDUAL_FADE_S,
+            margin_s=BODY_RESIDUAL_REACH_S,
+            noise_sd=BODY_SAMPLE_NOISE_M,
+            min_sd=MIN_BODY_RESIDUAL_M,
         )
         where = is_wanted[:, k]
         out[where, k] = placed[where] + np.einsum("tab,tb->ta", turn[where], course[where])

@@ -9,9 +9,9 @@ carried across. So a rigid cluster is exact, and a loose one as good as its past
 
 import numpy as np
 
-from mocapfix.kernels.rigid_registration import compute_cross_covariance, fit_rotations, transform_to_body_axes
 from mocapfix.stats.residual_process import interpolate_residual
-from mocapfix.take import find_runs
+from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
+from mocapfix.stats.runs import find_runs
 
 MAX_DISTANCE_CHANGE_M = 0.1  # metres: a distance that varies by more tells nothing
 MIN_DISTANCE_CHANGE_M = 0.003  # metres: by which even a distance on one rigid thing varies
@@ -113,10 +113,10 @@ def fill_gap_from_cluster(
         residual,
         wanted,
         rate,
-        CLUSTER_RESIDUAL_FADE_S,
-        CLUSTER_RESIDUAL_REACH_S,
-        CLUSTER_SAMPLE_NOISE_M,
-        max(missed, MIN_CLUSTER_RESIDUAL_M),
+        time_scale_s=CLUSTER_RESIDUAL_FADE_S,
+        margin_s=CLUSTER_RESIDUAL_REACH_S,
+        noise_sd=CLUSTER_SAMPLE_NOISE_M,
+        min_sd=max(missed, MIN_CLUSTER_RESIDUAL_M),
     )
     rows = n + np.searchsorted(frames, gap)
     place = np.einsum("tab,tb->ta", turn[rows], told[rows] + course[wanted]) + centre[rows]

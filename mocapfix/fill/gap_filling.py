@@ -16,8 +16,9 @@ from mocapfix.fill.marker_estimates import (
 )
 from mocapfix.motion import Motion
 from mocapfix.report.terms import get_point_terms
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
-from mocapfix.take import Take, find_runs
+from mocapfix.take import Take
 
 
 class FilledTake(NamedTuple):

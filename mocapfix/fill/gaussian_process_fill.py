@@ -10,7 +10,6 @@ The numbers of the likeness make the smallest error on lost limbs of captures an
 
 import numpy as np
 
-from mocapfix.kernels.rigid_registration import transform_to_body_axes
 from mocapfix.stats.gaussian_process import (
     GaussianProcess,
     StateCovariance,
@@ -18,7 +17,7 @@ from mocapfix.stats.gaussian_process import (
     group_gaps,
     select_training_frames,
 )
-from mocapfix.stats.rigid_alignment import align_to_common_shape
+from mocapfix.stats.rigid_alignment import align_to_common_shape, transform_to_body_axes
 
 MAX_SETTLED_SD_M = 0.01  # metres: a gap that is known better all through is no matter for so wide a view
 MAX_INPUT_SD_M = 0.03  # metres: what another way has filled so surely tells of others as though it were seen

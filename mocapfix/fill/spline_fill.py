@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 SPLINE_CONTEXT_S = 0.06  # seconds on either side whose samples make the edge's place and velocity
 MAX_TRIAL_STRETCHES = 60  # sound stretches on which a gap's length is tried

@@ -1,14 +1,9 @@
-"""What several stages stand on: kinematics, residual terms, the linear-time sweep (compiled with Numba).
+"""Compiled code (Numba): kinematics, residual terms, the linear-time sweep, closed-form registration.
 
-Numba keeps what it compiled beside the package or in the user's home. Where neither can be written (a service, a
-container), it goes into the temporary folder: compiled once there, not once a call.
+Everything here works on arrays and numbers. Code that calls these loops on motions, subjects and takes is in `solve`,
+`initialise` and `calibrate`.
 """
 
-import os
-import tempfile
-from pathlib import Path
+from mocapfix.kernels.compilation_cache import configure_cache_folder
 
-import numba
-
-if not numba.config.CACHE_DIR and not any(os.access(place, os.W_OK) for place in (Path(__file__).parent, Path.home())):  # pyright: ignore
-    numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "mocapfix-kernels")  # pyright: ignore
+configure_cache_folder()  # before the first kernel is defined

@@ -1,7 +1,7 @@
-"""Euler angles about any axes in any order, and the matrices they mean.
+"""Euler angles about any axes in any order, and their rotation matrices.
 
-R = R_axes[0](angles[0]) R_axes[1](angles[1]) ...: the first is the outermost, as the channels of a BVH are listed.
-Source: Shuster 1993, "A survey of attitude representations", for the orders; gimbal lock as said at `_closed`.
+R = R_axes[0](angles[0]) R_axes[1](angles[1]) ...: the first rotation is the outermost, as BVH channels are listed.
+Source: Shuster 1993, "A survey of attitude representations", for the orders; for gimbal lock see `_solve_three_angles`.
 """
 
 import math
@@ -9,13 +9,14 @@ import math
 import numpy as np
 from numba import njit
 
-MIN_GIMBAL_COSINE = 1e-7  # cosine of the middle angle below which the outer ones cannot be told apart
-MAX_ANGLE_FIT_ROUNDS = 30  # of fitting one angle after the other, where a joint is not free in all three
+MIN_GIMBAL_COSINE = 1e-7  # cosine of the middle angle; below it only the sum or difference of the outer angles is known
+MAX_ANGLE_FIT_ROUNDS = 30  # of fitting one angle after the other, for joints with fewer than three axes
+ANGLE_TOLERANCE_RAD = 1e-12  # total change of a fit's round; below it the fit has converged
 
 
 @njit(cache=True)
 def compute_euler_matrices(angles, axes):
-    """-> (T, 3, 3) rotations, of angles (T, D) in radians about axes (D,), each 0, 1 or 2; NaN where an angle is NaN."""
+    """Return (T, 3, 3) rotations of angles (T, D) in radians about axes (D,), each 0, 1 or 2; NaN where an angle is NaN."""
     out = np.empty((len(angles), 3, 3))
     for t in range(len(angles)):
         _compose_rotation(angles[t], axes, out[t])
@@ -32,7 +33,7 @@ def _compose_rotation(angles, axes, out):
 
 @njit(cache=True)
 def _rotate_about_axis(m, axis, angle):
-    """m becomes m @ R_axis(angle)."""
+    """Replace m by m @ R_axis(angle)."""
     sine, cosine = math.sin(angle), math.cos(angle)
     j, k = (axis + 1) % 3, (axis + 2) % 3
     for row in range(3):
@@ -42,69 +43,73 @@ def _rotate_about_axis(m, axis, angle):
 
 @njit(cache=True)
 def compute_continuous_euler_angles(rotations, axes, start):
-    """-> (T, D) radians about `axes` (D,), of rotations (T, 3, 3), each frame's nearest to the one before, the first's to
-    `start` (D,).
+    """Return (T, D) radians about `axes` (D,) of rotations (T, 3, 3), each frame's nearest to the frame before.
 
-    About three different axes two triples turn alike, (a, b, c) and (a + pi, pi - b, c + pi), each up to whole turns: the
-    nearer is taken. No look-ahead would do better, for what a step costs does not depend on which was taken before. With
-    fewer axes (a knee's one) the angles are those whose rotation comes nearest to what is asked.
+    The first frame's angles are the nearest to `start` (D,). About three different axes two triples give the same rotation,
+    (a, b, c) and (a + pi, pi - b, c + pi), each up to full turns; the nearer one is chosen. Look-ahead cannot improve on this,
+    as the cost of a step does not depend on earlier choices. With fewer axes (a knee's one) the angles of the nearest rotation
+    are returned.
     """
     out = np.empty((len(rotations), len(axes)))
-    near = start.copy()
+    current = start.copy()
     three = len(axes) == 3 and axes[0] != axes[1] and axes[1] != axes[2] and axes[0] != axes[2]
     for t in range(len(rotations)):
         if three:
-            _solve_three_angles(rotations[t], axes, near)
+            _solve_three_angles(rotations[t], axes, current)
         else:
-            _fit_angles(rotations[t], axes, near)
-        out[t] = near
+            _fit_angles(rotations[t], axes, current)
+        out[t] = current
     return out
 
 
 @njit(cache=True)
-def _solve_three_angles(r, axes, near):
-    """Put into `near` (3,) the triple of rotation `r` that is nearest to it."""
+def _solve_three_angles(r, axes, current):
+    """Replace `current` (3,) by the angles of rotation `r` that are nearest to it.
+
+    In gimbal lock only the sum (or difference) of the outer angles is known: both take half of its change.
+    """
     i, j, k = axes[0], axes[1], axes[2]
-    way = 1.0 if (i + 1) % 3 == j else -1.0
+    parity = 1.0 if (i + 1) % 3 == j else -1.0
     cosine = math.hypot(r[i, i], r[i, j])
-    middle = math.atan2(way * r[i, k], cosine)
+    middle = math.atan2(parity * r[i, k], cosine)
     if cosine < MIN_GIMBAL_COSINE:
-        # Only a + c (or a - c) is known: both angles share the change.
-        side = way if middle > 0 else -way
-        change = _wrap_angle(math.atan2(way * r[k, j], r[j, j]) - (near[0] + side * near[2]))
-        near[0] += change / 2
-        near[1] += _wrap_angle(middle - near[1])
-        near[2] += side * change / 2
+        side = parity if middle > 0 else -parity
+        change = _wrap_angle(math.atan2(parity * r[k, j], r[j, j]) - (current[0] + side * current[2]))
+        current[0] += change / 2
+        current[1] += _wrap_angle(middle - current[1])
+        current[2] += side * change / 2
         return
-    first, last = math.atan2(-way * r[j, k], r[k, k]), math.atan2(-way * r[i, j], r[i, i])
-    da, db, dc = _wrap_angle(first - near[0]), _wrap_angle(middle - near[1]), _wrap_angle(last - near[2])
-    ea, eb, ec = _wrap_angle(first + np.pi - near[0]), _wrap_angle(np.pi - middle - near[1]), _wrap_angle(last + np.pi - near[2])
+    first, last = math.atan2(-parity * r[j, k], r[k, k]), math.atan2(-parity * r[i, j], r[i, i])
+    da, db, dc = _wrap_angle(first - current[0]), _wrap_angle(middle - current[1]), _wrap_angle(last - current[2])
+    ea, eb = _wrap_angle(first + np.pi - current[0]), _wrap_angle(np.pi - middle - current[1])
+    ec = _wrap_angle(last + np.pi - current[2])
     if ea * ea + eb * eb + ec * ec < da * da + db * db + dc * dc:
         da, db, dc = ea, eb, ec
-    near[0] += da
-    near[1] += db
-    near[2] += dc
+    current[0] += da
+    current[1] += db
+    current[2] += dc
 
 
 @njit(cache=True)
-def _fit_angles(r, axes, near):
-    """Put into `near` (D,) angles about any axes that come nearest to rotation `r`: each in turn the best, given the others."""
+def _fit_angles(r, axes, current):
+    """Replace `current` (D,) by the angles of the rotation nearest to `r`: coordinate descent, each angle in closed form."""
     before, after = np.empty((3, 3)), np.empty((3, 3))
     for _ in range(MAX_ANGLE_FIT_ROUNDS if len(axes) > 1 else 1):
-        moved = 0.0
+        change = 0.0
         for d in range(len(axes)):
-            _compose_rotation(near[:d], axes[:d], before)
-            _compose_rotation(near[d + 1 :], axes[d + 1 :], after)
-            left = before.T @ np.ascontiguousarray(r) @ after.T
+            _compose_rotation(current[:d], axes[:d], before)
+            _compose_rotation(current[d + 1 :], axes[d + 1 :], after)
+            remaining = before.T @ np.ascontiguousarray(r) @ after.T
             j, k = (axes[d] + 1) % 3, (axes[d] + 2) % 3
-            step = _wrap_angle(math.atan2(left[k, j] - left[j, k], left[j, j] + left[k, k]) - near[d])
-            near[d] += step
-            moved += abs(step)
-        if moved < 1e-12:
+            angle = math.atan2(remaining[k, j] - remaining[j, k], remaining[j, j] + remaining[k, k])
+            step = _wrap_angle(angle - current[d])
+            current[d] += step
+            change += abs(step)
+        if change < ANGLE_TOLERANCE_RAD:
             return
 
 
 @njit(cache=True)
 def _wrap_angle(angle):
-    """The same angle within half a turn of zero."""
+    """Return the equivalent angle within half a turn of zero."""
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))

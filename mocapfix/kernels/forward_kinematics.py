@@ -1,6 +1,6 @@
-"""One frame's pose inside compiled loops: where it puts the joints, and how a step changes it.
+"""Forward kinematics of a tree of joints: world positions and rotations of one frame or of many, and the effect of a step.
 
-Rotations carry a vector from a joint's axes into its parent's; world rotations carry it into the world.
+Local rotations map vectors from a joint's axes to its parent's; world rotations map them to the world.
 """
 
 from typing import NamedTuple
@@ -13,22 +13,22 @@ from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, mult
 
 
 class KinematicTree(NamedTuple):
-    """The skeleton as the kernels see it: any tree whose parents come before their children.
+    """A skeleton for the kernels: any tree whose parents come before their children.
 
     Offsets may be linear in the first Q of the unknowns that all joints share (SCOPE, Eq. 1: S_i beta + l_i).
     """
 
     parents: np.ndarray  # (J,)
-    offsets: np.ndarray  # (J, 3) metres
-    free: np.ndarray  # (J,) bool; the root always is
-    shape_basis: np.ndarray = np.zeros((0, 0, 3))  # (Q, J, 3) metres: how the offsets change with each
+    offsets: np.ndarray  # (J, 3) metres, in the parent's axes
+    free: np.ndarray  # (J,) bool: joints that may rotate; the root always may
+    shape_basis: np.ndarray = np.zeros((0, 0, 3))  # (Q, J, 3) metres: derivative of the offsets to each shape unknown
 
 
 class FramePose(NamedTuple):
-    """A pose, and where it puts the joints."""
+    """One frame's pose and its forward kinematics."""
 
-    root: np.ndarray  # (3,) metres
-    local: np.ndarray  # (J, 3, 3)
+    root: np.ndarray  # (3,) metres, in the world
+    local: np.ndarray  # (J, 3, 3) local rotations
     shared: np.ndarray  # (P,) unknowns that all joints share: shape, or a prior's latent code
     position: np.ndarray  # (J, 3) metres, in the world
     rotation: np.ndarray  # (J, 3, 3) in the world
@@ -36,13 +36,13 @@ class FramePose(NamedTuple):
 
 @njit(cache=True)
 def allocate_pose(joints, unknowns):
-    """-> room for a pose."""
+    """Return arrays for a pose."""
     return FramePose(np.empty(3), np.empty((joints, 3, 3)), np.zeros(unknowns), np.empty((joints, 3)), np.empty((joints, 3, 3)))
 
 
 @njit(cache=True)
 def copy_array(source, target):
-    """Write every number of `source` into `target`, both contiguous and of one shape."""
+    """Copy `source` into `target`, both contiguous and of one shape."""
     flat, out = source.reshape(-1), target.reshape(-1)
     for i in range(len(flat)):
         out[i] = flat[i]
@@ -57,36 +57,58 @@ def compute_forward_kinematics(tree, pose):
     store_matrix(load_matrix(pose.local, 0), rotation, 0)
     for j in range(1, len(tree.parents)):
         p = tree.parents[j]
-        world = load_matrix(rotation, p)
+        parent_rotation = load_matrix(rotation, p)
         x, y, z = tree.offsets[j, 0], tree.offsets[j, 1], tree.offsets[j, 2]
-        for q in range(len(tree.shape)):
-            x += tree.shape[q, j, 0] * pose.shared[q]
-            y += tree.shape[q, j, 1] * pose.shared[q]
-            z += tree.shape[q, j, 2] * pose.shared[q]
-        x, y, z = multiply_vector(world, x, y, z)
+        for q in range(len(tree.shape_basis)):
+            x += tree.shape_basis[q, j, 0] * pose.shared[q]
+            y += tree.shape_basis[q, j, 1] * pose.shared[q]
+            z += tree.shape_basis[q, j, 2] * pose.shared[q]
+        x, y, z = multiply_vector(parent_rotation, x, y, z)
         position[j, 0], position[j, 1], position[j, 2] = position[p, 0] + x, position[p, 1] + y, position[p, 2] + z
-        store_matrix(multiply_matrices(world, load_matrix(pose.local, j)), rotation, j)
+        store_matrix(multiply_matrices(parent_rotation, load_matrix(pose.local, j)), rotation, j)
 
 
 @njit(cache=True)
 def apply_step(tree, pose, step, target):
-    """Write into `new` the pose after a step: every joint turned about its world axes, the root moved with its twist.
+    """Write into `target` the pose after a step: every joint rotated about its world axes, the root moved with its twist.
 
-    The turn is carried into the parent's axes before it becomes a rotation, so that rounding in the parents' rotations
-    never gathers in their children's: the product parent' turn parent would double it at every step.
+    The rotation vector is transformed into the parent's axes before it becomes a rotation, so that rounding errors in the
+    parents' rotations do not accumulate in their children's: the product parent' R parent would double them at every step.
     """
     for a in range(3):
         target.root[a] = pose.root[a] + step.twist[0, 3 + a]
     for p in range(len(pose.shared)):
         target.shared[p] = pose.shared[p] + step.shared[p]
-    turned = multiply_matrices(
-        compute_retraction(step.twist[0, 0], step.twist[0, 1], step.twist[0, 2]), load_matrix(pose.local, 0)
-    )
-    store_matrix(orthonormalise_rotation(turned), target.local, 0)
+    root_step = compute_retraction(step.twist[0, 0], step.twist[0, 1], step.twist[0, 2])
+    store_matrix(orthonormalise_rotation(multiply_matrices(root_step, load_matrix(pose.local, 0))), target.local, 0)
     for j in range(1, len(tree.parents)):
         local = load_matrix(pose.local, j)
         if tree.free[j]:
-            world = transpose_matrix(load_matrix(pose.rotation, tree.parents[j]))
-            x, y, z = multiply_vector(world, step.turn[j, 0], step.turn[j, 1], step.turn[j, 2])
+            to_parent = transpose_matrix(load_matrix(pose.rotation, tree.parents[j]))
+            x, y, z = multiply_vector(to_parent, step.joint_turn[j, 0], step.joint_turn[j, 1], step.joint_turn[j, 2])
             local = orthonormalise_rotation(multiply_matrices(compute_retraction(x, y, z), local))
         store_matrix(local, target.local, j)
+
+
+@njit(cache=True, nogil=True)
+def compute_world_frames(tree, root, local, position, rotation, first, stop):
+    """Write world positions (T, J, 3) and rotations (T, J, 3, 3) of the frames first..stop - 1."""
+    no_shared = np.empty(0)
+    for t in range(first, stop):
+        compute_forward_kinematics(tree, FramePose(root[t], local[t], no_shared, position[t], rotation[t]))
+
+
+@njit(cache=True, nogil=True)
+def compute_marker_frames(tree, joints, offsets, root, local, position, markers, first, stop):
+    """Write world positions of joints (T, J, 3) and of markers (T, K, 3) in the frames first..stop - 1.
+
+    joints (K,) and offsets (K, 3): each marker's joint and its place in that joint's axes
+    """
+    no_shared, rotation = np.empty(0), np.empty(local.shape[1:])
+    for t in range(first, stop):
+        compute_forward_kinematics(tree, FramePose(root[t], local[t], no_shared, position[t], rotation))
+        for k in range(len(joints)):
+            x, y, z = multiply_vector(load_matrix(rotation, joints[k]), offsets[k, 0], offsets[k, 1], offsets[k, 2])
+            markers[t, k, 0] = position[t, joints[k], 0] + x
+            markers[t, k, 1] = position[t, joints[k], 1] + y
+            markers[t, k, 2] = position[t, joints[k], 2] + z

@@ -1,7 +1,7 @@
-"""HybrIK's recursion down the tree, frame by frame: every joint's turn in closed form from the places beyond it, compiled.
+"""HybrIK's recursion down the tree, frame by frame: every joint's rotation in closed form from the points beyond it, compiled.
 
-What a joint turns is a set of points: its children, whose mean gives the swing, and all that lies off that axis, which tells
-the twist: markers that ride on it, and joints beyond a child that does not turn. A point may be unseen.
+A joint rotates a set of points: its children, whose mean determines the swing, and all points off that axis, which determine the
+twist: markers on the segment, and joints beyond a child that does not rotate. A point may be unknown.
 """
 
 import math
@@ -21,141 +21,142 @@ from mocapfix.kernels.swing_twist import (
     solve_two_bone_joint,
 )
 
-HYBRIK_NAIVE, HYBRIK_ADAPTIVE, HYBRIK_X = 0, 1, 2  # HybrIK, Algorithms 1 and 2; HybrIK-X, 3.2.3
-MIN_LEVER_M = 0.01  # metres: so near to a joint, markers that ride on it do not tell where it points
+HYBRIK_NAIVE = 0  # HybrIK, Algorithm 1
+HYBRIK_ADAPTIVE = 1  # HybrIK, Algorithm 2
+HYBRIK_X = 2  # HybrIK-X, 3.2.3
+MIN_LEVER_M = 0.01  # mean distance of a joint's points from it; below it they do not determine its direction
 
 
 class HybrikSkeleton(NamedTuple):
-    """A skeleton of J joints with the P points that each joint turns, joint after joint; Q points in all may be seen."""
+    """A skeleton of J joints with the P points that each joint rotates, joint after joint; Q points may be measured."""
 
     parents: np.ndarray  # (J,)
-    offsets: np.ndarray  # (J, 3) metres
-    is_solved: np.ndarray  # (J,) bool: whether the joint is turned; else it stays as it is given
-    first_point: np.ndarray  # (J + 1,) where each joint's points begin, and the end
-    point_index: np.ndarray  # (P,) which of the Q points seen it is; the first J are the joints
-    rest_position: np.ndarray  # (P, 3) metres: where it rests in the joint's axes
-    is_child: np.ndarray  # (P,) bool: a child, which gives the swing
-    constrains_twist: np.ndarray  # (P,) bool: off the bone's axis, so that it tells the twist
-    position_variance: np.ndarray  # (P,) m^2 per axis: how far it may be from its place anyway
-    conflict_joint: np.ndarray  # (J,) the conflict joint two bones on, which HybrIK-X reaches exactly; -1 for none
+    offsets: np.ndarray  # (J, 3) metres, in the parent's axes
+    is_solved: np.ndarray  # (J,) bool: whether the joint's rotation is solved; else it stays as given
+    first_point: np.ndarray  # (J + 1,) index of each joint's first point, and the end
+    point_index: np.ndarray  # (P,) index among the Q measured points, of which the first J are the joints
+    rest_position: np.ndarray  # (P, 3) metres, in the joint's axes
+    is_child: np.ndarray  # (P,) bool: a child, which determines the swing
+    constrains_twist: np.ndarray  # (P,) bool: off the bone's axis
+    position_variance: np.ndarray  # (P,) m^2 per axis, of the point about its rest position
+    conflict_joint: np.ndarray  # (J,) the joint two bones on which HybrIK-X reaches exactly; -1 for none
 
 
 class HybrikObservations(NamedTuple):
-    """Where the points are; one row of `variance` or `twists` may serve all frames."""
+    """Measured points; one row of `variance` or `twists` may serve all frames."""
 
-    points: np.ndarray  # (T, Q, 3) metres, a number of it NaN where unknown
+    points: np.ndarray  # (T, Q, 3) metres, one number or more NaN where unknown
     variance: np.ndarray  # (T or 1, Q) m^2 per axis
-    twists: np.ndarray  # (T or 1, J, 2) 1/rad^2: cosine and sine of each joint's twist, as long as they are sure
+    twists: np.ndarray  # (T or 1, J, 2) cosine and sine of each joint's twist, times its information (1/rad^2)
 
 
 @njit(cache=True, nogil=True)
-def solve_hybrik_frames(bones, way, seen, root, local, missed, first, stop):
-    """Turn `local` (T, J, 3, 3), whose roots are right, in place, in the frames first..stop - 1.
+def solve_hybrik_frames(skeleton, variant, observations, root, local, reach_error, first, stop):
+    """Solve `local` (T, J, 3, 3), whose roots are given, in place, in the frames first..stop - 1.
 
-    missed (T,): by how many metres the worst end that HybrIK-X should reach is out of reach; less than 0: too near
+    variant      HYBRIK_NAIVE, HYBRIK_ADAPTIVE or HYBRIK_X
+    root         (T, 3) metres
+    reach_error  (T,) metres, out: of the conflict joints the largest distance out of reach; negative: too near
     """
-    joints = len(bones.parents)
+    joints = len(skeleton.parents)
     position, rotation = np.empty((joints, 3)), np.empty((joints, 3, 3))
     for t in range(first, stop):
-        points, variance = seen.points[t], seen.variance[t % len(seen.variance)]
-        twists = seen.twists[t % len(seen.twists)]
-        missed[t] = 0.0
+        points, variance = observations.points[t], observations.variance[t % len(observations.variance)]
+        twists = observations.twists[t % len(observations.twists)]
+        reach_error[t] = 0.0
         for j in range(joints):
-            _compute_world_pose(bones, j, root[t], local[t], position, rotation)
-            if bones.is_solved[j]:
-                miss = _solve_joint(bones, way, j, points, variance, twists, local[t], position, rotation)
-                if abs(miss) > abs(missed[t]):
-                    missed[t] = miss
+            _compute_world_pose(skeleton, j, root[t], local[t], position, rotation)
+            if skeleton.is_solved[j]:
+                error = _solve_joint(skeleton, variant, j, points, variance, twists, local[t], position, rotation)
+                if abs(error) > abs(reach_error[t]):
+                    reach_error[t] = error
 
 
 @njit(cache=True)
-def _compute_world_pose(bones, j, root, local, position, rotation):
-    """Write the world place of one joint from its parent's."""
-    p = bones.parents[j]
+def _compute_world_pose(skeleton, j, root, local, position, rotation):
+    """Write the world pose of one joint from its parent's."""
+    p = skeleton.parents[j]
     if p < 0:
         position[j, 0], position[j, 1], position[j, 2] = root[0], root[1], root[2]
         store_matrix(load_matrix(local, j), rotation, j)
     else:
-        carried = multiply_vector(load_matrix(rotation, p), bones.offsets[j, 0], bones.offsets[j, 1], bones.offsets[j, 2])
-        position[j, 0], position[j, 1], position[j, 2] = add_scaled(_read_vector(position, p), 1.0, carried)
+        offset = skeleton.offsets[j]
+        rotated = multiply_vector(load_matrix(rotation, p), offset[0], offset[1], offset[2])
+        position[j, 0], position[j, 1], position[j, 2] = add_scaled(_read_vector(position, p), 1.0, rotated)
         store_matrix(multiply_matrices(load_matrix(rotation, p), load_matrix(local, j)), rotation, j)
 
 
 @njit(cache=True)
-def _solve_joint(bones, way, j, points, variance, twists, local, position, rotation):
-    """Turn one joint towards its points. -> by how much a conflict joint is missed, metres"""
-    parent = transpose_matrix(load_matrix(rotation, bones.parents[j]))
+def _solve_joint(skeleton, variant, j, points, variance, twists, local, position, rotation):
+    """Rotate one joint towards its points. Returns the reach error of its conflict joint, metres."""
+    parent_rotation = load_matrix(rotation, skeleton.parents[j])
+    to_parent = transpose_matrix(parent_rotation)
     here = _read_vector(position, j)
-    origin = _read_vector(points, j) if way == HYBRIK_NAIVE and _is_known(points, j) else here
-    place, there, weight, missed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
-    for i in range(bones.first[j], bones.first[j + 1]):
-        if bones.child[i]:
-            known, target, miss = _compute_child_target(bones, way, j, bones.point_index[i], points, variance, here, rotation)
+    origin = _read_vector(points, j) if variant == HYBRIK_NAIVE and _is_known(points, j) else here
+    rest, measured, weight, reach_error = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
+    for i in range(skeleton.first_point[j], skeleton.first_point[j + 1]):
+        if skeleton.is_child[i]:
+            k = skeleton.point_index[i]
+            known, target, error = _compute_child_target(skeleton, variant, j, k, points, variance, here, rotation)
             if known:
-                w = 1.0 / (variance[bones.point_index[i]] + bones.spread[i])
-                place, there = (
-                    add_scaled(place, w, _read_vector(bones.rest_position, i)),
-                    add_scaled(there, w, add_scaled(target, -1.0, origin)),
-                )
-                weight, missed = weight + w, miss if abs(miss) > abs(missed) else missed
-    if compute_dot(place, place) <= (MIN_LEVER_M * weight) ** 2:  # nothing is known, or its middle is the joint itself
+                w = 1.0 / (variance[k] + skeleton.position_variance[i])
+                rest = add_scaled(rest, w, _read_vector(skeleton.rest_position, i))
+                measured = add_scaled(measured, w, add_scaled(target, -1.0, origin))
+                weight, reach_error = weight + w, error if abs(error) > abs(reach_error) else reach_error
+    if compute_dot(rest, rest) <= (MIN_LEVER_M * weight) ** 2:  # nothing is known, or the points' mean is the joint itself
         return 0.0
-    swung = compute_swing(place, multiply_vector(parent, there[0], there[1], there[2]))
-    back = multiply_matrices(transpose_matrix(swung), parent)
+    swing = compute_swing(rest, multiply_vector(to_parent, measured[0], measured[1], measured[2]))
+    to_swung = multiply_matrices(transpose_matrix(swing), to_parent)
     cosine, sine = twists[j, 0], twists[j, 1]
-    for i in range(bones.first[j], bones.first[j + 1]):
-        k = bones.point_index[i]
-        if bones.constrains_twist[i] and _is_known(points, k):
-            off = add_scaled(_read_vector(points, k), -1.0, origin if bones.child[i] else here)
-            c, s = compute_twist_evidence(
-                place, _read_vector(bones.rest_position, i), multiply_vector(back, off[0], off[1], off[2])
-            )
-            w = 1.0 / (variance[k] + bones.spread[i])
+    for i in range(skeleton.first_point[j], skeleton.first_point[j + 1]):
+        k = skeleton.point_index[i]
+        if skeleton.constrains_twist[i] and _is_known(points, k):
+            d = add_scaled(_read_vector(points, k), -1.0, origin if skeleton.is_child[i] else here)
+            d = multiply_vector(to_swung, d[0], d[1], d[2])
+            c, s = compute_twist_evidence(rest, _read_vector(skeleton.rest_position, i), d)
+            w = 1.0 / (variance[k] + skeleton.position_variance[i])
             cosine, sine = cosine + w * c, sine + w * s
-    if cosine == 0.0 and sine == 0.0:  # as much says one turn as the opposite
+    if cosine == 0.0 and sine == 0.0:  # no evidence, or equal evidence for opposite angles
         cosine = 1.0
-    store_matrix(multiply_matrices(swung, compute_twist(place, cosine, sine)), local, j)
-    store_matrix(multiply_matrices(load_matrix(rotation, bones.parents[j]), load_matrix(local, j)), rotation, j)
-    return missed
+    store_matrix(multiply_matrices(swing, compute_twist(rest, cosine, sine)), local, j)
+    store_matrix(multiply_matrices(parent_rotation, load_matrix(local, j)), rotation, j)
+    return reach_error
 
 
 @njit(cache=True)
-def _compute_child_target(bones, way, j, child, points, variance, here, rotation):
-    """-> whether it is known where a child should be; that; and by how much the conflict joint beyond it is missed."""
-    end, target = bones.conflict_joint[j], _read_vector(points, child)
-    if way != HYBRIK_X or end < 0 or bones.parents[end] != child or not _is_known(points, end):
+def _compute_child_target(skeleton, variant, j, child, points, variance, here, rotation):
+    """Return whether a child's target is known, the target, and the reach error of the conflict joint beyond it."""
+    end, target = skeleton.conflict_joint[j], _read_vector(points, child)
+    if variant != HYBRIK_X or end < 0 or skeleton.parents[end] != child or not _is_known(points, end):
         return _is_known(points, child), target, 0.0
-    if not _is_known(points, child):  # where the joint as it is given would put it
-        rest = multiply_vector(
-            load_matrix(rotation, j), bones.offsets[child, 0], bones.offsets[child, 1], bones.offsets[child, 2]
-        )
-        target = add_scaled(here, 1.0, rest)
-    upper, lower = _compute_length(bones.offsets, child), _compute_length(bones.offsets, end)
-    met, missed = solve_two_bone_joint(here, target, _compute_subtree_root(bones, end, points, variance), upper, lower)
-    return True, met, missed
+    if not _is_known(points, child):  # its position with the joint's given rotation
+        offset = skeleton.offsets[child]
+        target = add_scaled(here, 1.0, multiply_vector(load_matrix(rotation, j), offset[0], offset[1], offset[2]))
+    upper, lower = _compute_length(skeleton.offsets, child), _compute_length(skeleton.offsets, end)
+    end_target = _compute_subtree_root(skeleton, end, points, variance)
+    middle, error = solve_two_bone_joint(here, target, end_target, upper, lower)
+    return True, middle, error
 
 
 @njit(cache=True)
-def _compute_subtree_root(bones, j, points, variance):
-    """-> where the sub-tree that hangs on a conflict joint puts it.
+def _compute_subtree_root(skeleton, j, points, variance):
+    """Return the position of a conflict joint according to the sub-tree that hangs on it.
 
-    The joint and its children are one rigid rod: what they are too far or too near to one another, each takes its share of.
+    The joint and its children form one rigid rod; the error of its length is distributed over both ends by their weights.
     """
-    place, there, weight = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
-    for i in range(bones.first[j], bones.first[j + 1]):
-        k = bones.point_index[i]
-        if bones.child[i] and _is_known(points, k):
-            w = 1.0 / (variance[k] + bones.spread[i])
-            place, there = (
-                add_scaled(place, w, _read_vector(bones.rest_position, i)),
-                add_scaled(there, w, add_scaled(_read_vector(points, k), -1.0, _read_vector(points, j))),
-            )
+    rest, measured, weight = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0
+    for i in range(skeleton.first_point[j], skeleton.first_point[j + 1]):
+        k = skeleton.point_index[i]
+        if skeleton.is_child[i] and _is_known(points, k):
+            w = 1.0 / (variance[k] + skeleton.position_variance[i])
+            rest = add_scaled(rest, w, _read_vector(skeleton.rest_position, i))
+            measured = add_scaled(measured, w, add_scaled(_read_vector(points, k), -1.0, _read_vector(points, j)))
             weight += w
-    apart = compute_square_root(compute_dot(there, there))
-    if apart == 0.0:
+    length = compute_square_root(compute_dot(measured, measured))
+    if length == 0.0:
         return _read_vector(points, j)
-    share = 1.0 / (weight + 1.0 / variance[j])  # times `weight`, by which `there` still is to be divided
-    return add_scaled(_read_vector(points, j), share * (1.0 - compute_square_root(compute_dot(place, place)) / apart), there)
+    share = 1.0 / (weight + 1.0 / variance[j])  # times `weight`, by which `measured` has yet to be divided
+    return add_scaled(_read_vector(points, j), share * (1.0 - compute_square_root(compute_dot(rest, rest)) / length), measured)
 
 
 @njit(cache=True)

@@ -1,18 +1,18 @@
 """Rotation vectors, quaternions and matrices inside compiled loops (outside them: scipy.spatial.transform).
 
-Matrices are tuples of nine numbers, row by row, as in small.py.
+Matrices are tuples of nine numbers, row by row, as in `small_matrices`.
 """
 
 import math
 
 from numba import njit
 
-MIN_TILT_SINE = 1e-3  # radians: so near to upside down a tilt's axis counts as x, for there is none
+MIN_TILT_SINE = 1e-3  # radians: a body closer to upside down than this has no tilt axis; x is taken
 
 
 @njit(cache=True)
 def compute_exponential(x, y, z):
-    """-> the rotation matrix of the rotation vector (x, y, z), radians. Rodrigues' formula."""
+    """Return the rotation matrix of the rotation vector (x, y, z), radians. Rodrigues' formula."""
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-8:
         s, c = 1 - angle2 / 6, 0.5 - angle2 / 24
@@ -24,14 +24,14 @@ def compute_exponential(x, y, z):
 
 @njit(cache=True)
 def compute_retraction(x, y, z):
-    """-> a rotation that agrees with `exponential` to second order, without a sine: Cayley's, by 2 atan(length / 2)."""
+    """Return Cayley's rotation, by 2 atan(length / 2): equal to `compute_exponential` to second order, without a sine."""
     s = 1.0 / (1.0 + 0.25 * (x * x + y * y + z * z))
     return assemble_rotation(x, y, z, s, 0.5 * s)
 
 
 @njit(cache=True)
 def assemble_rotation(x, y, z, s, c):
-    """-> I + s [v]x + c [v]x^2 for v = (x, y, z)."""
+    """Return I + s [v]x + c [v]x^2 for v = (x, y, z)."""
     return (
         1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y,
         c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x,
@@ -41,9 +41,10 @@ def assemble_rotation(x, y, z, s, c):
 
 @njit(cache=True)
 def convert_matrix_to_quaternion(m):
-    """-> x, y, z, w of the rotation matrix `m` (nine numbers, row by row), w not negative, of whatever length.
+    """Return x, y, z, w of the rotation matrix `m` (nine numbers, row by row); w >= 0, the length is arbitrary.
 
-    The largest component is told from the diagonal, the others from it, so that it holds near half a turn too.
+    The largest component is computed from the diagonal and the others from it, so that the result is accurate near half a
+    turn too.
     """
     trace = m[0] + m[4] + m[8]
     if trace > m[0] and trace > m[4] and trace > m[8]:
@@ -61,16 +62,17 @@ def convert_matrix_to_quaternion(m):
 
 @njit(cache=True)
 def convert_quaternion_to_matrix(x, y, z, w):
-    """-> the rotation matrix of a quaternion of whatever length but 0."""
+    """Return the rotation matrix of a quaternion of any length but 0."""
     s = 2 / (x * x + y * y + z * z + w * w)
     return assemble_rotation(x, y, z, s * w, s)
 
 
 @njit(cache=True)
 def compute_logarithm(m):
-    """-> the rotation vector (radians, length at most pi) of the matrix `m`, and what `left_jacobian_inverse` wants of it.
+    """Return the rotation vector (radians, length at most pi) of the matrix `m`, and the fourth argument of
+    `compute_left_jacobian_inverse`.
 
-    Through the quaternion, so that it holds near the identity and near half a turn. The fourth number is
+    Computed from the quaternion, so that it is accurate near the identity and near half a turn. The fourth number is
     (1 - a cot a) / (2 a)^2 for half the angle, a.
     """
     x, y, z, w = convert_matrix_to_quaternion(m)
@@ -86,7 +88,7 @@ def compute_logarithm(m):
 
 @njit(cache=True)
 def compute_left_jacobian_inverse(x, y, z, c):
-    """-> J with log(exp(d) exp(r)) = r + J d to first order in d, r and c from `logarithm`.
+    """Return J with log(exp(d) exp(r)) = r + J d to first order in d; r and c from `compute_logarithm`.
 
     Sola, Deray, Atchuthan 2018, Eq. 146.
     """
@@ -99,11 +101,13 @@ def compute_left_jacobian_inverse(x, y, z, c):
 
 @njit(cache=True)
 def compute_tilt(m):
-    """-> x and z of the rotation vector by which `m` tilts, its heading (a turn about y, after the tilt) taken out, and the
-    matrix of its derivative to a turn given in the turned axes, whose row of y is zero: a tilt is about an axis across y.
+    """Return x and z of the rotation vector of the tilt of `m`, and the matrix of its derivative.
 
-    The up vector in the turned axes tells it: u = (z sin a, a cos a, -x sin a) / a for the angle a, and a turn k changes that
-    by u x k. Upside down, where any heading will do, the tilt changes infinitely fast with a turn about some axis.
+    The tilt is `m` without its heading (a rotation about y after the tilt), so its axis is perpendicular to y and its y
+    component zero. The derivative is to a rotation in the rotated axes; its row of y is zero.
+
+    The up vector in the rotated axes determines the tilt: u = (z sin a, a cos a, -x sin a) / a for the angle a, and a rotation
+    k changes u by u x k. Upside down, where any heading will do, the derivative about some axis is infinite.
     """
     ux, uy, uz = m[3], m[4], m[5]
     sine = math.hypot(ux, uz)
@@ -122,7 +126,7 @@ def compute_tilt(m):
 
 @njit(cache=True)
 def orthonormalise_rotation(m):
-    """-> `m`, nearly a rotation, with orthonormal rows again (Gram-Schmidt)."""
+    """Return `m`, nearly a rotation, with orthonormal rows (Gram-Schmidt)."""
     length = 1.0 / math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
     a, b, c = m[0] * length, m[1] * length, m[2] * length
     along = a * m[3] + b * m[4] + c * m[5]

@@ -1,8 +1,8 @@
-"""The direction where some residuals touch several bodies at once: a few rows on top of the sweep.
+"""The Gauss-Newton direction with residuals that couple several bodies: a few rows on top of the sweep.
 
 With the tree's curvature H and M rows U, the Sherman-Morrison-Woodbury formula (Hager 1989) solves (H + U'U) x = -f by one
 sweep for f and one for each row: x = x0 + Y (I - U Y)^-1 U x0, where x0 = -H^-1 f and Y = -H^-1 U'. So the sweep stays
-exact, and the cost O(M K).
+exact, and the cost is O(M J).
 """
 
 from typing import NamedTuple
@@ -16,18 +16,18 @@ from mocapfix.kernels.small_matrices import factor_cholesky, solve_cholesky
 
 
 class RowResponses(NamedTuple):
-    """How the body gives way to each of M rows: one step each, and the rows' curvature among themselves."""
+    """The body's response to each of M rows, Y = -H^-1 U', and the capacitance matrix I - U Y."""
 
     twist: np.ndarray  # (M, J, 6)
     joint_turn: np.ndarray  # (M, J, 3)
     shared: np.ndarray  # (M, P)
-    capacitance: np.ndarray  # (M, M)
-    row_product: np.ndarray  # (M,)
+    capacitance: np.ndarray  # (M, M), its Cholesky factor
+    row_product: np.ndarray  # (M,) working memory: the rows times a step
 
 
 @njit(cache=True)
 def allocate_row_responses(joints, unknowns, rows):
-    """-> room for the answers to so many rows; None where there are none."""
+    """Return arrays for the responses to so many rows; None for no rows."""
     if rows is None:
         return None
     return RowResponses(
@@ -37,76 +37,77 @@ def allocate_row_responses(joints, unknowns, rows):
 
 
 @njit(cache=True)
-def multiply_row(system, m, twist, turn):
-    """-> how far a step goes along row m."""
+def multiply_row(equations, m, twist, joint_turn):
+    """Return the product of row m and a step."""
     total = 0.0
-    for j in range(len(turn)):
+    for j in range(len(joint_turn)):
         for a in range(6):
-            total += system.rows[m, j, a] * twist[j, a]
+            total += equations.row_twist[m, j, a] * twist[j, a]
         for a in range(3):
-            total += system.row_joint[m, j, a] * turn[j, a]
+            total += equations.row_joint[m, j, a] * joint_turn[j, a]
     return total
 
 
 @njit(cache=True)
-def add_row_gradient(system, answers, g, b):
-    """Add the rows' own gradient to g (J, 6) and b (J, 3)."""
-    if answers is None:
+def add_row_gradient(equations, responses, g, g_joint):
+    """Add the rows' gradient to g (J, 6) and g_joint (J, 3)."""
+    if responses is None:
         return
-    for m in range(len(system.away)):
+    for m in range(len(equations.row_residual)):
         for j in range(len(g)):
             for a in range(6):
-                g[j, a] += system.away[m] * system.rows[m, j, a]
+                g[j, a] += equations.row_residual[m] * equations.row_twist[m, j, a]
             for a in range(3):
-                b[j, a] += system.away[m] * system.row_joint[m, j, a]
+                g_joint[j, a] += equations.row_residual[m] * equations.row_joint[m, j, a]
 
 
 @njit(cache=True)
-def compute_row_responses(tree, system, factors, spare_g, answers):
-    """Write how the body gives way to each row, after `factor`; spare_g (J, 6) is spoilt."""
-    rows = len(system.away)
+def compute_row_responses(tree, equations, factors, spare_g, responses):
+    """Write the response to each row, after `sweep.factorise_tree`; spare_g (J, 6) is overwritten."""
+    rows = len(equations.row_residual)
     for m in range(rows):
-        step = sweep.PoseStep(answers.twist[m], answers.turn[m], answers.shared[m])
+        step = sweep.PoseStep(responses.twist[m], responses.joint_turn[m], responses.shared[m])
         step.shared.fill(0)
-        copy_array(system.rows[m], spare_g)
-        sweep.solve_tree(tree, system, factors, spare_g, system.row_joint[m], step)
+        copy_array(equations.row_twist[m], spare_g)
+        sweep.solve_tree(tree, equations, factors, spare_g, equations.row_joint[m], step)
     for m in range(rows):
         for n in range(rows):
-            answers.capacitance[m, n] = (1.0 if m == n else 0.0) - multiply_row(system, m, answers.twist[n], answers.turn[n])
-    factor_cholesky(answers.capacitance)
+            product = multiply_row(equations, m, responses.twist[n], responses.joint_turn[n])
+            responses.capacitance[m, n] = (1.0 if m == n else 0.0) - product
+    factor_cholesky(responses.capacitance)
 
 
 @njit(cache=True)
-def correct_step(system, answers, step):
-    """Turn a step that heeds the rows' gradient, but not their curvature, into one that heeds both."""
-    along = answers.row_product
-    for m in range(len(along)):
-        along[m] = multiply_row(system, m, step.twist, step.turn)
-    solve_cholesky(answers.capacitance, along)
-    for m in range(len(along)):
-        for j in range(len(step.turn)):
+def correct_step(equations, responses, step):
+    """Correct a step that includes the rows' gradient but not their curvature, so that it includes both."""
+    product = responses.row_product
+    for m in range(len(product)):
+        product[m] = multiply_row(equations, m, step.twist, step.joint_turn)
+    solve_cholesky(responses.capacitance, product)
+    for m in range(len(product)):
+        for j in range(len(step.joint_turn)):
             for a in range(6):
-                step.twist[j, a] += along[m] * answers.twist[m, j, a]
+                step.twist[j, a] += product[m] * responses.twist[m, j, a]
             for a in range(3):
-                step.turn[j, a] += along[m] * answers.turn[m, j, a]
+                step.joint_turn[j, a] += product[m] * responses.joint_turn[m, j, a]
         for c in range(len(step.shared)):
-            step.shared[c] += along[m] * answers.shared[m, c]
+            step.shared[c] += product[m] * responses.shared[m, c]
 
 
 @njit(cache=True)
-def apply_rows(tree, system, factors, answers, spare_g, step):
-    """Make the sweep's step one that heeds the rows' curvature, too; spare_g (J, 6) is spoilt."""
-    if answers is None:
+def apply_rows(tree, equations, factors, responses, spare_g, step):
+    """Include the rows' curvature in the sweep's step; spare_g (J, 6) is overwritten."""
+    if responses is None:
         return
-    compute_row_responses(tree, system, factors, spare_g, answers)
-    correct_step(system, answers, step)
+    compute_row_responses(tree, equations, factors, spare_g, responses)
+    correct_step(equations, responses, step)
 
 
 @njit(cache=True)
-def compute_row_decrease(system, answers, step):
-    """-> what the rows' gradient takes from the cost along a step."""
+def compute_row_decrease(equations, responses, step):
+    """Return the decrease of the cost along a step that the rows' gradient predicts."""
     total = 0.0
-    if answers is not None:
-        for m in range(len(system.away)):
-            total -= system.away[m] * multiply_row(system, m, step.twist, step.turn)
+    if responses is not None:
+        for m in range(len(equations.row_residual)):
+            total -= equations.row_residual[m] * multiply_row(equations, m, step.twist, step.joint_turn)
     return total

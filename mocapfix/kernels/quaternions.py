@@ -1,7 +1,7 @@
-"""One joint's rotations over time, as quaternions (x, y, z, w) that run on without flips, and back.
+"""One joint's rotations over time, as quaternions (x, y, z, w) without sign flips, and back.
 
-`of_joint` and `into_joint` read and write the joint's column of all joints' matrices where it lies, which for a long take
-is far too large to copy.
+`extract_joint_quaternions` and `store_joint_quaternions` access the joint's matrices in the array of all joints, which is too
+large to copy for a long take.
 """
 
 import math
@@ -12,30 +12,34 @@ from numba import njit
 from mocapfix.kernels.lie import convert_matrix_to_quaternion, convert_quaternion_to_matrix
 from mocapfix.kernels.small_matrices import load_matrix, store_matrix
 
+MIN_VECTOR_LENGTH = 1e-12  # a quaternion's vector part shorter than this has no direction
+
 
 @njit(cache=True)
 def extract_joint_quaternions(rotations, joint, known):
-    """-> (T, 4) the quaternions of rotations[:, joint] (T, J, 3, 3): of the two that mean the same turn, the one that lies
-    nearer the last frame that is `known` (T,), before there is one the first that is. Where no frame is, all count as known.
+    """Return (T, 4) quaternions of rotations[:, joint] (T, J, 3, 3), their signs chosen for continuity.
+
+    Of the two signs the one nearer to the last `known` (T,) frame is chosen; before the first known frame, the one nearer to
+    that frame. If no frame is known, all count as known.
     """
-    frames, unknown = len(rotations), not known.any()
+    frames, none_known = len(rotations), not known.any()
     out = np.empty((frames, 4))
-    nearest = 0
+    reference = 0
     for t in range(frames - 1, -1, -1):
         x, y, z, w = convert_matrix_to_quaternion(load_matrix(rotations[t], joint))
         length = math.sqrt(x * x + y * y + z * z + w * w)
         out[t, 0], out[t, 1], out[t, 2], out[t, 3] = x / length, y / length, z / length, w / length
-        if unknown or known[t]:
-            nearest = t
+        if none_known or known[t]:
+            reference = t
     for t in range(frames):
         product = 0.0
         for a in range(4):
-            product += out[t, a] * out[nearest, a]
+            product += out[t, a] * out[reference, a]
         if product < 0:
             for a in range(4):
                 out[t, a] = -out[t, a]
-        if unknown or known[t]:
-            nearest = t
+        if none_known or known[t]:
+            reference = t
     return out
 
 
@@ -49,9 +53,9 @@ def store_joint_quaternions(quaternions, joint, rotations):
 
 @njit(cache=True)
 def compute_relative_rotation_vectors(quaternions, reference):
-    """-> (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4), each as turned on from `reference` (4,).
+    """Return (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4) relative to `reference` (4,).
 
-    All of unit length; the vector v means exp(v) reference.
+    All quaternions have unit length; the vector v stands for exp(v) reference.
     """
     out = np.empty((len(quaternions), 3))
     a, b, c, d = -reference[0], -reference[1], -reference[2], reference[3]
@@ -61,6 +65,6 @@ def compute_relative_rotation_vectors(quaternions, reference):
         real = w * d - x * a - y * b - z * c
         sign = -1.0 if real < 0 else 1.0
         length = math.sqrt(i * i + j * j + k * k)
-        factor = 2 * sign if length < 1e-12 else 2 * sign * math.atan2(length, abs(real)) / length
+        factor = 2 * sign if length < MIN_VECTOR_LENGTH else 2 * sign * math.atan2(length, abs(real)) / length
         out[t, 0], out[t, 1], out[t, 2] = factor * i, factor * j, factor * k
     return out

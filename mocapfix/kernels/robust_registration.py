@@ -1,58 +1,59 @@
-"""A segment laid on its markers though one of them may be wrong, compiled."""
+"""Robust registration of a segment to its markers, of which one may be an outlier, compiled."""
 
 from numba import njit
 
-from mocapfix.kernels import registration_statistics
+from mocapfix.kernels import registration_statistics as statistics
 
-OUTLIER_SCALE_M = 0.05  # metres (Geman-McClure scale): a marker farther from where its segment is laid counts less and less
+OUTLIER_SCALE_M = 0.05  # Geman-McClure scale: a marker's weight falls with its distance from the segment, over this
 
 
 @njit(cache=True)
-def fit_segment_pose_robustly(seen, places, weight, trust, row, pose, room, spare):
-    """Write the likeliest pose; where a marker lies far from it, once more, with each marker counting as it is near.
+def fit_segment_pose_robustly(measured, offsets, weight, inlier_weight, row, pose, work, spare):
+    """Write the most likely pose; if a marker lies far from it, fit again with weights that fall with the distance.
 
-    Near to what: to the pose, of that from all and those from all markers but one, on which the markers agree best.
+    The distance is that from the pose on which the markers agree best, among the fit to all markers and the fits to all but
+    one.
 
-    seen, places, weight  (N, 3), (N, 3), (N,) the segment's markers, which its `row` of moments holds already
-    trust                 (N,) the part of each one's weight in it, 0 where not seen; both are brought up to date
-    spare                 a row of moments and a pose, written over
+    measured, offsets, weight  (N, 3), (N, 3), (N,) the segment's markers, which its `row` of statistics already includes
+    inlier_weight              (N,) the fraction of each one's weight in the row, 0 where missing; updated, as is the row
+    spare                      a row of statistics and a pose, overwritten
     """
-    registration_statistics.fit_segment_pose(row, pose, room)
-    best, worst = _compute_disagreement(seen, places, trust, pose)
-    if worst < OUTLIER_SCALE_M**2:
+    statistics.fit_segment_pose(row, pose, work)
+    best, worst_square = _compute_disagreement(measured, offsets, inlier_weight, pose)
+    if worst_square < OUTLIER_SCALE_M**2:
         return
     others, candidate = spare
-    for i in range(len(trust)):
-        if trust[i] > 0:
-            registration_statistics.copy_row(row, others)
-            registration_statistics.add_point(others, -trust[i] * weight[i], seen[i], places[i])
-            registration_statistics.fit_segment_pose(others, candidate, room)
-            left, _ = _compute_disagreement(seen, places, trust, candidate)
-            if left < best:
-                best = left
-                registration_statistics.copy_row(candidate, pose)
-    for i in range(len(trust)):
-        if trust[i] > 0:
-            near = 1 / (1 + _compute_squared_distance(pose, places[i], seen[i]) / OUTLIER_SCALE_M**2) ** 2
-            registration_statistics.add_point(row, (near - trust[i]) * weight[i], seen[i], places[i])
-            trust[i] = near
-    registration_statistics.fit_segment_pose(row, pose, room)
+    for i in range(len(inlier_weight)):
+        if inlier_weight[i] > 0:
+            statistics.copy_row(row, others)
+            statistics.add_point(others, -inlier_weight[i] * weight[i], measured[i], offsets[i])
+            statistics.fit_segment_pose(others, candidate, work)
+            disagreement, _ = _compute_disagreement(measured, offsets, inlier_weight, candidate)
+            if disagreement < best:
+                best = disagreement
+                statistics.copy_row(candidate, pose)
+    for i in range(len(inlier_weight)):
+        if inlier_weight[i] > 0:
+            inlier = 1 / (1 + _compute_squared_distance(pose, offsets[i], measured[i]) / OUTLIER_SCALE_M**2) ** 2
+            statistics.add_point(row, (inlier - inlier_weight[i]) * weight[i], measured[i], offsets[i])
+            inlier_weight[i] = inlier
+    statistics.fit_segment_pose(row, pose, work)
 
 
 @njit(cache=True)
-def _compute_disagreement(seen, places, trust, pose):
-    """-> how little the markers agree with a pose (from 0 to their count), and the worst one's squared distance."""
-    total, worst = 0.0, 0.0
-    for i in range(len(trust)):
-        if trust[i] > 0:
-            off = _compute_squared_distance(pose, places[i], seen[i])
-            total += off / (off + OUTLIER_SCALE_M**2)
-            worst = max(worst, off)
-    return total, worst
+def _compute_disagreement(measured, offsets, inlier_weight, pose):
+    """Return the markers' robust disagreement with a pose (from 0 to their count) and the largest squared distance."""
+    total, worst_square = 0.0, 0.0
+    for i in range(len(inlier_weight)):
+        if inlier_weight[i] > 0:
+            square = _compute_squared_distance(pose, offsets[i], measured[i])
+            total += square / (square + OUTLIER_SCALE_M**2)
+            worst_square = max(worst_square, square)
+    return total, worst_square
 
 
 @njit(cache=True)
-def _compute_squared_distance(pose, p, at):
-    """-> the squared distance of a marker from where the pose carries it."""
-    x, y, z = registration_statistics.transform_point(pose, p)
-    return (at[0] - x) ** 2 + (at[1] - y) ** 2 + (at[2] - z) ** 2
+def _compute_squared_distance(pose, p, point):
+    """Return the squared distance of a measured point from its position according to the pose."""
+    x, y, z = statistics.transform_point(pose, p)
+    return (point[0] - x) ** 2 + (point[1] - y) ** 2 + (point[2] - z) ** 2

@@ -1,30 +1,30 @@
-"""Small dense algebra inside compiled loops: 3 x 3 matrices as tuples of nine numbers, and the inverses the sweep needs.
+"""Small dense matrices inside compiled loops: 3 x 3 matrices as tuples of nine numbers, and the inverses the sweep needs.
 
-A tuple lives in registers: nothing is allocated where an array would be.
+A tuple lives in registers and needs no allocation, unlike an array.
 """
 
 import math
 
 from numba import njit
 
-SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # compile long sums of products so: several at once, in any order
+SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # allow the compiler to reorder and vectorise long sums of products
 
 
 @njit(cache=True)
 def load_matrix(m, j):
-    """-> matrix `j` of the stack m (J, 3, 3) as nine numbers, row by row."""
+    """Return matrix `j` of the stack m (J, 3, 3) as nine numbers, row by row."""
     return (m[j, 0, 0], m[j, 0, 1], m[j, 0, 2], m[j, 1, 0], m[j, 1, 1], m[j, 1, 2], m[j, 2, 0], m[j, 2, 1], m[j, 2, 2])
 
 
 @njit(cache=True)
 def load_single_matrix(m):
-    """-> the matrix m (3, 3) as nine numbers."""
+    """Return the matrix m (3, 3) as nine numbers."""
     return (m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
 
 
 @njit(cache=True)
 def multiply_matrices(a, b):
-    """-> a @ b."""
+    """Return a @ b."""
     return (
         a[0] * b[0] + a[1] * b[3] + a[2] * b[6], a[0] * b[1] + a[1] * b[4] + a[2] * b[7], a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
         a[3] * b[0] + a[4] * b[3] + a[5] * b[6], a[3] * b[1] + a[4] * b[4] + a[5] * b[7], a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
@@ -34,19 +34,19 @@ def multiply_matrices(a, b):
 
 @njit(cache=True)
 def transpose_matrix(a):
-    """-> a.T"""
+    """Return a.T."""
     return (a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8])
 
 
 @njit(cache=True)
 def multiply_vector(a, x, y, z):
-    """-> a @ (x, y, z)"""
+    """Return a @ (x, y, z)."""
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
 
 
 @njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
 def multiply_rows(rows, x):
-    """-> rows (3, N) @ x (N,)"""
+    """Return rows (3, N) @ x (N,)."""
     a, b, c = 0.0, 0.0, 0.0
     for p in range(len(x)):
         a += rows[0, p] * x[p]
@@ -57,7 +57,7 @@ def multiply_rows(rows, x):
 
 @njit(cache=True)
 def store_matrix(a, out, j):
-    """Write the nine numbers into matrix `j` of the stack `out` (J, 3, 3)."""
+    """Write nine numbers into matrix `j` of the stack `out` (J, 3, 3)."""
     out[j, 0, 0], out[j, 0, 1], out[j, 0, 2] = a[0], a[1], a[2]
     out[j, 1, 0], out[j, 1, 1], out[j, 1, 2] = a[3], a[4], a[5]
     out[j, 2, 0], out[j, 2, 1], out[j, 2, 2] = a[6], a[7], a[8]
@@ -65,19 +65,19 @@ def store_matrix(a, out, j):
 
 @njit(cache=True)
 def invert_symmetric_3x3(m, j):
-    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place. -> L and D^-1 of L D L'
+    """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place.
 
-    Cofactors would lose twice the digits. An axis that nothing holds is held: its zero stays a zero, so that the
-    joint does not turn about it.
+    Returns L (l10, l20, l21) and the inverse of D of the factorisation L D L'. Cofactors would lose twice the digits. A zero
+    pivot (an axis without any information) has inverse zero, so that the joint does not rotate about that axis.
     """
     d0 = m[j, 0, 0]
     i0 = 1.0 / d0 if d0 > 0.0 else 0.0
     l10, l20 = m[j, 1, 0] * i0, m[j, 2, 0] * i0
     d1 = m[j, 1, 1] - m[j, 1, 0] * l10
     i1 = 1.0 / d1 if d1 > 0.0 else 0.0
-    left = m[j, 2, 1] - m[j, 2, 0] * l10
-    l21 = left * i1
-    d2 = m[j, 2, 2] - m[j, 2, 0] * l20 - left * l21
+    schur = m[j, 2, 1] - m[j, 2, 0] * l10
+    l21 = schur * i1
+    d2 = m[j, 2, 2] - m[j, 2, 0] * l20 - schur * l21
     i2 = 1.0 / d2 if d2 > 0.0 else 0.0
     k20 = l10 * l21 - l20  # of L's inverse
     m02, m12 = k20 * i2, -l21 * i2
@@ -93,7 +93,7 @@ def invert_symmetric_3x3(m, j):
 def factor_cholesky(m):
     """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
 
-    A direction that nothing holds gets a tiny curvature.
+    A direction without information gets a tiny curvature.
     """
     for j in range(len(m)):
         for i in range(j, len(m)):
@@ -106,7 +106,7 @@ def factor_cholesky(m):
 
 @njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
 def solve_cholesky(m, x):
-    """Solve L L' x = x in place with what `cholesky` left in `m` (N, N); x (N,)."""
+    """Solve L L' x = x in place, L from `factor_cholesky` in `m` (N, N); x (N,)."""
     for i in range(len(m)):
         total = 0.0
         for c in range(i):
@@ -120,7 +120,7 @@ def solve_cholesky(m, x):
 
 @njit(cache=True)
 def invert_cholesky(m):
-    """Write the inverse, both triangles, of the matrix that `cholesky` left factored in `m` (N, N), in place."""
+    """Replace the factor that `factor_cholesky` wrote into `m` (N, N) by the matrix's inverse, both triangles, in place."""
     n = len(m)
     for j in range(n):  # the lower triangle's inverse
         m[j, j] = 1.0 / m[j, j]

@@ -1,4 +1,4 @@
-"""What the solve of a frame writes on the way, and the frame's pose in and out of it."""
+"""Working memory of one frame's solve, and copying the frame's pose into and out of it."""
 
 from typing import NamedTuple
 
@@ -12,23 +12,23 @@ from mocapfix.kernels.sweep import PoseStep, SweepFactors, allocate_factors, all
 
 
 class SolveWorkspace(NamedTuple):
-    """All that the solve of a frame writes on the way; made once for many frames."""
+    """All arrays that the solve of a frame writes; allocated once for many frames."""
 
     pose: FramePose
     trial_pose: FramePose
-    system: NormalEquations
+    equations: NormalEquations
     factors: SweepFactors
     step: PoseStep
-    row_responses: RowResponses | None  # where there are rows
-    g: np.ndarray  # (J, 6) spare
-    g_joint: np.ndarray  # (J, 3) spare
+    row_responses: RowResponses | None  # None if no term writes rows
+    g: np.ndarray  # (J, 6) gradient, overwritten by the sweep
+    g_joint: np.ndarray  # (J, 3)
 
 
 @njit(cache=True)
 def allocate_workspace(joints, unknowns, rows):
-    """-> room to solve frames of so many joints, unknowns shared by the joints, and rows (None for none).
+    """Return the workspace for so many joints, unknowns shared by the joints, and rows (None for no rows).
 
-    None spares those who have no rows the compilation of what is done with them.
+    With None, the code for rows is not compiled.
     """
     return SolveWorkspace(
         allocate_pose(joints, unknowns), allocate_pose(joints, unknowns), allocate_equations(joints, unknowns, rows),
@@ -57,7 +57,7 @@ def load_pose(root, local, shared, t, pose):
 
 @njit(cache=True)
 def store_pose(pose, root, local, shared, t):
-    """The reverse of `load`."""
+    """Copy `pose` into frame t of poses root (T, 3), local (T, J, 3, 3), shared (T, P)."""
     copy_array(pose.root, root[t])
     copy_array(pose.local, local[t])
     copy_array(pose.shared, shared[t])

@@ -1,6 +1,9 @@
-"""Which points a detector finds in an image, in its order, and where they lie on the body: scenes/keypoints/NAME.yaml."""
+"""The keypoints of each detector, in its order, and their positions on the body: scenes/keypoints/NAME.yaml."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import PositiveFloat
@@ -10,27 +13,32 @@ from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.skeleton import Skeleton
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
 
 @dataclass(frozen=True)
 class KeypointDetector:
-    """The V points that a detector finds.
+    """The V keypoints of a detector.
 
-    key     the name under which its JSON holds a person's points
-    labels  V names
-    joints  (V,) the joint that carries each
-    places  (V, 3) metres, in the joint's axes
-    sd      (V,) metres: standard deviation per axis of a point that was surely detected, as far from here as people differ
+    json_key  the key of a person's points in its JSON
+    labels    V names
+    joints    the joint that carries each
+    offsets   metres, in the joint's axes
+    sd_m      standard deviation per axis of a point detected with confidence 1, people's differences included
     """
 
     name: str
     json_key: str
     labels: tuple[str, ...]
-    joints: np.ndarray
-    offsets: np.ndarray
-    sd_m: np.ndarray
+    joints: Int[np.ndarray, " V"]
+    offsets: Float[np.ndarray, "V 3"]
+    sd_m: Float[np.ndarray, " V"]
 
-    def compute_point_positions(self, joints: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """-> (T, V, 3) metres: the points in the world, of its joints (T, J, 3) and their rotations (T, J, 3, 3)."""
+    def compute_point_positions(
+        self, joints: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]
+    ) -> Float[np.ndarray, "T V 3"]:
+        """Return the keypoints' world positions in metres, for joints' world positions and rotations."""
         return joints[:, self.joints] + np.einsum("tvab,vb->tva", rotations[:, self.joints], self.offsets)
 
 
@@ -47,22 +55,22 @@ class _DetectorFile(StrictModel):
 
 
 def list_detectors() -> list[str]:
-    """-> the detectors there are."""
+    """Return the names of the shipped detectors."""
     return sorted(path.stem for path in (find_shipped_folder("scenes") / "keypoints").glob("*.yaml"))
 
 
 def load_detector(name: str, skeleton: Skeleton) -> KeypointDetector:
-    """-> the detector shipped as scenes/keypoints/NAME.yaml.
+    """Return the detector shipped as scenes/keypoints/NAME.yaml.
 
-    Raises SceneError naming those there are, or the key of the file that is not as it must be.
+    Raises SceneError that lists the shipped detectors, or names the invalid key of the file.
     """
     if name not in list_detectors():
-        raise SceneError(f"There is no order of keypoints named {name!r}; choose one of: {', '.join(list_detectors())}.")
-    said = read_yaml_model(_DetectorFile, find_shipped_folder("scenes") / "keypoints" / f"{name}.yaml")
-    points = said.points.values()
-    for label, point in said.points.items():
+        raise SceneError(f"Unknown keypoint order {name!r}; choose one of: {', '.join(list_detectors())}.")
+    file = read_yaml_model(_DetectorFile, find_shipped_folder("scenes") / "keypoints" / f"{name}.yaml")
+    points = file.points.values()
+    for label, point in file.points.items():
         if point.joint not in skeleton.names:
-            raise SceneError(f"keypoints/{name}.yaml: points.{label}.joint: the skeleton has no {point.joint!r}.")
+            raise SceneError(f"keypoints/{name}.yaml: points.{label}.joint: the skeleton has no joint {point.joint!r}.")
     joints = np.array([skeleton.find_joint(point.joint) for point in points])
-    places, sd = np.array([point.offset for point in points]), np.array([point.sd for point in points])
-    return KeypointDetector(said.name, said.key, tuple(said.points), joints, places, sd)
+    offsets, sd_m = np.array([point.offset for point in points]), np.array([point.sd for point in points])
+    return KeypointDetector(file.name, file.key, tuple(file.points), joints, offsets, sd_m)

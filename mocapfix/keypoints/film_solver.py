@@ -1,16 +1,21 @@
 """Poses and camera of a film, from its keypoints alone (MNN-IK, 5.2; HybrIK-X, Eqs. 21-22).
 
-One person and one camera: its scale is one for all frames, found on some of them by solving those anew for every scale that
-is asked. At that scale each frame is solved from several headings, the likeliest course through the guesses is taken, and
-all frames once more, pulled to that course made smooth.
+One person and one camera: its scale is one for all frames, estimated on some of them by solving those again for every scale. An image
+does not determine whether a knee points towards the camera or away, nor always which way a person faces. So, at that scale, each frame
+is solved from several headings, the most likely sequence of the solutions is found (Viterbi's algorithm), and all frames are solved
+again, tracking that sequence made smooth.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
-from mocapfix.keypoints import headings
+from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.keypoints.camera_scale import KeypointCamera, fit_camera_scale, solve_camera_scale, subtract_weighted_mean
 from mocapfix.keypoints.keypoint_file import Keypoints
 from mocapfix.keypoints.reprojection_problem import MIN_KEYPOINT_CONFIDENCE, WIDE_ROBUST_SCALE_SD, ReprojectionProblem
@@ -18,87 +23,96 @@ from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton
-from mocapfix.solve import smoothing
 from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.solve.pose_solver import PoseSolution
+from mocapfix.solve.smoothing import smooth_poses
+from mocapfix.stats.viterbi import find_cheapest_states
 
-MAX_SCALE_FRAMES = 16  # frames at most that tell the scale
-MIN_KEYPOINTS_PER_FRAME = 4  # keypoints in a frame that does
-SCALE_QUANTILE = 0.9  # of a film's frames look smaller than somebody who stands
-FRAME_POSE_SD, MISSING_FRAME_POSE_SD = (
-    0.1,
-    10.0,
-)  # radians, and metres: how far one frame's pose is wrong by itself; one in which nobody was found
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+HEADING_COUNT = 6  # start headings of each frame, in equal steps
+JOINT_SPEED_SD_M_S = 1.0  # per axis, of a joint relative to the root
+POSE_DOF = 12  # independent numbers of a step between poses, as joints do not move independently
+MAX_SCALE_FRAMES = 16  # from which the scale is estimated
+MIN_KEYPOINTS_PER_FRAME = 4  # in a frame from which the scale is estimated
+SCALE_QUANTILE = 0.9  # of the frames' scales for a standing pose: most poses look smaller than a standing person
+FRAME_POSE_SD = 0.1  # radians and metres: error of a frame's own pose
+MISSING_FRAME_POSE_SD = 10.0  # likewise, of a frame without keypoints
 
 
 def solve_film(
-    keypoints: Keypoints, rate: float, skeleton: Skeleton, model: PoseModel, rotation: np.ndarray, prior_scale: float = 1.0
+    keypoints: Keypoints,
+    rate: float,
+    skeleton: Skeleton,
+    model: PoseModel,
+    rotation: Float[np.ndarray, "3 3"],
+    prior_scale: float = 1.0,
 ) -> tuple[Motion, KeypointCamera]:
-    """-> the motion, the floor at a height of zero and the first frame's root over the origin, and the camera.
+    """Return the motion, with the floor at height zero and the first frame's root above the origin, and the camera.
 
-    rotation  (3, 3) world to camera, see camera.looking
-    strength  times the model's standard deviations: with 2 it is believed half as much
+    rotation     world to camera, see `build_camera_rotation`
+    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
 
-    The camera's scale is as right as the skeleton's size: an image does not tell a tall person far away from a short one.
+    The error of the camera's scale is that of the skeleton's size: an image does not distinguish a tall person far away from a short
+    one.
 
-    Raises TakeError where the keypoints are too few, or not those of somebody upright, to tell it.
+    Raises TakeError if the keypoints are too few, or not those of an upright person, to determine the scale.
     """
-    weight = np.where(keypoints.confidence < MIN_KEYPOINT_CONFIDENCE, 0.0, (keypoints.confidence / keypoints.detector.sd_m) ** 2)
-    sight = ReprojectionProblem(skeleton, keypoints.detector, model, prior_scale, rotation, keypoints.position_px, weight)
-    scale = estimate_camera_scale(sight)
-    poses, _, cost = solve_headings(sight, scale)
-    joints, _ = sight.compute_positions(poses.root_position, poses.local_rotations)
-    count = keypoints.frame_count
-    path = headings.find_cheapest_path(
-        cost, headings.compute_transition_costs(joints.reshape(count, -1, *joints.shape[1:]), rate)
-    )
-    taken = np.arange(count) * cost.shape[1] + path
-    smooth = smooth_film_poses(poses.root_position[taken], poses.local_rotations[taken], np.any(weight > 0, axis=1), rate)
-    poses = sight.solve(scale, smooth.root, smooth.rotations, smooth)
-    return move_to_floor(sight, poses, scale)
+    is_found = keypoints.confidence >= MIN_KEYPOINT_CONFIDENCE
+    weight = np.where(is_found, (keypoints.confidence / keypoints.detector.sd_m) ** 2, 0.0)
+    problem = ReprojectionProblem(skeleton, keypoints.detector, model, prior_scale, rotation, keypoints.position_px, weight)
+    scale_px_m = estimate_camera_scale(problem)
+    solution, _, cost = solve_headings(problem, scale_px_m)
+    joints, _ = problem.compute_positions(solution.root_position, solution.local_rotations)
+    frames = keypoints.frame_count
+    step_cost = compute_transition_costs(joints.reshape(frames, -1, *joints.shape[1:]), rate)
+    best = np.arange(frames) * cost.shape[1] + find_cheapest_states(step_cost, cost)
+    is_visible = np.any(weight > 0, axis=1)
+    tracking = smooth_film_poses(solution.root_position[best], solution.local_rotations[best], is_visible, rate)
+    solution = problem.solve(scale_px_m, tracking.root, tracking.rotations, tracking)
+    return move_to_floor(problem, solution, scale_px_m)
 
 
 def estimate_camera_scale(problem: ReprojectionProblem) -> float:
-    """-> pixels per metre that answer themselves: of the frames that show most, spread over the film."""
-    shown = np.flatnonzero((problem.weight > 0).sum(axis=1) >= MIN_KEYPOINTS_PER_FRAME)
-    if not len(shown):
+    """Return the scale (pixels per metre) that reproduces itself, on frames with enough keypoints, spread over the film."""
+    usable = np.flatnonzero((problem.weight > 0).sum(axis=1) >= MIN_KEYPOINTS_PER_FRAME)
+    if not len(usable):
         raise TakeError(
-            f"In no frame are {MIN_KEYPOINTS_PER_FRAME} keypoints found with a confidence of {MIN_KEYPOINT_CONFIDENCE:g} and more: too few for a body."
+            f"No frame has {MIN_KEYPOINTS_PER_FRAME} keypoints with a confidence of {MIN_KEYPOINT_CONFIDENCE:g} or more, "
+            "which a body needs at least."
         )
-    few = problem.select_frames(shown[np.linspace(0, len(shown) - 1, min(MAX_SCALE_FRAMES, len(shown))).round().astype(int)])
-    few = replace(
-        few, robust_scales_sd=(WIDE_ROBUST_SCALE_SD,)
-    )  # at a scale that is too small much lies far off, and must say so
+    count = min(MAX_SCALE_FRAMES, len(usable))
+    sample = problem.select_frames(usable[np.linspace(0, len(usable) - 1, count).round().astype(int)])
+    sample = replace(sample, robust_scales_sd=(WIDE_ROBUST_SCALE_SD,))  # at a wrong scale many keypoints lie far from the body
 
     local = None
 
-    def answer(scale: float) -> float:
-        nonlocal local  # what one scale gave is near what the next will give
-        poses, places, cost = solve_headings(few, scale, local)
-        local = poses.local_rotations
-        best = places.reshape(*cost.shape, *places.shape[1:])[np.arange(len(cost)), cost.argmin(axis=1)]
-        return check_camera_scale(
-            fit_camera_scale(few.project_to_image_plane(best), few.position_px, few.compute_robust_weights(scale, best))
-        )
+    def estimate_scale(scale_px_m: float) -> float:
+        nonlocal local  # the solution for one scale is the start for the next
+        solution, positions, cost = solve_headings(sample, scale_px_m, local)
+        local = solution.local_rotations
+        best = positions.reshape(*cost.shape, *positions.shape[1:])[np.arange(len(cost)), cost.argmin(axis=1)]
+        weight = sample.compute_robust_weights(scale_px_m, best)
+        return check_camera_scale(fit_camera_scale(sample.project_to_image_plane(best), sample.position_px, weight))
 
-    return solve_camera_scale(answer, check_camera_scale(estimate_initial_scale(few)))
+    return solve_camera_scale(estimate_scale, check_camera_scale(estimate_initial_scale(sample)))
 
 
-def check_camera_scale(scale: float) -> float:
-    """-> the scale. Raises TakeError where it is none: by points in one place, or of somebody who stands on his head."""
-    if not scale > 0:
+def check_camera_scale(scale_px_m: float) -> float:
+    """Return the scale. Raises TakeError if it is not positive: for points in one place, or an upside-down person."""
+    if not scale_px_m > 0:
         raise TakeError(
-            "The keypoints tell no size of a body; do their pixels count to the right and down, from somebody upright?"
+            "The keypoints do not determine the size of a body; pixels must count to the right and down, and the person be upright."
         )
-    return scale
+    return scale_px_m
 
 
 def estimate_initial_scale(problem: ReprojectionProblem) -> float:
-    """-> pixels per metre, by the middle pose in the heading that looks largest: most poses are no larger than they stand."""
-    _, places = problem.compute_positions(
-        np.zeros((headings.HEADING_COUNT, 3)), headings.rotate_to_headings(problem.model.reference_rotations)
-    )
-    flat = problem.project_to_image_plane(places)
+    """Return pixels per metre for the reference pose in the heading that looks largest: most poses look smaller than standing."""
+    headings = rotate_to_headings(problem.model.reference_rotations)
+    _, positions = problem.compute_positions(np.zeros((HEADING_COUNT, 3)), headings)
+    flat = problem.project_to_image_plane(positions)
     scales = [
         max(fit_camera_scale(heading[None], pixels[None], weight[None]) for heading in flat)
         for pixels, weight in zip(problem.position_px, problem.weight, strict=True)
@@ -107,36 +121,58 @@ def estimate_initial_scale(problem: ReprojectionProblem) -> float:
 
 
 def solve_headings(
-    problem: ReprojectionProblem, scale: float, local: np.ndarray | None = None
-) -> tuple[PoseSolution, np.ndarray, np.ndarray]:
-    """-> each frame's guesses, one frame's after another's, their points (T H, V, 3) in metres, and their costs (T, H).
+    problem: ReprojectionProblem, scale_px_m: float, local: Float[np.ndarray, "TH J 3 3"] | None = None
+) -> tuple[PoseSolution, Float[np.ndarray, "TH V 3"], Float[np.ndarray, "T H"]]:
+    """Return the solutions of each frame from each heading, frame after frame, their keypoints in metres, and their costs.
 
-    local  (T H, J, 3, 3) where to start; None for the middle pose, in all headings
+    local  where to start; None for the reference pose, in all headings
     """
     count = len(problem.position_px)
-    many = problem.select_frames(np.repeat(np.arange(count), headings.HEADING_COUNT))
-    local = np.tile(headings.rotate_to_headings(problem.model.reference_rotations), (count, 1, 1, 1)) if local is None else local
-    _, places = many.compute_positions(np.zeros((len(local), 3)), local)
-    off = many.position_px / scale - many.project_to_image_plane(places)
-    shift = (off - subtract_weighted_mean(off, many.weight))[:, 0]  # the mean, in every row
-    root = shift @ many.rotation[:2]
-    poses = many.solve(scale, root, local)
-    _, places = many.compute_positions(poses.root_position, poses.local_rotations)
-    return poses, places, poses.cost.reshape(count, -1)
+    repeated = problem.select_frames(np.repeat(np.arange(count), HEADING_COUNT))
+    if local is None:
+        local = np.tile(rotate_to_headings(problem.model.reference_rotations), (count, 1, 1, 1))
+    _, positions = repeated.compute_positions(np.zeros((len(local), 3)), local)
+    error = repeated.position_px / scale_px_m - repeated.project_to_image_plane(positions)
+    shift = (error - subtract_weighted_mean(error, repeated.weight))[:, 0]  # the mean, the same in every row
+    root = shift @ repeated.rotation[:2]
+    solution = repeated.solve(scale_px_m, root, local)
+    _, positions = repeated.compute_positions(solution.root_position, solution.local_rotations)
+    return solution, positions, solution.cost.reshape(count, -1)
 
 
-def smooth_film_poses(root: np.ndarray, local: np.ndarray, is_visible: np.ndarray, rate: float):
-    """-> the smooth course of poses (T, 3) and (T, J, 3, 3), as a pull; frames not seen (T,) lie on it."""
+def rotate_to_headings(pose: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "H J 3 3"]:
+    """Return the pose facing the camera and rotated about the vertical in equal steps."""
+    poses = np.tile(pose, (HEADING_COUNT, 1, 1, 1))
+    angles = 2 * np.pi / HEADING_COUNT * np.arange(HEADING_COUNT)[:, None]
+    poses[:, 0] = Rotation.from_euler("y", angles).as_matrix() @ pose[0]
+    return poses
+
+
+def compute_transition_costs(joints: Float[np.ndarray, "T H J 3"], rate: float) -> Float[np.ndarray, "T-1 H H"]:
+    """Return the cost of the step from each solution of a frame to each solution of the next, from their joints in metres."""
+    from_root = joints - joints[:, :, :1]
+    square = ((from_root[:-1, :, None] - from_root[1:, None]) ** 2).sum(-1).mean(-1)
+    return 0.5 * POSE_DOF / 3 * square / (JOINT_SPEED_SD_M_S / rate) ** 2
+
+
+def smooth_film_poses(
+    root: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T J 3 3"], is_visible: Bool[np.ndarray, " T"], rate: float
+) -> TrackingTerm:
+    """Return smoothed poses as a tracking term; frames without keypoints are interpolated."""
     frames, joints = local.shape[:2]
     variance = np.where(is_visible, FRAME_POSE_SD, MISSING_FRAME_POSE_SD) ** 2
-    known = PoseUncertainty(np.zeros((frames, 0)), np.zeros((frames, joints)), np.repeat(variance[:, None], joints, 1), variance)
-    return smoothing.smooth_poses(root, local.copy(), known, np.ones(joints, bool), rate, SolveOptions())
+    uncertainty = PoseUncertainty(
+        np.zeros((frames, 0)), np.zeros((frames, joints)), np.repeat(variance[:, None], joints, 1), variance
+    )
+    return smooth_poses(root, local.copy(), uncertainty, np.ones(joints, bool), rate, SolveOptions())
 
 
-def move_to_floor(problem: ReprojectionProblem, poses: PoseSolution, scale: float) -> tuple[Motion, KeypointCamera]:
-    """-> the motion moved so that the lowest joint is at zero height and the first root over the origin; its camera with it."""
-    joints, _ = problem.compute_positions(poses.root_position, poses.local_rotations)
-    origin = np.array([poses.root_position[0, 0], joints[..., 1].min(), poses.root_position[0, 2]])
-    none, unknown = np.zeros((len(joints), 0)), np.full(joints.shape[:2], np.nan)
-    motion = Motion(poses.root_position - origin, poses.local_rotations, poses.status, poses.iterations, none, unknown)
-    return motion, KeypointCamera(problem.rotation, scale, scale * problem.project_to_image_plane(origin))
+def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, KeypointCamera]:
+    """Return the motion, moved so that the lowest joint is at height zero and the first root above the origin, and its camera."""
+    joints, _ = problem.compute_positions(solution.root_position, solution.local_rotations)
+    origin = np.array([solution.root_position[0, 0], joints[..., 1].min(), solution.root_position[0, 2]])
+    no_markers, unknown_sd = np.zeros((len(joints), 0)), np.full(joints.shape[:2], np.nan)
+    root = solution.root_position - origin
+    motion = Motion(root, solution.local_rotations, solution.status, solution.iterations, no_markers, unknown_sd)
+    offset_px = scale_px_m * problem.project_to_image_plane(origin)
+    return motion, KeypointCamera(problem.rotation, scale_px_m, offset_px)

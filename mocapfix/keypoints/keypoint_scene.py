@@ -1,4 +1,4 @@
-"""The scene keypoints-2d: what its YAML says, and what running it gives."""
+"""The scene keypoints-2d: the settings in its YAML file, and running it."""
 
 from pathlib import Path
 from typing import Literal
@@ -6,28 +6,30 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from mocapfix.calibrate import subject_file
+from mocapfix.calibrate.subject_file import read_subject
 from mocapfix.errors import SceneError
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.keypoints import camera_scale, film_solver, keypoint_file
+from mocapfix.keypoints.camera_scale import build_camera_rotation
+from mocapfix.keypoints.film_solver import solve_film
+from mocapfix.keypoints.keypoint_file import read_keypoints
 from mocapfix.keypoints.keypoint_result import KeypointResult
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve.single_pose import resolve_pose_model
 
-STILL_IMAGE_RATE_HZ = 30.0  # Hz: of one image alone, for its BVH
+STILL_IMAGE_RATE_HZ = 30.0  # rate of the BVH of a single image
 
 
 class KeypointSceneSettings(StrictModel):
-    """What the scene says; paths are from the scene's own folder.
+    """The keys of the scene file; paths are relative to its folder.
 
     title        one line, for the page
-    keypoints    a file, or the folder that OpenPose wrote; see mocapfix.keypoints.keypoint_file
-    rate         Hz, where the file does not say it
-    looks_down   degrees that the camera looks down; what the prior knows of standing upright needs it
-    subject      a subject file, for this person's bones; null for the average body, which the scale is then for
+    keypoints    a file, or the folder that OpenPose wrote; see `keypoint_file`
+    rate         Hz, if the keypoints' file does not contain it
+    looks_down   degrees by which the camera is pitched down, which the prior's knowledge of upright poses needs
+    subject      a subject file with this person's bone lengths; null for the average body, for which the scale is then estimated
     prior        a trained model of poses, or "none"
-    prior_scale  times its standard deviations: with 2 it is believed half as much
+    prior_scale  factor on the prior's standard deviations (2 = weaker prior)
     """
 
     kind: Literal["keypoints-2d"]
@@ -41,29 +43,29 @@ class KeypointSceneSettings(StrictModel):
 
 
 def read_keypoint_scene(path: Path) -> KeypointSceneSettings:
-    """-> what the scene says. Raises SceneError naming the file and the key that is not as it must be."""
+    """Return the scene's settings. Raises SceneError that names the file and the invalid key."""
     return read_yaml_model(KeypointSceneSettings, path)
 
 
 def run_keypoint_scene(path: Path, progress: ProgressCallback | None = None) -> KeypointResult:
-    """-> motion and camera of the film that the scene names.
+    """Return motion and camera of the film of a scene file.
 
-    Raises SceneError for what the scene does not say as it must, ReadError for keypoints that cannot be taken in, TakeError for
-    those that tell of no body.
+    Raises SceneError for an invalid scene, ReadError for invalid keypoints, TakeError for keypoints that do not determine a body.
     """
-    said, clock = read_keypoint_scene(path), StageTimer(report_progress=progress)
-    with clock("read"):
-        skeleton = load_scene_skeleton(path, said)
-        seen = keypoint_file.read_keypoints(path.parent / said.keypoints, skeleton)
-        model = resolve_pose_model(said.prior, skeleton)
-    rate = seen.rate_hz or said.rate or (STILL_IMAGE_RATE_HZ if seen.frame_count == 1 else None)
+    settings, timer = read_keypoint_scene(path), StageTimer(report_progress=progress)
+    with timer("read"):
+        skeleton = load_scene_skeleton(path, settings)
+        keypoints = read_keypoints(path.parent / settings.keypoints, skeleton)
+        model = resolve_pose_model(settings.prior, skeleton)
+    rate = keypoints.rate_hz or settings.rate or (STILL_IMAGE_RATE_HZ if keypoints.frame_count == 1 else None)
     if rate is None:
-        raise SceneError(f"{path}: rate: must say how many frames a second {said.keypoints} has, which does not say it itself.")
-    with clock("solve"):
-        looking = camera_scale.build_camera_rotation(float(np.radians(said.looks_down)))
-        motion, seen_by = film_solver.solve_film(seen, rate, skeleton, model, looking, said.prior_scale)
-    return KeypointResult(path.stem, said.title, seen, rate, skeleton, motion, seen_by, said.prior, clock)
+        raise SceneError(f"{path}: rate: give the frames per second of {settings.keypoints}, which does not contain them.")
+    with timer("solve"):
+        rotation = build_camera_rotation(float(np.radians(settings.looks_down)))
+        motion, camera = solve_film(keypoints, rate, skeleton, model, rotation, settings.prior_scale)
+    return KeypointResult(path.stem, settings.title, keypoints, rate, skeleton, motion, camera, settings.prior, timer)
 
 
 def load_scene_skeleton(path: Path, settings: KeypointSceneSettings) -> Skeleton:
-    return subject_file.read_subject(path.parent / settings.subject).skeleton if settings.subject else load_cmu31_body().skeleton
+    """Return the skeleton of the scene's subject file, or of the average body."""
+    return read_subject(path.parent / settings.subject).skeleton if settings.subject else load_cmu31_body().skeleton

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from mocapfix.report.change_curves import ChangeCurves, MarkerCurve
 from mocapfix.report.terms import format_frame_range
 from mocapfix.report.timeline import compute_round_step
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 if TYPE_CHECKING:
     from jaxtyping import Float

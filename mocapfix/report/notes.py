@@ -12,8 +12,9 @@ from mocapfix.faults import EXTERNAL_FILL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.solve.body_fit import BodyFit
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
-from mocapfix.take import Take, find_runs
+from mocapfix.take import Take
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -16,7 +16,8 @@ from mocapfix.faults import Fault
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.sample_states import SampleOutcome
 from mocapfix.report.terms import get_fault_group
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

@@ -1,66 +1,75 @@
-"""In which order frames are solved, and from which pose each starts."""
+"""The order in which frames are solved, and the pose from which each starts."""
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
+
 
 class SolveOrder(NamedTuple):
-    """Chains of frames, each solved one after the other, the chains side by side."""
+    """Chains of frames; the frames of a chain are solved one after the other, the chains in parallel."""
 
-    frames: np.ndarray  # (N,) the frames, chain after chain
-    start_frame: np.ndarray  # (N,) the frame whose pose each starts from; -1 for its own
-    copied_joints: np.ndarray  # (1 or T, J) bool: the joints that it takes from there; with the root its place, too
-    chain_starts: np.ndarray  # (C + 1,) where each chain begins in `order`, and the end
+    frames: Int[np.ndarray, " N"]  # chain after chain
+    start_frame: Int[np.ndarray, " N"]  # the frame whose pose each starts from; -1 for its own
+    copied_joints: Bool[np.ndarray, "one_or_T J"]  # joints copied from there; the root with its position
+    chain_starts: Int[np.ndarray, " starts"]  # (C + 1,) index of each chain's first entry in `frames`, and the end
 
 
 def order_independently(frames: int, joints: int) -> SolveOrder:
-    """-> every frame for itself, from its own pose."""
-    return SolveOrder(np.arange(frames), np.full(frames, -1), np.zeros((1, joints), bool), np.arange(frames + 1))
+    """Return the order in which every frame starts from its own pose."""
+    copied_joints = np.zeros((1, joints), bool)
+    return SolveOrder(np.arange(frames), np.full(frames, -1), copied_joints, np.arange(frames + 1))
 
 
-def order_sequentially(has_own_pose: np.ndarray, joints: int) -> SolveOrder:
-    """-> each frame that has a pose of its `own` (T,) from that, as the first has, each other from the one before it."""
-    order = np.arange(len(has_own_pose))
-    return SolveOrder(
-        order,
-        np.where(has_own_pose, -1, order - 1),
-        np.ones((1, joints), bool),
-        np.r_[np.flatnonzero(has_own_pose), len(has_own_pose)],
-    )
+def order_sequentially(has_own_pose: Bool[np.ndarray, " T"], joints: int) -> SolveOrder:
+    """Return the order in which a frame with a pose of its own starts from that, and any other from the frame before.
+
+    The first frame must have a pose of its own.
+    """
+    frames = np.arange(len(has_own_pose))
+    start_frame = np.where(has_own_pose, -1, frames - 1)
+    chain_starts = np.r_[np.flatnonzero(has_own_pose), len(has_own_pose)]
+    return SolveOrder(frames, start_frame, np.ones((1, joints), bool), chain_starts)
 
 
 def order_in_windows(frames: int, joints: int, length: int) -> SolveOrder:
-    """-> each frame from the one before it, but for the first of each window of `length` frames.
+    """Return the order in which each frame starts from the one before, except the first of each window of `length` frames.
 
-    The windows, not the number of threads, are what is solved side by side, so that this changes nothing.
+    Windows, not threads, are solved in parallel, so the result does not depend on the number of threads.
     """
     return order_sequentially(np.arange(frames) % length == 0, joints)
 
 
-def order_from_gap_ends(runs: list[tuple[int, int]], uncertain_joints: np.ndarray) -> SolveOrder:
-    """-> the `runs` (first, last) of frames from both ends to the middle, each frame from its neighbour farther out.
+def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
+    """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
 
-    Joints that are `unsure` (T, J) start where the neighbour has them, the others, and the root, where they are: where
-    markers leave two poses open, as a thigh does that lost its knee, the one that goes on smoothly is found. A run at the
-    take's beginning or end has one end only; in a run of all frames the take's first is the end, and is not solved anew.
+    Joints that are uncertain start from the neighbour's rotations; the others, and the root, from their own. So where markers leave
+    two poses possible, as for a thigh without its knee, the continuous one is found. A gap at the take's beginning or end has one
+    end only. If a gap covers all frames, the first frame is its end, and is not solved again.
     """
-    order, source, chains, end = [], [], [0], len(uncertain_joints) - 1
-    for left, right in runs:
-        inside = np.arange(left, right + 1)
-        if left == 0 and right == end:
-            turns = [(int(t), int(t) - 1) for t in inside[1:]]
-        elif left == 0:
-            turns = [(int(t), int(t) + 1) for t in inside[::-1]]
-        elif right == end:
-            turns = [(int(t), int(t) - 1) for t in inside]
+    frames: list[int] = []
+    start_frame: list[int] = []
+    chain_starts, last_frame = [0], len(uncertain_joints) - 1
+    for first, last in gaps:
+        gap = range(first, last + 1)
+        if first == 0 and last == last_frame:
+            steps = [(t, t - 1) for t in gap[1:]]
+        elif first == 0:
+            steps = [(t, t + 1) for t in gap[::-1]]
+        elif last == last_frame:
+            steps = [(t, t - 1) for t in gap]
         else:
-            half = (len(inside) + 1) // 2
-            forth, back = [(int(t), int(t) - 1) for t in inside[:half]], [(int(t), int(t) + 1) for t in inside[half:][::-1]]
-            turns = [turn for pair in zip(forth, [*back, None], strict=False) for turn in pair if turn is not None]
-        order += [t for t, _ in turns]
-        source += [s for _, s in turns]
-        chains.append(len(order))
-    taken = uncertain_joints.copy()
-    taken[:, 0] = False
-    return SolveOrder(np.array(order, int), np.array(source, int), taken, np.array(chains))
+            half = (len(gap) + 1) // 2
+            forward, backward = [(t, t - 1) for t in gap[:half]], [(t, t + 1) for t in gap[half:][::-1]]
+            pairs = zip(forward, [*backward, None], strict=False)
+            steps = [step for pair in pairs for step in pair if step is not None]
+        frames += [t for t, _ in steps]
+        start_frame += [s for _, s in steps]
+        chain_starts.append(len(frames))
+    copied_joints = uncertain_joints.copy()
+    copied_joints[:, 0] = False
+    return SolveOrder(np.array(frames, int), np.array(start_frame, int), copied_joints, np.array(chain_starts))

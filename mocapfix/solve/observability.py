@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
-from mocapfix.take import find_runs
 
 MIN_GAP_DURATION_S = 0.025  # seconds
 

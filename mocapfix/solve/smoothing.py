@@ -14,7 +14,7 @@ from mocapfix.kernels import quaternions
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.options import SolveOptions
 from mocapfix.solve.pose_problem import PoseUncertainty
-from mocapfix.take import find_runs
+from mocapfix.stats.runs import find_runs
 
 # MERGED: mocapfix.solve.temporal
 ACCELERATION_STEP_S = 0.06  # seconds over which the course's acceleration is measured

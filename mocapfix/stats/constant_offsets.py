@@ -1,12 +1,14 @@
-"""What is off by the same amount over a span of frames: what it would be without.
+"""Removal of an offset that is constant over a span of frames, so that the signal continues as smoothly as possible.
 
-A turn can be off by the same in the parent's axes (d R), in the joint's own (R d) or in the middle one of its three angles. In
-each case the right quaternion is linear in what undoes that: q = B(q') c, with c the conjugate of d where B is of four columns,
-and (cos, sin) of half the angle where it is of two. A place is off by a vector: p = p' + c. So the amount that lets a course go
-on the smoothest is a linear least squares problem.
+A rotation can have a constant offset in the parent's axes (d R), in the joint's own (R d) or in the middle one of its three angles.
+In each case the corrected quaternion is linear in the correction: q = B(q') c, with c the conjugate of d where B has four columns,
+and (cos, sin) of half the angle where it has two. A position has an offset vector: p = p' + c. So the correction that makes the
+signal smoothest is a linear least squares problem.
 """
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,83 +16,87 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.stats.gaussian_process import compute_matern_52
 
-OFFSET_TIME_SCALE_S, OFFSET_NOISE_VARIANCE_RATIO = (
-    0.3,
-    1e-4,
-)  # seconds over which a course goes on as it does; variance of a sample, of the course's power
-OFFSET_MEAN_VARIANCE_RATIO = 100.0  # variance of a course's middle, likewise
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+OFFSET_TIME_SCALE_S = 0.3  # of the signal's correlation
+OFFSET_NOISE_VARIANCE_RATIO = 1e-4  # variance of a sample's noise, relative to the signal's power
+OFFSET_MEAN_VARIANCE_RATIO = 100.0  # variance of the signal's unknown mean, likewise
+MIN_RESIDUAL_SQUARE = 1e-12  # added to a sum of squares, so that its logarithm is finite
 
 
 class OffsetModel(NamedTuple):
-    """One way of undoing: T samples of C numbers are fixed (T, C) + basis (T, C, P) times P unknowns, `free` of them telling."""
+    """A linear model of a correction: T samples of C numbers are fixed + basis times P unknowns."""
 
-    fixed: np.ndarray
-    basis: np.ndarray
-    dof: int
+    fixed: Float[np.ndarray, "T C"]
+    basis: Float[np.ndarray, "T C P"]
+    dof: int  # degrees of freedom of the unknowns
 
 
-def build_rotation_offset_models(quaternions: np.ndarray, order: str) -> tuple[OffsetModel, ...]:
-    """-> the ways of (T, 4) quaternions (x, y, z, w) that do not change sign, each times two: in the parent's axes, in the
-    joint's own and in the middle angle of an `order` of intrinsic rotations such as "ZYX" (where it has three).
+def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: str) -> tuple[OffsetModel, ...]:
+    """Return the models of quaternions (x, y, z, w) without sign changes, each times two.
+
+    They are an offset in the parent's axes, in the joint's own and, if the joint has three axes, in the middle angle of an `order`
+    of intrinsic rotations such as "ZYX".
     """
-    q, none, units = 2 * quaternions, np.zeros_like(quaternions), np.eye(4)
-    parents, own = multiply_quaternions(units[None], q[:, None]), multiply_quaternions(q[:, None], units[None])
-    ways = [OffsetModel(none, np.swapaxes(each, 1, 2), 3) for each in (parents, own)]
+    q, zeros, units = 2 * quaternions, np.zeros_like(quaternions), np.eye(4)
+    in_parent, in_joint = multiply_quaternions(units[None], q[:, None]), multiply_quaternions(q[:, None], units[None])
+    models = [OffsetModel(zeros, np.swapaxes(each, 1, 2), 3) for each in (in_parent, in_joint)]
     if len(order) == 3:
-        turns = Rotation.from_quat(quaternions)
-        outer = Rotation.from_euler(order[0], turns.as_euler(order)[:, :1])
-        inner = (outer.inv() * turns).as_quat()
-        across = multiply_quaternions(multiply_quaternions(outer.as_quat(), units[None, "XYZ".index(order[1])]), inner)
-        across *= np.sign((multiply_quaternions(outer.as_quat(), inner) * q).sum(1))[:, None]
-        ways.append(OffsetModel(none, np.stack([q, 2 * across], axis=2), 1))
-    return tuple(ways)
+        rotations = Rotation.from_quat(quaternions)
+        outer = Rotation.from_euler(order[0], rotations.as_euler(order)[:, :1])
+        inner = (outer.inv() * rotations).as_quat()
+        outer_quaternions = outer.as_quat()
+        middle_axis = units[None, "XYZ".index(order[1])]
+        derivative = multiply_quaternions(multiply_quaternions(outer_quaternions, middle_axis), inner)
+        derivative *= np.sign((multiply_quaternions(outer_quaternions, inner) * q).sum(1))[:, None]
+        models.append(OffsetModel(zeros, np.stack([q, 2 * derivative], axis=2), 1))
+    return tuple(models)
 
 
-def build_position_offset_models(positions: np.ndarray) -> tuple[OffsetModel, ...]:
-    """-> the only way of places (T, 3)."""
+def build_position_offset_models(positions: Float[np.ndarray, "T 3"]) -> tuple[OffsetModel, ...]:
+    """Return the only model of positions: an offset vector."""
     return (OffsetModel(positions, np.broadcast_to(np.eye(3), (len(positions), 3, 3)), 3),)
 
 
-def multiply_quaternions(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """-> the product (..., 4) of quaternions (..., 4), the turn q followed by the turn p."""
+def multiply_quaternions(p: Float[np.ndarray, "*#batch 4"], q: Float[np.ndarray, "*#batch 4"]) -> np.ndarray:
+    """Return the products (..., 4) of quaternions (x, y, z, w), the rotation q followed by the rotation p."""
     a, b = p[..., :3], q[..., :3]
     vector = p[..., 3:] * b + q[..., 3:] * a + np.cross(a, b)
     return np.concatenate([vector, p[..., 3:] * q[..., 3:] - (a * b).sum(-1, keepdims=True)], axis=-1)
 
 
 def fit_smoothest_offset(
-    known: np.ndarray,
-    known_times_s: np.ndarray,
+    known: Float[np.ndarray, "N C"],
+    known_times_s: Float[np.ndarray, " N"],
     models: tuple[OffsetModel, ...],
-    span_times_s: np.ndarray,
-    used_samples: np.ndarray,
-) -> tuple[np.ndarray, float]:
-    """-> the samples inside a span (n, C) that go on the smoothest from those known, by the likeliest of the ways, and the
-    variance of what was undone, per axis.
+    span_times_s: Float[np.ndarray, " n"],
+    used_samples: Int[np.ndarray, " U"],
+) -> tuple[Float[np.ndarray, "n C"], float]:
+    """Return the corrected samples inside a span that continue the known samples most smoothly, and the correction's variance per
+    axis.
 
-    known (N, C) beside the span, at seconds known_at (N,); inside_at (n,) seconds; near: indices of the samples inside that are
-    asked, for those far from both edges tell nothing
+    known          samples beside the span, at `known_times_s`
+    models         of the span's samples, at `span_times_s`; the most likely one is used
+    used_samples   indices of the span's samples that are fitted: samples far from both edges contain no information
 
-    A course is a Gaussian process (Matern-5/2) about an unknown middle; the likeliest way is told by its least squares and, as
-    ways may have different numbers of unknowns, by Schwarz's criterion.
+    The signal is a Gaussian process (Matern-5/2) about an unknown mean. Models are compared by their least squares and, as they
+    differ in the number of unknowns, by Schwarz's criterion.
     """
-    at = np.r_[known_times_s, span_times_s[used_samples]]
-    among = (
-        OFFSET_MEAN_VARIANCE_RATIO
-        + compute_matern_52(at[:, None] - at, OFFSET_TIME_SCALE_S)
-        + OFFSET_NOISE_VARIANCE_RATIO * np.eye(len(at))
-    )
-    factor = np.linalg.cholesky(among)
-    best, answer = np.inf, (np.zeros((len(span_times_s), known.shape[1])), np.inf)
-    for way in models:
-        said = np.concatenate([known, way.fixed[used_samples]])
-        slopes = np.concatenate([np.zeros((len(known), *way.basis.shape[1:])), way.basis[used_samples]])
-        white = solve_triangular(factor, said, lower=True).ravel()
-        tilted = solve_triangular(factor, slopes.reshape(len(at), -1), lower=True).reshape(len(white), -1)
-        amounts = np.linalg.lstsq(tilted, -white, rcond=None)[0]
-        left = float(((tilted @ amounts + white) ** 2).sum()) + 1e-12
-        criterion = 3 * len(at) * np.log(left) + way.dof * np.log(3 * len(at))
-        if criterion < best:
-            unsure = left / (3 * len(at)) * np.trace(np.linalg.pinv(tilted.T @ tilted)) / 3
-            best, answer = criterion, (way.fixed + way.basis @ amounts, 4 * unsure if way.dof < known.shape[1] else unsure)
-    return answer
+    times_s = np.r_[known_times_s, span_times_s[used_samples]]
+    covariance = OFFSET_MEAN_VARIANCE_RATIO + compute_matern_52(times_s[:, None] - times_s, OFFSET_TIME_SCALE_S)
+    factor = np.linalg.cholesky(covariance + OFFSET_NOISE_VARIANCE_RATIO * np.eye(len(times_s)))
+    best_criterion, best = np.inf, (np.zeros((len(span_times_s), known.shape[1])), np.inf)
+    for model in models:
+        values = np.concatenate([known, model.fixed[used_samples]])
+        slopes = np.concatenate([np.zeros((len(known), *model.basis.shape[1:])), model.basis[used_samples]])
+        white_values = solve_triangular(factor, values, lower=True).ravel()
+        white_slopes = solve_triangular(factor, slopes.reshape(len(times_s), -1), lower=True).reshape(len(white_values), -1)
+        unknowns = np.linalg.lstsq(white_slopes, -white_values, rcond=None)[0]
+        square = float(((white_slopes @ unknowns + white_values) ** 2).sum()) + MIN_RESIDUAL_SQUARE
+        criterion = 3 * len(times_s) * np.log(square) + model.dof * np.log(3 * len(times_s))
+        if criterion < best_criterion:
+            variance = square / (3 * len(times_s)) * np.trace(np.linalg.pinv(white_slopes.T @ white_slopes)) / 3
+            is_rotation = model.dof < known.shape[1]  # a variance of quaternions, a quarter of the rotation vectors'
+            best_criterion, best = criterion, (model.fixed + model.basis @ unknowns, 4 * variance if is_rotation else variance)
+    return best

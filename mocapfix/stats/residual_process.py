@@ -1,81 +1,99 @@
-"""Carrying what was seen beside a gap across it.
+"""Interpolation of a residual across a gap, from the samples on both sides.
 
-What a marker does beyond its segment's motion (skin, and the solve's own error), or a joint beyond what was expected of it,
-is a smooth random course about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17),
-part of it as rough as the residual shows itself to be (Matern-1/2).
-Given the samples on both sides of a gap its mean goes on smoothly from them and fades towards zero in the middle of a long
-gap, and its variance says how far it can be trusted.
+The part of a marker's motion that its segment does not explain (skin, and the solve's own error), or of a joint's that a prediction
+does not, is a smooth random process about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17),
+of which a part is rough (Matern-1/2), as the residual itself shows. Given the samples on both sides of a gap, its mean continues
+them smoothly and decays towards zero in the middle of a long gap; its variance is the uncertainty.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mocapfix.take import find_runs
+from mocapfix.stats.gaussian_process import evaluate_matern
+from mocapfix.stats.runs import find_runs
 
-MAX_SAMPLES_PER_SIDE = 6  # samples on either side
-ROUGHNESS_LAG_S = 0.025  # seconds over which a course is rough, where it is
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
+ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness
+NORMAL_MEDIAN_FACTOR = 2.2  # mean square over median square of a normal residual; the median ignores outliers
+
+
+class InterpolatedResidual(NamedTuple):
+    """A residual over T frames, zero outside the gaps."""
+
+    mean: Float[np.ndarray, "T 3"]
+    variance: Float[np.ndarray, " T"]  # per axis
+    signal_power: float  # the variance per axis far from any known sample
 
 
 def interpolate_residual(
-    residual: np.ndarray, is_gap: np.ndarray, rate: float, time_scale_s: float, margin_s: float, noise_sd: float, min_sd: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """-> the course (T, 3) of a residual over the samples `wanted` (T,), its variance (T,) per axis, and what that would be
-    far from any known sample.
+    residual: Float[np.ndarray, "T 3"],
+    is_gap: Bool[np.ndarray, " T"],
+    rate: float,
+    *,
+    time_scale_s: float,
+    margin_s: float,
+    noise_sd: float,
+    min_sd: float,
+) -> InterpolatedResidual:
+    """Return the process of a residual (T, 3), in any unit and NaN where unknown, in the frames `is_gap` (T,).
 
-    residual  (T, 3) in any unit, NaN where not known
-    fade      seconds after which a residual has lost most of its memory
-    reach     seconds on either side of a gap that are listened to
-    noise     what a single sample cannot tell, in the residual's unit
-    least     least size of the course, likewise
+    rate          Hz
+    time_scale_s  of the residual's correlation
+    margin_s      on either side of a gap that is used
+    noise_sd      of a single sample, in the residual's unit
+    min_sd        least standard deviation of the process, likewise
     """
-    known = ~np.isnan(residual[:, 0])
-    course, variance = np.zeros_like(residual), np.zeros(len(residual))
-    # 2.2 times the median square is the mean square of a normal residual; outliers do not count
-    power = max(float(np.median(residual[known] ** 2)) * 2.2 if known.any() else 0.0, min_sd**2)
-    rough = estimate_roughness(residual, rate, time_scale_s, noise_sd, power)
+    is_known = ~np.isnan(residual[:, 0])
+    mean, variance = np.zeros_like(residual), np.zeros(len(residual))
+    median_square = float(np.median(residual[is_known] ** 2)) if is_known.any() else 0.0
+    power = max(median_square * NORMAL_MEDIAN_FACTOR, min_sd**2)
+    roughness = estimate_roughness(residual, rate, time_scale_s, noise_sd, power)
     steps = max(1, round(margin_s * rate))
-    pick = np.unique(np.linspace(0, steps - 1, min(MAX_SAMPLES_PER_SIDE, steps)).astype(int))
+    offsets = np.unique(np.linspace(0, steps - 1, min(MAX_SAMPLES_PER_SIDE, steps)).astype(int))
     for first, last in find_runs(is_gap):
-        before, after = first - 1 - pick, last + 1 + pick
+        before, after = first - 1 - offsets, last + 1 + offsets
         near = np.r_[before[before >= 0], after[after < len(residual)]]
-        near = near[known[near]]
+        near = near[is_known[near]]
         gap = np.arange(first, last + 1)
         if len(near) == 0:
             variance[gap] = power
             continue
-        among = power * compute_residual_correlation(
-            (near[:, None] - near[None]) / rate, time_scale_s, rough
-        ) + noise_sd**2 * np.eye(len(near))
-        between = power * compute_residual_correlation((gap[:, None] - near[None]) / rate, time_scale_s, rough)
-        weight = np.linalg.solve(among, between.T).T
-        course[gap] = weight @ residual[near]
-        variance[gap] = np.maximum(power - (weight * between).sum(1), 0.0)
-    return course, variance, power
+        among = power * compute_residual_correlation((near[:, None] - near[None]) / rate, time_scale_s, roughness)
+        among = among + noise_sd**2 * np.eye(len(near))
+        cross = power * compute_residual_correlation((gap[:, None] - near[None]) / rate, time_scale_s, roughness)
+        weight = np.linalg.solve(among, cross.T).T
+        mean[gap] = weight @ residual[near]
+        variance[gap] = np.maximum(power - (weight * cross).sum(1), 0.0)
+    return InterpolatedResidual(mean, variance, power)
 
 
-def estimate_roughness(residual: np.ndarray, rate: float, time_scale_s: float, noise_sd: float, power: float) -> float:
-    """-> the part of a residual's (T, 3) power that is rough: 0 for a smooth course, 1 for one that goes on in steps.
+def estimate_roughness(
+    residual: Float[np.ndarray, "T 3"], rate: float, time_scale_s: float, noise_sd: float, power: float
+) -> float:
+    """Return the rough part of a residual's power: 0 for a smooth process, 1 for one that moves in independent steps.
 
-    From how far it gets in a moment, which a smooth course hardly does; robustly, as the power is.
+    Estimated from the median square of its change over a short lag, which is small for a smooth process.
     """
     step = max(1, round(ROUGHNESS_LAG_S * rate))
     change = residual[step:] - residual[:-step]
     change = change[~np.isnan(change[:, 0])]
     if len(change) < MAX_SAMPLES_PER_SIDE:
         return 0.0
-    seconds = np.array(step / rate)
-    smooth, rough = (float(compute_residual_correlation(seconds, time_scale_s, part)) for part in (0.0, 1.0))
-    lost = (2.2 * float(np.median(change**2)) - 2 * noise_sd**2) / (2 * power)
-    return float(np.clip((lost - (1 - smooth)) / (smooth - rough), 0.0, 1.0))
+    lag_s = np.array(step / rate)
+    smooth, rough = (float(compute_residual_correlation(lag_s, time_scale_s, part)) for part in (0.0, 1.0))
+    decorrelation = (NORMAL_MEDIAN_FACTOR * float(np.median(change**2)) - 2 * noise_sd**2) / (2 * power)
+    return float(np.clip((decorrelation - (1 - smooth)) / (smooth - rough), 0.0, 1.0))
 
 
-def compute_residual_correlation(lag_s: np.ndarray, time_scale_s: float, roughness: float) -> np.ndarray:
-    """-> the correlation of the course at two moments so far apart, `rough` (0 to 1) of its power an Ornstein-Uhlenbeck
-    process of the same fade, the rest Matern's.
-    """
-    return (1 - roughness) * compute_matern_32(lag_s, time_scale_s) + roughness * np.exp(-np.abs(lag_s) / time_scale_s)
-
-
-def compute_matern_32(lag_s: np.ndarray, time_scale_s: float) -> np.ndarray:
-    """-> the correlation of the course at two moments so far apart."""
-    distance = np.sqrt(3) * np.abs(lag_s) / time_scale_s
-    return (1 + distance) * np.exp(-distance)
+def compute_residual_correlation(
+    lag_s: Float[np.ndarray, "*shape"], time_scale_s: float, roughness: float
+) -> Float[np.ndarray, "*shape"]:
+    """Return the correlation at a lag: Matern-3/2 plus, for the part `roughness` (0 to 1), an Ornstein-Uhlenbeck process."""
+    smooth = evaluate_matern(np.sqrt(3) * np.abs(lag_s) / time_scale_s, 3)
+    return (1 - roughness) * smooth + roughness * evaluate_matern(np.abs(lag_s) / time_scale_s, 1)

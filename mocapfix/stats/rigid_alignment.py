@@ -1,56 +1,111 @@
-"""Laying one direction on another."""
+"""Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.rigid_registration import compute_cross_covariance, fit_rotations, transform_to_body_axes
+from mocapfix.kernels.rigid_registration import (
+    compute_cross_covariance_frames,
+    fit_rotation_frames,
+    transform_point_frames,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
+MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
+ALIGNMENT_ROUNDS = 6  # of shape and poses in turn
 
 
-# MERGED: mocapfix.kernels.aligned
-def compute_shortest_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """-> (3, 3) the smallest rotation that takes the direction of `before` (3,) to that of `after` (3,), of any lengths.
+def compute_cross_covariance(
+    points: Float[np.ndarray, "T K 3"], model: Float[np.ndarray, "K 3"], weight: Float[np.ndarray, "T K"]
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
+    """Return the cross-covariances of points and a model about their weighted means, and the means of points and of the model.
 
-    Of opposite ones it is half a turn about some axis across them, and none where either has no length.
+    A point of weight 0 may be NaN.
+    """
+    frames = len(points)
+    cross, mean_points, mean_model = np.empty((frames, 3, 3)), np.empty((frames, 3)), np.empty((frames, 3))
+    compute_cross_covariance_frames(
+        _make_contiguous(points), _make_contiguous(model), _make_contiguous(weight), cross, mean_points, mean_model
+    )
+    return cross, mean_points, mean_model
+
+
+def fit_rotations(cross: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the rotations R that maximise trace(R' cross), never a reflection.
+
+    cross  sums of outer products, measured by model
+    """
+    rotation = np.empty(cross.shape)
+    fit_rotation_frames(_make_contiguous(cross), rotation)
+    return rotation
+
+
+def transform_to_body_axes(
+    points: Float[np.ndarray, "T K 3"], origin: Float[np.ndarray, "T 3"], rotation: Float[np.ndarray, "T 3 3"]
+) -> Float[np.ndarray, "T K 3"]:
+    """Return world points in the axes `rotation` about `origin`; NaN stays NaN."""
+    transformed = np.empty(points.shape)
+    transform_point_frames(_make_contiguous(points), _make_contiguous(origin), _make_contiguous(rotation), transformed)
+    return transformed
+
+
+def _make_contiguous(array: np.ndarray) -> np.ndarray:
+    """Return the array as contiguous floats, so that each kernel is compiled once."""
+    return np.ascontiguousarray(array, float)
+
+
+def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the smallest rotation from the direction of `before` to that of `after`, which may have any length.
+
+    For opposite directions it is a half turn about an axis perpendicular to them; if either is zero, it is the identity.
     """
     if not (np.linalg.norm(before) > 0 and np.linalg.norm(after) > 0):
         return np.eye(3)
     return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
 
 
-# MERGED: mocapfix.kernels.trunk
-# The axes of a body of which nothing is known but its markers: a common shape, on which every frame is laid.
-MIN_MARKER_SD_M = 0.002  # metres: how still on the body a marker can be, so that none alone decides the alignment
+def align_to_common_shape(
+    markers: Float[np.ndarray, "T M 3"],
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
+    """Return world rotation and origin of axes fixed to the markers' common shape, and whether a frame determines them.
 
-
-def align_to_common_shape(markers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """-> turn (T, 3, 3) and origin (T, 3) of the body's axes in the world, and (T,) bool: three or more markers tell them.
-
-    Each marker counts by how still it lies on the common shape: the trunk leads (Theobald & Wuttke 2006, PNAS 103, the
-    maximum-likelihood form of Procrustes alignment).
+    Markers are in metres, NaN where missing; a frame needs three or more. No skeleton is used. Each marker is weighted by the
+    inverse of its variance about the common shape, so the trunk dominates (Theobald & Wuttke 2006, PNAS 103, the maximum-likelihood
+    form of Procrustes alignment).
     """
-    seen = ~np.isnan(markers[..., 0])
-    shape, variance = markers[np.argmax(seen.sum(1))], np.ones(markers.shape[1])
+    is_visible = ~np.isnan(markers[..., 0])
+    shape, variance = markers[np.argmax(is_visible.sum(1))], np.ones(markers.shape[1])
     shape = shape - np.nanmean(shape, 0)
-    for _ in range(6):
-        weight = seen * ~np.isnan(shape[:, 0]) / (MIN_MARKER_SD_M**2 + variance)
-        placed = (weight > 0).sum(1) >= 3
-        cross, here, there = compute_cross_covariance(markers, np.nan_to_num(shape), weight)
-        turn = fit_rotations(cross)
-        if not placed.any():
+    for _ in range(ALIGNMENT_ROUNDS):
+        weight = is_visible * ~np.isnan(shape[:, 0]) / (MIN_MARKER_SD_M**2 + variance)
+        is_aligned = (weight > 0).sum(1) >= MIN_ALIGNMENT_MARKERS
+        cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape), weight)
+        rotation = fit_rotations(cross)
+        origin = mean_markers - np.einsum("tab,tb->ta", rotation, mean_shape)
+        if not is_aligned.any():
             break
-        shape, variance = compute_common_shape(markers, seen & placed[:, None], turn, here - np.einsum("tab,tb->ta", turn, there))
+        shape, variance = compute_common_shape(markers, is_visible & is_aligned[:, None], rotation, origin)
         shape -= np.nanmean(shape, 0)
-    return turn, here - np.einsum("tab,tb->ta", turn, there), placed
+    return rotation, origin, is_aligned
 
 
 def compute_common_shape(
-    markers: np.ndarray, use: np.ndarray, turn: np.ndarray, origin: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> where markers (T, M, 3) lie in the body's axes on average over the samples to `use` (T, M), and their variance (M,)."""
-    laid = transform_to_body_axes(markers, origin, turn)
-    laid[~use] = 0.0
+    markers: Float[np.ndarray, "T M 3"],
+    use: Bool[np.ndarray, "T M"],
+    rotation: Float[np.ndarray, "T 3 3"],
+    origin: Float[np.ndarray, "T 3"],
+) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, " M"]]:
+    """Return the markers' mean positions in the body's axes over the samples to `use`, and their variances."""
+    positions = transform_to_body_axes(markers, origin, rotation)
+    positions[~use] = 0.0
     count = np.where(use.any(0), use.sum(0), np.nan)[:, None]
-    shape = laid.sum(0) / count
-    laid -= shape
-    laid[~use] = 0.0
-    return shape, np.nan_to_num(np.einsum("tma,tma->ma", laid, laid) / count).mean(1)
+    shape = positions.sum(0) / count
+    positions -= shape
+    positions[~use] = 0.0
+    return shape, np.nan_to_num(np.einsum("tma,tma->ma", positions, positions) / count).mean(1)

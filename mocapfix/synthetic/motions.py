@@ -1,8 +1,12 @@
-"""A body over its feet: the pelvis goes where the feet let it, legs reach down to them, the rest makes its gestures.
+"""A body over its feet: the pelvis follows the feet, the legs reach down to them, the upper body makes its gestures.
 
-A joint's "posture" is the identity when standing with hanging arms (see gestures), so its rotation in the world is
-posture times stance, whatever way its own axes rest.
+A joint's "posture" is its world rotation relative to standing with hanging arms (see `gestures`), so its world rotation is posture
+times standing rotation, for any rest axes.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
@@ -14,26 +18,42 @@ from mocapfix.subject import Subject
 from mocapfix.synthetic.footsteps import FootMotion, compute_axis_rotation, plan_footsteps
 from mocapfix.synthetic.gestures import CROUCH_TIMES_S, compute_gesture_angles, compute_plateau
 
-STRIDE_TO_LEG_RATIO = 0.68  # of the leg's length, from one foot's place to the other's
-MAX_LEG_EXTENSION_RATIO = 0.992  # of the leg's length: a standing person's knees are not locked
-ARM_HANG_ANGLE_RAD = np.radians(75)  # an arm about Z, from the T-pose
-CROUCH_DEPTH_M = 0.26  # metres the hips go down in a crouch
-CROUCH_BACKWARD_M = 0.06  # metres they go back in it
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+STRIDE_TO_LEG_RATIO = 0.68  # distance from one foot's place to the other's, over the leg's length
+MAX_LEG_EXTENSION_RATIO = 0.992  # hip to ankle over the leg's length: a standing person's knees are not locked
+ARM_HANG_ANGLE_RAD = np.radians(75)  # rotation of an arm about Z from the T-pose
+CROUCH_DEPTH_M = 0.26  # by which the hips are lowered in a crouch
+CROUCH_BACKWARD_M = 0.06  # by which they move back in it
+PELVIS_FORWARD_M = 0.02  # of the pelvis in front of the feet
+PELVIS_DROP_DEG = 4.0  # on the side of the swinging leg
+PELVIS_YAW_DEG = 5.0  # per stride that a foot is ahead
+PELVIS_PITCH_DEG = 3.0  # of the standing pelvis
+CROUCH_PITCH_DEG = 22.0  # added in a crouch
+SUPPORT_SHIFT = 0.1  # of the distance between the feet, by which the pelvis moves towards the standing one
+
+# Standard deviations, in seconds, of the Gaussian filters that make the plan's steps smooth.
+DROP_SMOOTHING_S = 0.08
+PHASE_SMOOTHING_S = 0.06
+YAW_SMOOTHING_S = 0.15
+SUPPORT_SMOOTHING_S = 0.13
+HEIGHT_SMOOTHING_S = 0.12  # radius of the running minimum and mean of the pelvis' height
 
 
 def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
-    """-> `seconds` (more than 0) of walking, reaching, crouching and turning of this person, at `rate` frames a second."""
+    """Return `seconds` (more than 0) of walking, reaching, crouching and turning of this person, at `rate` Hz."""
     skeleton = subject.skeleton
-    time = np.arange(round(seconds * rate)) / rate
+    time_s = np.arange(round(seconds * rate)) / rate
     leg = np.linalg.norm(skeleton.offsets[[skeleton.find_joint("LeftLeg"), skeleton.find_joint("LeftFoot")]], axis=1)
     hips = skeleton.offsets[[skeleton.find_joint("LeftUpLeg"), skeleton.find_joint("RightUpLeg")]]
-    feet = plan_footsteps(time, STRIDE_TO_LEG_RATIO * leg.sum(), hips[0, 0])
-    lead = _compute_gait_phase(feet, STRIDE_TO_LEG_RATIO * leg.sum(), rate)
-    drop = 4 * gaussian_filter1d(feet.is_swinging @ [-1.0, 1.0], 0.08 * rate)
-    crouch = compute_plateau(time, CROUCH_TIMES_S)
-    pelvis = _compute_pelvis_rotation(feet, lead, drop, crouch, rate)
+    feet = plan_footsteps(time_s, STRIDE_TO_LEG_RATIO * leg.sum(), hips[0, 0])
+    gait_phase = _compute_gait_phase(feet, STRIDE_TO_LEG_RATIO * leg.sum(), rate)
+    drop_deg = PELVIS_DROP_DEG * gaussian_filter1d(feet.is_swinging @ [-1.0, 1.0], DROP_SMOOTHING_S * rate)
+    crouch = compute_plateau(time_s, CROUCH_TIMES_S)
+    pelvis = _compute_pelvis_rotation(feet, gait_phase, drop_deg, crouch, rate)
     root = _compute_root_position(feet, pelvis, hips, MAX_LEG_EXTENSION_RATIO * leg.sum(), crouch, rate)
-    posture = _compute_upper_body(skeleton, pelvis, compute_gesture_angles(lead, drop, time))
+    posture = _compute_upper_body(skeleton, pelvis, compute_gesture_angles(gait_phase, drop_deg, time_s))
     for side, name in enumerate(("Left", "Right")):
         hip = root + pelvis @ hips[side]
         posture[f"{name}UpLeg"], posture[f"{name}Leg"] = _solve_leg(hip, feet, side, leg, pelvis)
@@ -41,49 +61,70 @@ def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
     return _build_motion(subject, root, posture)
 
 
-def _compute_gait_phase(feet: FootMotion, stride: float, rate: float) -> np.ndarray:
-    """-> (T,) how far the left foot is in front of the right, in strides: the phase of the gait."""
+def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Float[np.ndarray, " T"]:
+    """Return the distance of the left foot in front of the right, in strides."""
     heading = feet.yaw_rad.mean(axis=1)
     apart = feet.floor_position[:, 0] - feet.floor_position[:, 1]
-    return gaussian_filter1d((apart[:, 0] * np.sin(heading) + apart[:, 2] * np.cos(heading)) / stride, 0.06 * rate)
+    forward = apart[:, 0] * np.sin(heading) + apart[:, 2] * np.cos(heading)
+    return gaussian_filter1d(forward / stride_m, PHASE_SMOOTHING_S * rate)
 
 
-def _compute_pelvis_rotation(feet: FootMotion, lead: np.ndarray, drop: np.ndarray, crouch: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, 3, 3): it heads where the feet head, turns with the leading leg and drops on the side of the swinging one."""
-    yaw = np.degrees(gaussian_filter1d(feet.yaw_rad.mean(axis=1), 0.15 * rate)) - 5 * lead
-    return Rotation.from_euler("YXZ", np.stack([yaw, 3 + 22 * crouch, drop], axis=1), degrees=True).as_matrix()
+def _compute_pelvis_rotation(
+    feet: FootMotion,
+    gait_phase: Float[np.ndarray, " T"],
+    drop_deg: Float[np.ndarray, " T"],
+    crouch: Float[np.ndarray, " T"],
+    rate: float,
+) -> Float[np.ndarray, "T 3 3"]:
+    """Return world rotations: the pelvis heads as the feet do, turns with the leading leg and drops on the swinging side."""
+    yaw = np.degrees(gaussian_filter1d(feet.yaw_rad.mean(axis=1), YAW_SMOOTHING_S * rate)) - PELVIS_YAW_DEG * gait_phase
+    pitch = PELVIS_PITCH_DEG + CROUCH_PITCH_DEG * crouch
+    return Rotation.from_euler("YXZ", np.stack([yaw, pitch, drop_deg], axis=1), degrees=True).as_matrix()
 
 
 def _compute_root_position(
-    feet: FootMotion, pelvis: np.ndarray, hips: np.ndarray, reach: float, crouch: np.ndarray, rate: float
-) -> np.ndarray:
-    """-> (T, 3): over the feet, a little towards the standing one, and as high as both legs allow (hence the gait's bob)."""
-    share = 0.5 + 0.1 * (feet.is_swinging @ [-1.0, 1.0])[:, None]
-    middle = gaussian_filter1d(share * feet.floor_position[:, 0] + (1 - share) * feet.floor_position[:, 1], 0.13 * rate, axis=0)
-    middle += (0.02 - CROUCH_BACKWARD_M * crouch)[:, None] * pelvis[:, :, 2] * [1, 0, 1]
+    feet: FootMotion,
+    pelvis: Float[np.ndarray, "T 3 3"],
+    hips: Float[np.ndarray, "2 3"],
+    reach_m: float,
+    crouch: Float[np.ndarray, " T"],
+    rate: float,
+) -> Float[np.ndarray, "T 3"]:
+    """Return positions over the feet, nearer to the standing one, and as high as both legs can reach, which lets the pelvis bob."""
+    share = 0.5 + SUPPORT_SHIFT * (feet.is_swinging @ [-1.0, 1.0])[:, None]
+    support = share * feet.floor_position[:, 0] + (1 - share) * feet.floor_position[:, 1]
+    middle = gaussian_filter1d(support, SUPPORT_SMOOTHING_S * rate, axis=0)
+    middle += (PELVIS_FORWARD_M - CROUCH_BACKWARD_M * crouch)[:, None] * pelvis[:, :, 2] * [1, 0, 1]
     from_ankle = middle[:, None] + (hips - hips.mean(axis=0)) @ pelvis.swapaxes(1, 2) - feet.ankle_position
-    ceiling = np.sqrt(reach**2 - from_ankle[..., 0] ** 2 - from_ankle[..., 2] ** 2) - from_ankle[..., 1]
-    # a running mean, with the window of the running minimum, never passes the ceiling
-    radius = max(1, round(0.12 * rate))
+    ceiling = np.sqrt(reach_m**2 - from_ankle[..., 0] ** 2 - from_ankle[..., 2] ** 2) - from_ankle[..., 1]
+    # a running mean over the window of the running minimum never exceeds the ceiling
+    radius = max(1, round(HEIGHT_SMOOTHING_S * rate))
     lowest = minimum_filter1d(ceiling.min(axis=1), 2 * radius + 1)
     middle[:, 1] = gaussian_filter1d(lowest, radius / 3, radius=radius) - CROUCH_DEPTH_M * crouch
     return middle - pelvis @ hips.mean(axis=0)
 
 
-def _compute_upper_body(skeleton: Skeleton, pelvis: np.ndarray, turns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """-> (T, 3, 3) posture per joint: the parent's, turned by the gesture."""
+def _compute_upper_body(
+    skeleton: Skeleton, pelvis: Float[np.ndarray, "T 3 3"], angles_deg: dict[str, Float[np.ndarray, "T 3"]]
+) -> dict[str, Float[np.ndarray, "T 3 3"]]:
+    """Return the posture of each joint: its parent's, rotated by the gesture."""
     posture = {skeleton.names[0]: pelvis}
     for name, parent in zip(skeleton.names[1:], skeleton.parents[1:], strict=True):
         posture[name] = posture[skeleton.names[parent]]
-        if name in turns:
-            posture[name] = posture[name] @ Rotation.from_euler("YXZ", turns[name][:, [1, 0, 2]], degrees=True).as_matrix()
+        if name in angles_deg:
+            yxz = angles_deg[name][:, [1, 0, 2]]
+            posture[name] = posture[name] @ Rotation.from_euler("YXZ", yxz, degrees=True).as_matrix()
     return posture
 
 
 def _solve_leg(
-    hip: np.ndarray, feet: FootMotion, side: int, leg: np.ndarray, pelvis: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> postures (T, 3, 3) of thigh and shin that put the ankle where it is, the knee pointing between pelvis and toes."""
+    hip: Float[np.ndarray, "T 3"],
+    feet: FootMotion,
+    side: int,
+    leg: Float[np.ndarray, "2"],
+    pelvis: Float[np.ndarray, "T 3 3"],
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3 3"]]:
+    """Return the postures of thigh and shin for the ankle's position, the knee pointing between pelvis and toes."""
     thigh, shin = leg
     up = hip - feet.ankle_position[:, side]
     length = np.linalg.norm(up, axis=1)
@@ -96,23 +137,24 @@ def _solve_leg(
     return straight @ compute_axis_rotation("X", -lift), straight @ compute_axis_rotation("X", bend - lift)
 
 
-def _build_motion(subject: Subject, root: np.ndarray, posture: dict[str, np.ndarray]) -> Motion:
-    """-> the motion of these postures, with the status, iterations and deviation of one that nobody had to solve."""
+def _build_motion(subject: Subject, root: Float[np.ndarray, "T 3"], posture: dict[str, Float[np.ndarray, "T 3 3"]]) -> Motion:
+    """Return the motion of these postures, with zero iterations and uncertainty."""
     skeleton = subject.skeleton
-    stance = _compute_standing_rotations(skeleton)
-    world = np.stack([posture[name] @ stance[name] for name in skeleton.names], axis=1)
+    standing = _compute_standing_rotations(skeleton)
+    world = np.stack([posture[name] @ standing[name] for name in skeleton.names], axis=1)
     local = world.copy()
     local[:, 1:] = world[:, skeleton.parents[1:]].swapaxes(-1, -2) @ world[:, 1:]
-    none = np.zeros(len(root), int)
-    return Motion(root, local, none, none, np.zeros((len(root), len(subject.labels))), np.zeros(local.shape[:2]))
+    zeros = np.zeros(len(root), int)
+    return Motion(root, local, zeros, zeros, np.zeros((len(root), len(subject.labels))), np.zeros(local.shape[:2]))
 
 
-def _compute_standing_rotations(skeleton: Skeleton) -> dict[str, np.ndarray]:
-    """-> (3, 3) per joint: its rotation when standing, the legs, which rest spread, brought together, the arms let down."""
+def _compute_standing_rotations(skeleton: Skeleton) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Return each joint's world rotation in standing: the legs, spread in the rest pose, together, and the arms hanging."""
     x, y, _ = skeleton.offsets[skeleton.find_joint("LeftLeg")]
     spread = np.arctan2(x, -y)
-    turns = {"LeftUpLeg": -spread, "RightUpLeg": spread, "LeftArm": -ARM_HANG_ANGLE_RAD, "RightArm": ARM_HANG_ANGLE_RAD}
-    stance = {skeleton.names[0]: np.eye(3)}
+    angles = {"LeftUpLeg": -spread, "RightUpLeg": spread, "LeftArm": -ARM_HANG_ANGLE_RAD, "RightArm": ARM_HANG_ANGLE_RAD}
+    standing = {skeleton.names[0]: np.eye(3)}
     for name, parent in zip(skeleton.names[1:], skeleton.parents[1:], strict=True):
-        stance[name] = compute_axis_rotation("Z", turns[name]) if name in turns else stance[skeleton.names[parent]]
-    return stance
+        inherited = standing[skeleton.names[parent]]
+        standing[name] = compute_axis_rotation("Z", angles[name]) if name in angles else inherited
+    return standing

@@ -15,9 +15,9 @@ from mocapfix.initialise.twist_regressor import (
     compute_span_directions,
     compute_twists,
 )
-from mocapfix.kernels.rigid_registration import compute_cross_covariance, fit_rotations
 from mocapfix.skeleton import Skeleton, load_cmu31_body, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
 
 BODIES_PER_EPOCH = 40
 MAX_DISPLACEMENT_M = 0.03  # maximum displacement of a joint along each axis

@@ -11,7 +11,7 @@ from mocapfix.bench import scope_scenes
 from mocapfix.bench.common_task import build_common_task
 from mocapfix.bench.dense_solver import DenseSolver
 from mocapfix.bench.scope_scenes import ScopeScene
-from tests.kernels.dense import Frame, quadratic
+from tests.kernels.dense_oracle import Frame, quadratic
 
 
 def numeric(scene: ScopeScene) -> np.ndarray:

@@ -4,12 +4,12 @@ import json
 import shutil
 
 import pytest
+from tests.train.people import walked, write_bvh
 
 from mocapfix.bench import compared_priors, pose_priors
 from mocapfix.cli import app
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import DEFAULT_PRIOR_NAME, find_shipped_folder
-from tests.train.people import walked, write_bvh
 
 ROW = {"position_mm", "rotation_deg", "position_sd", "rotation_sd"}
 

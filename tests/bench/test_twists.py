@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.train.people import write_bvh
 
 from mocapfix.bench import pictures, twists
 from mocapfix.errors import ReadError
 from mocapfix.skeleton import load_cmu31_skeleton
-from tests.train.people import write_bvh
 
 NAMES = load_cmu31_skeleton().names
 

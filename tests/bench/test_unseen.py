@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.train.people import walked, write_bvh
 
 from mocapfix.bench import unseen_poses
 from mocapfix.errors import ReadError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior.model import remove_heading
 from mocapfix.train import settings
-from tests.train.people import walked, write_bvh
 
 MOTION = Path(__file__).resolve().parents[3] / "shared" / "data" / "cmu-motion"
 

@@ -9,7 +9,8 @@ import pytest
 from mocapfix.fill import gap_filling
 from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.solve import kinematics
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 
 FIRST, RATE, FRAMES = 501, 100.0, 400
 LABELS = ("Jim:A", "Jim:B", "Jim:C", "Jim:D", "Jim:E", "lonely", "never")

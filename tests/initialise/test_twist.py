@@ -27,7 +27,7 @@ from mocapfix.kernels.swing_twist import compute_swing, compute_twist
 from mocapfix.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.train.training_poses import mirror_joint_name
-from tests.kernels import drawn
+from tests.kernels import random_terms
 
 BODY = load_cmu31_skeleton()
 BONES = compute_bone_vectors(BODY)
@@ -124,7 +124,7 @@ def test_frames_do_not_matter_to_one_another():
 @given(st.integers(0, 2**32 - 1))
 def test_place_and_heading_do_not_matter(seed):
     rng = np.random.default_rng(seed)
-    positions, turn, way = rng.normal(size=(3, 31, 3)), drawn.rotations(rng, 1)[0], rng.normal(0, 5, 3)
+    positions, turn, way = rng.normal(size=(3, 31, 3)), random_terms.rotations(rng, 1)[0], rng.normal(0, 5, 3)
     still = load_shipped_regressor().predict_twists(positions, upright(3))
     np.testing.assert_allclose(
         load_shipped_regressor().predict_twists(positions @ turn.T + way, np.tile(turn, (3, 1, 1))), still, atol=1e-2

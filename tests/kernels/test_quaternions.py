@@ -23,7 +23,7 @@ def about(axis, angle):
 
 
 @given(seeds)
-def test_there_and_back_again(seed):
+def test_quaternions_and_matrices_round_trip(seed):
     rng = np.random.default_rng(seed)
     was = Rotation.random(24, rng).as_matrix().reshape(8, 3, 3, 3)
     now = was.copy()
@@ -39,27 +39,27 @@ def test_there_and_back_again(seed):
 
 
 @pytest.mark.parametrize("vector", [(0, 0, 0), (1e-9, 0, 0), (3, 0.5, -0.5), *HALF_TURNS])
-def test_they_are_scipys(vector):
+def test_quaternions_equal_scipy(vector):
     turn = Rotation.from_rotvec(vector)
     found = of(turn.as_matrix()[None])[0]
     assert abs(found @ turn.as_quat()) == pytest.approx(1.0, abs=1e-15)
     assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_they_run_on_without_flips_over_two_full_turns():
+def test_no_sign_flips_over_two_full_turns():
     angle = np.linspace(0, 4 * np.pi, 200)
     found = of(about([0, 1, 0], angle).as_matrix())
     expected = np.c_[np.zeros(200), np.sin(angle / 2), np.zeros(200), np.cos(angle / 2)]
     np.testing.assert_allclose(found * np.sign(found[0, 3]), expected, atol=1e-12)
 
 
-def test_where_nothing_is_known_they_run_on_all_the_same():
+def test_no_sign_flips_without_known_frames():
     found = of(about([0, 1, 0], np.linspace(0, 4 * np.pi, 200)).as_matrix(), np.zeros(200, bool))
     assert ((found[1:] * found[:-1]).sum(1) > 0.9).all()
 
 
 @pytest.mark.parametrize("unknown", [slice(8, 12), slice(0, 4)])
-def test_an_unknown_frame_does_not_flip_those_after_it(unknown):
+def test_unknown_frames_do_not_flip_later_ones(unknown):
     angle = np.linspace(0, 1, 20)
     angle[unknown] += np.pi  # nonsense
     known = np.ones(20, bool)
@@ -69,7 +69,7 @@ def test_an_unknown_frame_does_not_flip_those_after_it(unknown):
 
 
 @given(seeds)
-def test_vectors_lead_from_the_reference_to_each(seed):
+def test_relative_rotation_vectors_equal_scipy(seed):
     rng = np.random.default_rng(seed)
     turns, reference = Rotation.random(8, rng), Rotation.random(None, rng)
     found = quaternions.compute_relative_rotation_vectors(turns.as_quat(), reference.as_quat())

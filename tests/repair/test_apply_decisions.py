@@ -19,7 +19,8 @@ from mocapfix.read import capture
 from mocapfix.repair import apply_decisions
 from mocapfix.report import review_file
 from mocapfix.report.stage_timer import StageTimer
-from mocapfix.take import Take, find_runs
+from mocapfix.stats.runs import find_runs
+from mocapfix.take import Take
 from tests.muddled import FIRST, FRAGMENT, GAP, INSIDE, LOOSE, SPIKE, SWAP, WRONG, differing
 
 NAN = np.nan

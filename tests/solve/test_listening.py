@@ -6,8 +6,8 @@ import pytest
 from mocapfix import marker_sets
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import observability
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
-from mocapfix.take import find_runs
 
 BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 NAMES = BODY.skeleton.names

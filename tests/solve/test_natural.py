@@ -11,7 +11,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
 from mocapfix.pose_prior.autoencoder import NaturalnessModel
 from mocapfix.solve import pose_solver
-from tests.kernels import dense
+from tests.kernels import dense_oracle
 from tests.solve.test_poses import given
 
 TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
@@ -33,7 +33,7 @@ def points(joints, places) -> PointTerm:
 def costs(model, seen, root, local, scale=1.0):
     """-> (T,) half the squares of points and number over their deviations"""
     frames = [seen._replace(seen=seen.seen[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
-    away = [dense.residual(each, dense.world(TREE, root[t], local[t])) for t, each in enumerate(frames)]
+    away = [dense_oracle.residual(each, dense_oracle.world(TREE, root[t], local[t])) for t, each in enumerate(frames)]
     return np.array([(each**2).sum() / 2 for each in away]) + (model.evaluate(local)[0] / model.naturalness_sd / scale) ** 2 / 2
 
 

@@ -13,7 +13,7 @@ from mocapfix.kernels.terms import LatentCodeTerm, PointTerm
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.solve import latent_solver, pose_solver
-from tests.kernels import dense, drawn
+from tests.kernels import dense_oracle, random_terms
 
 JOINTS, CODE = 6, 3
 NAMES = tuple("abcdef")
@@ -23,7 +23,7 @@ def unbent(rng) -> GaussianModel:
     """-> a linear model whose poses lie well away from half a turn"""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
-    middle = drawn.rotations(rng, JOINTS, 1.0)
+    middle = random_terms.rotations(rng, JOINTS, 1.0)
     middle[0] = np.eye(3)
     return GaussianModel(NAMES, middle, rng.uniform(0.02, 0.1, JOINTS), mean, components, 0.05)
 
@@ -54,7 +54,7 @@ def bent(rng, **how) -> Bent:
 
 
 def body(rng) -> KinematicTree:
-    return drawn.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
+    return random_terms.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
 
 
 def posed(model: PoseModel, codes):
@@ -67,7 +67,7 @@ def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
     """-> exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
-    seen = np.stack([dense.placed(on, where, dense.world(tree, r, q)) for r, q in zip(root, local, strict=True)])
+    seen = np.stack([dense_oracle.placed(on, where, dense_oracle.world(tree, r, q)) for r, q in zip(root, local, strict=True)])
     return PointTerm(on, where, seen, np.full(seen.shape[:2], sd**-2))
 
 
@@ -85,7 +85,7 @@ def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
     prior = LatentCodeTerm.build(model.reference_rotations, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
                          model.residual_information / scale**2, np.zeros(1), rows)  # fmt: skip
     seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
-    return dense.cost(dense.Frame(tree, (seen, prior), root, local, code / scale))
+    return dense_oracle.cost(dense_oracle.Frame(tree, (seen, prior), root, local, code / scale))
 
 
 def costs(tree, points, model, found, scale=1.0):
@@ -117,13 +117,13 @@ def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
         prior = LatentCodeTerm.build(model.reference_rotations, model.mean_vectors[None], slopes, np.zeros((1, CODE)), model.residual_information / 1.5**2,
                              np.zeros(1), np.zeros(1, int))  # fmt: skip
         seen = points._replace(seen=points.measured[t : t + 1], weight=points.weight[t : t + 1])
-        frame = dense.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
+        frame = dense_oracle.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
 
         def residuals(x, frame=frame):
-            after = dense.moved(frame, x)
-            return np.concatenate([dense.residual(each, dense.world(*after[:1], *after[2:])).ravel() for each in frame.terms])
+            after = dense_oracle.moved(frame, x)
+            return np.concatenate([dense_oracle.residual(each, dense_oracle.world(*after[:1], *after[2:])).ravel() for each in frame.terms])
 
-        least = least_squares(residuals, np.zeros(dense.unknowns(frame)), method="lm").cost
+        least = least_squares(residuals, np.zeros(dense_oracle.unknowns(frame)), method="lm").cost
         assert cost == pytest.approx(least, abs=2e-3)
 
 
@@ -134,9 +134,9 @@ def test_a_bent_model_is_followed_to_where_no_small_change_is_better():
     found = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
     reached = costs(tree, points, model, found)
     for t in range(len(reached)):
-        frame = dense.Frame(tree, (), found.root_position[t], found.local_rotations[t], found.codes[t])
+        frame = dense_oracle.Frame(tree, (), found.root_position[t], found.local_rotations[t], found.codes[t])
         for _ in range(60):
-            after = dense.moved(frame, rng.normal(0, 0.003, dense.unknowns(frame)))
+            after = dense_oracle.moved(frame, rng.normal(0, 0.003, dense_oracle.unknowns(frame)))
             assert true_cost(tree, points, model, t, *after[2:]) > reached[t] - 0.02
 
 

@@ -150,6 +150,6 @@ def test_a_last_bone_without_length_is_refused_and_nothing_is_left(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path):
+def test_missing_folder_is_named(tmp_path):
     with pytest.raises(WriteError, match="nowhere"):
         write_bvh(tmp_path / "nowhere" / "walk.bvh", SKELETON, motion_of(np.tile(np.eye(3), (2, 31, 1, 1))), 120.0)

@@ -1,4 +1,4 @@
-"""Where bones point, seen without their place: SCOPE's part orientation field (Eq. 5)."""
+"""Measured directions of bones, and measured orientations of bodies."""
 
 from typing import NamedTuple
 
@@ -9,79 +9,84 @@ from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, mult
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, compute_robust_loss, register_term
 
 
-# MERGED: mocapfix.kernels.terms.directions
 class DirectionTerm(NamedTuple):
-    """Residual: (direction of the bone - seen) / standard deviation, both of length one, so in radians while small."""
+    """Residual: (direction of the bone - measured) / standard deviation, both unit vectors, so in radians while small.
 
-    joints: np.ndarray  # (D,) the body that the bone belongs to
-    bone_axes: np.ndarray  # (D, 3) the bone in its joint's axes, length one
-    measured: np.ndarray  # (T, D, 3) length one; anything where the weight is 0
-    weight: np.ndarray  # (T, D) 1 / rad^2; 0 where not seen
+    SCOPE's part orientation field (Eq. 5).
+    """
+
+    joints: np.ndarray  # (D,) the joint whose body the bone belongs to
+    bone_axes: np.ndarray  # (D, 3) unit vector along the bone, in its joint's axes
+    measured: np.ndarray  # (T, D, 3) unit vector, in the world; anything where the weight is 0
+    weight: np.ndarray  # (T, D) 1 / rad^2; 0 for a missing sample
     loss: int = GEMAN_MCCLURE
 
 
 @register_term(DirectionTerm)
-def add_direction_term(term, t, scale2, tree, pose, system):
-    """Add the directions to the curvature and gradient of their bodies' turns. -> cost"""
-    h, g, cost = system.h, system.g, 0.0
+def add_direction_term(term, t, scale2, tree, pose, equations):
+    """Add the directions to the curvature and gradient of their bodies' rotations. Returns the cost."""
+    h, g, cost = equations.h, equations.g, 0.0
     for k in range(len(term.joints)):
-        trust = term.weight[t, k]
-        if trust == 0.0:
+        precision = term.weight[t, k]
+        if precision == 0.0:
             continue
         j = term.joints[k]
-        x, y, z = multiply_vector(load_matrix(pose.rotation, j), term.bone_axes[k, 0], term.bone_axes[k, 1], term.bone_axes[k, 2])
-        sx, sy, sz = term.measured[t, k, 0], term.measured[t, k, 1], term.measured[t, k, 2]
-        square = (x - sx) ** 2 + (y - sy) ** 2 + (z - sz) ** 2
+        axis = term.bone_axes[k]
+        x, y, z = multiply_vector(load_matrix(pose.rotation, j), axis[0], axis[1], axis[2])
+        mx, my, mz = term.measured[t, k, 0], term.measured[t, k, 1], term.measured[t, k, 2]
+        square = (x - mx) ** 2 + (y - my) ** 2 + (z - mz) ** 2
         if not square < np.inf:
             continue
-        part, weight = compute_robust_loss(term.loss, trust * square, scale2)
-        cost += part
-        w = trust * weight
+        loss, weight = compute_robust_loss(term.loss, precision * square, scale2)
+        cost += loss
+        w = precision * weight
         h[j, 0, 0] += w * (y * y + z * z)
         h[j, 1, 0] -= w * x * y
         h[j, 1, 1] += w * (x * x + z * z)
         h[j, 2, 0] -= w * x * z
         h[j, 2, 1] -= w * y * z
         h[j, 2, 2] += w * (x * x + y * y)
-        g[j, 0] -= w * (y * sz - z * sy)  # the direction itself has no turn about itself: d x (d - seen) = -d x seen
-        g[j, 1] -= w * (z * sx - x * sz)
-        g[j, 2] -= w * (x * sy - y * sx)
+        g[j, 0] -= w * (y * mz - z * my)  # d x (d - measured) = -d x measured
+        g[j, 1] -= w * (z * mx - x * mz)
+        g[j, 2] -= w * (x * my - y * mx)
     return cost
 
 
-# MERGED: mocapfix.kernels.terms.orientations
-# Orientations of bodies, as an inertial sensor or a rigid cluster of markers tells them.
 class OrientationTerm(NamedTuple):
-    """Residual: the rotation vector from the orientation seen to the body's, over its standard deviation."""
+    """Residual: the rotation vector from the measured orientation to the body's, over its standard deviation.
+
+    Orientations are measured by an inertial sensor or a rigid cluster of markers.
+    """
 
     joints: np.ndarray  # (O,)
     measured: np.ndarray  # (T, O, 3, 3) rotations, in the world; anything where the weight is 0
-    weight: np.ndarray  # (T, O) 1 / rad^2; 0 where not seen
+    weight: np.ndarray  # (T, O) 1 / rad^2; 0 for a missing sample
     loss: int = GEMAN_MCCLURE
 
 
 @register_term(OrientationTerm)
-def add_orientation_term(term, t, scale2, tree, pose, system):
-    """Add the orientations to the curvature and gradient of their bodies' turns. -> cost"""
-    h, g, seen, cost = system.h, system.g, term.measured[t], 0.0
+def add_orientation_term(term, t, scale2, tree, pose, equations):
+    """Add the orientations to the curvature and gradient of their bodies' rotations. Returns the cost."""
+    h, g, measured, cost = equations.h, equations.g, term.measured[t], 0.0
     for k in range(len(term.joints)):
-        trust = term.weight[t, k]
-        if trust == 0.0:
+        precision = term.weight[t, k]
+        if precision == 0.0:
             continue
         j = term.joints[k]
-        x, y, z, c = compute_logarithm(multiply_matrices(load_matrix(pose.rotation, j), transpose_matrix(load_matrix(seen, k))))
+        error = multiply_matrices(load_matrix(pose.rotation, j), transpose_matrix(load_matrix(measured, k)))
+        x, y, z, c = compute_logarithm(error)
         square = x * x + y * y + z * z
         if not square < np.inf:
             continue
-        part, weight = compute_robust_loss(term.loss, trust * square, scale2)
-        cost += part
-        w = trust * weight
+        loss, weight = compute_robust_loss(term.loss, precision * square, scale2)
+        cost += loss
+        w = precision * weight
         jacobian = compute_left_jacobian_inverse(x, y, z, c)
         curvature = multiply_matrices(transpose_matrix(jacobian), jacobian)
         for a in range(3):
             for b in range(a + 1):
                 h[j, a, b] += w * curvature[3 * a + b]
-        g[j, 0] += w * x  # the logarithm's derivative leaves its own vector as it is
+        g[j, 0] += w * x  # the logarithm's derivative maps its own vector to itself
         g[j, 1] += w * y
         g[j, 2] += w * z
     return cost

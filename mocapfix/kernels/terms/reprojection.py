@@ -1,4 +1,4 @@
-"""Points of the body as cameras see them: SCOPE's first loss (Eq. 5), and MNN-IK's 2-D application (Eq. 5.2)."""
+"""Points of the body in camera images: SCOPE's first loss (Eq. 5), and MNN-IK's 2-D application (Eq. 5.2)."""
 
 from typing import NamedTuple
 
@@ -7,29 +7,29 @@ import numpy as np
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, compute_robust_loss, register_term
 
-MIN_CAMERA_DEPTH_M = 0.01  # metres before a perspective camera: what is nearer, or behind, is not seen by it
+MIN_CAMERA_DEPTH_M = 0.01  # in front of a perspective camera; points nearer than this, or behind it, are ignored
 
 
 class ReprojectionTerm(NamedTuple):
-    """Residual: (image of the point - seen) / standard deviation, two numbers, robust together.
+    """Residual: (image of the point - measured) / standard deviation, two numbers, robust together.
 
-    A camera's axes are x to the right, y down, z ahead. A perspective camera sees (x, y) / z: the tangents of the angles, so
-    radians near the axis. A scaled orthographic one sees (x, y), in metres. `normalised` makes them of pixels.
+    A camera's axes are x to the right, y down, z ahead. A perspective camera measures (x, y) / z: the tangents of the angles, so
+    radians near the axis. A scaled orthographic camera measures (x, y), in metres. `normalise_pixels` converts pixels to these.
     """
 
     joints: np.ndarray  # (V,)
     offsets: np.ndarray  # (V, 3) metres, in the joint's axes
-    cameras: np.ndarray  # (V,) which camera sees it
+    cameras: np.ndarray  # (V,) index of the camera
     rotation: np.ndarray  # (C, 3, 3) world to camera
     translation: np.ndarray  # (C, 3) metres: camera = rotation @ world + translation
     perspective: np.ndarray  # (C,) bool
     measured: np.ndarray  # (T, V, 2); anything where the weight is 0
-    weight: np.ndarray  # (T, V) 1 / rad^2, or 1 / m^2 for an orthographic camera; 0 where not seen
+    weight: np.ndarray  # (T, V) 1 / rad^2, or 1 / m^2 for an orthographic camera; 0 for a missing sample
     loss: int = GEMAN_MCCLURE
 
 
 def normalise_pixels(pixels: np.ndarray, scale: float | np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """-> what `Views` wants of pixels (..., 2).
+    """Return the measurements (..., 2) of a `ReprojectionTerm` for pixels (..., 2).
 
     scale   focal length in pixels, one or (fx, fy); of a scaled orthographic camera: pixels per metre
     centre  (2,) the principal point, in pixels
@@ -38,15 +38,16 @@ def normalise_pixels(pixels: np.ndarray, scale: float | np.ndarray, centre: np.n
 
 
 @register_term(ReprojectionTerm)
-def add_reprojection_term(term, t, scale2, tree, pose, system):
-    """Add the views to the curvature and gradient of their bodies' twists. -> cost"""
-    h, g, cost, position = system.h, system.g, 0.0, pose.position
+def add_reprojection_term(term, t, scale2, tree, pose, equations):
+    """Add the images to the curvature and gradient of their bodies' twists. Returns the cost."""
+    h, g, cost, position = equations.h, equations.g, 0.0, pose.position
     for k in range(len(term.joints)):
-        trust = term.weight[t, k]
-        if trust == 0.0:
+        precision = term.weight[t, k]
+        if precision == 0.0:
             continue
         j, camera = term.joints[k], term.cameras[k]
-        x, y, z = multiply_vector(load_matrix(pose.rotation, j), term.offsets[k, 0], term.offsets[k, 1], term.offsets[k, 2])
+        offset = term.offsets[k]
+        x, y, z = multiply_vector(load_matrix(pose.rotation, j), offset[0], offset[1], offset[2])
         x, y, z = x + position[j, 0], y + position[j, 1], z + position[j, 2]
         m = load_matrix(term.rotation, camera)
         u, v, depth = multiply_vector(m, x, y, z)
@@ -61,14 +62,14 @@ def add_reprojection_term(term, t, scale2, tree, pose, system):
         eu, ev = u - term.measured[t, k, 0], v - term.measured[t, k, 1]
         if not eu * eu + ev * ev < np.inf:
             continue
-        part, weight = compute_robust_loss(term.loss, trust * (eu * eu + ev * ev), scale2)
-        cost += part
-        w = trust * weight
+        loss, weight = compute_robust_loss(term.loss, precision * (eu * eu + ev * ev), scale2)
+        cost += loss
+        w = precision * weight
         x, y, z = x - position[0, 0], y - position[0, 1], z - position[0, 2]
-        across = (y * du[2] - z * du[1], z * du[0] - x * du[2], x * du[1] - y * du[0], du[0], du[1], du[2])
-        down = (y * dv[2] - z * dv[1], z * dv[0] - x * dv[2], x * dv[1] - y * dv[0], dv[0], dv[1], dv[2])
+        u_row = (y * du[2] - z * du[1], z * du[0] - x * du[2], x * du[1] - y * du[0], du[0], du[1], du[2])
+        v_row = (y * dv[2] - z * dv[1], z * dv[0] - x * dv[2], x * dv[1] - y * dv[0], dv[0], dv[1], dv[2])
         for a in range(6):
-            g[j, a] += w * (across[a] * eu + down[a] * ev)
+            g[j, a] += w * (u_row[a] * eu + v_row[a] * ev)
             for b in range(a + 1):
-                h[j, a, b] += w * (across[a] * across[b] + down[a] * down[b])
+                h[j, a, b] += w * (u_row[a] * u_row[b] + v_row[a] * v_row[b])
     return cost

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from mocapfix.kernels.terms import normalise_pixels
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, HUBER, compute_robust_loss
-from tests.kernels import dense, drawn
-from tests.kernels.model import linearised
+from tests.kernels import dense_oracle, random_terms
+from tests.kernels.solver_runs import linearised
 
 seeds, sizes, scales = st.integers(0, 2**32 - 1), st.integers(1, 8), st.sampled_from([np.inf, 100.0, 9.0, 1.0])
 
@@ -16,47 +16,47 @@ seeds, sizes, scales = st.integers(0, 2**32 - 1), st.integers(1, 8), st.sampled_
 def check(frame, scale2):
     """The model that the kernels make of a frame's terms is the differences' own."""
     cost, system = linearised(frame, scale2)
-    expected_cost, *expected = dense.quadratic(frame, scale2)
+    expected_cost, *expected = dense_oracle.quadratic(frame, scale2)
     assert cost == pytest.approx(expected_cost, rel=1e-10, abs=1e-15)
-    for found, should in zip(dense.assembled(frame.tree, system), expected, strict=True):
+    for found, should in zip(dense_oracle.assembled(frame.tree, system), expected, strict=True):
         np.testing.assert_allclose(found, should, rtol=0, atol=1e-7 * max(1.0, np.abs(should).max()))
 
 
-@pytest.mark.parametrize("kind", drawn.KINDS)
+@pytest.mark.parametrize("kind", random_terms.KINDS)
 @given(seed=seeds, joints=sizes, scale2=scales)
-def test_a_terms_model_is_that_of_its_residuals(kind, seed, joints, scale2):
-    check(drawn.frame(np.random.default_rng(seed), joints, [kind], codes=3 if kind == "latent" else 0), scale2)
+def test_term_model_is_that_of_its_residuals(kind, seed, joints, scale2):
+    check(random_terms.frame(np.random.default_rng(seed), joints, [kind], codes=3 if kind == "latent" else 0), scale2)
 
 
 @pytest.mark.parametrize(("shapes", "codes"), [(0, 0), (4, 0), (0, 5)])
 @given(seed=seeds, joints=sizes, scale2=scales)
 def test_terms_add_up_with_shape_and_with_a_code(shapes, codes, seed, joints, scale2):
-    check(drawn.frame(np.random.default_rng(seed), joints, shapes=shapes, codes=codes), scale2)
+    check(random_terms.frame(np.random.default_rng(seed), joints, shapes=shapes, codes=codes), scale2)
 
 
-def test_the_drawn_terms_show_every_side_of_themselves():
+def test_random_terms_cover_all_cases():
     """So that the tests above are about something: cameras of both kinds, walls on either side, one body and two."""
-    frame = drawn.frame(np.random.default_rng(0), 8)
-    of = dict(zip(drawn.KINDS, frame.terms, strict=True))
+    frame = random_terms.frame(np.random.default_rng(0), 8)
+    of = dict(zip(random_terms.KINDS, frame.terms, strict=True))
     assert len(set(of["views"].perspective[of["views"].cameras])) == 2
-    vector = dense.from_middle(of["limits"].middle, dense.world(*frame[:1], *frame[2:]))[frame.tree.free]
+    vector = dense_oracle.from_middle(of["limits"].reference, dense_oracle.world(*frame[:1], *frame[2:]))[frame.tree.free]
     low, high = of["limits"].low[frame.tree.free], of["limits"].high[frame.tree.free]
     assert (vector < low).any()
     assert (vector > high).any()
     assert ((vector >= low) & (vector <= high)).any()
     assert len(set(of["distances"].joints[:, 0] == of["distances"].joints[:, 1])) == 2
-    assert not of["points"].places[0].any()
-    assert of["points"].places[-1].any()
+    assert not of["points"].offsets[0].any()
+    assert of["points"].offsets[-1].any()
 
 
 @pytest.mark.parametrize("kind", ["points", "directions", "orientations", "views"])
 @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300])
-def test_what_is_not_seen_or_cannot_be_is_not_listened_to(kind, wild):
-    frame = drawn.frame(np.random.default_rng(1), 4, [kind])
-    term = frame.terms[drawn.KINDS.index(kind)]
+def test_missing_and_absurd_samples_are_ignored(kind, wild):
+    frame = random_terms.frame(np.random.default_rng(1), 4, [kind])
+    term = frame.terms[random_terms.KINDS.index(kind)]
     term.weight[0, 2] = 0.0
     cost, without = linearised(frame, 9.0)
-    term.seen[0, 2] = wild
+    term.measured[0, 2] = wild
     again, unseen = linearised(frame, 9.0)
     term.weight[0, 2] = 1.0
     absurd = linearised(frame, 9.0)
@@ -68,11 +68,11 @@ def test_what_is_not_seen_or_cannot_be_is_not_listened_to(kind, wild):
     assert all(np.isfinite(each).all() for each in absurd[1])
 
 
-def test_what_lies_behind_a_perspective_camera_is_not_seen():
-    frame = drawn.frame(np.random.default_rng(2), 3, ["views"])
-    term = frame.terms[drawn.KINDS.index("views")]
+def test_points_behind_a_perspective_camera_are_ignored():
+    frame = random_terms.frame(np.random.default_rng(2), 3, ["views"])
+    term = frame.terms[random_terms.KINDS.index("views")]
     term.perspective[:] = True
-    term.translation[:] -= 2 * drawn.FREE_CAMERA
+    term.translation[:] -= 2 * random_terms.FREE_CAMERA
     cost, system = linearised(frame)
     assert cost == 0
     assert not system.h.any()
@@ -85,20 +85,20 @@ def test_pixels_become_tangents_and_metres():
 
 
 @pytest.mark.parametrize("kind", ["courses", "targets", "distances", "latent"])
-def test_what_is_the_same_in_all_frames_may_be_said_once(kind):
-    frame, last = drawn.frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent" else 0), 7
-    once = frame.terms[drawn.KINDS.index(kind)]
+def test_constant_data_may_have_one_row(kind):
+    frame, last = random_terms.frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent" else 0), 7
+    once = frame.terms[random_terms.KINDS.index(kind)]
     for name, array in once._asdict().items():
         if len(array) == 1:
             each = once._replace(**{name: np.repeat(array, last + 1, axis=0)})
-            several = frame._replace(terms=drawn.terms(5, last + 1, **{kind: each}))
+            several = frame._replace(terms=random_terms.terms(5, last + 1, **{kind: each}))
             assert linearised(several, t=last)[0] == linearised(frame)[0]
 
 
-def test_points_that_touch_have_no_direction_but_a_distance():
-    body = drawn.tree(np.random.default_rng(3), 1)
-    touching = drawn.DistanceTerm(np.zeros((1, 2), int), np.zeros((1, 2, 3)), np.array([[0.3]]), np.array([[100.0]]))
-    frame = dense.Frame(body, drawn.terms(1, distances=touching), np.zeros(3), np.eye(3)[None], np.zeros(0))
+def test_coincident_points_have_a_distance_without_direction():
+    body = random_terms.tree(np.random.default_rng(3), 1)
+    touching = random_terms.DistanceTerm(np.zeros((1, 2), int), np.zeros((1, 2, 3)), np.array([[0.3]]), np.array([[100.0]]))
+    frame = dense_oracle.Frame(body, random_terms.terms(1, distances=touching), np.zeros(3), np.eye(3)[None], np.zeros(0))
     cost, system = linearised(frame)
     assert cost == pytest.approx(0.5 * 9)
     assert not system.row_twist.any()
@@ -120,12 +120,12 @@ def test_known_losses():
 
 
 @given(st.sampled_from([GEMAN_MCCLURE, HUBER]), st.floats(0.01, 100), st.floats(0.1, 100))
-def test_a_weight_is_twice_its_losses_derivative_to_the_square(kind, square, scale2):
+def test_weight_is_twice_the_losses_derivative_to_the_square(kind, square, scale2):
     step = 1e-5 * square
     slope = (compute_robust_loss(kind, square + step, scale2)[0] - compute_robust_loss(kind, square - step, scale2)[0]) / (
         2 * step
     )
     assert compute_robust_loss(kind, square, scale2)[1] == pytest.approx(2 * slope, rel=1e-5)
     assert compute_robust_loss(kind, square, scale2) == pytest.approx(
-        tuple(map(float, dense.loss(kind, np.array(square), scale2)))
+        tuple(map(float, dense_oracle.loss(kind, np.array(square), scale2)))
     )

@@ -1,0 +1,85 @@
+"""Responses of solved frames to shared shape unknowns, and the unknowns' normal equations with all poses eliminated.
+
+The unknowns and the elimination are described in `kernels.schur`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mocapfix.kernels.schur import eliminate_pose_frames
+from mocapfix.kernels.terms import TrackingTerm
+from mocapfix.solve.parallel import run_over_frames
+from mocapfix.solve.pose_problem import PoseProblem
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+class ShapeDeformations(NamedTuple):
+    """Changes of the body by P shared unknowns, in metres per unit."""
+
+    joint_offsets: Float[np.ndarray, "P J 3"]  # of a joint in its parent's axes
+    marker_offsets: Float[np.ndarray, "P K 3"]  # of a marker in its joint's axes
+
+
+class SharedResponses(NamedTuple):
+    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
+
+    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
+    radians.
+    """
+
+    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
+    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
+    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
+    marker_response: Float[np.ndarray, "T Q+1 K 3"]  # of markers, in their joints' axes
+    prior_response: Float[np.ndarray, "T Q+1 F 3"]  # radians, of the joints' deviations from the mean pose
+    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
+    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
+
+
+def compute_shared_responses(
+    problem: PoseProblem,
+    deformations: ShapeDeformations,
+    tracking: TrackingTerm,
+    robust_scale_m: float,
+    root: Float[np.ndarray, "T 3"],
+    local: Float[np.ndarray, "T J 3 3"],
+) -> SharedResponses:
+    """Return the responses of frames at their solved poses, root in metres and local rotations."""
+    frames, joints = local.shape[:2]
+    dense, markers = deformations.marker_offsets.shape[:2]
+    rotating = np.flatnonzero(problem.tree.free)[1:]
+    unknowns = dense + 3 * markers + 3 * len(rotating)
+    responses = SharedResponses(
+        np.empty(frames),
+        np.zeros((frames, markers)),
+        np.empty((frames, dense, markers, 3)),
+        np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns + 1, len(rotating), 3)),
+        problem.pose_prior.information[0, rotating],
+        np.empty((frames, unknowns, joints, 3)),
+    )
+    run_over_frames(
+        eliminate_pose_frames, frames, problem.tree, problem.build_terms(tracking), deformations, rotating,
+        problem.normalise_robust_scales((robust_scale_m,))[0], root, local, *responses,
+    )  # fmt: skip
+    return responses
+
+
+def reduce_shared_equations(responses: SharedResponses) -> tuple[Float[np.ndarray, "Q Q"], Float[np.ndarray, " Q"]]:
+    """Return curvature and gradient of the shared unknowns, summed over frames."""
+    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
+    own = dense + responses.marker_response[0, 0].size  # first unknown after the markers' own offsets
+    weighted = responses.marker_response * responses.marker_weight[:, None, :, None]
+    equations = np.empty((unknowns + 1, unknowns))
+    equations[:, dense:own] = weighted.sum(0).reshape(unknowns + 1, -1)
+    prior = np.einsum("qfa,fab->qfb", responses.prior_response.sum(0), responses.prior_information)
+    equations[:, own:] = -prior.reshape(unknowns + 1, -1)
+    for rows in (slice(0, dense), slice(unknowns, None)):
+        equations[rows, :dense] = np.tensordot(weighted[:, rows], responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
+    equations[dense:unknowns, :dense] = equations[:dense, dense:].T
+    return equations[:unknowns], equations[unknowns]

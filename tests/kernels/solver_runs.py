@@ -1,0 +1,72 @@
+"""The kernels' own work on a frame as the oracle draws it."""
+
+import numpy as np
+
+from mocapfix.kernels.covariance import compute_uncertainty_frames
+from mocapfix.kernels.forward_kinematics import KinematicTree, compute_forward_kinematics
+from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
+from mocapfix.kernels.normal_equations import NormalEquations, linearise_terms
+from mocapfix.kernels.terms import count_rows
+from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
+from mocapfix.solve import frame_order
+from mocapfix.solve.parallel import run_over_frames
+from tests.kernels.dense_oracle import Frame
+
+
+def worked(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, SolveWorkspace]:
+    """-> cost, and the workspace with the model of the frame's terms at its pose."""
+    work = allocate_workspace(len(frame.local), len(frame.shared), count_rows(frame.terms))
+    work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
+    compute_forward_kinematics(frame.tree, work.pose)
+    return linearise_terms(frame.tree, frame.terms, t, float(scale2), work.pose, work.equations), work
+
+
+def linearised(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, NormalEquations]:
+    """-> cost, and the model."""
+    cost, work = worked(frame, scale2, t)
+    return cost, work.equations
+
+
+def solved(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
+    """-> root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
+    root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
+    ends = followed(
+        frame_order.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
+    )
+    return root, local, shared, *ends
+
+
+def followed(
+    order: frame_order.SolveOrder, tree: KinematicTree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50
+):
+    """Solve poses in place, as a plan says. -> status (T,), iterations (T,), -1 for frames that are not in the plan"""
+    status, iterations = np.full(len(root), -1), np.full(len(root), -1)
+    run_over_frames(
+        solve_frames, len(order.chain_starts) - 1, tree, terms, order, scales2, INITIAL_DAMPING_RATIO, most, count_rows(terms), root, local, shared,
+        status, iterations,
+    )  # fmt: skip
+    return status, iterations
+
+
+def foretold(frame: Frame, scale2: float, root=None, local=None, shared=None):
+    """-> standard deviation of markers (T, K) and of joints' places (T, J), variance of joints' turns (T, J) and of the root's
+    place (T,), at the frame's pose or at others.
+    """
+    given = zip(frame[2:], (root, local, shared), strict=True)
+    root, local, shared = (one[None] if many is None else many for one, many in given)
+    frames, joints = local.shape[:2]
+    each, markers = (frames, joints), len(frame.terms[0].joints)
+    out = np.empty((frames, markers)), np.empty(each), np.empty(each), np.empty(frames)
+    run_over_frames(
+        compute_uncertainty_frames,
+        frames,
+        frame.tree,
+        frame.terms,
+        float(scale2),
+        count_rows(frame.terms),
+        root,
+        local,
+        shared,
+        *out,
+    )
+    return out

@@ -1,0 +1,61 @@
+"""What two segments know of the joint between them is put together once."""
+
+import numpy as np
+import pytest
+
+from mocapfix.kernels.belief_propagation import JointSegments, SegmentTree, propagate_segment_frames
+from tests.kernels import random_terms
+
+SD, EYES = 0.005, np.tile(np.eye(3), (2, 1, 1))
+ORIGIN = np.array([[0, 0, 0], [0.3, 0, 0]])  # of the segments, each in its parent's axes
+# eight markers each, as far to all sides of the joint, so that all its axes are as sure
+CORNERS = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+PLACE = np.concatenate([CORNERS + ORIGIN[1], CORNERS])
+MEETINGS = JointSegments(np.array([0, 1, 3]), np.array([0, 0, 1]), np.array([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]]))
+
+
+def segments(habit=1.0):
+    return SegmentTree(
+        np.array([0, 0]), ORIGIN, EYES, habit * EYES, np.array([0, 8, 16]), PLACE, np.full(16, SD**-2), EYES,
+        PLACE + ORIGIN[np.repeat([0, 1], 8)],
+    )  # fmt: skip
+
+
+def drawn_markers(rng, frames):
+    """-> joints (T, 2, 3) and markers (T, 16, 3) of the two, each turned at random"""
+    upper, lower, root = random_terms.rotations(rng, frames), random_terms.rotations(rng, frames), rng.normal(size=(frames, 3))
+    joint = root + upper @ ORIGIN[1]
+    markers = np.concatenate(
+        [root[:, None] + PLACE[:8] @ upper.transpose(0, 2, 1), joint[:, None] + CORNERS @ lower.transpose(0, 2, 1)], 1
+    )
+    return np.stack([root, joint], 1), markers
+
+
+def laid(markers, habit=1.0):
+    """-> positions (T, 2, 3) and variances (T, 2)"""
+    position, variance = np.empty((len(markers), 2, 3)), np.empty((len(markers), 2))
+    propagate_segment_frames(segments(habit), MEETINGS, markers, position, variance, np.empty(markers.shape[:2]), 0, len(markers))
+    return position, variance
+
+
+@pytest.mark.parametrize(("lost", "share"), [(slice(0, 0), 1 / 16), (slice(0, 8), 1 / 8), (slice(8, 16), 1 / 8)])
+def test_joint_variance_uses_all_markers_once(lost, share):
+    rng = np.random.default_rng(1)
+    joints, markers = drawn_markers(rng, 4000)
+    markers += rng.normal(0, SD, markers.shape)
+    markers[:, lost] = np.nan
+    position, variance = laid(markers)
+    np.testing.assert_allclose(variance[:, 1], share * SD**2, rtol=0.02)
+    np.testing.assert_allclose(np.var((position - joints)[:, 1]), share * SD**2, rtol=0.05)
+
+
+def test_missing_root_follows_from_the_child_and_the_joint():
+    joints, markers = drawn_markers(np.random.default_rng(2), 200)
+    turn = markers[:, 8:] - joints[:, 1:]
+    rotation = np.einsum("tka,kb->tab", turn, CORNERS) / (8 * 0.01)
+    markers[:, :8] = np.nan
+    position, variance = laid(markers, habit=1e4)
+    np.testing.assert_allclose(position[:, 0], joints[:, 1] - rotation @ ORIGIN[1], atol=1e-6)
+    # its turn is the child's, 8 markers at a lever of 0.14 m across each axis, and the habit's, 0.01 rad; two axes lie across
+    turned = 1 / (8 * 0.02 / SD**2) + 1e-4
+    np.testing.assert_allclose(variance[:, 0], SD**2 / 8 + 2 / 3 * 0.09 * turned, rtol=0.02)

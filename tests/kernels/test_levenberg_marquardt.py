@@ -1,0 +1,218 @@
+"""The pose solve: known poses, shapes and codes found again, wild markers withstood, every end told by its status."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.kernels.levenberg_marquardt import (
+    INITIAL_DAMPING_RATIO,
+    MIN_COST_DECREASE,
+    STATUS_CONVERGED,
+    STATUS_EXACT,
+    STATUS_ITERATION_LIMIT,
+    STATUS_UNCONSTRAINED,
+    solve_frames,
+)
+from mocapfix.kernels.terms import (
+    GEMAN_MCCLURE,
+    HUBER,
+    DistanceTerm,
+    JointLimitTerm,
+    LatentCodeTerm,
+    PointTerm,
+    TrackingTerm,
+    count_rows,
+)
+from mocapfix.solve.frame_order import order_independently
+from tests.kernels import dense_oracle, random_terms
+from tests.kernels.solver_runs import solved
+
+PLAIN = np.array([np.inf])
+seeds = st.integers(0, 2**32 - 1)
+
+
+def all_over(rng, frame, each=4, sd=1e-6, loss=GEMAN_MCCLURE) -> PointTerm:
+    """-> exact markers, `each` on every joint; surer than any, so that the last of it is worth a step"""
+    joints = np.repeat(np.arange(len(frame.local)), each)
+    places, at = rng.normal(0, 0.15, (len(joints), 3)), dense_oracle.world(*frame[:1], *frame[2:])
+    return PointTerm(joints, places, dense_oracle.placed(joints, places, at)[None], np.full((1, len(joints)), sd**-2), loss)
+
+
+def near(rng, frame, far):
+    """-> a start each of whose unknowns is about `far` off the frame's"""
+    return dense_oracle.moved(frame, rng.normal(0, far, dense_oracle.unknowns(frame)))[2:]
+
+
+def chain(joints) -> dense_oracle.KinematicTree:
+    """-> joints 0.3 m apart along x, all free"""
+    offsets = np.tile([0.3, 0.0, 0.0], (joints, 1))
+    return random_terms.KinematicTree(np.arange(-1, joints - 1), offsets, np.ones(joints, bool))
+
+
+def pull_to(local, weight) -> TrackingTerm:
+    """-> a pull to a pose, its root at the origin, equally strong on all joints (1/rad^2)"""
+    return TrackingTerm(local[None].copy(), np.full((1, len(local)), weight), np.zeros((1, 3)), np.ones(1))
+
+
+@given(seeds, st.integers(1, 12))
+def test_exact_markers_recover_a_pose(seed, joints):
+    rng = np.random.default_rng(seed)
+    frame = random_terms.frame(rng, joints, [])
+    frame = frame._replace(terms=random_terms.terms(joints, points=all_over(rng, frame)))
+    root, local, _, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
+    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    np.testing.assert_allclose(root[0], frame.root, atol=1e-6)
+    np.testing.assert_allclose(local[0], frame.local, atol=1e-6)
+
+
+@given(seeds, st.integers(1, 8))
+def test_exact_markers_recover_the_shape(seed, joints):
+    rng = np.random.default_rng(seed)
+    frame = random_terms.frame(rng, joints, [], shapes=min(3, joints - 1))
+    frame = frame._replace(terms=random_terms.terms(joints, points=all_over(rng, frame)))
+    _, local, shape, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
+    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    np.testing.assert_allclose(shape[0], frame.shared, atol=1e-4)
+    np.testing.assert_allclose(local[0], frame.local, atol=1e-4)
+
+
+@given(seeds)
+def test_markers_recover_the_code_of_a_decoded_pose(seed):
+    """Some joints have no markers: the decoder knows them from the others."""
+    rng, joints, size = np.random.default_rng(seed), 8, 3
+    middle, slope = random_terms.rotations(rng, joints), rng.normal(0, 0.2, (joints, 3, size))
+    middle[0], slope[0, 1] = np.eye(3), 0.0  # the root's is a tilt
+    code = rng.normal(size=size)
+    local = Rotation.from_rotvec(slope @ code).as_matrix() @ middle
+    body = random_terms.tree(rng, joints)._replace(free=np.ones(joints, bool))
+    frame = dense_oracle.Frame(body, (), rng.normal(size=3), local, code)
+    markers = all_over(rng, frame, sd=1e-5)
+    markers.weight[:, np.isin(markers.joints, [3, 6])] = 0.0
+    elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
+    decoded = (slope @ elsewhere[0])[None]
+    sure = np.tile(1e8 * np.eye(3), (joints, 1, 1))
+    prior = LatentCodeTerm.build(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
+    frame = frame._replace(terms=random_terms.terms(joints, points=markers, latent=prior))
+    start = frame.root + 0.02, random_terms.rotations(rng, joints, 0.1) @ local, np.zeros(size)
+    _, found, shared, _, _ = solved(frame, PLAIN, start=start)
+    np.testing.assert_allclose(shared[0], code, atol=1e-3)
+    np.testing.assert_allclose(found[0], local, atol=1e-3)
+
+
+@given(seeds)
+def test_second_solve_from_the_solution_changes_the_cost_little(seed):
+    frame = random_terms.frame(np.random.default_rng(seed), 6, ["points", "courses", "targets", "latent", "distances"], codes=2)
+    *first, status, _ = solved(frame, PLAIN, most=300)
+    *again, _, _ = solved(frame, PLAIN, most=300, start=tuple(each[0] for each in first))
+    costs = [dense_oracle.cost(frame._replace(root=r[0], local=q[0], shared=s[0])) for r, q, s in (first, again)]
+    assert status[0] == STATUS_CONVERGED
+    assert costs[0] - costs[1] < 0.01 + 1e-2 * costs[0]  # data that conflict can leave a kink, where only small steps help
+
+
+@given(seeds, st.sampled_from([np.inf, 9.0]))
+def test_cost_never_increases(seed, scale2):
+    """More iterations go on from where fewer ended; only the last step, which promises too little to be checked, may cost."""
+    frame = random_terms.frame(np.random.default_rng(seed), 5)
+    ends = [solved(frame, np.array([scale2]), most=most)[:3] for most in range(10)]
+    costs = [dense_oracle.cost(frame._replace(root=r[0], local=q[0], shared=s[0]), scale2) for r, q, s in ends]
+    assert (np.diff(costs) <= MIN_COST_DECREASE).all()
+    assert costs[-1] < costs[0]
+
+
+def test_negligible_step_after_a_rejection_is_not_accepted():
+    """A joint pulled towards half a turn, where its rotation vector leaps to the other side: it ends just before, never beyond.
+
+    Every step beyond is refused, until the damping is such that next to nothing is promised.
+    """
+    wanted, information = np.array([[[0, 0, 0], [np.pi + 2, 0, 0]]]), np.array([np.zeros((3, 3)), 9 * np.eye(3)])
+    middle, none, row = np.tile(np.eye(3), (2, 1, 1)), np.zeros((1, 0)), np.zeros(1, int)
+    beyond = LatentCodeTerm.build(middle, wanted, np.zeros((1, 2, 3, 0)), none, information, np.zeros(1), row)
+    for angle in np.arange(2.2, 3.1, 0.02):
+        start = np.zeros(3), Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]]).as_matrix(), np.zeros(0)
+        _, local, _, status, _ = solved(dense_oracle.Frame(chain(2), random_terms.terms(2, latent=beyond), *start), PLAIN, most=100)
+        assert status[0] == STATUS_CONVERGED
+        np.testing.assert_allclose(Rotation.from_matrix(local[0, 1]).as_rotvec(), [np.pi, 0, 0], atol=0.002)
+
+
+def test_every_end_has_its_status():
+    rng = np.random.default_rng(2)
+    frame = random_terms.frame(rng, 5, [])
+    seen = frame._replace(terms=random_terms.terms(5, points=all_over(rng, frame)))
+    far = near(rng, frame, 0.3)
+
+    def end(frame, **how):
+        *_, status, iterations = solved(frame, PLAIN, **how)
+        return status[0], iterations[0]
+
+    assert end(seen, start=far, most=2) == (STATUS_ITERATION_LIMIT, 2)
+    assert end(seen, start=far)[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    assert end(seen)[0] == STATUS_EXACT
+    assert end(frame) == (STATUS_UNCONSTRAINED, 0)
+    pulled = frame._replace(terms=random_terms.terms(5, courses=pull_to(frame.local, 1.0)))
+    assert end(pulled)[0] == STATUS_CONVERGED
+
+
+@pytest.mark.parametrize("loss", [GEMAN_MCCLURE, HUBER])
+def test_outliers_are_rejected(loss):
+    """The wide scales first: a sound marker that the start is far from is not taken for a wild one."""
+    rng = np.random.default_rng(3)
+    frame = random_terms.frame(rng, 6, [])
+    truth = all_over(rng, frame, each=6, sd=0.01, loss=loss)
+    wild = truth._replace(measured=truth.measured.copy())
+    wild.measured[0, [8, 21]] += [[0.3, -0.4, 0.2], [5.0, 0.0, 0.0]]
+    frame, start = frame._replace(terms=random_terms.terms(6, points=wild)), near(rng, frame, 0.1)
+    scales2, worst = (np.array([0.4, 0.2, 0.1, 0.05]) / 0.01) ** 2, []
+    for scales in (scales2, PLAIN):
+        root, local, *_ = solved(frame, scales, start=start)
+        placed = dense_oracle.placed(truth.joints, truth.offsets, dense_oracle.world(frame.tree, root[0], local[0]))
+        worst.append(np.abs(placed - truth.measured[0]).max())
+    assert worst[0] < (0.001 if loss == GEMAN_MCCLURE else 0.1)  # under Huber it pulls, but no harder than at the scale
+    assert worst[1] > 0.3
+
+
+def test_distance_term_keeps_the_length_of_a_held_stick():
+    tree = random_terms.KinematicTree(np.array([-1, 0, 1, 0, 3]), np.array([[0, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [-0.2, 0, 0], [-0.3, 0, 0]]),
+                      np.ones(5, bool))  # fmt: skip
+    local = np.tile(np.eye(3), (5, 1, 1))
+    stick = DistanceTerm(np.array([[2, 4]]), np.zeros((1, 2, 3)), np.array([[0.8]]), np.array([[1e6]]))
+    terms = random_terms.terms(5, courses=pull_to(local, 1.0), distances=stick)
+    start = np.zeros(3), random_terms.rotations(np.random.default_rng(1), 5, 0.1), np.zeros(0)  # a stretched body cannot tell which way
+    root, local, *_ = solved(dense_oracle.Frame(tree, terms, *start), PLAIN)
+    position = dense_oracle.world(tree, root[0], local[0]).position
+    assert np.linalg.norm(position[2] - position[4]) == pytest.approx(0.8, abs=1e-4)  # 1 m without the stick
+    np.testing.assert_allclose(root[0], 0, atol=0.2)
+
+
+def test_joint_limit_balances_a_tracking_term():
+    """Where two springs balance: the pull to 1 rad and the wall at 0.4 rad; the axis within its range follows the pull."""
+    local, (pull, wall) = np.tile(np.eye(3), (2, 1, 1)), (50.0, 1e4)
+    wanted = local.copy()
+    wanted[1] = Rotation.from_rotvec([1.0, 0, 0]).as_matrix()
+    bounds = np.full((2, 3), 0.4)
+    terms = random_terms.terms(2, courses=pull_to(wanted, pull), limits=JointLimitTerm(local.copy(), -bounds, bounds, wall))
+    _, found, *_ = solved(dense_oracle.Frame(chain(2), terms, np.zeros(3), local, np.zeros(0)), PLAIN)
+    vector = Rotation.from_matrix(found[0, 1]).as_rotvec()
+    np.testing.assert_allclose(vector, [(pull * 1.0 + wall * 0.4) / (pull + wall), 0, 0], atol=1e-3)
+
+
+def test_solutions_do_not_depend_on_the_blocks():
+    rng, joints, frames = np.random.default_rng(5), 8, 12
+    frame = random_terms.frame(rng, joints, [])
+    exact = all_over(rng, frame, sd=0.01)
+    seen = exact.measured + rng.normal(0, 0.05, (frames, *exact.measured.shape[1:]))
+    terms = random_terms.terms(joints, frames, points=exact._replace(measured=seen, weight=np.full(seen.shape[:2], 1e4)))
+    order, results = order_independently(frames, joints), []
+    for blocks in ([(0, 12)], [(0, 5), (5, 12)], [(t, t + 1) for t in reversed(range(12))]):
+        root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
+        out = root, local, np.zeros((frames, 0)), np.zeros(frames, int), np.zeros(frames, int)
+        for block in blocks:
+            solve_frames(
+                frame.tree, terms, order, np.array([400.0, 25.0]), INITIAL_DAMPING_RATIO, 8, count_rows(terms), *out, *block
+            )
+        results.append(out)
+    for other in results[1:]:
+        for found, expected in zip(other, results[0], strict=True):
+            np.testing.assert_array_equal(found, expected)
+    assert len(np.unique(results[0][0], axis=0)) == frames

@@ -1,0 +1,156 @@
+"""The order of frames and where each starts, told by hand; and solved where nothing, or nothing but a pull, moves a pose on."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_UNCONSTRAINED
+from mocapfix.solve import frame_order
+from mocapfix.stats.runs import find_runs
+from tests.kernels import random_terms
+from tests.kernels.solver_runs import followed
+
+PLAIN = np.array([np.inf])
+
+
+def told(order):
+    """-> a plan's chains, each a list of (frame, where it starts from)"""
+    turns = list(zip(order.frames.tolist(), order.start_frame.tolist(), strict=True))
+    return [turns[a:b] for a, b in zip(order.chain_starts[:-1], order.chain_starts[1:], strict=True)]
+
+
+def unsure(frames, lost):
+    """-> (T, 3) bool: the root and the last joint of three are unsure where `lost` (first, last)"""
+    found = np.zeros((frames, 3), bool)
+    for first, last in lost:
+        found[first : last + 1, [0, 2]] = True
+    return found
+
+
+def test_independent_frames_start_from_their_own_poses():
+    order = frame_order.order_independently(3, 4)
+    assert told(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
+    assert not order.copied_joints.any()
+
+
+@pytest.mark.parametrize(
+    ("frames", "chains"),
+    [
+        (6, [[(0, -1), (1, 0), (2, 1)], [(3, -1), (4, 3), (5, 4)]]),
+        (4, [[(0, -1), (1, 0), (2, 1)], [(3, -1)]]),
+        (2, [[(0, -1), (1, 0)]]),
+        (0, []),
+    ],
+)
+def test_each_window_starts_from_its_first_frame(frames, chains):
+    order = frame_order.order_in_windows(frames, 4, 3)
+    assert told(order) == chains
+    assert order.copied_joints.all()
+
+
+def test_frames_without_own_pose_start_from_the_frame_before():
+    order = frame_order.order_sequentially(np.array([True, True, False, False, True]), 4)
+    assert told(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
+    assert order.copied_joints.all()
+
+
+@pytest.mark.parametrize(
+    ("run", "chain"),
+    [
+        ((2, 5), [(2, 1), (5, 6), (3, 2), (4, 5)]),  # from both sides, turn and turn about
+        ((2, 4), [(2, 1), (4, 5), (3, 2)]),
+        ((3, 3), [(3, 2)]),
+        ((0, 2), [(2, 3), (1, 2), (0, 1)]),  # from behind alone
+        ((0, 0), [(0, 1)]),
+        ((5, 7), [(5, 4), (6, 5), (7, 6)]),  # from before alone
+        ((0, 7), [(t, t - 1) for t in range(1, 8)]),  # no frame is sure: on from the first
+    ],
+)
+def test_gap_is_solved_from_its_neighbours(run, chain):
+    assert told(frame_order.order_from_gap_ends([run], unsure(8, [run]))) == [chain]
+
+
+def test_only_uncertain_joints_are_copied_and_never_the_root():
+    given_ = unsure(8, [(2, 3)])
+    before = given_.copy()
+    np.testing.assert_array_equal(frame_order.order_from_gap_ends([(2, 3)], given_).copied_joints, before & [False, True, True])
+    np.testing.assert_array_equal(given_, before)
+
+
+def test_no_gap_gives_an_empty_order():
+    order = frame_order.order_from_gap_ends([], unsure(4, []))
+    assert told(order) == []
+    assert order.frames.dtype == order.start_frame.dtype == order.chain_starts.dtype == np.int64
+
+
+@given(st.integers(1, 30).flatmap(lambda n: st.lists(st.booleans(), min_size=n, max_size=n)))
+def test_gap_frames_start_from_certain_or_solved_frames(lost):
+    """Every unsure frame has its turn once, but for the first of a take that is not sure anywhere."""
+    inside = find_runs(np.array(lost))
+    chains = told(frame_order.order_from_gap_ends(inside, unsure(len(lost), inside)))
+    for (first, last), chain in zip(inside, chains, strict=True):
+        solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
+        assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
+        for t, source in chain:
+            assert abs(t - source) == 1
+            assert source in solved
+            solved.add(t)
+
+
+# solved
+
+
+def still(frames, joints):
+    """-> a body, terms that say nothing, and a different pose in every frame: root (T, 3), local (T, J, 3, 3)"""
+    rng = np.random.default_rng(frames)
+    local = np.stack([random_terms.rotations(rng, joints) for _ in range(frames)])
+    return random_terms.tree(rng, joints), random_terms.terms(joints, frames), rng.normal(size=(frames, 3)), local
+
+
+def test_copied_joints_come_from_the_start_frame():
+    tree, terms, root, local = still(8, 4)
+    place, start, lost = root.copy(), local.copy(), np.zeros((8, 4), bool)
+    lost[2:6, [0, 2]] = True
+    order = frame_order.order_from_gap_ends([(2, 5)], lost)
+    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
+    assert status.tolist() == [
+        -1,
+        -1,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        STATUS_UNCONSTRAINED,
+        -1,
+        -1,
+    ]
+    assert iterations[2:6].tolist() == [0] * 4
+    np.testing.assert_array_equal(local[:, 2], start[[0, 1, 1, 1, 6, 6, 6, 7], 2])
+    np.testing.assert_array_equal(local[:, [0, 1, 3]], start[:, [0, 1, 3]])
+    np.testing.assert_array_equal(root, place)
+
+
+def test_windows_copy_whole_poses():
+    tree, terms, root, local = still(7, 4)
+    shared = np.arange(7.0)[:, None]
+    start = root.copy(), local.copy(), shared.copy()
+    status, _ = followed(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    assert (status == STATUS_UNCONSTRAINED).all()
+    for found, given_ in zip((root, local, shared), start, strict=True):
+        np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
+
+
+def test_rotations_stay_orthonormal_over_thousands_of_steps():
+    """Each frame starts from the last one's pose; rounding must not gather from joint to joint."""
+    rng, joints, frames = np.random.default_rng(8), 10, 400
+    tree = random_terms.KinematicTree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
+    rest = random_terms.rotations(rng, joints)
+    wanted = np.stack([random_terms.rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
+    pull = random_terms.TrackingTerm(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
+    root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
+    terms, order = random_terms.terms(joints, frames, courses=pull), frame_order.order_in_windows(frames, joints, frames)
+    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
+    assert (status == STATUS_CONVERGED).all()
+    assert (iterations > 1).all()
+    np.testing.assert_allclose(local, wanted, atol=1e-3)
+    np.testing.assert_allclose(local[-1] @ np.swapaxes(local[-1], 1, 2), np.tile(np.eye(3), (joints, 1, 1)), atol=1e-12)

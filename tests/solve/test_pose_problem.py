@@ -1,0 +1,112 @@
+"""A take's pose problem: what is bound together once, and what becomes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocapfix.kernels.compilation_cache import is_solver_compiled
+from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_EXACT, STATUS_UNCONSTRAINED
+from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_no_joint_limits,
+    build_no_tracking,
+    build_pose_prior_term,
+)
+from tests.kernels import dense_oracle, random_terms
+
+FRAMES, JOINTS, SD = 6, 5, 0.01
+PLAIN = (np.inf,)
+
+
+def problem(seed=0):
+    """-> a problem whose four markers a joint lie exactly where some poses put them, and the poses"""
+    rng = np.random.default_rng(seed)
+    tree = random_terms.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
+    root, local = rng.normal(size=(FRAMES, 3)), np.tile(random_terms.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
+    joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
+    markers = np.stack([dense_oracle.placed(joints, places, dense_oracle.world(tree, *pose)) for pose in zip(root, local, strict=True)])
+    silent, listened = (
+        build_pose_prior_term(MeanPosePrior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))),
+        np.ones(markers.shape[:2], bool),
+    )
+    return (
+        PoseProblem(tree, MarkerAttachment(joints, places), markers, listened, SD, silent, build_no_joint_limits(JOINTS)),
+        root,
+        local,
+    )
+
+
+def off(root, local):
+    """-> a start 5 cm and up to 0.1 rad a joint off"""
+    return root + 0.05, random_terms.rotations(np.random.default_rng(1), JOINTS, 0.1) @ local
+
+
+def test_exact_markers_recover_poses_and_the_compiled_solver_is_cached():
+    body, root, local = problem()
+    found = off(root, local)
+    status, iterations = body.solve(*found, build_no_tracking(JOINTS), PLAIN, 50)
+    assert np.isin(status, [STATUS_CONVERGED, STATUS_EXACT]).all()
+    assert (iterations > 0).all()
+    np.testing.assert_allclose(found[0], root, atol=1e-3 * SD)
+    np.testing.assert_allclose(found[1], local, atol=1e-3)
+    assert is_solver_compiled()
+
+
+def test_masked_markers_are_ignored():
+    body, root, local = problem()
+    deaf = replace(
+        body, marker_positions=np.full_like(body.marker_positions, np.nan), solver_mask=np.zeros_like(body.solver_mask)
+    )
+    start = off(root, local)
+    found = start[0].copy(), start[1].copy()
+    status, _ = deaf.solve(*found, build_no_tracking(JOINTS), PLAIN)
+    assert (status == STATUS_UNCONSTRAINED).all()
+    np.testing.assert_array_equal(found[0], start[0])
+    np.testing.assert_array_equal(found[1], start[1])
+
+
+def test_frame_without_pose_starts_from_the_solution_before():
+    body, root, local = problem()
+    start = root.copy(), local.copy()
+    start[0][1:], start[1][1:] = np.nan, np.nan
+    status, iterations = body.solve(*start, build_no_tracking(JOINTS), PLAIN)
+    assert (status == STATUS_EXACT).any()  # the first starts where it belongs
+    assert iterations[0] == 0
+    assert (iterations[1:] > 0).all()
+    np.testing.assert_allclose(start[0], root, atol=1e-3 * SD)
+    deaf = replace(body, solver_mask=np.zeros_like(body.solver_mask))
+    start[0][3:], start[1][3:] = np.nan, np.nan
+    deaf.solve(*start, build_no_tracking(JOINTS), PLAIN)
+    for found in start:
+        np.testing.assert_array_equal(found[3:], np.broadcast_to(found[2], found[3:].shape))
+
+
+def test_robust_scales_are_in_metres():
+    np.testing.assert_allclose(problem()[0].normalise_robust_scales((0.02, 0.05)), [4.0, 25.0])
+
+
+def test_uncertain_joints_start_from_their_neighbours():
+    body, root, local = problem()
+    found = root.copy(), local.copy()
+    found[1][2:4] = off(root, local)[1][2:4]
+    listened, unsure = body.solver_mask.copy(), np.zeros((FRAMES, JOINTS), bool)
+    unsure[2:4, 3], listened[2:4] = True, False
+    replace(body, solver_mask=listened).solve_from_neighbours(*found, build_no_tracking(JOINTS), unsure, 0.05)
+    np.testing.assert_array_equal(found[1][2:4, 3], local[[1, 4], 3])
+    np.testing.assert_array_equal(found[1][2:4, :3], off(root, local)[1][2:4, :3])
+    np.testing.assert_array_equal(found[0], root)
+
+
+def test_pose_uncertainty_is_proportional_to_marker_sd():
+    """But for the last digits: what holds an unknown that nothing holds is there, too."""
+    body, root, local = problem()
+    one, two = (
+        replace(body, marker_sd=sd).compute_uncertainty(root, local, build_no_tracking(JOINTS), np.inf) for sd in (SD, 2 * SD)
+    )
+    for half, whole, power in zip(one, two, (1, 1, 2, 2), strict=True):
+        np.testing.assert_allclose(whole, 2**power * half, rtol=1e-3)
+    assert one.marker_sd.shape == (FRAMES, 4 * JOINTS)
+    assert one.joint_sd.shape == one.rotation_variance.shape == (FRAMES, JOINTS)
+    assert (one.joint_sd < SD).all()

@@ -1,0 +1,131 @@
+"""The best rotation between two clouds: exact where there is one, a rotation in any case."""
+
+import numpy as np
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.stats.rigid_alignment import (
+    align_to_common_shape,
+    compute_cross_covariance,
+    compute_shortest_rotation,
+    fit_rotations,
+    transform_to_body_axes,
+)
+from tests.kernels import random_terms
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds)
+def test_moved_cloud_recovers_its_rotation(seed):
+    rng = np.random.default_rng(seed)
+    places, turn, way = rng.normal(size=(5, 3)), random_terms.rotations(rng, 4), rng.normal(size=(4, 1, 3))
+    weight = rng.uniform(0.5, 2, (4, 5))
+    cross, here, there = compute_cross_covariance(np.einsum("tab,kb->tka", turn, places) + way, places, weight)
+    np.testing.assert_allclose(fit_rotations(cross), turn, atol=1e-7)
+    np.testing.assert_allclose(np.einsum("tab,tb->ta", turn, there) + way[:, 0], here, atol=1e-9)
+
+
+@given(seeds)
+def test_points_without_weight_are_ignored(seed):
+    rng = np.random.default_rng(seed)
+    seen, places, weight = rng.normal(size=(3, 6, 3)), rng.normal(size=(6, 3)), np.ones((3, 6))
+    weight[:, 4:] = 0
+    damaged = seen.copy()
+    damaged[:, 4:] = np.nan
+    for one, other in zip(
+        compute_cross_covariance(damaged, places, weight),
+        compute_cross_covariance(seen[:, :4], places[:4], weight[:, :4]),
+        strict=True,
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_zero_cross_covariance_gives_the_identity():
+    np.testing.assert_array_equal(fit_rotations(np.zeros((2, 3, 3))), np.tile(np.eye(3), (2, 1, 1)))
+    assert all(
+        (each == 0).all() for each in compute_cross_covariance(np.full((1, 4, 3), np.nan), np.ones((4, 3)), np.zeros((1, 4)))
+    )
+
+
+@given(seeds, st.floats(-12, 12))
+def test_rotation_does_not_depend_on_the_clouds_size(seed, size):
+    rng = np.random.default_rng(seed)
+    turn = random_terms.rotations(rng, 3)
+    np.testing.assert_allclose(fit_rotations(turn * 10.0**size), turn, atol=1e-9)
+
+
+@given(seeds, st.sampled_from([0, 1, 2, 3]))
+def test_fitted_rotation_is_never_a_reflection(seed, rank):
+    rng = np.random.default_rng(seed)
+    model, measured = rng.normal(size=(2, 5, 6, 3))
+    model[..., rank:] = measured[..., rank:] = 0.0  # at one point, collinear, coplanar, in space
+    found = fit_rotations(np.einsum("tka,tkb->tab", measured, model))
+    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+
+
+@given(seeds)
+def test_mirrored_cloud_gets_the_best_rotation(seed):
+    rng = np.random.default_rng(seed)
+    model = rng.normal(size=(6, 3))
+    cross = (model * [-1, 1, 1]).T @ model
+    best = np.trace(fit_rotations(cross[None])[0].T @ cross)
+    assert best >= max(np.trace(each.T @ cross) for each in random_terms.rotations(rng, 200)) - 1e-9
+
+
+@given(seeds)
+def test_body_axes_round_trip(seed):
+    rng = np.random.default_rng(seed)
+    points, centre, turn = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), random_terms.rotations(rng, 3)
+    points[1, 2] = np.nan
+    own = transform_to_body_axes(points, centre, turn)
+    np.testing.assert_allclose(np.einsum("tab,tkb->tka", turn, own) + centre[:, None], points, atol=1e-12)
+
+
+def test_trunk_dominates_the_alignment():
+    rng = np.random.default_rng(0)
+    t = np.arange(200) / 50
+    places = rng.normal(scale=0.3, size=(10, 3))
+    own = np.tile(places, (200, 1, 1))
+    own[:, 6:] += 0.3 * np.sin(4 * t[:, None, None] + rng.uniform(0, 6, (4, 3)))
+    turn = Rotation.from_rotvec(np.stack([0.2 * np.sin(t), 0.9 * t, 0 * t], 1)).as_matrix()
+    markers = np.einsum("tab,tmb->tma", turn, own) + np.stack([t, 1 + 0 * t, np.cos(t)], 1)[:, None]
+    markers[50:90, 2] = markers[120:, 8] = np.nan
+    axes, origin, placed = align_to_common_shape(markers)
+    assert placed.all()
+    trunk = transform_to_body_axes(markers, origin, axes)[:, :6]
+    assert np.nanstd(trunk, axis=0).max() < 0.003
+
+
+def test_fewer_than_three_markers_are_not_aligned():
+    markers = np.random.default_rng(1).normal(size=(5, 6, 3))
+    markers[3, 2:] = np.nan
+    _, _, placed = align_to_common_shape(markers)
+    np.testing.assert_array_equal(placed, [True, True, True, False, True])
+
+
+VECTORS = st.tuples(*[st.floats(-2, 2)] * 3).map(np.array)
+
+
+@given(VECTORS, VECTORS)
+def test_shortest_rotation_maps_one_direction_to_the_other(a, b):
+    assume(np.linalg.norm(a) > 1e-6 and np.linalg.norm(b) > 1e-6)
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    assume(a @ b > -1 + 1e-9)  # opposite ones follow
+    turn = compute_shortest_rotation(3 * a, b)
+    np.testing.assert_allclose(turn @ a, b, atol=1e-8)
+    np.testing.assert_allclose((np.trace(turn) - 1) / 2, a @ b, atol=1e-8)
+
+
+def test_opposite_directions_give_a_half_turn():
+    for a in np.eye(3):
+        turn = compute_shortest_rotation(a, -a)
+        np.testing.assert_allclose(turn @ a, -a, atol=1e-12)
+        np.testing.assert_allclose((np.linalg.det(turn), np.trace(turn)), (1, -1), atol=1e-12)
+
+
+def test_zero_vectors_give_the_identity():
+    np.testing.assert_array_equal(compute_shortest_rotation(np.zeros(3), np.ones(3)), np.eye(3))
+    np.testing.assert_array_equal(compute_shortest_rotation(np.ones(3), np.zeros(3)), np.eye(3))
