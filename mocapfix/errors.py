@@ -1,28 +1,28 @@
-"""The one family of errors that mocapfix raises on purpose.
+"""Exceptions that mocapfix raises on purpose.
 
-A message is a sentence for a technician: what is wrong, where (file, marker, frame), and what to do about it.
+Every message says what is wrong, where (file, marker, frame), and how to correct it.
 """
 
 
 class MocapfixError(Exception):
-    """Something the user can mend: a file that cannot be read, a label that is not there, an output that exists."""
+    """Base class: an error that the user can correct, such as an unreadable file or an existing output."""
 
 
 class ReadError(MocapfixError):
-    """A file that cannot be taken in; the message names it."""
+    """An input file cannot be read. The message names the file."""
 
 
 class WriteError(MocapfixError):
-    """An output that must not or cannot be written; nothing was left half-written."""
+    """An output cannot or must not be written. No partial file remains."""
 
 
 class TakeError(MocapfixError):
-    """A take that was read but cannot be cleaned, and why."""
+    """A take was read but cannot be processed. The message gives the reason."""
 
 
 class SceneError(MocapfixError):
-    """A marker set, subject or prior file that does not say what it must; the message names the key."""
+    """A marker set, subject, prior or job file is invalid. The message names the key."""
 
 
 class ConstraintError(MocapfixError):
-    """A constraint on a pose that does not say what it must; the message names it."""
+    """A constraint on a pose is invalid. The message names the constraint."""

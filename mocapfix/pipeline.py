@@ -12,6 +12,7 @@ from mocapfix import marker_sets as sets
 from mocapfix import multi_subject, repair
 from mocapfix.animation import Animation
 from mocapfix.animations import clean as animated
+from mocapfix.animations.joint_points import convert_to_take
 from mocapfix.changes import expand_unfilled_reasons, find_unfilled_runs
 from mocapfix.detect import loop
 from mocapfix.detect.loop import DetectionState, FaultFilter
@@ -81,7 +82,7 @@ def clean(
     """
     how, clock = build_settings(prior, prior_scale, init, only), StageTimer(report_progress=progress)
     with clock("read"):
-        take = capture.read_capture(path, up)
+        take = convert_to_take(capture.read_capture(path, up))
     gap_filling.check_fill_options(take, options)
     files = [changes] if isinstance(changes, str | Path) else changes or ()
     about_markers = {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}
@@ -187,7 +188,7 @@ def inspect(
     Raises as `clean`.
     """
     clock, how, found = StageTimer(report_progress=progress), build_settings(DEFAULT_PRIOR_NAME, 1.0, DEFAULT_INIT_METHOD, ()), []
-    take = capture.read_capture(path, up)
+    take = convert_to_take(capture.read_capture(path, up))
     animated.check_animation_options(
         take, {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}, hierarchy
     )
@@ -295,8 +296,7 @@ def calibrate(
     """
     takes = []
     for path in paths:
-        whole = capture.read_capture(path, up)
-        animated.require_markers(whole)
+        whole = capture.read_take(path, up)
         take, *more = split_subjects_of_take(whole, name, None, subject_prefix)
         if more:
             raise TakeError(

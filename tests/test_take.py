@@ -18,12 +18,12 @@ def take():
     return Take(markers, ("Jim:LFHD", "A:B:RANK"), 120.0, first_frame=100, path=Path("/captures/walk.c3d"))
 
 
-def test_a_take_knows_what_was_seen(take):
+def test_frame_count_and_visibility(take):
     assert take.frame_count == 4
     np.testing.assert_array_equal(take.visible, [[True, True], [False, True], [True, True], [True, False]])
 
 
-def test_frames_are_shown_by_the_files_own_numbers(take):
+def test_frame_numbers_are_those_of_the_file(take):
     assert take.get_frame_number(0) == 100
     assert take.get_frame_number(np.int64(3)) == 103
     assert type(take.get_frame_number(np.int64(3))) is int  # goes into JSON
@@ -37,24 +37,24 @@ def test_names_and_labels(take):
     assert Take(take.markers, ("LFHD ", " x: y"), 1.0).bare_labels == ("LFHD", "y")
 
 
-def test_a_part_is_a_take_of_the_same_file_with_those_markers_alone(take):
-    """The whole's markers are the file's points 4 and 6; the part's is the second of them, wherever it is asked."""
-    seen = take.visible
-    whole = replace(take, columns=np.array([4, 6]), computed=~seen, uncaptured=seen, sample_sd=np.where(seen, 0.1, np.nan))
-    part = whole.part(np.array([1]), "A/B")
-    assert (part.labels, part.marker_subjects, part.subject_name, part.name, part.stem) == (
+def test_extracted_markers_keep_their_points_in_the_file(take):
+    """The markers are points 4 and 6 of the file, and the part has the second of them."""
+    visible = take.visible
+    whole = replace(take, point_columns=np.array([4, 6]), computed=~visible, uncaptured=visible, sample_sd=np.where(visible, 0.1, np.nan))
+    part = whole.extract_markers(np.array([1]), "A/B")
+    assert (part.labels, part.marker_subjects, part.subject_name, part.name, part.output_stem) == (
         ("A:B:RANK",), ("A:B",), "A/B", "walk.c3d (A/B)", "walk.A_B"
     )  # fmt: skip
     np.testing.assert_array_equal(part.markers, whole.markers[:, [1]])
-    np.testing.assert_array_equal(part.computed, ~seen[:, [1]])
-    np.testing.assert_array_equal(part.uncaptured, seen[:, [1]])
+    np.testing.assert_array_equal(part.computed, ~visible[:, [1]])
+    np.testing.assert_array_equal(part.uncaptured, visible[:, [1]])
     np.testing.assert_array_equal(part.source_points, np.full((4, 1), 6))
     np.testing.assert_array_equal(whole.find_marker_indices(part), [1])
-    np.testing.assert_array_equal(take.find_marker_indices(take.part(np.array([1, 0]), "both")), [1, 0])
-    assert (take.stem, Take(take.markers, take.labels, 120.0).output_stem) == ("walk", "take")
+    np.testing.assert_array_equal(take.find_marker_indices(take.extract_markers(np.array([1, 0]), "both")), [1, 0])
+    assert (take.output_stem, Take(take.markers, take.labels, 120.0).output_stem) == ("walk", "take")
 
 
-def test_other_positions_make_another_take(take):
+def test_replaced_markers_do_not_change_the_take(take):
     deviation = np.full((4, 2), 0.001)
     other = take.replace_markers(np.zeros((4, 2, 3)), deviation)
     assert other.visible.all()
@@ -75,7 +75,7 @@ def test_runs_of_known_masks(mask, expected):
 
 
 @given(st.lists(st.booleans(), max_size=60))
-def test_runs_make_up_the_mask_and_none_touches_the_next(drawn):
+def test_runs_cover_the_mask_and_are_not_adjacent(drawn):
     mask, again = np.array(drawn, bool), np.zeros(len(drawn), bool)
     found = find_runs(mask)
     for first, last in found:
@@ -85,44 +85,44 @@ def test_runs_make_up_the_mask_and_none_touches_the_next(drawn):
     assert all(after[0] > before[1] + 1 for before, after in pairwise(found))
 
 
-rings = st.tuples(st.permutations(range(5)), st.sampled_from([2, 3]), st.integers(0, 40), st.integers(0, 40))
+label_cycles = st.tuples(st.permutations(range(5)), st.sampled_from([2, 3]), st.integers(0, 40), st.integers(0, 40))
 
 
-@given(st.lists(rings, max_size=4))
-def test_what_is_exchanged_back_is_the_take_bit_for_bit(drawn):
+@given(st.lists(label_cycles, max_size=4))
+def test_a_reversed_exchange_of_labels_restores_the_take(drawn):
     rng = np.random.default_rng(0)
     markers, deviation, computed = rng.normal(size=(41, 5, 3)), rng.random((41, 5)), rng.random((41, 5)) < 0.1
     markers[rng.random((41, 5)) < 0.3] = np.nan
     take = Take(markers, tuple("ABCDE"), 100.0, point_columns=np.array([3, 1, 8, 9, 0]), sample_sd=deviation, computed=computed)
     done, again = [(tuple(order[:size]), min(a, b), max(a, b)) for order, size, a, b in drawn], take
-    for ring, first, last in done:
-        again = again.exchange_labels(ring, first, last)
-    for ring, first, last in reversed(done):
-        again = again.exchange_labels(ring[::-1], first, last)
-    for name in ("markers", "deviation", "computed", "sources"):
+    for cycle, first, last in done:
+        again = again.exchange_labels(cycle, first, last)
+    for cycle, first, last in reversed(done):
+        again = again.exchange_labels(cycle[::-1], first, last)
+    for name in ("markers", "sample_sd", "computed", "source_points"):
         np.testing.assert_array_equal(getattr(again, name), getattr(take, name))
-    for ring, first, last in [each for each in done if len(each[0]) == 2][:1]:
-        twice = take.exchange_labels(ring, first, last).exchange_labels(ring, first, last)
+    for cycle, first, last in [each for each in done if len(each[0]) == 2][:1]:
+        twice = take.exchange_labels(cycle, first, last).exchange_labels(cycle, first, last)
         np.testing.assert_array_equal(twice.markers, markers)
 
 
-def test_a_ring_puts_each_sample_under_its_own_label(take):
+def test_labels_are_exchanged_along_a_cycle(take):
     three = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, point_columns=np.array([4, 5, 6]))
-    back = three.exchange_labels((0, 2, 1), 0, 0)  # the sample of a is under c's label, c's under b's, b's under a's
+    back = three.exchange_labels((0, 2, 1), 0, 0)  # a gets the samples of c, c those of b, b those of a
     np.testing.assert_array_equal(back.markers[0], three.markers[0, [2, 0, 1]])
     np.testing.assert_array_equal(back.source_points[0], [6, 4, 5])
     assert three.relabelled_points is None
 
 
-def test_what_a_program_put_there_was_not_measured(take):
+def test_computed_samples_are_not_measured(take):
     computed = np.zeros((4, 2), bool)
-    computed[0, 0] = computed[1, 0] = True  # the latter is not there at all
+    computed[0, 0] = computed[1, 0] = True  # the latter is missing
     np.testing.assert_array_equal(
         Take(take.markers, take.labels, 1.0, computed=computed).measured[:2], [[False, True], [False, True]]
     )
 
 
-def test_unlabelled_trajectories_are_counted_on_from_the_labels(take):
-    loose = Take(take.markers, ("*1", "*2"), 1.0)
-    both = Take(take.markers, take.labels, 1.0, unlabelled=loose)
+def test_indices_of_unlabelled_trajectories_follow_the_markers(take):
+    unlabelled = Take(take.markers, ("*1", "*2"), 1.0)
+    both = Take(take.markers, take.labels, 1.0, unlabelled=unlabelled)
     assert [both.get_label(i) for i in range(4)] == [*take.labels, "*1", "*2"]

@@ -167,9 +167,3 @@ def check_animation_options(take: Take, marker_options: Mapping[str, object], hi
             raise TakeError(f"{take.name}: has markers and no joints, of which --hierarchy tells; clean it without.")
     elif given := [option for option, value in marker_options.items() if value]:
         raise TakeError(f"{take.name}: has joints and no markers, of which {' and '.join(given)} tells; clean it without.")
-
-
-def require_markers(take: Take) -> None:
-    """Raise TakeError for a take that has no markers: bones and marker places are learnt from them."""
-    if isinstance(take.layout, Animation):
-        raise TakeError(f"{take.name}: has joints and no markers to learn from; give the capture that it was solved from.")

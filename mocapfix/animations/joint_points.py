@@ -7,6 +7,11 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 
 
+def convert_to_take(capture: Take | Animation) -> Take:
+    """Return a take as it is, and an animation as the take of its joints."""
+    return build_joint_take(capture) if isinstance(capture, Animation) else capture
+
+
 def build_joint_take(animation: Animation) -> Take:
     """-> the take of an animation: where each joint is."""
     return _build_point_take(animation, animation.compute_world_poses()[0], animation.names)

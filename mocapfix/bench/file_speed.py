@@ -39,18 +39,18 @@ def measure_file_speed(duration_s: float = 60.0) -> list[dict]:
 
 def build_take_jobs(path: Path) -> dict[str, Callable[[], object]]:
     """-> what is timed, by name, on the composed take's C3D at `path`; other files go beside it."""
-    take, target = capture.read_capture(path), path.with_name("mended.c3d")
+    take, target = capture.read_take(path), path.with_name("mended.c3d")
     mended = np.random.default_rng(0).random(take.visible.shape) < REPAIRED_SAMPLE_SHARE
     after = take.replace_markers(np.where(mended[..., None], 1.0, take.markers), np.where(mended, 0.001, np.nan))
     return {
-        "read C3D": lambda: capture.read_capture(path),
+        "read C3D": lambda: capture.read_take(path),
         "write C3D": lambda: write.patch_c3d(target, take, after),
     }
 
 
 def build_motion_jobs(path: Path, truth: SyntheticTake) -> dict[str, Callable[[], object]]:
     """-> what is timed, by name, on how the composed take's person truly moves; files go beside `path`."""
-    take, skeleton, motion, rate = capture.read_capture(path), truth.subject.skeleton, truth.motion, truth.rate
+    take, skeleton, motion, rate = capture.read_take(path), truth.subject.skeleton, truth.motion, truth.rate
     bvh, amc, builder = path.with_suffix(".bvh"), path.with_suffix(".amc"), rig.load_rig("motionbuilder")
     captured, target = path.with_name("captured.bvh"), path.with_name("mended.bvh")
     write.write_bvh(captured, skeleton, motion, rate)

@@ -103,7 +103,7 @@ def compare_hands(path: Path, damage: HandDamage) -> HandComparison:
 
     Raises ReadError where the file cannot be read, TakeError where it lacks the markers or no body could be solved.
     """
-    take, sound = capture.read_capture(path), pipeline.clean(path)
+    take, sound = capture.read_take(path), pipeline.clean(path)
     middle, half = damage.find_frame(take), round(DAMAGE_DURATION_S / 2 * take.rate)
     columns = [find_marker_column(take, label) for label in damage.labels]
     during, markers = slice(max(middle - half, 0), middle + half), take.markers.copy()

@@ -139,7 +139,7 @@ def read_captures(folder: Path) -> Iterator[InitialisationTake]:
     """Yield the captures in a folder that wear a known marker set. Raises ReadError where there is none."""
     found = False
     for path in sorted(folder.glob("*.c3d")):
-        take = capture.read_capture(path)
+        take = capture.read_take(path)
         _, worn_set, _ = pipeline.select_subject(take, None, None)
         if worn_set is not None:
             found, heard = (

@@ -1,75 +1,113 @@
-"""Where each sample of a C3D lies in its bytes: what reading and patching must agree upon."""
+"""Where the samples of a marker file lie in its bytes or lines: created by the readers, used by the patches."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, Shaped
 
-# MERGED: mocapfix.c3d_layout
+# C3D processor types: byte order and floating-point format of the file.
+INTEL_PROCESSOR = 84  # little endian, IEEE floats
+DEC_PROCESSOR = 85  # little endian, VAX F floats
+SGI_PROCESSOR = 86  # big endian, IEEE floats
+
+
 @dataclass(frozen=True)
 class C3dLayout:
-    """The geometry of a C3D's point block and the map from its coordinates to mocapfix's.
+    """The point block of a C3D file, and the map from its coordinates to those of a take.
 
-    A point is four words, X Y Z and the residual word: 32-bit floats, or 16-bit integers times `scale`.
-    mocapfix's metres, Y up, are `axes @ xyz * unit`, and the file's own `axes.T @ markers / unit`.
+    A point is stored as four words: X, Y, Z and the residual word. Words are 32-bit floats, or 16-bit integers that are
+    multiplied by `scale_factor`. With coordinates `xyz` in file units and file axes, a take (metres, Y up) has
+    `rotation_y_up_file @ xyz * unit_m`; the inverse is `rotation_y_up_file.T @ marker / unit_m`.
+
+    Attributes:
+        processor_type: Intel, DEC or SGI.
+        is_float: Whether words are 32-bit floats.
+        scale_factor: Absolute value of POINT:SCALE. File units per count in integer files, and the unit of the residual in
+            both kinds of file.
+        data_start_byte: Offset of the first point of the first frame.
+        frame_stride_bytes: Bytes from the first point of one frame to that of the next, analog samples included.
+        point_count: Points per frame, markers and others.
+        frame_count: Number of frames.
+        unit_m: Metres per file unit.
+        rotation_y_up_file: Rotation from file axes to Y-up axes.
     """
 
-    processor_type: int  # 84 Intel, 85 DEC (VAX floats), 86 SGI/MIPS (big endian)
+    processor_type: int
     is_float: bool
-    scale_factor: float  # |POINT:SCALE|: metres-free counts to file units; scales residuals in float files too
-    data_start_byte: int  # offset in bytes of the first point of the first frame
-    frame_stride_bytes: int  # bytes from one frame's first point to the next frame's: points, then analog
-    point_count: int  # points in a frame, markers and others
+    scale_factor: float
+    data_start_byte: int
+    frame_stride_bytes: int
+    point_count: int
     frame_count: int
-    unit_m: float  # metres per file unit
-    rotation_y_up_file: np.ndarray  # (3, 3) rotation: file axes -> Y up
+    unit_m: float
+    rotation_y_up_file: Float[np.ndarray, "3 3"]
+
+    @property
+    def has_vax_floats(self) -> bool:
+        """Whether words are VAX F floats: IEEE floats times 4 with their 16-bit halves swapped."""
+        return self.is_float and self.processor_type == DEC_PROCESSOR
 
     @property
     def word_size_bytes(self) -> int:
+        """Size of one stored word."""
         return 4 if self.is_float else 2
 
     @property
-    def word_dtype(self) -> np.dtype:
-        """The dtype of one stored word; a DEC float is shown as its raw 32 bits, little endian."""
+    def word_dtype(self) -> np.dtype[Any]:
+        """Data type of one stored word. A VAX float has the type of its raw bits, a little-endian 32-bit integer."""
         if self.is_float:
-            return np.dtype({84: "<f4", 85: "<u4", 86: ">f4"}[self.processor_type])
-        return np.dtype({84: "<i2", 85: "<i2", 86: ">i2"}[self.processor_type])
+            return np.dtype({INTEL_PROCESSOR: "<f4", DEC_PROCESSOR: "<u4", SGI_PROCESSOR: ">f4"}[self.processor_type])
+        return np.dtype({INTEL_PROCESSOR: "<i2", DEC_PROCESSOR: "<i2", SGI_PROCESSOR: ">i2"}[self.processor_type])
 
-    def view_words(self, data: bytes | bytearray | memoryview) -> np.ndarray:
-        """-> (frames, points, 4) stored words as a view of `data`, writable where `data` is."""
+    def view_words(self, data: bytes | bytearray | memoryview) -> Shaped[np.ndarray, "T P 4"]:
+        """Return the stored words of all frames and points as a view of `data`, which is writable if `data` is."""
         shape = (self.frame_count, self.point_count, 4)
         strides = (self.frame_stride_bytes, 4 * self.word_size_bytes, self.word_size_bytes)
         return np.ndarray(shape, self.word_dtype, data, self.data_start_byte, strides)
 
 
-# MERGED: mocapfix.table_layout
-# Where each sample of a text file lies in its lines: what reading and patching must agree upon.
 @dataclass(frozen=True)
 class TableLayout:
-    """The geometry of a table of trajectories, a line a frame, and the map from its coordinates to mocapfix's.
+    """A text table of trajectories with one line per frame, and the map from its coordinates to those of a take.
 
-    A point is three fields of each frame's line. mocapfix's metres, Y up, are `axes @ xyz * unit`, and the file's own
-    `axes.T @ markers / unit`.
+    Each point has three fields in the line of a frame. Coordinates are mapped as by `C3dLayout`.
+
+    Attributes:
+        encoding: Text encoding of the file; a byte-order mark is the first character of its text.
+        newline: Line separator; with "\\r\\n" the "\\r" is the last character of each line.
+        delimiter: Field separator.
+        decimal_sign: "." or ",".
+        unit_m: Metres per file unit.
+        line_indices: Index of the line of each of the T frames.
+        field_indices: Index of the X, Y and Z field of each of the P points. Empty if lines list only the visible markers.
+        number_format: Format specification of a coordinate, as for `format`.
+        missing_text: Text of a missing coordinate, such as "", "NaN" or "0.000".
+        rotation_y_up_file: Rotation from file axes to Y-up axes.
     """
 
-    encoding: str  # of the file; a byte-order mark is the first character of its text
-    newline: str  # between lines; of "\r\n" the "\r" is each line's last character
-    delimiter: str  # between fields
-    decimal_sign: str  # the decimal sign: "." or ","
-    unit_m: float  # metres per file unit
-    line_indices: np.ndarray = field(default_factory=lambda: np.zeros(0, int))  # (T,) index of each frame's line in the file
-    field_indices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))  # (P, 3) of a line, with a point's x, y, z
-    number_format: str = ".6f"  # how a coordinate is written, as in format()
-    missing_text: str = ""  # how a coordinate that is not there is written: "", "NaN", "0.000"
-    rotation_y_up_file: np.ndarray = field(default_factory=lambda: np.eye(3))  # rotation: file axes -> Y up
+    encoding: str
+    newline: str
+    delimiter: str
+    decimal_sign: str
+    unit_m: float
+    line_indices: Int[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, int))
+    field_indices: Int[np.ndarray, "P 3"] = field(default_factory=lambda: np.zeros((0, 3), int))
+    number_format: str = ".6f"
+    missing_text: str = ""
+    rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
 
     @property
     def has_field_per_sample(self) -> bool:
-        """Is there a place in the file for every sample? Not where its lines list only what was seen."""
+        """Whether the file has a field for every sample. False if its lines list only the visible markers."""
         return len(self.field_indices) > 0
 
     def format_coordinate(self, coordinate: float) -> str:
-        """-> a coordinate in file units as the file writes it; NaN is missing."""
+        """Return the text of a coordinate in file units, as the file writes it; NaN means missing."""
         if coordinate != coordinate:
             return self.missing_text
         return format(coordinate, self.number_format).replace(".", self.decimal_sign)

@@ -1,4 +1,4 @@
-"""Where outputs go: into place whole or not at all, over nothing that is there unless it may be, into a folder that is made."""
+"""Writing output files safely: atomic replacement, overwrite checks and output folders."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -11,9 +11,12 @@ from mocapfix.errors import WriteError
 
 @contextmanager
 def replace_atomically(target: Path) -> Iterator[Path]:
-    """Yield a new file beside `target` to write into; it becomes `target` if the block ends well, and goes otherwise.
+    """Yield a temporary file beside `target` to write into.
 
-    Raises WriteError, naming the target, where the folder cannot be written.
+    The temporary file replaces `target` if the block ends without an exception, and is deleted otherwise.
+
+    Raises:
+        WriteError: If the folder of `target` is not writable. The message names the target.
     """
     target = Path(target)
     try:
@@ -33,18 +36,18 @@ def replace_atomically(target: Path) -> Iterator[Path]:
 
 
 def check_outputs_absent(outputs: Iterable[Path], overwrite: bool) -> None:
-    """Raise WriteError naming the first output that is there already, unless it may be replaced."""
-    there = [path for path in outputs if path.exists()]
-    if there and not overwrite:
-        raise WriteError(f"{there[0]}: is there already; give --overwrite to replace it, or choose another place.")
+    """Raise WriteError for the first output that exists, unless `overwrite` is true."""
+    existing = [path for path in outputs if path.exists()]
+    if existing and not overwrite:
+        raise WriteError(f"{existing[0]}: already exists; give --overwrite to replace it, or choose another folder.")
 
 
 def make_output_folder(folder: Path) -> None:
-    """Make an output folder. Raises WriteError naming it."""
+    """Create an output folder and its parents. Raise WriteError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror}); choose another with --out.") from error
+        raise WriteError(f"{folder}: the folder cannot be created ({error.strerror}); choose another with --out.") from error
 
 
 def _get_umask() -> int:

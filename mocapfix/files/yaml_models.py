@@ -1,8 +1,8 @@
-"""Files in YAML that people write and mend: held against the form they must have, and written so that they can be read."""
+"""Strict models of the YAML files that users write and edit, and the one YAML writer."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
@@ -11,10 +11,12 @@ from mocapfix.errors import SceneError
 from mocapfix.files.shipped import read_yaml
 from mocapfix.skeleton import load_cmu31_body
 
-YamlModel = TypeVar("Form", bound=BaseModel)
-NamedItem = TypeVar("Found")
-PYDANTIC_MESSAGES = {  # for what pydantic says to programmers
-    "extra_forbidden": "there is no such key; look for a slip in its name",
+YamlModel = TypeVar("YamlModel", bound=BaseModel)
+NamedItem = TypeVar("NamedItem")
+
+# Replacements, by pydantic's error type, of messages that are written for programmers.
+PYDANTIC_MESSAGES = {
+    "extra_forbidden": "there is no such key; check its spelling",
     "missing": "is missing",
     "tuple_type": "must be a list",
     "model_type": "must be key: value pairs",
@@ -23,51 +25,65 @@ PYDANTIC_MESSAGES = {  # for what pydantic says to programmers
     "union_tag_not_found": "is missing",
     "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
 }
+MAX_LINE_LENGTH = 130  # characters in a line of a written file
 
 
 class StrictModel(BaseModel):
-    """A form with no keys but its own, and finite numbers."""
+    """A model that accepts no unknown keys and only finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def read_yaml_model(model: type[YamlModel] | TypeAdapter[YamlModel], path: Path) -> YamlModel:
-    """-> what a YAML file says, in the form it must have; of one of several forms a TypeAdapter tells which.
+    """Read a YAML file and validate it.
 
-    Raises SceneError with the file, the path of the first wrong key and what is wrong with it.
+    Args:
+        model: The model, or a TypeAdapter of a union of models.
+        path: The file.
+
+    Returns:
+        The content of the file.
+
+    Raises:
+        SceneError: If the file is invalid. The message names the file and the first invalid key, and says what is wrong.
     """
     data = read_yaml(path)
     try:
         return model.validate_python(data) if isinstance(model, TypeAdapter) else model.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        known = first.get("ctx", {})
-        key = ".".join(str(part) for part in first["loc"]) or known.get("discriminator", "the file").strip("'")
-        said = (
-            PYDANTIC_MESSAGES[first["type"]].format(**known)
-            if first["type"] in PYDANTIC_MESSAGES
-            else first["msg"].removeprefix("Value error, ")
-        )
-        raise SceneError(f"{path}: {key}: {said}.") from error
+        context: dict[str, Any] = first.get("ctx", {})
+        key = ".".join(str(part) for part in first["loc"]) or str(context.get("discriminator", "the file")).strip("'")
+        template = PYDANTIC_MESSAGES.get(first["type"])
+        message = template.format(**context) if template else first["msg"].removeprefix("Value error, ")
+        raise SceneError(f"{path}: {key}: {message}.") from error
 
 
 def find_by_name(
     name_or_path: str | Path, shipped: Mapping[str, NamedItem], item_kind: str, read: Callable[[Path], NamedItem]
 ) -> NamedItem:
-    """-> of what travels with mocapfix, by name, the one that is meant; or what `read` makes of a YAML file of the same form.
+    """Return a shipped item by its name, or read it from a YAML file.
 
-    Raises SceneError where there is none of the name: the message says `what` it would be, and lists those there are.
+    Args:
+        name_or_path: Name of a shipped item, or path of a YAML file.
+        shipped: The shipped items by name.
+        item_kind: What an item is, for the error message.
+        read: Reads an item from a file.
+
+    Raises:
+        SceneError: If there is neither a shipped item nor a file of that name. The message lists the shipped items.
     """
-    if (known := shipped.get(str(name_or_path))) is not None:
-        return known
+    if (item := shipped.get(str(name_or_path))) is not None:
+        return item
     if not Path(name_or_path).is_file():
         raise SceneError(f"{name_or_path}: no such {item_kind}; name one of {', '.join(shipped)}, or give a YAML file.")
     return read(Path(name_or_path))
 
 
 def _validate_joint_name(name: str) -> str:
-    if name not in load_cmu31_body().skeleton.names:
-        raise ValueError(f"there is no joint {name!r}; the joints are {', '.join(load_cmu31_body().skeleton.names)}")
+    names = load_cmu31_body().skeleton.names
+    if name not in names:
+        raise ValueError(f"there is no joint {name!r}; the joints are {', '.join(names)}")
     return name
 
 
@@ -75,19 +91,21 @@ Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 JointName = Annotated[str, AfterValidator(_validate_joint_name)]
 
 
-class InlineMapping(dict):
-    """A mapping that is written on one line: a bone or a marker."""
+class InlineMapping(dict[str, Any]):
+    """A mapping that is written on one line, such as that of a bone or a marker."""
 
 
-def dump_yaml(data: dict) -> str:
-    """-> the YAML of a mapping, keys in its order."""
-    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=130, allow_unicode=True)
+def dump_yaml(data: Mapping[str, Any]) -> str:
+    """Return the YAML text of a mapping, with the keys in its order."""
+    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=MAX_LINE_LENGTH, allow_unicode=True)
 
 
 class _YamlDumper(yaml.SafeDumper):
-    """PyYAML's safe writer, which knows Line."""
+    """PyYAML's safe writer, extended by InlineMapping."""
 
 
-_YamlDumper.add_representer(
-    InlineMapping, lambda dumper, line: dumper.represent_mapping("tag:yaml.org,2002:map", line, flow_style=True)
-)
+def _represent_inline(dumper: yaml.SafeDumper, mapping: InlineMapping) -> yaml.MappingNode:
+    return dumper.represent_mapping("tag:yaml.org,2002:map", mapping, flow_style=True)
+
+
+_YamlDumper.add_representer(InlineMapping, _represent_inline)

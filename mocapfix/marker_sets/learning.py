@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix import marker_sets, multi_subject
-from mocapfix.animations import clean
 from mocapfix.calibrate import marker_set_fit, unlabelled_markers
 from mocapfix.calibrate.marker_set_fit import MarkerSetFit
 from mocapfix.errors import TakeError
@@ -79,8 +78,7 @@ def learn_marker_set(
     """
     tell = progress or (lambda stage: None)
     tell("read")
-    take = capture.read_capture(path, up)
-    clean.require_markers(take)
+    take = capture.read_take(path, up)
     if subject_prefix is not None:
         (take,) = multi_subject.split_subjects(take, None, subject_prefix)
     take, labels, strangers = select_subject_markers(take.masked(take.measured))

@@ -1,102 +1,132 @@
-"""Reading ASF/AMC, the form in which CMU publishes its motion: the skeleton in one file, a trial's numbers in another.
+"""Read ASF/AMC, the format of CMU's motion capture: a skeleton in one file, the values of a trial in another.
 
-An ASF bone has axes of its own, turned by C from the world's in the rest pose; its turn M in the AMC is about those. In the
-axes of the world that is C M C^-1.
+A bone of an ASF has its own axes, rotated by C from the world's in the rest pose, and its rotation M in the AMC is about
+those. In world axes it is C M C^-1.
 """
 
+from __future__ import annotations
+
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocapfix.animation import Animation
-from mocapfix.animations.joint_points import build_joint_take
 from mocapfix.errors import ReadError
 from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
-from mocapfix.take import Take
 
-FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line with the first frame's number
-# no keyword of the format says the rate: what a comment or a keyword of some program's own says is taken
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
+# The format has no keyword for the rate, so it is read from comments or keywords of some programs.
 RATE_PATTERN = re.compile(rb":SAMPLES-PER-SECOND\s+(\d+\.?\d*)|(\d+\.?\d*) ?(?:fps|Hz|frames (?:a|per) second)", re.IGNORECASE)
-DEFAULT_AMC_RATE_HZ = 120.0  # Hz: CMU's, but for some subjects at 60
+DEFAULT_AMC_RATE_HZ = 120.0  # CMU's, except for some subjects at 60 Hz
 BONE_SECTION_KEYWORD = b":bonedata"
-# comments, keywords, and then the first frame's number and a bone's
+AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginning of a file; a cut-off one may have no more
+# Comments, keywords, the first frame's number, then a bone with its values.
 AMC_HEAD_PATTERN = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
+MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
+
+
+@dataclass(frozen=True)
+class _BoneLines:
+    """The lines of one bone in an AMC.
+
+    Attributes:
+        frames: Frame of each line, counted from 1.
+        tokens: Token that each line begins with.
+        value_counts: Number of values on each line.
+    """
+
+    frames: Int[np.ndarray, " n"]
+    tokens: Int[np.ndarray, " n"]
+    value_counts: Int[np.ndarray, " n"]
 
 
 def is_asf_or_amc(head: bytes) -> bool:
-    """-> does a file that begins so claim to be an AMC, or the ASF that goes with one?"""
+    """Return whether a file with this beginning is an AMC or an ASF."""
     lower = head.lower()
-    keywords = b":fully-specified", b":degrees", b":radians"  # a file that was cut off may have no more
-    return BONE_SECTION_KEYWORD in lower or lower.lstrip().startswith(keywords) or bool(AMC_HEAD_PATTERN.match(head))
+    return BONE_SECTION_KEYWORD in lower or lower.lstrip().startswith(AMC_KEYWORDS) or AMC_HEAD_PATTERN.match(head) is not None
 
 
-def read_amc_take(path: Path, data: bytes) -> Take:
-    """-> the take of the joints that move in an AMC's bytes. Raises ReadError as `animation`, and for a skeleton alone."""
+def read_amc_motion(path: Path, data: bytes) -> Animation:
+    """Return the motion in the bytes of an AMC, as `read_amc` does, and raise ReadError for an ASF, which has none."""
     if BONE_SECTION_KEYWORD in data.lower():
-        raise ReadError(f"{path}: is a skeleton without motion; name the AMC that moves it.")
-    return build_joint_take(read_amc(path, data))
+        raise ReadError(f"{path}: is a skeleton without motion; name the AMC file of the motion.")
+    return read_amc(path, data)
 
 
 def read_amc(path: str | Path, data: bytes | None = None, asf_path: str | Path | None = None) -> Animation:
-    """-> the motion of an AMC on the `skeleton`, an ASF, that is given or beside it; or the rest pose of an ASF, as one frame.
+    """Read the motion of an AMC, or the rest pose of an ASF as one frame.
 
-    Angles are in degrees, whatever the file has them in. Joints are where bones begin and carry their names.
+    Joints are at the beginning of bones and have their names. Angles are in degrees, whatever the file uses.
 
-    data  the file's bytes, where they were read already
+    Args:
+        path: The AMC or ASF file.
+        data: The bytes of the file, if they were read already.
+        asf_path: The skeleton of an AMC; by default the one that `find_asf` finds.
 
-    Raises ReadError where the AMC's skeleton is not beside it, and, naming file and line, where either has a fault.
+    Raises:
+        ReadError: If there is no skeleton, or a file is invalid. The message names file and line.
     """
     path = Path(path)
     data = read_file_bytes(path) if data is None else data
     if BONE_SECTION_KEYWORD in data.lower():
         return _build_rest_animation(path, data)
-    beside = Path(asf_path) if asf_path is not None else find_asf(path)
-    body = parse_asf(beside, _decode_text(read_file_bytes(beside)))
+    skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
+    skeleton = parse_asf(skeleton_path, _decode_text(read_file_bytes(skeleton_path)))
     start = FIRST_FRAME_PATTERN.search(data)
     if not start:
-        raise ReadError(f"{path}: holds no frames; an AMC has a line with each frame's number. Export it again.")
-    found = scan_tokens(data, start.start())
-    first, at = _locate_values(path, found, body)
-    said = RATE_PATTERN.search(data[: start.start()])
-    rate = float(said[1] or said[2]) if said else 0.0
-    notes = () if rate > 0 else (f"An AMC does not say its rate; {DEFAULT_AMC_RATE_HZ:.0f} Hz, CMU's, was taken.",)
-    values, radians = found.values[at], b":radians" in data[: start.start()].lower()
-    read = _build_animation(path, body, values, rate or DEFAULT_AMC_RATE_HZ, (f"Its skeleton is {beside.name}.", *notes), first)
-    read = replace(read, value_byte_offsets=found.start_bytes[at], skeleton_path=beside, uses_radians=radians)
-    if not radians:
-        return read
-    turning = np.concatenate([read.get_rotation_channels(joint)[0] for joint in range(len(read.names))])
-    values[:, turning] = np.degrees(values[:, turning])
-    return read
+        raise ReadError(f"{path}: has no frames; an AMC has a line with the number of each frame. Export it again.")
+    header, tokens = data[: start.start()], scan_tokens(data, start.start())
+    first_frame, value_tokens = _locate_values(path, tokens, skeleton)
+    rate_match = RATE_PATTERN.search(header)
+    rate = float(rate_match[1] or rate_match[2]) if rate_match else 0.0
+    notes = [f"Its skeleton is {skeleton_path.name}."]
+    if not rate > 0:
+        notes.append(f"An AMC file has no rate; {DEFAULT_AMC_RATE_HZ:.0f} Hz, CMU's, is assumed.")
+    values, uses_radians = tokens.values[value_tokens], b":radians" in header.lower()
+    animation = _build_animation(path, skeleton, values, rate or DEFAULT_AMC_RATE_HZ, tuple(notes), first_frame)
+    animation = replace(
+        animation, value_byte_offsets=tokens.start_bytes[value_tokens], skeleton_path=skeleton_path, uses_radians=uses_radians
+    )
+    if not uses_radians:
+        return animation
+    rotation_columns = np.concatenate([animation.get_rotation_channels(joint)[0] for joint in range(len(animation.names))])
+    values[:, rotation_columns] = np.degrees(values[:, rotation_columns])
+    return animation
 
 
 def find_asf(path: Path) -> Path:
-    """-> the ASF beside an AMC: of those whose name the AMC's begins with (02.asf for 02_01.amc) the longest, else the only one.
+    """Return the ASF in the folder of an AMC.
 
-    Raises ReadError where there is none or which it is cannot be told.
+    If names of ASF files are beginnings of the AMC's name (02.asf for 02_01.amc), it is the longest of these, else the only ASF.
+
+    Raises:
+        ReadError: If there is none, or several are possible.
     """
-    beside = sorted(each for each in path.parent.iterdir() if each.suffix.lower() == ".asf")
-    own = [each for each in beside if path.stem.lower().startswith(each.stem.lower())]
-    if own:
-        return max(own, key=lambda each: len(each.stem))
-    if len(beside) == 1:
-        return beside[0]
-    there = f"only {', '.join(each.name for each in beside)}" if beside else "no ASF"
-    likely = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
-    raise ReadError(f"{path}: its skeleton is not beside it, {there}; put it there as {likely}.")
+    candidates = sorted(each for each in path.parent.iterdir() if each.suffix.lower() == ".asf")
+    matching = [each for each in candidates if path.stem.lower().startswith(each.stem.lower())]
+    if matching:
+        return max(matching, key=lambda each: len(each.stem))
+    if len(candidates) == 1:
+        return candidates[0]
+    present = f"only {', '.join(each.name for each in candidates)}" if candidates else "no ASF"
+    expected = " or ".join(f"{stem}.asf" for stem in dict.fromkeys((path.stem.partition("_")[0], path.stem)))
+    raise ReadError(f"{path}: its skeleton is not in its folder, {present}; copy it there as {expected}.")
 
 
 def _build_rest_animation(path: Path, data: bytes) -> Animation:
-    body = parse_asf(path, _decode_text(data))
-    width = sum(len(bone.degrees_of_freedom) for bone in body.bones)
-    return _build_animation(
-        path, body, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, ("It is a skeleton without motion, in its rest pose.",), 1
-    )
+    skeleton = parse_asf(path, _decode_text(data))
+    width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
+    notes = ("It is a skeleton without motion, in its rest pose.",)
+    return _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
 
 
 def _decode_text(data: bytes) -> str:
@@ -104,86 +134,85 @@ def _decode_text(data: bytes) -> str:
 
 
 def _build_animation(
-    path: Path, body: AsfSkeleton, values: np.ndarray, rate: float, notes: tuple[str, ...], first: int
+    path: Path,
+    skeleton: AsfSkeleton,
+    values: Float[np.ndarray, "T C"],
+    rate: float,
+    notes: tuple[str, ...],
+    first_frame: int,
 ) -> Animation:
-    """-> the animation of a figure, its values in the order of its channels."""
-    names = tuple(bone.name for bone in body.bones)
-    parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in body.bones])
-    tips = np.array([bone.tip_offset for bone in body.bones])
-    leaves = [joint not in parents for joint in range(len(names))]
-    read = Animation(
+    """Return the animation of a skeleton with inferred unit and up axis. The values are in the order of its channels."""
+    names = tuple(bone.name for bone in skeleton.bones)
+    parents = np.array([names.index(bone.parent) if bone.parent else -1 for bone in skeleton.bones])
+    tips = np.array([bone.tip_offset for bone in skeleton.bones])
+    is_leaf = [joint not in parents for joint in range(len(names))]
+    animation = Animation(
         names=names,
         parents=parents,
-        offsets=np.vstack([body.root_position, tips[parents[1:]]]),
-        end_sites=tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, leaves, strict=True)),
-        channels=tuple(bone.channels for bone in body.bones),
+        offsets=np.vstack([skeleton.root_position, tips[parents[1:]]]),
+        end_sites=tuple(tip[None] if leaf else np.empty((0, 3)) for tip, leaf in zip(tips, is_leaf, strict=True)),
+        channels=tuple(bone.channels for bone in skeleton.bones),
         values=values,
         rate=rate,
         path=path,
-        first_frame=first,
-        unit_m=body.unit_m,
-        rest_rotations=np.array([bone.rotation_world_bone for bone in body.bones]),
+        first_frame=first_frame,
+        unit_m=skeleton.unit_m,
+        rest_rotations=np.array([bone.rotation_world_bone for bone in skeleton.bones]),
         is_position_added=np.ones(len(names), bool),
         notes=notes,
     )
-    return infer_unit(infer_up_axis(read))
+    return infer_unit(infer_up_axis(animation))
 
 
-def _locate_values(path: Path, found: TextTokens, body: AsfSkeleton) -> tuple[int, np.ndarray]:
-    """-> the first frame's number, and (T, C) which of the words is each frame's number for each channel.
+def _locate_values(path: Path, tokens: TextTokens, skeleton: AsfSkeleton) -> tuple[int, Int[np.ndarray, "T C"]]:
+    """Return the number of the first frame, and the token of each channel's value in each frame.
 
-    Raises ReadError at a word that is no number, a bone the skeleton has not, or one that lacks, comes twice or has too few
-    numbers.
+    Raises:
+        ReadError: If a token is not a number, or a bone is not in the skeleton, is missing, occurs twice or has another number
+            of values than degrees of freedom.
     """
-    heads = np.flatnonzero(np.diff(found.line_numbers, prepend=-1))
-    counts = np.diff(heads, append=len(found))
-    named = ~found.is_number[heads]
-    stray = ~found.is_number
-    stray[heads] = False
-    if stray.any() or (bad := ~named & (counts != 1)).any():
-        at = int(np.argmax(stray)) if stray.any() else heads[np.argmax(bad)]
-        what = f"{found.get_text(at)[:40]!r} stands where a bone's numbers or a frame's belong"
-        raise ReadError(f"{path}, line {found.line_numbers[at]}: {what}.")
-    frame = np.cumsum(~named)
-    lines: dict[str, list[int]] = {bone.name: [] for bone in body.bones}
-    for line in np.flatnonzero(named).tolist():
-        name = found.get_text(heads[line])
-        if name not in lines:
-            raise ReadError(f"{path}, line {found.line_numbers[heads[line]]}: bone {name[:40]} is not in the skeleton.")
-        lines[name].append(line)
-    columns = []
-    for bone in body.bones:
+    line_tokens = np.flatnonzero(np.diff(tokens.line_numbers, prepend=-1))  # first token of each line
+    token_counts = np.diff(line_tokens, append=len(tokens))
+    is_bone_line = ~tokens.is_number[line_tokens]
+    is_stray = ~tokens.is_number
+    is_stray[line_tokens] = False
+    is_invalid_frame_line = ~is_bone_line & (token_counts != 1)
+    if is_stray.any() or is_invalid_frame_line.any():
+        token = int(np.argmax(is_stray) if is_stray.any() else line_tokens[np.argmax(is_invalid_frame_line)])
+        quoted = repr(tokens.get_text(token)[:MAX_QUOTED_CHARACTERS])
+        problem = f"{quoted} is given where the values of a bone or the number of a frame are expected"
+        raise ReadError(f"{path}, line {tokens.line_numbers[token]}: {problem}.")
+    frame_of_line = np.cumsum(~is_bone_line)
+    lines_of_bone: dict[str, list[int]] = {bone.name: [] for bone in skeleton.bones}
+    for line in np.flatnonzero(is_bone_line).tolist():
+        name = tokens.get_text(int(line_tokens[line]))
+        if name not in lines_of_bone:
+            line_number = tokens.line_numbers[line_tokens[line]]
+            raise ReadError(f"{path}, line {line_number}: bone {name[:MAX_QUOTED_CHARACTERS]} is not in the skeleton.")
+        lines_of_bone[name].append(line)
+    columns: list[np.ndarray] = []
+    for bone in skeleton.bones:
         if bone.degrees_of_freedom:
-            own = np.array(lines[bone.name], int)
-            _check_bone_lines(
-                path, found, bone.name, heads[~named], frame[own], heads[own], counts[own] - 1, len(bone.degrees_of_freedom)
-            )
-            columns.append(heads[own, None] + 1 + np.array(bone.amc_columns))
-    return int(found.values[heads[0]]), np.hstack(columns)
+            own = np.array(lines_of_bone[bone.name], int)
+            bone_lines = _BoneLines(frame_of_line[own], line_tokens[own], token_counts[own] - 1)
+            frame_tokens = line_tokens[~is_bone_line]
+            _check_bone_lines(path, tokens, bone.name, frame_tokens, bone_lines, len(bone.degrees_of_freedom))
+            columns.append(line_tokens[own, None] + 1 + np.array(bone.amc_columns))
+    return int(tokens.values[line_tokens[0]]), np.hstack(columns)
 
 
 def _check_bone_lines(
-    path: Path,
-    found: TextTokens,
-    name: str,
-    frames: np.ndarray,
-    own: np.ndarray,
-    heads: np.ndarray,
-    counts: np.ndarray,
-    width: int,
+    path: Path, tokens: TextTokens, name: str, frame_tokens: Int[np.ndarray, " T"], lines: _BoneLines, width: int
 ) -> None:
-    """Raise ReadError unless a bone is there once in every frame, with `width` numbers.
-
-    frames (T,) the words that are the frames' numbers; own (n,) the frame of each of the bone's lines, the first being 1,
-    heads (n,) the words they begin with, counts (n,) their numbers.
-    """
-    times = np.bincount(own, minlength=len(frames) + 1)[1:]
-    if (times != 1).any():
-        at = frames[np.argmax(times != 1)]
-        how = "twice" if times.max() > 1 and times[np.argmax(times != 1)] > 1 else "not"
-        raise ReadError(f"{path}, line {found.line_numbers[at]}: bone {name} is {how} in frame {found.get_text(at)}.")
-    if (counts != width).any():
-        at = int(np.argmax(counts != width))
-        raise ReadError(
-            f"{path}, line {found.line_numbers[heads[at]]}: {name} has {counts[at]} numbers where its freedoms are {width}."
-        )
+    """Raise ReadError unless a bone has one line with `width` values in every frame; `frame_tokens` are the frame numbers."""
+    line_counts = np.bincount(lines.frames, minlength=len(frame_tokens) + 1)[1:]
+    if (line_counts != 1).any():
+        frame = int(np.argmax(line_counts != 1))
+        token = int(frame_tokens[frame])
+        problem = "occurs twice" if line_counts[frame] > 1 else "is missing"
+        frame_number = tokens.get_text(token)
+        raise ReadError(f"{path}, line {tokens.line_numbers[token]}: bone {name} {problem} in frame {frame_number}.")
+    if (lines.value_counts != width).any():
+        line = int(np.argmax(lines.value_counts != width))
+        problem = f"bone {name} has {lines.value_counts[line]} values and {width} degrees of freedom"
+        raise ReadError(f"{path}, line {tokens.line_numbers[lines.tokens[line]]}: {problem}.")

@@ -1,139 +1,157 @@
-"""Reading an ASF, Acclaim's skeleton: bones with a direction and a length in the rest pose, and axes of their own.
+"""Read an ASF file, Acclaim's skeleton: bones with a direction and a length in the rest pose, and their own axes.
 
-Source: Lander 1998, "Working with motion capture file formats"; CMU's own files. A bone begins where its parent ends, so a
-joint is put at its beginning and carries its name.
+Source: Lander 1998, "Working with motion capture file formats"; CMU's files. A bone begins where its parent ends. Its joint
+is placed at the beginning of the bone and has its name.
 """
+
+from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
 
-METRES_PER_INCH = 0.0254  # metres: lengths times the file's `length` are inches, as CMU has it
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+METRES_PER_INCH = 0.0254  # lengths times the file's `length` are inches, as in CMU's files
 ROOT_NAME = "root"
 DEGREES_OF_FREEDOM = ("tx", "ty", "tz", "rx", "ry", "rz", "l")
-CHANNEL_SUFFIXES = {"t": "position", "r": "rotation", "l": "Length"}
+CHANNEL_SUFFIXES = {"t": "position", "r": "rotation", "l": "Length"}  # of a channel's name, by the kind of degree of freedom
 
 
 @dataclass
 class AsfBone:
-    """A bone as the file has it.
+    """A bone as the file describes it.
 
-    direction  (3,) from its beginning to its end in the rest pose, in the world's axes
-    length    file units
-    axes      (3, 3) its own axes in the world, in the rest pose
-    freedoms  what it may do, in the order of the AMC's numbers: rx, tz, l; the first rotation is the innermost
-    parent    the name of the bone it begins at, "" for the root
+    Attributes:
+        name: Its name.
+        line_number: Line on which its description begins.
+        direction: Unit vector from its beginning to its end in the rest pose, in world axes.
+        length: Length in file units.
+        rotation_world_bone: Rotation from its own axes to world axes in the rest pose.
+        degrees_of_freedom: Names such as "rx", in the order of the AMC's values. The first rotation is the innermost.
+        parent: Name of the bone at whose end it begins, "" for the root.
     """
 
     name: str
     line_number: int
-    direction: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    direction: Float[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
     length: float = 0.0
-    rotation_world_bone: np.ndarray = field(default_factory=lambda: np.eye(3))
+    rotation_world_bone: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
     degrees_of_freedom: tuple[str, ...] = ()
     parent: str = ""
 
     @property
-    def tip_offset(self) -> np.ndarray:
-        """(3,) file units: its end from its beginning, in the rest pose."""
+    def tip_offset(self) -> Float[np.ndarray, " 3"]:
+        """Vector from its beginning to its end in the rest pose, in file units and world axes."""
         return self.direction * self.length
 
     @property
     def amc_columns(self) -> list[int]:
-        """Which of the AMC's numbers each of the bone's channels is: the outermost rotation comes first there."""
-        turning = [i for i, freedom in enumerate(self.degrees_of_freedom) if freedom[0] == "r"]
-        return [i for i in range(len(self.degrees_of_freedom)) if i not in turning] + turning[::-1]
+        """Index of each of its channels among its values in the AMC. The outermost rotation is the first rotation channel."""
+        rotations = [i for i, name in enumerate(self.degrees_of_freedom) if name[0] == "r"]
+        return [i for i in range(len(self.degrees_of_freedom)) if i not in rotations] + rotations[::-1]
 
     @property
     def channels(self) -> tuple[str, ...]:
+        """Names of its channels, as in `Animation`."""
         names = (self.degrees_of_freedom[i] for i in self.amc_columns)
         return tuple(name[1:].upper() + CHANNEL_SUFFIXES[name[0]] for name in names)
 
 
 @dataclass(frozen=True)
 class AsfSkeleton:
-    """The bones of an ASF, the root first and parents before children; where the root is, in file units; metres a unit."""
+    """The skeleton of an ASF.
+
+    Attributes:
+        bones: Parents before children; the first is the root.
+        root_position: Position of the root in file units.
+        unit_m: Metres per file unit.
+    """
 
     bones: tuple[AsfBone, ...]
-    root_position: np.ndarray
+    root_position: Float[np.ndarray, " 3"]
     unit_m: float
 
 
 def parse_asf(path: Path, text: str) -> AsfSkeleton:
-    """-> what an ASF's text says.
+    """Parse the text of an ASF.
 
-    Raises ReadError, naming the file, the line and what is wrong there.
+    Raises:
+        ReadError: If it is invalid. The message names file and line.
     """
     return _AsfParser(path).parse(text)
 
 
 class _AsfParser:
-    """Where the reading of an ASF stands: the bones so far, the one that is described, and the section's name."""
+    """State of the parser: the bones so far, the bone that is being described, and the current section."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.line = path, 0
+        self.path, self.line_number = path, 0
         self.section = ""
         self.bones = {ROOT_NAME: AsfBone(ROOT_NAME, 1, degrees_of_freedom=("tx", "ty", "tz", "rx", "ry", "rz"))}
-        self.bone = self.bones[ROOT_NAME]
-        self.unit, self.degrees = METRES_PER_INCH, True
-        self.place = np.zeros(3)
-        self.turn, self.order = ["0", "0", "0"], "XYZ"  # of the root, said on lines of their own
+        self.current_bone = self.bones[ROOT_NAME]
+        self.unit_m, self.uses_degrees = METRES_PER_INCH, True
+        self.root_position = np.zeros(3)
+        self.root_angles, self.root_axis_order = ["0", "0", "0"], "XYZ"
 
     def parse(self, text: str) -> AsfSkeleton:
-        for self.line, spelled in enumerate(text.splitlines(), start=1):
-            keyword, *words = spelled.split("#")[0].split() or [""]
+        for self.line_number, line in enumerate(text.splitlines(), start=1):
+            keyword, *words = line.split("#")[0].split() or [""]
             if keyword.startswith(":"):
                 self.section, keyword = keyword.lower(), ""
             if keyword and keyword.lower() not in ("begin", "end"):
                 self.parse_line(keyword, words)
-        self.bones[ROOT_NAME].rotation_world_bone = self.parse_rotation([*self.turn, self.order])
+        self.bones[ROOT_NAME].rotation_world_bone = self.parse_rotation([*self.root_angles, self.root_axis_order])
         bones = tuple(self.iterate_bones(ROOT_NAME))
         reached = {bone.name for bone in bones}
         for bone in self.bones.values():
             if bone.name not in reached:
-                self.line = bone.line_number
-                self.raise_error(f"bone {bone.name} hangs on none in the hierarchy")
+                self.line_number = bone.line_number
+                self.raise_error(f"bone {bone.name} has no parent in the hierarchy")
         if len(bones) == 1:
-            self.raise_error("the skeleton ends without bones under :bonedata")
-        return AsfSkeleton(bones, self.place, self.unit)
+            self.raise_error("the skeleton has no bones in :bonedata")
+        return AsfSkeleton(bones, self.root_position, self.unit_m)
 
     def parse_line(self, keyword: str, words: list[str]) -> None:
         match self.section, keyword.lower():
             case ":units", "length":
                 if (length := self.parse_numbers(words, 1)[0]) <= 0:
-                    self.raise_error(f"a unit of {words[0]} is none; CMU's is 0.45")
-                self.unit = METRES_PER_INCH / length
+                    self.raise_error(f"the unit of length is {words[0]} and must be positive; CMU's is 0.45")
+                self.unit_m = METRES_PER_INCH / length
             case ":units", "angle":
-                self.degrees = words != ["rad"]
+                self.uses_degrees = words != ["rad"]
             case (":root", "order") | (":bonedata", "dof"):
-                self.bone.degrees_of_freedom = self.parse_degrees_of_freedom(words)
+                self.current_bone.degrees_of_freedom = self.parse_degrees_of_freedom(words)
             case ":root", "axis":
-                self.order = " ".join(words)
+                self.root_axis_order = " ".join(words)
             case ":root", "position":
-                self.place = np.array(self.parse_numbers(words, 3))
+                self.root_position = np.array(self.parse_numbers(words, 3))
             case ":root", "orientation":
-                self.turn = words
+                self.root_angles = words
             case ":bonedata", "name":
                 self.begin_bone(" ".join(words))
             case ":bonedata", "direction":
-                self.bone.direction = np.array(self.parse_numbers(words, 3))
+                self.current_bone.direction = np.array(self.parse_numbers(words, 3))
             case ":bonedata", "length":
-                (self.bone.length,) = self.parse_numbers(words, 1)
+                (self.current_bone.length,) = self.parse_numbers(words, 1)
             case ":bonedata", "axis":
-                self.bone.rotation_world_bone = self.parse_rotation(words)
+                self.current_bone.rotation_world_bone = self.parse_rotation(words)
             case ":hierarchy", _:
-                self.children(keyword, words)
+                self.add_children(keyword, words)
+            case _:
+                pass
 
     def begin_bone(self, name: str) -> None:
         if name in self.bones or not name:
-            self.raise_error(f"a second bone is called {name}" if name else "a bone has no name")
-        self.bone = self.bones[name] = AsfBone(name, self.line)
+            self.raise_error(f"there is a second bone {name}" if name else "a bone has no name")
+        self.current_bone = self.bones[name] = AsfBone(name, self.line_number)
 
     def add_children(self, parent: str, children: list[str]) -> None:
         for name in (parent, *children):
@@ -141,11 +159,11 @@ class _AsfParser:
                 self.raise_error(f"bone {name} is in the hierarchy and not in :bonedata")
         for child in children:
             if self.bones[child].parent or child == ROOT_NAME:
-                self.raise_error(f"bone {child} hangs on two others")
+                self.raise_error(f"bone {child} has two parents")
             self.bones[child].parent = parent
 
     def iterate_bones(self, name: str) -> Iterator[AsfBone]:
-        """-> a bone and those that hang on it, parents before children."""
+        """Yield a bone and its descendants, parents before children."""
         yield self.bones[name]
         for child in self.bones.values():
             if child.parent == name:
@@ -154,15 +172,16 @@ class _AsfParser:
     def parse_degrees_of_freedom(self, words: list[str]) -> tuple[str, ...]:
         for word in words:
             if word.lower() not in DEGREES_OF_FREEDOM:
-                self.raise_error(f"{word} is none of the freedoms {', '.join(DEGREES_OF_FREEDOM)}")
+                self.raise_error(f"{word} is not one of the degrees of freedom {', '.join(DEGREES_OF_FREEDOM)}")
         return tuple(word.lower() for word in words)
 
-    def parse_rotation(self, words: list[str]) -> np.ndarray:
-        """-> (3, 3), of three angles and the order of their axes, the first of which is turned about first."""
+    def parse_rotation(self, words: list[str]) -> Float[np.ndarray, "3 3"]:
+        """Return the rotation given by three angles and the order of their axes, the innermost first."""
         *angles, order = words or [""]
         if sorted(order.upper()) != ["X", "Y", "Z"]:
-            self.raise_error(f"{order!r} is no order of the axes X, Y, Z")
-        return Rotation.from_euler(order.lower(), self.parse_numbers(angles, 3), degrees=self.degrees).as_matrix()
+            self.raise_error(f"{order!r} is not an order of the axes X, Y, Z")
+        numbers = self.parse_numbers(angles, 3)
+        return Rotation.from_euler(order.lower(), numbers, degrees=self.uses_degrees).as_matrix()
 
     def parse_numbers(self, words: list[str], count: int) -> list[float]:
         try:
@@ -170,9 +189,9 @@ class _AsfParser:
         except ValueError:
             numbers = []
         if len(numbers) != count or not np.isfinite(numbers).all():
-            belong = "a number belongs" if count == 1 else f"{count} numbers belong"
-            self.raise_error(f"{' '.join(words) or 'nothing'} stands where {belong}")
+            expected = "a number is" if count == 1 else f"{count} numbers are"
+            self.raise_error(f"{' '.join(words) or 'nothing'} is given where {expected} expected")
         return numbers
 
-    def raise_error(self, what: str) -> NoReturn:
-        raise ReadError(f"{self.path}, line {self.line}: {what}.")
+    def raise_error(self, problem: str) -> NoReturn:
+        raise ReadError(f"{self.path}, line {self.line_number}: {problem}.")

@@ -1,138 +1,163 @@
-"""Reading a BVH: any hierarchy, each joint's channels in an order of its own.
+"""Read a BVH file: any hierarchy, with the channels of each joint in any order.
 
-Source: Meredith and Maddock 2001, "Motion capture file formats explained"; where programs differ, what most of them write is
-taken: positions of the root stand in the place of its offset.
+Source: Meredith and Maddock 2001, "Motion capture file formats explained". Where programs differ, the usage of most is
+assumed: position channels of the root replace its offset.
 """
+
+from __future__ import annotations
 
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mocapfix.animation import Animation
-from mocapfix.animations.joint_points import build_joint_take
 from mocapfix.errors import ReadError
 from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_axis
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
-from mocapfix.take import Take
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Int
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAME_COUNT_PATTERN = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 FRAME_TIME_PATTERN = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
+MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
+
+
+class _Timing(NamedTuple):
+    """The two lines before the numbers of a BVH.
+
+    Attributes:
+        declared_frame_count: Number of frames as declared.
+        rate: Frames per second.
+        stop_byte: Byte after the two lines.
+        notes: A sentence about the rate if it was rounded in the file.
+    """
+
+    declared_frame_count: int
+    rate: float
+    stop_byte: int
+    notes: tuple[str, ...]
 
 
 def is_bvh(head: bytes) -> bool:
-    """-> does a file that begins so claim to be a BVH?"""
+    """Return whether a file with this beginning is a BVH."""
     return head.lstrip()[:9].upper() == b"HIERARCHY"
 
 
-def read_bvh_take(path: Path, data: bytes) -> Take:
-    """-> the take of the joints that move in a BVH's bytes. Raises ReadError as `animation`."""
-    return build_joint_take(read_bvh(path, data))
-
-
 def read_bvh(path: str | Path, data: bytes | None = None) -> Animation:
-    """-> the animation in a BVH file: its own numbers, in degrees and its units, and where each is spelled.
+    """Read the animation of a BVH: its values, in degrees and file units, and where each is in the file.
 
-    data  the file's bytes, where they were read already
+    The file has no unit and no up axis: they are inferred from the height of the figure and the position of its head. A rounded
+    frame time is replaced by that of the common rate. `Animation.notes` lists the assumptions.
 
-    The unit is told from the figure's height and the way up from where its head is, for the file says neither; a frame time
-    that was rounded is taken as the usual rate it was rounded from. `notes` says what was assumed.
+    Args:
+        path: The file.
+        data: The bytes of the file, if they were read already.
 
-    Raises ReadError, naming the file, the line and what is wrong there.
+    Raises:
+        ReadError: If the file is invalid. The message names file and line.
     """
     path = Path(path)
     data = read_file_bytes(path) if data is None else data
-    found = MOTION_PATTERN.search(data)
-    if not found:
-        raise ReadError(f"{path}: has no line MOTION after its hierarchy; it is no BVH, or it was cut off. Export it again.")
-    tree = parse_hierarchy(path, data[: found.start()])
-    declared, rate, first, note = _parse_timing(path, data, found.end())
-    width = sum(len(each) for each in tree.channels)
-    numbers = scan_tokens(data, first)
-    frames = _count_frames(path, numbers, width)
-    notes = [note] if note else []
-    if declared != frames:
-        notes.append(f"It declares {declared} frames and holds {frames}, which were taken.")
-    read = Animation(
-        names=tree.names,
-        parents=tree.parents,
-        offsets=tree.offsets,
-        end_sites=tree.end_sites,
-        channels=tree.channels,
-        values=numbers.values.reshape(frames, width),
-        rate=rate,
+    match = MOTION_PATTERN.search(data)
+    if not match:
+        problem = "has no line MOTION after its hierarchy: it is not a BVH, or it was cut off"
+        raise ReadError(f"{path}: {problem}. Export it again.")
+    hierarchy = parse_hierarchy(path, data[: match.start()])
+    timing = _parse_timing(path, data, match.end())
+    width = sum(len(each) for each in hierarchy.channels)
+    tokens = scan_tokens(data, timing.stop_byte)
+    frame_count = _count_frames(path, tokens, width)
+    notes = list(timing.notes)
+    if timing.declared_frame_count != frame_count:
+        notes.append(f"It declares {timing.declared_frame_count} frames and has {frame_count}; all of these are read.")
+    animation = Animation(
+        names=hierarchy.names,
+        parents=hierarchy.parents,
+        offsets=hierarchy.offsets,
+        end_sites=hierarchy.end_sites,
+        channels=hierarchy.channels,
+        values=tokens.values.reshape(frame_count, width),
+        rate=timing.rate,
         path=path,
-        value_byte_offsets=numbers.start_bytes.reshape(frames, width),
+        value_byte_offsets=tokens.start_bytes.reshape(frame_count, width),
     )
-    read = replace(read, is_position_added=_detect_displacements(read), notes=tuple(notes))
-    return infer_unit(infer_up_axis(read))
+    animation = replace(animation, is_position_added=_detect_displacements(animation), notes=tuple(notes))
+    return infer_unit(infer_up_axis(animation))
 
 
-def _parse_timing(path: Path, data: bytes, at: int) -> tuple[int, float, int, str]:
-    """-> the frames declared, the rate in Hz, the byte after the two lines that say them, and a note on the rate or ""."""
-    line = 1 + len(data[:at].splitlines())
-    frames = FRAME_COUNT_PATTERN.match(data, at)
+def _parse_timing(path: Path, data: bytes, start: int) -> _Timing:
+    line_number = 1 + len(data[:start].splitlines())
+    frames = FRAME_COUNT_PATTERN.match(data, start)
     time = FRAME_TIME_PATTERN.match(data, frames.end()) if frames else None
     if not frames or not time:
-        raise ReadError(f"{path}, line {line}: after MOTION come Frames: and Frame Time: with a number each; they are not there.")
+        problem = "there is no Frames: and Frame Time: with a number each after MOTION"
+        raise ReadError(f"{path}, line {line_number}: {problem}.")
+    frames_text, time_text = _decode_word(frames[1]), _decode_word(time[1])
     try:
         declared, seconds = int(frames[1]), float(time[1])
     except ValueError as error:
-        raise ReadError(
-            f"{path}, line {line}: {_decode_word(frames[1])} frames of {_decode_word(time[1])} s are no numbers."
-        ) from error
+        problem = f"the number of frames {frames_text} or the frame time {time_text} is not a number"
+        raise ReadError(f"{path}, line {line_number}: {problem}.") from error
     if not (np.isfinite(seconds) and seconds > 0):
-        raise ReadError(
-            f"{path}, line {line + 1}: a frame time of {_decode_word(time[1])} s gives no rate; give the seconds a frame."
-        )
-    rate, note = infer_rate(_decode_word(time[1]))
-    return declared, rate, time.end(), note
+        problem = f"a frame time of {time_text} s gives no rate"
+        raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the seconds per frame.")
+    rate, notes = infer_rate(time_text)
+    return _Timing(declared, rate, time.end(), notes)
 
 
 def _decode_word(word: bytes) -> str:
     return word.decode("utf-8", "replace")
 
 
-def _count_frames(path: Path, numbers: TextTokens, width: int) -> int:
-    """-> how many frames of `width` numbers there are; one may take several lines, but each begins on a line of its own.
+def _count_frames(path: Path, tokens: TextTokens, width: int) -> int:
+    """Return the number of frames of `width` values. A frame may take several lines, but begins on its own line.
 
-    Raises ReadError at the first word that is no number, and at the first line with too few numbers or too many.
+    Raises:
+        ReadError: If a token is not a number, or a line has too few or too many values.
     """
-    if not numbers.is_number.all():
-        bad = int(np.argmin(numbers.is_number))
-        raise ReadError(f"{path}, line {numbers.line_numbers[bad]}: {numbers.get_text(bad)[:40]!r} is no number.")
-    if width == 0 or not len(numbers):
-        raise ReadError(f"{path}: holds no motion: {width} channels and {len(numbers)} numbers after the frame time.")
-    heads = np.flatnonzero(np.diff(numbers.line_numbers, prepend=-1))  # of the lines, among the numbers
-    frames, over = divmod(len(numbers), width)
-    if not over and np.isin(np.arange(frames) * width, heads).all():
-        return frames
-    counts = np.diff(heads, append=len(numbers))
-    wrapped = np.bincount(counts).argmax() < width and counts.max() < width
-    bad = _find_first_torn_line(heads, width) if wrapped else int(np.argmax(counts != width))
-    line = numbers.line_numbers[heads[bad]]
-    raise ReadError(f"{path}, line {line}: holds {counts[bad]} numbers where the channels are {width}; the file is torn there.")
+    if not tokens.is_number.all():
+        invalid = int(np.argmin(tokens.is_number))
+        quoted = repr(tokens.get_text(invalid)[:MAX_QUOTED_CHARACTERS])
+        raise ReadError(f"{path}, line {tokens.line_numbers[invalid]}: {quoted} is not a number.")
+    if width == 0 or not len(tokens):
+        raise ReadError(f"{path}: has no motion: {width} channels and {len(tokens)} numbers after the frame time.")
+    line_tokens = np.flatnonzero(np.diff(tokens.line_numbers, prepend=-1))  # first token of each line
+    frame_count, remainder = divmod(len(tokens), width)
+    if not remainder and np.isin(np.arange(frame_count) * width, line_tokens).all():
+        return frame_count
+    counts = np.diff(line_tokens, append=len(tokens))
+    has_wrapped_frames = np.bincount(counts).argmax() < width and counts.max() < width
+    invalid = _find_first_invalid_line(line_tokens, width) if has_wrapped_frames else int(np.argmax(counts != width))
+    line_number = tokens.line_numbers[line_tokens[invalid]]
+    problem = f"has {counts[invalid]} numbers for {width} channels"
+    raise ReadError(f"{path}, line {line_number}: {problem}; the file is damaged there.")
 
 
-def _find_first_torn_line(heads: np.ndarray, width: int) -> int:
-    """-> the line, among those with numbers, in which a frame of several lines ends too late or not at all."""
-    missed = np.setdiff1d(np.arange(0, heads[-1] + width, width), heads)
-    return int(np.searchsorted(heads, missed[0]) - 1) if len(missed) else len(heads) - 1
+def _find_first_invalid_line(line_tokens: Int[np.ndarray, " n"], width: int) -> int:
+    """Return the line, among those with numbers, in which a frame of several lines ends too late or not at all."""
+    missed = np.setdiff1d(np.arange(0, line_tokens[-1] + width, width), line_tokens)
+    return int(np.searchsorted(line_tokens, missed[0]) - 1) if len(missed) else len(line_tokens) - 1
 
 
-def _detect_displacements(read: Animation) -> np.ndarray:
-    """-> (J,) bool: the joints below the root whose positions are displacements, since most of them lie nearer to none than
-    to the offset that they would stand in the place of."""
-    added = np.zeros(len(read.names), bool)
-    for joint in range(1, len(read.names)):
-        columns, axes = read.get_position_channels(joint)
-        told = read.values[:, columns]
-        told = told[np.isfinite(told).all(1)]
-        if told.size:
-            middle = np.median(told, axis=0)
-            added[joint] = np.linalg.norm(middle) < np.linalg.norm(middle - read.offsets[joint, axes])
-    return added
+def _detect_displacements(animation: Animation) -> Bool[np.ndarray, " J"]:
+    """Detect joints below the root whose position channels are displacements from the offset rather than replacements of it.
+
+    Their median position is closer to zero than to the offset.
+    """
+    is_displacement = np.zeros(len(animation.names), bool)
+    for joint in range(1, len(animation.names)):
+        columns, axes = animation.get_position_channels(joint)
+        positions = animation.values[:, columns]
+        positions = positions[np.isfinite(positions).all(1)]
+        if positions.size:
+            median = np.median(positions, axis=0)
+            distance_to_offset = np.linalg.norm(median - animation.offsets[joint, axes])
+            is_displacement[joint] = np.linalg.norm(median) < distance_to_offset
+    return is_displacement

@@ -1,27 +1,34 @@
-"""The HIERARCHY of a BVH: joints, offsets, channels and end sites, line by line."""
+"""The HIERARCHY section of a BVH file: joints, offsets, channels and end sites."""
+
+from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
 from mocapfix.errors import ReadError
 
-ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)  # several may be on a line
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+# Separators of the items of a line, of which there may be several.
+ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)
 CHANNEL_PATTERN = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
+MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
 
 
 @dataclass(frozen=True)
 class BvhHierarchy:
-    """J joints, parents before children, as `Animation` has them."""
+    """The J joints of a BVH, parents before children. The fields are those of `Animation`."""
 
     names: tuple[str, ...]
-    parents: np.ndarray
-    offsets: np.ndarray
-    end_sites: tuple[np.ndarray, ...]
+    parents: Int[np.ndarray, " J"]
+    offsets: Float[np.ndarray, "J 3"]
+    end_sites: tuple[Float[np.ndarray, "_ 3"], ...]
     channels: tuple[tuple[str, ...], ...]
 
 
@@ -31,13 +38,14 @@ class _BvhJoint:
     parent: int
     offset: list[float] | None = None
     channels: tuple[str, ...] = ()
-    end_sites: list[list[float]] = field(default_factory=list)
+    end_sites: list[list[float]] = field(default_factory=list[list[float]])
 
 
 def parse_hierarchy(path: Path, text: bytes) -> BvhHierarchy:
-    """-> the tree that a BVH's text before MOTION describes, keywords in upper or lower case.
+    """Parse the text of a BVH before MOTION, with keywords in any case.
 
-    Raises ReadError with the line where it is not as it should be.
+    Raises:
+        ReadError: If the hierarchy is invalid. The message names file and line.
     """
     joints = _HierarchyParser(path).parse(_split_items(text.removeprefix(b"\xef\xbb\xbf")))
     return BvhHierarchy(
@@ -50,103 +58,108 @@ def parse_hierarchy(path: Path, text: bytes) -> BvhHierarchy:
 
 
 def _split_items(text: bytes) -> Iterator[tuple[int, str]]:
-    """-> line number and text of each item, of which there may be several on a line."""
+    """Yield line number and text of each item; a line may have several."""
     try:
         lines = text.decode("utf-8").splitlines()
     except UnicodeDecodeError:
         lines = text.decode("latin-1").splitlines()
-    for number, line in enumerate(lines, start=1):
-        yield from ((number, item.strip()) for item in ITEM_PATTERN.split(line) if item and item.strip())
+    for line_number, line in enumerate(lines, start=1):
+        yield from ((line_number, item.strip()) for item in ITEM_PATTERN.split(line) if item and item.strip())
 
 
 class _HierarchyParser:
-    """Where the reading of a hierarchy stands: the joints so far, and the braces that are open."""
+    """State of the parser: the joints so far, and the braces that are open."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.joints: list[_BvhJoint] = []
-        self.open_joints: list[int | None] = []  # joints by index, None for an end site
-        self.pending_joints: list[int | None] = []  # what the next brace opens
+        self.open_joints: list[int | None] = []  # index of the joint of each open brace, None for an end site
+        self.pending_joints: list[int | None] = []  # those whose brace is not open yet
 
     def parse(self, items: Iterator[tuple[int, str]]) -> list[_BvhJoint]:
-        line = 1
-        for line, item in items:
-            self.item(line, item)
+        """Return the joints that the items describe."""
+        line_number = 1
+        for line_number, item in items:
+            self.parse_item(line_number, item)
         if self.open_joints or self.pending_joints:
-            self.raise_error(
-                line, f"the hierarchy ends with {len(self.open_joints) + len(self.pending_joints)} braces not closed"
-            )
+            open_braces = len(self.open_joints) + len(self.pending_joints)
+            self.raise_error(line_number, f"the hierarchy ends with {open_braces} braces not closed")
         if not self.joints:
-            self.raise_error(1, "the hierarchy holds no ROOT")
+            self.raise_error(1, "the hierarchy has no ROOT")
         for joint in self.joints:
             if joint.offset is None:
-                self.raise_error(line, f"joint {joint.name} has no OFFSET")
+                self.raise_error(line_number, f"joint {joint.name} has no OFFSET")
         return self.joints
 
-    def parse_item(self, line: int, item: str) -> None:
+    def parse_item(self, line_number: int, item: str) -> None:
         keyword, _, rest = item.replace("\t", " ").partition(" ")
         match keyword.upper():
             case "HIERARCHY":
                 pass
             case "ROOT" | "JOINT":
-                self.add_joint(line, keyword, rest.strip())
+                self.add_joint(line_number, keyword, rest.strip())
             case "END":
-                self.get_open_joint(line, item)
+                self.get_open_joint(line_number, item)
                 self.pending_joints.append(None)
             case "{":
                 if not self.pending_joints:
-                    self.raise_error(line, "a brace opens where no joint is named")
+                    self.raise_error(line_number, "a brace opens where no joint is named")
                 self.open_joints.append(self.pending_joints.pop())
             case "}":
                 if not self.open_joints:
-                    self.raise_error(line, "a brace closes that was not opened")
+                    self.raise_error(line_number, "a brace closes that was not opened")
                 self.open_joints.pop()
             case "OFFSET":
-                self.add_offset(line, rest)
+                self.add_offset(line_number, rest)
             case "CHANNELS":
-                self.set_channels(line, rest)
+                self.set_channels(line_number, rest)
             case _:
-                self.raise_error(line, f"{item[:40]!r} is none of ROOT, JOINT, End Site, OFFSET, CHANNELS")
+                quoted = repr(item[:MAX_QUOTED_CHARACTERS])
+                self.raise_error(line_number, f"{quoted} is not one of ROOT, JOINT, End Site, OFFSET, CHANNELS")
 
-    def add_joint(self, line: int, keyword: str, name: str) -> None:
+    def add_joint(self, line_number: int, keyword: str, name: str) -> None:
         if keyword.upper() == "ROOT" and self.joints:
-            self.raise_error(line, f"a second ROOT, {name}, follows {self.joints[0].name}; give each figure a file of its own")
+            problem = f"a second ROOT, {name}, follows {self.joints[0].name}"
+            self.raise_error(line_number, f"{problem}; give each figure its own file")
         if not name:
-            self.raise_error(line, "a joint has no name")
-        parent = -1 if keyword.upper() == "ROOT" else self.get_open_joint(line, f"JOINT {name}")
+            self.raise_error(line_number, "a joint has no name")
+        parent = -1 if keyword.upper() == "ROOT" else self.get_open_joint(line_number, f"JOINT {name}")
         self.joints.append(_BvhJoint(name, parent))
         self.pending_joints.append(len(self.joints) - 1)
 
-    def add_offset(self, line: int, rest: str) -> None:
+    def add_offset(self, line_number: int, rest: str) -> None:
+        """Set the offset of the open joint, or add an end site to its parent."""
         joint = self.joints[self.open_joints[-1]] if self.open_joints and self.open_joints[-1] is not None else None
         try:
             vector = [float(word) for word in rest.split()]
         except ValueError:
-            self.raise_error(line, f"OFFSET {rest} are no three numbers")
+            self.raise_error(line_number, f"OFFSET {rest} is not three numbers")
         if len(vector) != 3 or not np.isfinite(vector).all():
-            self.raise_error(line, f"OFFSET {rest} are no three numbers")
+            self.raise_error(line_number, f"OFFSET {rest} is not three numbers")
         if joint:
             joint.offset = vector
         elif len(self.open_joints) > 1 and (parent := self.open_joints[-2]) is not None:
             self.joints[parent].end_sites.append(vector)
         else:
-            self.raise_error(line, "an OFFSET stands outside of any joint")
+            self.raise_error(line_number, "an OFFSET is outside of any joint")
 
-    def set_channels(self, line: int, rest: str) -> None:
-        joint = self.joints[self.get_open_joint(line, "CHANNELS")]
+    def set_channels(self, line_number: int, rest: str) -> None:
+        joint = self.joints[self.get_open_joint(line_number, "CHANNELS")]
         count, *names = rest.split() or [""]
-        told = [CHANNEL_PATTERN.fullmatch(name) for name in names]
-        if not all(told):
-            self.raise_error(line, f"channel {names[told.index(None)]} is neither a position nor a rotation about X, Y or Z")
+        matches = [CHANNEL_PATTERN.fullmatch(name) for name in names]
+        if not all(matches):
+            invalid = names[matches.index(None)]
+            self.raise_error(line_number, f"channel {invalid} is neither a position nor a rotation about X, Y or Z")
         if count != str(len(names)):
-            self.raise_error(line, f"{count or 'no number of'} channels are announced and {len(names)} named")
-        joint.channels = tuple(each[1].upper() + each[2].lower() for each in told if each)
+            self.raise_error(line_number, f"{count or 'no number of'} channels are declared and {len(names)} named")
+        joint.channels = tuple(match[1].upper() + match[2].lower() for match in matches if match)
 
-    def get_open_joint(self, line: int, what: str) -> int:
-        """-> the joint whose braces are open."""
+    def get_open_joint(self, line_number: int, keyword: str) -> int:
+        """Return the joint whose brace is open. `keyword` is what needs one, for the error message."""
         if not self.open_joints or self.open_joints[-1] is None or self.pending_joints:
-            self.raise_error(line, f"{what} stands outside of any joint; a brace is missing or too many before it")
+            problem = f"{keyword} is outside of any joint"
+            self.raise_error(line_number, f"{problem}; a brace is missing or superfluous before it")
         return self.open_joints[-1]
 
-    def raise_error(self, line: int, what: str) -> NoReturn:
-        raise ReadError(f"{self.path}, line {line}: {what}.")
+    def raise_error(self, line_number: int, problem: str) -> NoReturn:
+        raise ReadError(f"{self.path}, line {line_number}: {problem}.")

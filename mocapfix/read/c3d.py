@@ -1,13 +1,16 @@
-"""Reading a C3D: the point block as one NumPy view, out of it a take in metres with Y up."""
+"""Read a C3D file: its point block as one NumPy view, converted to a take in metres with Y up."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
+from mocapfix.read.c3d_parameters import C3D_BLOCK_BYTES, C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
     MAX_INSPECTED_FRAMES,
     METRES_PER_UNIT,
@@ -23,136 +26,151 @@ from mocapfix.read.point_types import (
 )
 from mocapfix.take import Take
 
-DEFAULT_C3D_UNIT = "mm"  # where POINT:UNITS says nothing
-C3D_MAGIC_BYTE, C3D_BLOCK_BYTES = 0x50, 512  # the second byte of every C3D; its sections end at multiples of a block
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
+C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
 
 
 def is_c3d(head: bytes) -> bool:
-    """-> does a file that begins so claim to be a C3D?"""
+    """Return whether a file with this beginning is a C3D."""
     return len(head) > 1 and head[1] == C3D_MAGIC_BYTE and b"\0" in head
 
 
 def read_c3d(path: Path, data: bytes) -> Take:
-    """-> the take in a C3D file's bytes.
+    """Return the take in the bytes of a C3D file.
 
-    Markers are (T, M, 3) in metres, Y up, NaN where the file says invalid: by a residual below 0, or by coordinates that are
-    no place (read.places). Model outputs and unlabelled points are named in `others`. Source: C3D User Guide, "The 3D Data
-    Section".
+    A sample is missing if its residual is below 0 or its coordinates are not a position, as `find_valid_points` has it. Source:
+    C3D User Guide, "The 3D Data Section".
 
-    Raises ReadError, naming the file and what to do, for anything that is not a whole C3D with labelled markers.
+    Raises:
+        ReadError: If the file is not a complete C3D with labelled markers. The message names the file and the remedy.
     """
     if len(data) < 2 * C3D_BLOCK_BYTES:
-        raise ReadError(f"{path}: is a C3D's first {len(data)} bytes, without its data; copy it again or export it anew.")
+        raise ReadError(f"{path}: has only the first {len(data)} bytes of a C3D, without its data; copy or export it again.")
     try:
-        said = read_c3d_parameters(data)
+        parameters = read_c3d_parameters(data)
     except ValueError as error:
-        raise ReadError(f"{path}: its header or parameters are damaged; copy it again or export it anew.") from error
-    layout, notes = _build_layout(path, said, len(data))
+        raise ReadError(f"{path}: its header or parameters are damaged; copy or export it again.") from error
+    layout, notes = _build_layout(path, parameters, len(data))
     values = _decode_values(layout, data)
-    words = np.ascontiguousarray(values[..., 3])
-    seen = find_valid_points(values[..., :3]) & ~(words < 0)
-    labels = [*said.labels[: layout.point_count], *[""] * (layout.point_count - len(said.labels))]
-    columns = find_marker_columns(labels, said.model_outputs, seen, words)
+    residual_words = np.ascontiguousarray(values[..., 3])
+    visible = find_valid_points(values[..., :3]) & ~(residual_words < 0)
+    labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
+    columns = find_marker_columns(labels, parameters.model_outputs, visible, residual_words)
     if not len(columns):
-        raise ReadError(f"{path}: none of its {layout.point_count} points is a labelled marker; label them and export it again.")
+        problem = f"none of its {layout.point_count} points is a labelled marker"
+        raise ReadError(f"{path}: {problem}; label them and export it again.")
     step = max(1, layout.frame_count // MAX_INSPECTED_FRAMES)
-    few = _convert_to_metres(values[::step], seen[::step], columns, layout.unit_m, np.eye(3))
-    axes = estimate_rotation_y_up(said.screen_axis, [labels[i] for i in columns], few)
-
-    def of(points: np.ndarray, **more) -> Take:
-        markers = _convert_to_metres(values, seen, points, layout.unit_m, axes)
-        return Take(markers, tuple(labels[i] for i in points), said.rate, said.first_frame, path, point_columns=points, **more)
-
-    nameless, markers = find_unlabelled_columns(labels, said.model_outputs, seen), set(columns.tolist())
-    return of(
-        columns,
-        layout=replace(layout, rotation_y_up_file=axes),
-        other_labels=tuple(label for i, label in enumerate(labels) if i not in markers),
-        unlabelled=of(nameless) if len(nameless) else None,
-        computed=detect_computed_samples(words, seen)[:, columns],
-        uncaptured=detect_uncaptured_samples(words[:, columns], seen[:, columns]),
-        subject_names=said.subject_names,
+    inspected = _convert_to_metres(values[::step], visible[::step], columns, layout)
+    rotation = estimate_rotation_y_up(parameters.screen_axis, [labels[i] for i in columns], inspected)
+    layout = replace(layout, rotation_y_up_file=rotation)
+    markers, marker_columns = _convert_to_metres(values, visible, columns, layout), set(columns.tolist())
+    unlabelled = None
+    if len(unlabelled_columns := find_unlabelled_columns(labels, parameters.model_outputs, visible)):
+        unlabelled = Take(
+            _convert_to_metres(values, visible, unlabelled_columns, layout),
+            tuple(labels[i] for i in unlabelled_columns),
+            parameters.rate,
+            parameters.first_frame,
+            path,
+            point_columns=unlabelled_columns,
+        )
+    return Take(
+        markers,
+        tuple(labels[i] for i in columns),
+        parameters.rate,
+        parameters.first_frame,
+        path,
+        layout=layout,
+        point_columns=columns,
+        other_labels=tuple(label for i, label in enumerate(labels) if i not in marker_columns),
+        unlabelled=unlabelled,
+        computed=detect_computed_samples(residual_words, visible)[:, columns],
+        uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
+        subject_names=parameters.subject_names,
         notes=notes,
     )
 
 
-def _convert_to_metres(values: np.ndarray, seen: np.ndarray, points: np.ndarray, unit: float, axes: np.ndarray) -> np.ndarray:
-    """-> (T, K, 3) metres of the points (K,) in other axes, NaN where not `seen` (T, P); `values` (T, P, 4) are in file units.
+def _convert_to_metres(
+    values: Float[np.ndarray, "T P 4"], visible: Bool[np.ndarray, "T P"], columns: Int[np.ndarray, " K"], layout: C3dLayout
+) -> Float[np.ndarray, "T K 3"]:
+    """Return the positions (m) of K points in Y-up axes, NaN where not visible; `values` are in file units and axes.
 
-    Axes are a permutation, and taking numbers in another order is many times faster than a product.
+    The rotation is a permutation, and reordering coordinates is many times faster than a matrix product.
     """
-    markers = values[:, points[:, None], axes.argmax(1)]
-    markers *= unit
-    markers[~seen[:, points]] = np.nan
+    markers = values[:, columns[:, None], layout.rotation_y_up_file.argmax(1)]
+    markers *= layout.unit_m
+    markers[~visible[:, columns]] = np.nan
     return markers
 
 
-def _build_layout(path: Path, said: C3dParameters, size: int) -> tuple[C3dLayout, tuple[str, ...]]:
-    """Where the samples lie, held against the file's size in bytes, and notes on that; its axes are not known yet."""
-    unit = get_metres_per_unit(said.unit_name or DEFAULT_C3D_UNIT)
-    if said.point_count == 0:
-        raise ReadError(f"{path}: holds no points; export the marker trajectories with it.")
-    if said.point_count != said.header_point_count:
-        raise ReadError(
-            f"{path}: holds {said.header_point_count} points by its header and {said.point_count} by POINT:USED; export it again."
-        )
-    if unit is None:
-        raise ReadError(f"{path}: POINT:UNITS is {said.unit_name!r}; set it to one of {', '.join(METRES_PER_UNIT)}.")
-    if not (np.isfinite(said.rate) and said.rate > 0):
-        raise ReadError(f"{path}: POINT:RATE is {said.rate:g}; set it to the frames a second.")
-    if not np.isfinite(said.scale_factor) or said.scale_factor == 0:
-        raise ReadError(f"{path}: POINT:SCALE is {said.scale_factor:g}, which gives no coordinates; export it again.")
-    is_float = said.scale_factor < 0
-    frame_bytes = (4 * said.point_count + said.analog_values_per_frame) * (4 if is_float else 2)
-    frames = _count_frames(path, said, size, frame_bytes)
-    note = f"The header promises {said.declared_frame_count} frames and {frames} are there."
+def _build_layout(path: Path, parameters: C3dParameters, file_bytes: int) -> tuple[C3dLayout, tuple[str, ...]]:
+    """Return the layout without its rotation, checked against the size of the file, and a note on the number of frames."""
+    unit_m = get_metres_per_unit(parameters.unit_name or DEFAULT_C3D_UNIT)
+    points, header_points = parameters.point_count, parameters.header_point_count
+    if points == 0:
+        raise ReadError(f"{path}: has no points; export the marker trajectories as well.")
+    if points != header_points:
+        raise ReadError(f"{path}: has {header_points} points by its header and {points} by POINT:USED; export it again.")
+    if unit_m is None:
+        choices = ", ".join(METRES_PER_UNIT)
+        raise ReadError(f"{path}: POINT:UNITS is {parameters.unit_name!r}; set it to one of {choices}.")
+    if not (np.isfinite(parameters.rate) and parameters.rate > 0):
+        raise ReadError(f"{path}: POINT:RATE is {parameters.rate:g}; set it to the frames per second.")
+    if not np.isfinite(parameters.scale_factor) or parameters.scale_factor == 0:
+        raise ReadError(f"{path}: POINT:SCALE is {parameters.scale_factor:g}, which gives no coordinates; export it again.")
+    is_float = parameters.scale_factor < 0
+    frame_bytes = (4 * points + parameters.analog_values_per_frame) * (4 if is_float else 2)
+    frame_count = _count_frames(path, parameters, file_bytes, frame_bytes)
     layout = C3dLayout(
-        said.processor_type,
-        is_float,
-        abs(said.scale_factor),
-        said.data_start_byte,
-        frame_bytes,
-        said.point_count,
-        frames,
-        unit,
-        np.eye(3),
+        processor_type=parameters.processor_type,
+        is_float=is_float,
+        scale_factor=abs(parameters.scale_factor),
+        data_start_byte=parameters.data_start_byte,
+        frame_stride_bytes=frame_bytes,
+        point_count=points,
+        frame_count=frame_count,
+        unit_m=unit_m,
+        rotation_y_up_file=np.eye(3),
     )
-    return layout, () if frames in (said.declared_frame_count, said.header_frame_count) else (note,)
+    if frame_count in (parameters.declared_frame_count, parameters.header_frame_count):
+        return layout, ()
+    return layout, (f"The header declares {parameters.declared_frame_count} frames; the file has {frame_count}.",)
 
 
-def _count_frames(path: Path, said: C3dParameters, size: int, frame_bytes: int) -> int:
-    """How many frames the file of `size` bytes has: what is promised, if it is there.
+def _count_frames(path: Path, parameters: C3dParameters, file_bytes: int, frame_bytes: int) -> int:
+    """Return the number of frames: the declared one, if the file is large enough.
 
-    A file that ends with the header's last frame is whole, though a parameter left over from a longer trial promise more; and so
-    is one that somebody shortened with its header left as it was, which ends with a frame and not, as what was lost on the way
-    may, with a block. A file may also hold more frames than a word can promise, and say so nowhere.
+    A file that ends with the last frame of its header is complete even if a parameter, left over from a longer trial, declares
+    more. So is a file that somebody shortened without changing its header: it ends with a frame and not with a block, as a file
+    that was cut off in a transfer may. A file may also have more frames than a word can declare.
     """
-    held = max(0, size - said.data_start_byte) // frame_bytes
-    if said.declared_frame_count < 1:
-        raise ReadError(f"{path}: holds no frames; export the trial again.")
-    if said.declared_frame_count <= held:
-        return (
-            held
-            if said.is_count_saturated and (held - said.declared_frame_count) * frame_bytes >= C3D_BLOCK_BYTES
-            else said.declared_frame_count
-        )
-    if said.header_frame_count > 0 and 0 <= size - said.data_start_byte - said.header_frame_count * frame_bytes < C3D_BLOCK_BYTES:
-        return said.header_frame_count
-    if held and not (size - said.data_start_byte) % frame_bytes and size % C3D_BLOCK_BYTES:
-        return held
-    raise ReadError(
-        f"{path}: is cut off: {said.declared_frame_count} frames are promised, {held} are there; copy or export it again."
-    )
+    declared, data_bytes = parameters.declared_frame_count, file_bytes - parameters.data_start_byte
+    stored = max(0, data_bytes) // frame_bytes
+    if declared < 1:
+        raise ReadError(f"{path}: has no frames; export the trial again.")
+    if declared <= stored:
+        has_more = parameters.is_count_saturated and (stored - declared) * frame_bytes >= C3D_BLOCK_BYTES
+        return stored if has_more else declared
+    header_frame_count = parameters.header_frame_count
+    if header_frame_count > 0 and 0 <= data_bytes - header_frame_count * frame_bytes < C3D_BLOCK_BYTES:
+        return header_frame_count
+    if stored and not data_bytes % frame_bytes and file_bytes % C3D_BLOCK_BYTES:
+        return stored
+    problem = f"is cut off: {declared} frames are declared and {stored} are there"
+    raise ReadError(f"{path}: {problem}; copy or export it again.")
 
 
-def _decode_values(layout: C3dLayout, data: bytes) -> np.ndarray:
-    """-> (T, P, 4): X Y Z in file units and the residual word."""
+def _decode_values(layout: C3dLayout, data: bytes) -> Float[np.ndarray, "T P 4"]:
+    """Return X, Y, Z in file units and the residual word of each sample."""
     words = layout.view_words(data)
-    is_vax = layout.is_float and layout.processor_type == 85
-    if is_vax:  # a VAX F float is an IEEE one times 4 with its 16-bit halves swapped
+    if layout.has_vax_floats:
         words = ((words >> 16) | (words << 16)).view("<f4")
-    with np.errstate(invalid="ignore"):  # damaged bytes may spell a NaN that signals
-        values = words.astype(float) / (4 if is_vax else 1)
+    with np.errstate(invalid="ignore"):  # damaged bytes may spell a signalling NaN
+        values = words.astype(float) / (4 if layout.has_vax_floats else 1)
     if not layout.is_float:
         values[..., :3] *= layout.scale_factor
     return values

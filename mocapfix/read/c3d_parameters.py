@@ -1,30 +1,42 @@
-"""What a C3D's header and parameters say, through the `c3d` library, and without its gaps."""
+"""Header and parameters of a C3D file, read with the `c3d` library, whose gaps are closed here."""
 
 import io
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import c3d
 import numpy as np
 
-PROCESSOR_TYPES = (84, 85, 86)  # Intel, DEC, SGI/MIPS
-MAX_HEADER_WORD = 65_535  # that a word holds
+from mocapfix.files.layouts import DEC_PROCESSOR, INTEL_PROCESSOR, SGI_PROCESSOR
+
+PROCESSOR_TYPES = (INTEL_PROCESSOR, DEC_PROCESSOR, SGI_PROCESSOR)
+C3D_BLOCK_BYTES = 512  # sections of a C3D begin at multiples of a block
+MAX_HEADER_WORD = 65_535  # largest value of a word in the header
 VICON_OUTPUT_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
 
 
 @dataclass(frozen=True)
 class C3dParameters:
-    """A C3D's description of itself, in its own units.
+    """What a C3D file declares about itself, in its own units.
 
-    labels       of all points, blanks stripped, as many as the file has (more or fewer than points)
-    outputs      labels of the points that the file itself lists as model outputs
-    subjects     names of the people that the file lists, as Vicon's do
-    vertical     "+Z" or the like, the file's axis that its makers show upwards; empty where not given
-    units        POINT:UNITS; empty where not given
-    start        offset in bytes of the first frame
-    header_frames, promised  frames by the header, and by whichever of header and parameters promises most: the
-                 header's words end at 65,535
-    saturated    does nothing promise more than those words can?
+    Attributes:
+        processor_type: One of PROCESSOR_TYPES.
+        point_count: Points per frame, by POINT:USED.
+        header_point_count: Points per frame, by the header.
+        analog_values_per_frame: Analog samples stored after the points of a frame.
+        data_start_byte: Offset of the first frame.
+        scale_factor: POINT:SCALE, negative if samples are floats.
+        rate: Frames per second.
+        unit_name: POINT:UNITS, "" if not given.
+        screen_axis: The file axis that its program draws upwards, such as "+Z", "" if not given.
+        labels: Labels of all points, without blanks around them. There may be more or fewer than points.
+        model_outputs: Labels of the points that the file lists as model outputs.
+        subject_names: Names of the subjects that the file lists, as Vicon's files do.
+        first_frame: Number of the first frame.
+        header_frame_count: Number of frames by the header.
+        declared_frame_count: Largest number of frames by header or parameters; the header's words end at 65535.
+        is_count_saturated: Whether the header's last frame is 65535 and no parameter declares more.
     """
 
     processor_type: int
@@ -46,43 +58,45 @@ class C3dParameters:
 
 
 def read_c3d_parameters(data: bytes) -> C3dParameters:
-    """-> what the C3D in `data` says of itself.
+    """Return what the C3D file with the bytes `data` declares about itself.
 
-    Raises ValueError where the header or a parameter cannot be made sense of (C3D User Guide, chapters "The Header
-    Section" and "The Parameter Section").
+    Raises:
+        ValueError: If the header or a parameter is invalid (C3D User Guide, "The Header Section" and "The Parameter Section").
     """
     try:
         return _parse_parameters(data)
-    except Exception as error:  # the library trips over damaged files in any way there is
+    except Exception as error:  # the library fails on damaged files with exceptions of any kind
         raise ValueError(str(error)) from error
 
 
 def _parse_parameters(data: bytes) -> C3dParameters:
-    processor = data[512 * (data[0] - 1) + 3]
-    if processor not in PROCESSOR_TYPES:
-        raise ValueError(f"unknown processor type {processor}")
+    processor_type = data[C3D_BLOCK_BYTES * (data[0] - 1) + 3]
+    if processor_type not in PROCESSOR_TYPES:
+        raise ValueError(f"unknown processor type {processor_type}")
     with warnings.catch_warnings(action="ignore"):
-        # Buffered, for a plain BytesIO takes the negative length in a broken chain of parameters for "all the rest".
+        # Buffered, because a BytesIO reads everything for the negative length in a broken chain of parameters.
         reader = _LenientReader(io.BufferedReader(io.BytesIO(data)))
     header = reader.header
-    first, last = _read_whole_number(reader, "TRIAL:ACTUAL_START_FIELD"), _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
-    trial_frames = last - first + 1 if last and first is not None else None
-    header_frames = header.last_frame - header.first_frame + 1
-    if first is not None and first > MAX_HEADER_WORD:  # than the header's words, cut off or run over, can tell
-        header_frames = trial_frames or 0
+    first = _read_whole_number(reader, "TRIAL:ACTUAL_START_FIELD")
+    last = _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
+    trial_frame_count = last - first + 1 if last and first is not None else None
+    header_frame_count = header.last_frame - header.first_frame + 1
+    if first is not None and first > MAX_HEADER_WORD:  # the header's words are cut off or have overflowed
+        header_frame_count = trial_frame_count or 0
     counts = (
-        header_frames,
+        header_frame_count,
         _read_whole_number(reader, "POINT:FRAMES"),
         _read_whole_number(reader, "POINT:LONG_FRAMES"),
-        trial_frames,
+        trial_frame_count,
     )
-    promised = max(n for n in counts if n is not None)
+    declared_frame_count = max(n for n in counts if n is not None)
+    data_block = header.data_block or _read_whole_number(reader, "POINT:DATA_START") or 1
     return C3dParameters(
-        processor_type=processor,
+        processor_type=processor_type,
         point_count=int(reader.point_used),
         header_point_count=header.point_count,
         analog_values_per_frame=header.analog_count,
-        data_start_byte=512 * ((header.data_block or _read_whole_number(reader, "POINT:DATA_START") or 1) - 1),
+        data_start_byte=C3D_BLOCK_BYTES * (data_block - 1),
         scale_factor=float(reader.point_scale),
         rate=float(reader.point_rate),
         unit_name=next(iter(_read_texts(reader, "POINT:UNITS")), ""),
@@ -91,34 +105,34 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         model_outputs=frozenset(_read_model_outputs(reader)),
         subject_names=tuple(name for name in _read_texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
-        header_frame_count=header_frames,
-        declared_frame_count=promised,
-        is_count_saturated=header.last_frame == MAX_HEADER_WORD and promised <= MAX_HEADER_WORD,
+        header_frame_count=header_frame_count,
+        declared_frame_count=declared_frame_count,
+        is_count_saturated=header.last_frame == MAX_HEADER_WORD and declared_frame_count <= MAX_HEADER_WORD,
     )
 
 
 class _LenientGroup(c3d.Group):
-    """Parameters by name; of two that have one name, as Vicon's BODYMASS sometimes, the first stays."""
+    """Parameters by name. Of two with the same name, as BODYMASS in some Vicon files, the first is kept."""
 
-    def add_param(self, name: str, **value) -> None:
+    def add_param(self, name: str, **value: Any) -> None:
         if name.upper() not in self:
             super().add_param(name, **value)
 
 
 class _LenientReader(c3d.Reader):
-    """The library's reader, without its refusals of contradictions that do not matter here."""
+    """The library's reader, without its checks for contradictions that do not matter here."""
 
-    def add_group(self, *args, **options) -> c3d.Group:
+    def add_group(self, *args: Any, **options: Any) -> c3d.Group:
         group = super().add_group(*args, **options)
-        group.__class__ = _LenientGroup  # the library makes its groups itself
+        group.__class__ = _LenientGroup  # the library creates its groups itself
         return group
 
     def _check_metadata(self) -> None:
-        """CMU's files disagree on the analog rate; what matters here is held against the file's length instead."""
+        """Check nothing: CMU's files disagree on the analog rate, and the rest is compared with the file's size instead."""
 
 
 def _read_whole_number(reader: _LenientReader, name: str) -> int | None:
-    """A whole number, stored as a 16-bit word, as two (the low one first), or as a float; None where there is none."""
+    """Return a whole number stored as one 16-bit word, two (the low one first) or a float; None if there is none."""
     parameter = reader.get(name)
     if parameter is None or not parameter.bytes:
         return None
@@ -137,15 +151,15 @@ def _read_texts(reader: _LenientReader, name: str) -> list[str]:
 
 
 def _read_text_series(reader: _LenientReader, name: str) -> list[str]:
-    """One list spread over NAME, NAME2, NAME3 ...: a parameter holds 255 labels at most."""
-    texts, more = _read_texts(reader, name), 2
-    while reader.get(f"{name}{more}") is not None:
-        texts += _read_texts(reader, f"{name}{more}")
-        more += 1
+    """Return a list that is spread over NAME, NAME2, NAME3 ...: a parameter has at most 255 labels."""
+    texts, number = _read_texts(reader, name), 2
+    while reader.get(f"{name}{number}") is not None:
+        texts += _read_texts(reader, f"{name}{number}")
+        number += 1
     return texts
 
 
 def _read_model_outputs(reader: _LenientReader) -> list[str]:
-    """Labels listed in POINT:ANGLES and its like; TYPE_GROUPS names lists beside the usual ones."""
+    """Return the labels in POINT:ANGLES and similar lists; TYPE_GROUPS names further lists."""
     groups = {*VICON_OUTPUT_GROUPS, *_read_texts(reader, "POINT:TYPE_GROUPS")} - {""}
     return [label for group in groups for label in _read_text_series(reader, f"POINT:{group}")]

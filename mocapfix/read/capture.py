@@ -1,66 +1,101 @@
-"""Reading takes: the one place where files become metres, Y up. What a file is is told by what it holds, not by its name."""
+"""Read captures. This is the one place where files become metres with Y up.
+
+The format is detected from the content of a file, not from its extension.
+"""
 
 import codecs
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from mocapfix.errors import ReadError
+from mocapfix.animation import Animation
+from mocapfix.errors import ReadError, TakeError
 from mocapfix.read import amc, bvh, c3d, motive, nexus, plain_csv, qualisys, trc
-from mocapfix.read import motive as motive_rows
-from mocapfix.read.coordinates import rotate_to_up_axis
+from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, rotate_to_up_axis
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text, read_file_bytes
 from mocapfix.take import Take
 
-HEAD_BYTES = 1 << 16  # bytes, by which a kind is told
+HEAD_BYTES = 1 << 16  # beginning of a file from which its format is detected
 
 
 class FileFormat(NamedTuple):
-    """A kind of file: what people call it, whether a file that begins with `head` is one, and the take in its bytes.
+    """A file format.
 
-    head is the file's first 64 KiB; of text in UTF-8, without a byte-order mark, whatever its own encoding.
+    Attributes:
+        name: Its name in messages.
+        matches: Whether a file with the given beginning has the format. The beginning is the first 64 KiB of the file. That of
+            a text is in UTF-8, without a byte-order mark, whatever the encoding of the file.
+        read: Reads a capture from a path (for messages) and the bytes of the file.
     """
 
     name: str
     matches: Callable[[bytes], bool]
-    read: Callable[[Path, bytes], Take]
+    read: Callable[[Path, bytes], Take | Animation]
 
 
-# The first that recognises a file reads it.
+# A file is read as the first format that matches.
 FILE_FORMATS = (
     FileFormat("C3D", c3d.is_c3d, c3d.read_c3d),
     FileFormat("TRC", trc.is_trc, trc.read_trc),
     FileFormat("Motive CSV", motive.is_motive_csv, motive.read_motive_csv),
-    FileFormat("Motive CSV 1.1", motive_rows.is_motive_rows_csv, motive_rows.read_motive_rows_csv),
+    FileFormat("Motive CSV 1.1", motive.is_motive_rows_csv, motive.read_motive_rows_csv),
     FileFormat("Nexus CSV", nexus.is_nexus_csv, nexus.read_nexus_csv),
     FileFormat("Qualisys TSV", qualisys.is_qualisys_tsv, qualisys.read_qualisys_tsv),
     FileFormat("plain CSV", plain_csv.is_plain_csv, plain_csv.read_plain_csv),
-    FileFormat("BVH", bvh.is_bvh, bvh.read_bvh_take),
-    FileFormat("ASF/AMC", amc.is_asf_or_amc, amc.read_amc_take),
+    FileFormat("BVH", bvh.is_bvh, bvh.read_bvh),
+    FileFormat("ASF/AMC", amc.is_asf_or_amc, amc.read_amc_motion),
 )
 
 
-def read_capture(path: str | Path, up_axis: str | None = None) -> Take:
-    """-> the take in a file of any of the kinds; of an animation that of its joints' places, with the animation as its layout.
+def read_capture(path: str | Path, up_axis: str | None = None) -> Take | Animation:
+    """Read a file of any supported format.
 
-    up  "X", "Y" or "Z": the file's axis that points to the sky; None: as the file says, or else as its markers tell
+    Args:
+        path: The file.
+        up_axis: The file's axis that points up, "X", "Y" or "Z". By default it is the one that the file gives, or else it is
+            estimated from the markers or joints.
 
-    Raises ReadError, naming the file and what to do, where it cannot be opened, is of no kind, or has a fault.
+    Returns:
+        A take for marker formats, an animation for BVH and AMC.
+
+    Raises:
+        ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file and the
+            remedy.
     """
     path = Path(path)
     data = read_file_bytes(path)
     head = extract_head(data)
-    for kind in FILE_FORMATS:
-        if kind.matches(head):
-            found = kind.read(path, data)
-            return rotate_to_up_axis(found, up_axis) if up_axis else found
-    names = ", ".join(kind.name for kind in FILE_FORMATS)
-    raise ReadError(f"{path}: is not a file that mocapfix reads; export the capture as one of: {names}.")
+    for file_format in FILE_FORMATS:
+        if file_format.matches(head):
+            capture = file_format.read(path, data)
+            return _set_up_axis(capture, up_axis) if up_axis else capture
+    names = ", ".join(file_format.name for file_format in FILE_FORMATS)
+    raise ReadError(f"{path}: has no format that mocapfix reads; export the capture as one of: {names}.")
+
+
+def read_take(path: str | Path, up_axis: str | None = None) -> Take:
+    """Read a file of markers, as `read_capture` does.
+
+    Raises:
+        ReadError: As `read_capture` does.
+        TakeError: If the file is an animation.
+    """
+    capture = read_capture(path, up_axis)
+    if isinstance(capture, Animation):
+        raise TakeError(f"{capture.name}: has joints and no markers to learn from; give the capture that it was solved from.")
+    return capture
 
 
 def extract_head(data: bytes) -> bytes:
-    """-> the head that kinds are told by."""
+    """Return the beginning of a file from which its format is detected."""
     text, encoding = decode_text(data[:HEAD_BYTES])
-    if encoding == "latin-1":  # or UTF-8 that the head's end cuts within a letter
+    if encoding == "latin-1":  # or UTF-8 that is cut within a character at the end of the head
         return data[:HEAD_BYTES].removeprefix(codecs.BOM_UTF8)
     return text.removeprefix(BYTE_ORDER_MARK).encode("utf-8", "replace")
+
+
+def _set_up_axis(capture: Take | Animation, up_axis: str) -> Take | Animation:
+    if isinstance(capture, Animation):
+        return replace(capture, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis])
+    return rotate_to_up_axis(capture, up_axis)

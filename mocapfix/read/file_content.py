@@ -1,4 +1,4 @@
-"""The bytes of a file that is to be read, or one sentence on why there are none."""
+"""Contents of input files: raw bytes, and text with any encoding and line ends."""
 
 import codecs
 import csv
@@ -8,7 +8,6 @@ from pathlib import Path
 
 from mocapfix.errors import ReadError
 
-# MERGED: mocapfix.read.opened
 ARCHIVE_SIGNATURES = {
     b"\x1f\x8b": "gzip",
     b"PK\x03\x04": "zip",
@@ -17,10 +16,16 @@ ARCHIVE_SIGNATURES = {
     b"\xfd7zXZ": "xz",
     b"Rar!": "rar",
 }
+BYTE_ORDER_MARK = "\ufeff"
+UTF_16_ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+DELIMITERS = "\t;,"
+LINE_END_PATTERN = re.compile(r"\r\n?|\n")
+# Spellings of a number that is not one or not finite: nan, nan(ind), inf, 1.#QNAN, ...
+NOT_A_NUMBER_PATTERN = re.compile(r"[-+]?(nan(\(\w*\))?|inf(inity)?|1\.#\w+)", re.IGNORECASE)
 
 
 def read_file_bytes(path: Path) -> bytes:
-    """-> a file's bytes. Raises ReadError where it cannot be opened, is empty or is an archive."""
+    """Return the content of a file. Raise ReadError if the file is missing, unreadable, empty or an archive."""
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
@@ -31,26 +36,22 @@ def read_file_bytes(path: Path) -> bytes:
         raise ReadError(f"{path}: cannot be read ({error.strerror}).") from error
     if not data:
         raise ReadError(f"{path}: is empty (0 bytes); copy or export it again.")
-    for first, packer in ARCHIVE_SIGNATURES.items():
-        if data.startswith(first):
-            raise ReadError(f"{path}: is packed ({packer}); unpack it and name the file that was in it.")
+    for signature, packer in ARCHIVE_SIGNATURES.items():
+        if data.startswith(signature):
+            raise ReadError(f"{path}: is compressed ({packer}); extract it and name the extracted file.")
     return data
-
-
-# MERGED: mocapfix.read.text
-# A text file's lines, whichever way they are encoded and end.
-BYTE_ORDER_MARK = "\ufeff"
-UTF_16_ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-DELIMITERS = "\t;,"
-LINE_END_PATTERN = re.compile(r"\r\n?|\n")
-NOT_A_NUMBER_PATTERN = re.compile(
-    r"[-+]?(nan(\(\w*\))?|inf(inity)?|1\.#\w+)", re.IGNORECASE
-)  # as programs write where a number is not one
 
 
 @dataclass(frozen=True)
 class TextDocument:
-    """A text file: encoding its lines joined by `newline` gives its bytes again."""
+    """The lines of a text file. The lines, joined by `newline` and encoded, are the bytes of the file.
+
+    Attributes:
+        path: The file.
+        lines: The lines; with line ends "\\r\\n" each ends with "\\r". The first may begin with a byte-order mark.
+        encoding: "utf-8", "utf-16-le", "utf-16-be" or "latin-1".
+        newline: "\\n", or "\\r" if the file has no "\\n".
+    """
 
     path: Path
     lines: list[str]
@@ -58,37 +59,38 @@ class TextDocument:
     newline: str
 
     def get_line(self, index: int) -> str:
-        """-> a line without its end or a byte-order mark."""
+        """Return a line without its end and without a byte-order mark."""
         return self.lines[index].removeprefix(BYTE_ORDER_MARK).rstrip("\r")
 
     def split_cells(self, index: int, delimiter: str) -> list[str]:
-        """-> a line's cells without blanks and quotes around them; a delimiter in quotes is part of its cell."""
+        """Return the cells of a line, without surrounding blanks and quotes. A delimiter inside quotes does not split."""
         line = self.get_line(index)
         try:
             row = next(csv.reader([line], delimiter=delimiter), []) if '"' in line else line.split(delimiter)
         except csv.Error as error:
-            raise self.build_error(index, f"cannot be told into cells ({error}); export it again.") from error
+            raise self.build_error(index, f"cannot be split into cells ({error}); export it again.") from error
         return [cell.strip() for cell in row]
 
     def build_error(self, index: int, sentence: str) -> ReadError:
-        """-> the error that names the line at `index` as an editor numbers it."""
+        """Return an error that names the file and the line, counted from 1 as in an editor."""
         return ReadError(f"{self.path}, line {index + 1}: {sentence}")
 
 
 def parse_document(path: Path, data: bytes) -> TextDocument:
-    """-> the text in `data`: UTF-8 or UTF-16 with a byte-order mark, UTF-8, else Latin-1, which any bytes are.
+    """Return the lines of a text file: UTF-8 or UTF-16 with a byte-order mark, UTF-8 without one, else Latin-1.
 
-    Raises ReadError where UTF-16 is damaged.
+    Raises:
+        ReadError: If UTF-16 text is damaged.
     """
     text, encoding = decode_text(data)
     if text.encode(encoding, "replace") != data:
-        raise ReadError(f"{path}: is UTF-16 text that is damaged; save it again as UTF-8.")
+        raise ReadError(f"{path}: is damaged UTF-16 text; save it again as UTF-8.")
     newline = "\n" if "\n" in text or "\r" not in text else "\r"
     return TextDocument(path, text.split(newline), encoding, newline)
 
 
 def decode_text(data: bytes) -> tuple[str, str]:
-    """-> the text in `data`, a byte-order mark as its first character, and its encoding; what is damaged is replaced."""
+    """Return the text of a file, including a byte-order mark, and its encoding. Damaged characters are replaced."""
     if encoding := UTF_16_ENCODINGS.get(data[:2]):
         return data.decode(encoding, "replace"), encoding
     try:
@@ -98,11 +100,11 @@ def decode_text(data: bytes) -> tuple[str, str]:
 
 
 def split_head_lines(head: bytes) -> list[str]:
-    """-> the lines of a file's head (in UTF-8), whichever way they end."""
+    """Return the lines of the beginning of a file, in UTF-8 with any line ends."""
     return LINE_END_PATTERN.split(head.decode("utf-8", "replace"))
 
 
 def detect_delimiter(line: str) -> str:
-    """-> what stands between a line's fields most often; empty where nothing does."""
-    often = max(DELIMITERS, key=line.count)
-    return often if often in line else ""
+    """Return the most frequent delimiter in a line, "" if there is none."""
+    delimiter = max(DELIMITERS, key=line.count)
+    return delimiter if delimiter in line else ""

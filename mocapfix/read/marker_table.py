@@ -1,8 +1,14 @@
-"""Trajectories of named points as a take: what every text format comes to, however it lists them."""
+"""Marker tables: text files with one line per frame and three fields per point, as most text formats have them.
+
+The module of each format finds the table and its columns; this module reads it.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,92 +29,36 @@ from mocapfix.read.table_cells import (
 )
 from mocapfix.take import Take
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
 
-# MERGED: mocapfix.read.trajectories
-def build_take(
-    path: Path,
-    points_file: np.ndarray,
-    labels: Sequence[str],
-    unit_m: float,
-    rate: float,
-    first_frame: int,
-    layout: TableLayout | None = None,
-    default_up_axis: str = "Z",
-    notes: tuple[str, ...] = (),
-) -> Take:
-    """-> the take of the points `raw` (T, P, 3) in units of `unit` metres, NaN, all 0 or all nines where missing.
-
-    rate    frames a second;  first  the file's number of frame 0;  labels  of the P points
-    layout  where they lie, its axes not known yet;  usual  as read.axes.to_y_up takes it
-
-    Raises ReadError where no point is a labelled marker.
-    """
-    seen = find_valid_points(points_file)
-    columns = find_marker_columns(labels, frozenset(), seen, np.zeros(seen.shape))
-    if not len(columns):
-        raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
-    positions = np.where(seen[..., None], points_file * unit_m, np.nan)
-    axes = estimate_rotation_y_up("", [labels[int(i)] for i in columns], positions[:, columns], default_up_axis)
-    nameless = find_unlabelled_columns(labels, frozenset(), seen)
-
-    def take(points: np.ndarray, **more) -> Take:
-        names = tuple(labels[int(i)] for i in points)
-        return Take(positions[:, points] @ axes.T, names, rate, first_frame, path, point_columns=points, **more)
-
-    return take(
-        columns,
-        layout=replace(layout, rotation_y_up_file=axes) if layout else None,
-        other_labels=tuple(label for i, label in enumerate(labels) if i not in set(columns)),
-        unlabelled=take(nameless) if len(nameless) else None,
-        notes=notes,
-    )
-
-
-def read_first_frame(
-    document: TextDocument, line_indices: Sequence[int], frame_numbers: np.ndarray
-) -> tuple[int, tuple[str, ...]]:
-    """-> the file's number of its first frame, of those (T,) that the lines `rows` bear, and what must be said of the others.
-
-    Raises ReadError naming the line where frames do not follow one another.
-    """
-    if (odd := np.flatnonzero(~(np.abs(frame_numbers) < 2**53) | (frame_numbers != np.rint(frame_numbers)))).size:
-        raise document.build_error(line_indices[odd[0]], "does not begin with a frame's number; export it again.")
-    steps = np.diff(frame_numbers)
-    step = steps[0] if len(steps) else 1.0
-    if (odd := np.flatnonzero((steps != step) | (steps < 1))).size:
-        t = odd[0]
-        follows = f"frame {frame_numbers[t + 1]:.0f} follows frame {frame_numbers[t]:.0f}"
-        raise document.build_error(line_indices[t + 1], f"{follows}; export the trial whole.")
-    first = int(frame_numbers[0])
-    if step == 1:
-        return first, ()
-    return first, (f"The file numbers its frames by {step:.0f}; here they are counted on from {first} by one.",)
-
-
-# MERGED: mocapfix.read.table
-# A table of trajectories, a line a frame and three fields a point: what most text formats of marker takes have in common.
-#
-# Each format's own module says where the table lies and what its columns are; here it is read.
-MAX_HEADER_LINES = 15  # lines, within which what the columns are must be named
+MAX_HEADER_LINES = 15  # lines within which the column names must begin
+MAX_FRAME_NUMBER = 2**53  # larger whole numbers are not exact as floats
 
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Where a table lies in a document, and what its columns are.
+    """Where a table is in a document, and what its columns are.
 
-    rows      indices of its lines, a frame each
-    frame     the field with the frame's number; None: counted from 1
-    fields    (P, 3) the fields with each point's x, y and z;  labels  of the P points
-    unit      metres per file unit;  rate  frames a second
-    promised  how many frames the file says it has, as it says it
-    usual, notes  as read.trajectories.take_of takes them
+    Attributes:
+        document: The file.
+        delimiter: Field separator.
+        line_indices: Index of the line of each frame.
+        frame_field: Field with the frame number; None if frames are counted from 1.
+        field_indices: Index of the X, Y and Z field of each of the P points.
+        labels: Labels of the points.
+        unit_m: Metres per file unit.
+        rate: Frames per second.
+        declared_frame_count: Number of frames as the header gives it, "" if it does not.
+        default_up_axis: Up axis of most files of the format, "Y" or "Z".
+        notes: Sentences about assumptions made so far.
     """
 
     document: TextDocument
     delimiter: str
     line_indices: Sequence[int]
     frame_field: int | None
-    field_indices: np.ndarray
+    field_indices: Int[np.ndarray, "P 3"]
     labels: Sequence[str]
     unit_m: float
     rate: float
@@ -118,9 +68,14 @@ class MarkerTable:
 
 
 def find_names_line(document: TextDocument, content: str) -> int:
-    """-> the index of the line that begins with Frame, or Frame#, and names `what` the table has.
+    """Return the index of the line that begins with Frame or Frame# and names the columns.
 
-    Raises ReadError where it does not come within the first HEADER lines.
+    Args:
+        document: The file.
+        content: What the line names, for error messages.
+
+    Raises:
+        ReadError: If none of the first lines begins so.
     """
     for index in range(min(MAX_HEADER_LINES, len(document.lines))):
         if document.get_line(index).lstrip(CELL_PADDING).lower().startswith("frame"):
@@ -129,76 +84,171 @@ def find_names_line(document: TextDocument, content: str) -> int:
         raise document.build_error(
             len(document.lines) - 1, f"the file ends before its {content} are named; copy or export it again."
         )
-    raise ReadError(
-        f"{document.path}: none of its first {MAX_HEADER_LINES} lines begins with Frame and names its {content}; export it again."
-    )
+    problem = f"none of its first {MAX_HEADER_LINES} lines begins with Frame and names its {content}"
+    raise ReadError(f"{document.path}: {problem}; export it again.")
 
 
 def find_xyz_triples(axes: Sequence[str]) -> list[int]:
-    """-> the fields of a line of axes at which an X, a Y and a Z stand side by side, in either case: a point's first ones."""
+    """Return the index of the first of every three adjacent fields that are X, Y, Z in either case."""
     letters = [axis.upper() for axis in axes]
     return [i for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
 
 
 def read_marker_table(table: MarkerTable) -> Take:
-    """-> the take in a table: metres, Y up, NaN where a coordinate is blank, spelled as missing, or all three are 0.
+    """Return the take in a table.
 
-    Raises ReadError, naming file and line, where a field is no number, frames do not follow one another, the last line is
-    cut off, or no point is a labelled marker.
+    Points are missing where a coordinate is blank or spelled as missing, and as `find_valid_points` has it.
+
+    Raises:
+        ReadError: If a field is not a number, frame numbers are not consecutive, the last line is incomplete, or no point is
+            a labelled marker. The message names file and line.
     """
-    document, rows = table.document, table.line_indices
-    said = (*table.notes, *_check_completeness(table))
-    decimal = detect_decimal_sign(document, rows, table.delimiter)
-    wanted = table.field_indices.ravel() if table.frame_field is None else np.r_[table.field_indices.ravel(), table.frame_field]
-    told, first = parse_fields(document, rows, table.delimiter, decimal, wanted), 1
-    raw = told[:, : table.field_indices.size].reshape(len(rows), -1, 3)
+    document, line_indices, field_indices = table.document, table.line_indices, table.field_indices
+    notes = (*table.notes, *_check_completeness(table))
+    decimal_sign = detect_decimal_sign(document, line_indices, table.delimiter)
+    wanted = field_indices.ravel() if table.frame_field is None else np.r_[field_indices.ravel(), table.frame_field]
+    numbers = parse_fields(document, line_indices, table.delimiter, decimal_sign, wanted)
+    points_file = numbers[:, : field_indices.size].reshape(len(line_indices), -1, 3)
+    first_frame = 1
     if table.frame_field is not None:
-        first, counted = read_first_frame(document, rows, told[:, -1])
-        said += counted
-    layout = _build_table_layout(table, decimal, find_valid_points(raw))
-    return build_take(document.path, raw, table.labels, table.unit_m, table.rate, first, layout, table.default_up_axis, said)
+        first_frame, numbering_notes = read_first_frame(document, line_indices, numbers[:, -1])
+        notes += numbering_notes
+    return build_take(
+        document.path,
+        points_file,
+        table.labels,
+        unit_m=table.unit_m,
+        rate=table.rate,
+        first_frame=first_frame,
+        layout=_build_table_layout(table, decimal_sign, find_valid_points(points_file)),
+        default_up_axis=table.default_up_axis,
+        notes=notes,
+    )
 
 
-def _check_completeness(sheet: MarkerTable) -> tuple[str, ...]:
-    """-> what must be said of the number of frames that was promised.
+def build_take(
+    path: Path,
+    points_file: Float[np.ndarray, "T P 3"],
+    labels: Sequence[str],
+    *,
+    unit_m: float,
+    rate: float,
+    first_frame: int,
+    layout: TableLayout,
+    default_up_axis: str = "Z",
+    notes: tuple[str, ...] = (),
+) -> Take:
+    """Build a take from the trajectories of P points.
 
-    Raises ReadError where there are none, or the file ends within a line or, before its promise is kept, without a line's
-    end: so does a copy that was cut off. Fewer whole lines are what somebody left of a longer trial.
+    Args:
+        path: The file.
+        points_file: Coordinates in file units and axes; missing as `find_valid_points` has it.
+        labels: Labels of the points.
+        unit_m: Metres per file unit.
+        rate: Frames per second.
+        first_frame: Number that the file gives to frame index 0.
+        layout: Where the samples lie in the file; its rotation is set here.
+        default_up_axis: Up axis of most files of the format, "Y" or "Z".
+        notes: Sentences about assumptions made so far.
+
+    Raises:
+        ReadError: If no point is a labelled marker.
     """
-    document, frames, promised = sheet.document, len(sheet.line_indices), parse_whole_number(sheet.declared_frame_count)
-    if not frames:
-        raise ReadError(f"{document.path}: holds no frames; export the trial again.")
-    last, needed = sheet.line_indices[-1], int(sheet.field_indices.max()) + 1
-    is_last = last == len(document.lines) - 1
-    fields = document.get_line(last).count(sheet.delimiter) + 1
-    if is_last and fields < needed:
-        raise document.build_error(
-            last, f"is cut off: {fields} fields are there and {needed} belong there; copy or export it again."
+    visible = find_valid_points(points_file)
+    columns = find_marker_columns(labels, frozenset(), visible, np.zeros(visible.shape))
+    if not len(columns):
+        raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
+    positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
+    marker_labels, marker_columns = tuple(labels[int(i)] for i in columns), set(columns.tolist())
+    rotation = estimate_rotation_y_up("", marker_labels, positions_file[:, columns], default_up_axis)
+    unlabelled = None
+    if len(unlabelled_columns := find_unlabelled_columns(labels, frozenset(), visible)):
+        unlabelled = Take(
+            positions_file[:, unlabelled_columns] @ rotation.T,
+            tuple(labels[int(i)] for i in unlabelled_columns),
+            rate,
+            first_frame,
+            path,
+            point_columns=unlabelled_columns,
         )
-    if is_last and promised is not None and promised > frames:
-        raise document.build_error(
-            last, f"is cut off: {promised} frames are promised, {frames} are there; copy or export it again."
-        )
-    return check_frame_count(sheet.declared_frame_count, frames)
+    return Take(
+        positions_file[:, columns] @ rotation.T,
+        marker_labels,
+        rate,
+        first_frame,
+        path,
+        layout=replace(layout, rotation_y_up_file=rotation),
+        point_columns=columns,
+        other_labels=tuple(label for i, label in enumerate(labels) if i not in marker_columns),
+        unlabelled=unlabelled,
+        notes=notes,
+    )
 
 
-def _build_table_layout(sheet: MarkerTable, decimal: str, seen: np.ndarray) -> TableLayout:
-    """-> where the samples lie, their axes not known yet; how they are written is told from lines all through the file."""
-    document, cells = sheet.document, {True: [], False: []}
-    for t in np.unique(np.linspace(0, len(sheet.line_indices) - 1, MAX_INSPECTED_LINES).astype(int)):
-        line = split_fields(document.get_line(sheet.line_indices[t]), sheet.delimiter, decimal)
-        for x, is_there in zip(sheet.field_indices[:, 0].tolist(), seen[t].tolist(), strict=True):
+def read_first_frame(
+    document: TextDocument, line_indices: Sequence[int], frame_numbers: Float[np.ndarray, " T"]
+) -> tuple[int, tuple[str, ...]]:
+    """Return the number of the first frame, and a note if frame numbers increase by more than one.
+
+    Raises:
+        ReadError: If frame numbers are not consecutive. The message names the line.
+    """
+    is_invalid = ~(np.abs(frame_numbers) < MAX_FRAME_NUMBER) | (frame_numbers != np.rint(frame_numbers))
+    if (invalid := np.flatnonzero(is_invalid)).size:
+        raise document.build_error(line_indices[invalid[0]], "does not begin with a frame number; export it again.")
+    steps = np.diff(frame_numbers)
+    step = steps[0] if len(steps) else 1.0
+    if (irregular := np.flatnonzero((steps != step) | (steps < 1))).size:
+        t = irregular[0]
+        problem = f"frame {frame_numbers[t + 1]:.0f} follows frame {frame_numbers[t]:.0f}"
+        raise document.build_error(line_indices[t + 1], f"{problem}; export the complete trial.")
+    first = int(frame_numbers[0])
+    if step == 1:
+        return first, ()
+    return first, (f"Frame numbers in the file increase by {step:.0f}; they are counted here from {first} in steps of one.",)
+
+
+def _check_completeness(table: MarkerTable) -> tuple[str, ...]:
+    """Return a note if the header declares another number of frames than the table has.
+
+    Fewer complete lines are what remains of a longer trial that somebody shortened. A copy that was cut off ends within a line
+    or, with too few frames, without a line end.
+
+    Raises:
+        ReadError: If there are no frames, or the file was cut off.
+    """
+    document, frame_count = table.document, len(table.line_indices)
+    declared = parse_whole_number(table.declared_frame_count)
+    if not frame_count:
+        raise ReadError(f"{document.path}: has no frames; export the trial again.")
+    last, needed = table.line_indices[-1], int(table.field_indices.max()) + 1
+    has_no_line_end = last == len(document.lines) - 1
+    fields = document.get_line(last).count(table.delimiter) + 1
+    if has_no_line_end and fields < needed:
+        raise document.build_error(last, f"the file is cut off: {fields} of {needed} fields; copy or export it again.")
+    if has_no_line_end and declared is not None and declared > frame_count:
+        problem = f"{declared} frames are declared and {frame_count} are there"
+        raise document.build_error(last, f"the file is cut off: {problem}; copy or export it again.")
+    return check_frame_count(table.declared_frame_count, frame_count)
+
+
+def _build_table_layout(table: MarkerTable, decimal_sign: str, visible: Bool[np.ndarray, "T P"]) -> TableLayout:
+    """Return the layout without its rotation. Number formats are inferred from lines throughout the file."""
+    document, cells = table.document, {True: list[str](), False: list[str]()}
+    for t in np.unique(np.linspace(0, len(table.line_indices) - 1, MAX_INSPECTED_LINES).astype(int)):
+        line = split_fields(document.get_line(table.line_indices[t]), table.delimiter, decimal_sign)
+        for x, is_present in zip(table.field_indices[:, 0].tolist(), visible[t].tolist(), strict=True):
             if x < len(line):
-                cells[is_there].append(line[x].strip(CELL_PADDING))
-    style, missing = infer_number_format(cells[True], cells[False], sheet.unit_m)
+                cells[is_present].append(line[x].strip(CELL_PADDING))
+    number_format, missing_text = infer_number_format(cells[True], cells[False], table.unit_m)
     return TableLayout(
         encoding=document.encoding,
         newline=document.newline,
-        delimiter=sheet.delimiter,
-        decimal_sign=decimal,
-        unit_m=sheet.unit_m,
-        line_indices=np.asarray(sheet.line_indices, int),
-        field_indices=sheet.field_indices,
-        number_format=style,
-        missing_text=missing.replace(".", decimal),
+        delimiter=table.delimiter,
+        decimal_sign=decimal_sign,
+        unit_m=table.unit_m,
+        line_indices=np.asarray(table.line_indices, int),
+        field_indices=table.field_indices,
+        number_format=number_format,
+        missing_text=missing_text.replace(".", decimal_sign),
     )

@@ -1,7 +1,7 @@
-"""Reading Vicon Nexus' ASCII export, and Workstation's before it: sections, of which one holds the trajectories.
+"""Read Vicon Nexus' ASCII export, and Workstation's before it: sections, one of which has the trajectories.
 
-A section is its name, its rate, a line of names, a line of axes, mostly one of units, and a line a frame up to a blank one
-(Vicon Nexus documentation, "Export data to ASCII").
+A section has its name, its rate, a line of names, a line of axes, usually a line of units, and one line per frame up to a
+blank line (Vicon Nexus documentation, "Export data to ASCII").
 """
 
 import re
@@ -29,78 +29,82 @@ SECTION_NAMES = {
     "events",
     "force plates",
 }
-SECTION_PADDING = ' ,;\t\r"'  # a section's name, where a spreadsheet saved the file
+SECTION_PADDING = ' ,;\t\r"'  # characters around the name of a section in a file that a spreadsheet saved
 
 
 def is_nexus_csv(head: bytes) -> bool:
-    """-> does a file that begins so claim to be one? A section's name stands alone in its line, its rate in the next."""
+    """Return whether a file with this beginning is a Nexus export: a section's name alone in a line, its rate in the next."""
     lines = [line.strip(SECTION_PADDING).lower() for line in split_head_lines(head)]
     return any(name in SECTION_NAMES and rate[:1].isdecimal() for name, rate in pairwise(lines))
 
 
 def read_nexus_csv(path: Path, data: bytes) -> Take:
-    """-> the take in the file's bytes: its section of trajectories, of which velocities and accelerations are left.
+    """Return the take in the bytes of a Nexus export: the positions in its section of trajectories.
 
-    Raises ReadError, naming file and line, where it has no such section.
+    Raises:
+        ReadError: If there is no such section. The message names file and line.
     """
-    text = parse_document(path, data)
-    sections = _find_sections(text)
-    at = next((index for index, name in sections.items() if name == TRAJECTORY_SECTION), None)
-    if at is None:
-        raise ReadError(f"{path}: holds {', '.join(sorted({*sections.values()}))} and no trajectories; export those with it.")
-    axes, between = _find_axes_line(text, at)
-    names, letters = text.split_cells(axes - 1, between), text.split_cells(axes, between)
-    names += [""] * (len(letters) - len(names))
-    first = [i for i in find_xyz_triples(letters) if names[i]]
-    if not first:
-        raise text.build_error(axes - 1, "names no markers; export the trajectories with their labels.")
-    units = _read_units(text, axes + 1, between)
-    rows = _find_section_lines(text, axes + 1 + (units is not None), between, sections)
-    if not rows:
-        raise text.build_error(axes, "no frames follow; export the trial again.")
-    rate = re.sub(r"[^\d.]+.*", "", text.split_cells(at + 1, between)[0])
+    document = parse_document(path, data)
+    sections = _find_sections(document)
+    start = next((index for index, name in sections.items() if name == TRAJECTORY_SECTION), None)
+    if start is None:
+        present = ", ".join(sorted({*sections.values()}))
+        raise ReadError(f"{path}: has {present} and no trajectories; export the trajectories as well.")
+    axes_index, delimiter = _find_axes_line(document, start)
+    names, axes = document.split_cells(axes_index - 1, delimiter), document.split_cells(axes_index, delimiter)
+    names += [""] * (len(axes) - len(names))
+    first_fields = [i for i in find_xyz_triples(axes) if names[i]]
+    if not first_fields:
+        raise document.build_error(axes_index - 1, "names no markers; export the trajectories with their labels.")
+    units = _read_units(document, axes_index + 1, delimiter)
+    line_indices = _find_section_lines(document, axes_index + 1 + (units is not None), delimiter, sections)
+    if not line_indices:
+        raise document.build_error(axes_index, "no frames follow; export the trial again.")
+    unit = next((cell for cell in (units or [])[first_fields[0] :] if cell), "mm")
+    rate = re.sub(r"[^\d.]+.*", "", document.split_cells(start + 1, delimiter)[0])
     return read_marker_table(
         MarkerTable(
-            document=text,
-            delimiter=between,
-            line_indices=rows,
+            document=document,
+            delimiter=delimiter,
+            line_indices=line_indices,
             frame_field=0,
-            field_indices=np.array(first)[:, None] + np.arange(3),
-            labels=[names[i] for i in first],
-            unit_m=parse_unit(text, axes + 1, next((cell for cell in (units or [])[first[0] :] if cell), "mm")),
-            rate=parse_rate(text, at + 1, rate),
+            field_indices=np.array(first_fields)[:, None] + np.arange(3),
+            labels=[names[i] for i in first_fields],
+            unit_m=parse_unit(document, axes_index + 1, unit),
+            rate=parse_rate(document, start + 1, rate),
         )
     )
 
 
-def _find_sections(text: TextDocument) -> dict[int, str]:
-    """-> the name of each section, in lower case, by the index of its first line."""
-    names = ((index, text.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(text.lines)))
+def _find_sections(document: TextDocument) -> dict[int, str]:
+    """Return the name of each section, in lower case, by the index of its first line."""
+    names = ((index, document.get_line(index).strip(SECTION_PADDING).lower()) for index in range(len(document.lines)))
     return {index: name for index, name in names if name in SECTION_NAMES}
 
 
-def _find_axes_line(text: TextDocument, at: int) -> tuple[int, str]:
-    """-> the index of the line over the numbers of the section that begins at `at`, and what stands between its fields."""
-    for index in range(at + 2, min(at + 5, len(text.lines))):
-        between = detect_delimiter(text.get_line(index)) or ","
-        if text.split_cells(index, between)[0].lower().startswith(("frame", "field", "sample")):
-            return index, between
-    raise text.build_error(at, "no line that begins with Frame follows and names the axes; export the trajectories again.")
+def _find_axes_line(document: TextDocument, start: int) -> tuple[int, str]:
+    """Return the index of the line of axes in the section that begins at `start`, and the field separator."""
+    for index in range(start + 2, min(start + 5, len(document.lines))):
+        delimiter = detect_delimiter(document.get_line(index)) or ","
+        if document.split_cells(index, delimiter)[0].lower().startswith(("frame", "field", "sample")):
+            return index, delimiter
+    problem = "no line that begins with Frame and names the axes follows"
+    raise document.build_error(start, f"{problem}; export the trajectories again.")
 
 
-def _read_units(text: TextDocument, index: int, between: str) -> list[str] | None:
-    """-> the cells of the line of units, None where numbers follow at once."""
-    if index >= len(text.lines):
+def _read_units(document: TextDocument, index: int, delimiter: str) -> list[str] | None:
+    """Return the cells of the line of units, None if the line has numbers."""
+    if index >= len(document.lines):
         return None
-    cells = text.split_cells(index, between)
+    cells = document.split_cells(index, delimiter)
     return cells if not cells[0] and any(cells) else None
 
 
-def _find_section_lines(text: TextDocument, start: int, between: str, ends: Container[int]) -> list[int]:
-    """-> the indices of the lines up to a blank one or the next section."""
-    rows = []
-    for index in range(start, len(text.lines)):
-        if index in ends or not text.lines[index].strip(between + " \r"):
+def _find_section_lines(document: TextDocument, start: int, delimiter: str, sections: Container[int]) -> list[int]:
+    """Return the indices of the lines up to a blank one or the next section."""
+    line_indices: list[int] = []
+    for index in range(start, len(document.lines)):
+        if index in sections or not document.lines[index].strip(delimiter + " \r"):
             break
-        rows.append(index)
-    return rows
+        line_indices.append(index)
+    return line_indices

@@ -1,11 +1,14 @@
-"""Reading a plain table: one line of column names, each marker's LABEL_X, LABEL_Y, LABEL_Z side by side, a line a frame.
+"""Read a plain table: a line of column names with LABEL_X, LABEL_Y, LABEL_Z of each marker side by side, then one line per frame.
 
-So mocapfix writes CSV itself (LFHD_X_mm: the unit in the name), and so do spreadsheets, scripts and some laboratories.
-Between label and axis may stand "_", ".", ":", "-" or a blank; between fields commas, semicolons or tabs.
+This is the CSV that mocapfix writes (LFHD_X_mm, with the unit in the name), and that of spreadsheets, scripts and some
+laboratories. Label and axis are separated by "_", ".", ":", "-" or a blank, fields by commas, semicolons or tabs.
 """
+
+from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,85 +18,103 @@ from mocapfix.read.marker_table import MarkerTable, read_marker_table
 from mocapfix.read.table_cells import detect_decimal_sign, find_nonblank_lines, parse_fields, parse_rate
 from mocapfix.take import Take
 
+if TYPE_CHECKING:
+    from jaxtyping import Int
+
 COLUMN_PATTERN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)
 FRAME_COLUMN_PATTERN = re.compile(r"(frame|field|sample)\b.*", re.IGNORECASE)
 TIME_COLUMN_PATTERN = re.compile(r"(time|seconds)(\b|_).*", re.IGNORECASE)
 MILLISECONDS_PATTERN = re.compile(r".*(\b|_)(ms|msecs?|milliseconds?)(\b|_).*", re.IGNORECASE)
-MAX_CAPTURE_SPAN_M = 20  # what spans more of its units is no capture in metres
-INSPECTED_FRAMES = 50  # frames
-MAX_TIME_STEP_RATIO = 2.5  # times the usual step in time; rounded times may take two at once
+MAX_CAPTURE_SPAN_M = 20  # coordinates that span more units than this are not in metres
+INSPECTED_FRAMES = 50  # from which the span of the coordinates is computed
+MAX_TIME_STEP_RATIO = 2.5  # of a time step and the median one; rounded times may advance by two steps at once
+
+
+class _PointColumns(NamedTuple):
+    """The first field of a point, its label, and the unit in its column name, "" if there is none."""
+
+    first_field: int
+    label: str
+    unit: str
 
 
 def is_plain_csv(head: bytes) -> bool:
-    """-> does a file that begins so claim to be one?"""
+    """Return whether a file with this beginning is a plain table of markers."""
     line = split_head_lines(head)[0]
-    between = detect_delimiter(line)
-    return bool(between) and bool(_find_points([cell.strip(' "') for cell in line.split(between)]))
+    delimiter = detect_delimiter(line)
+    return bool(delimiter) and bool(_find_points([cell.strip(' "') for cell in line.split(delimiter)]))
 
 
 def read_plain_csv(path: Path, data: bytes) -> Take:
-    """-> the take in the file's bytes; where its columns name no unit, metres or millimetres by how far they span.
+    """Return the take in the bytes of a plain table.
 
-    Raises ReadError, naming file and line, where a field is no number or nothing tells the frame rate.
+    If the columns name no unit, it is metres or millimetres, according to the span of the coordinates.
+
+    Raises:
+        ReadError: If a field is not a number, or the frame rate is unknown. The message names file and line.
     """
-    text = parse_document(path, data)
-    if "\r" in text.get_line(0):
-        raise text.build_error(0, "ends otherwise than the other lines; save the file with one kind of line ends.")
-    between = detect_delimiter(text.get_line(0))
-    cells = text.split_cells(0, between)
+    document = parse_document(path, data)
+    if "\r" in document.get_line(0):
+        raise document.build_error(0, "has another line end than the other lines; save the file with one kind of line ends.")
+    delimiter = detect_delimiter(document.get_line(0))
+    cells = document.split_cells(0, delimiter)
     points = _find_points(cells)
     if not points:
-        raise text.build_error(0, "names no marker's X, Y and Z side by side; export it again.")
-    rows = list(find_nonblank_lines(text, 1, between))
-    frame = next((i for i, cell in enumerate(cells) if FRAME_COLUMN_PATTERN.fullmatch(cell)), None)
-    time = next((i for i, cell in enumerate(cells) if TIME_COLUMN_PATTERN.fullmatch(cell)), None)
-    if time is None:
-        raise text.build_error(0, "no column is the time, so nothing tells the frame rate; add a column Time in seconds.")
-    if frame is None:
-        _check_times(text, rows, between, time)
-    fields = np.array([field for field, _, _ in points])[:, None] + np.arange(3)
-    unit, said = next((unit for _, _, unit in points if unit), ""), ()
+        raise document.build_error(0, "has no columns X, Y and Z of a marker side by side; export it again.")
+    line_indices = list(find_nonblank_lines(document, 1, delimiter))
+    frame_field = next((i for i, cell in enumerate(cells) if FRAME_COLUMN_PATTERN.fullmatch(cell)), None)
+    time_field = next((i for i, cell in enumerate(cells) if TIME_COLUMN_PATTERN.fullmatch(cell)), None)
+    if time_field is None:
+        raise document.build_error(0, "there is no column for the time, so the rate is unknown; add a column Time in seconds.")
+    if frame_field is None:
+        _check_times(document, line_indices, delimiter, time_field)
+    field_indices = np.array([point.first_field for point in points])[:, None] + np.arange(3)
+    unit, notes = next((point.unit for point in points if point.unit), ""), ()
     if not unit:
-        unit, said = _infer_unit(text, rows, between, fields)
+        unit = _infer_unit(document, line_indices, delimiter, field_indices)
+        notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)
+    time_unit_s = 0.001 if MILLISECONDS_PATTERN.fullmatch(cells[time_field]) else 1.0
     return read_marker_table(
         MarkerTable(
-            document=text,
-            delimiter=between,
-            line_indices=rows,
-            frame_field=frame,
-            field_indices=fields,
-            labels=[label for _, label, _ in points],
+            document=document,
+            delimiter=delimiter,
+            line_indices=line_indices,
+            frame_field=frame_field,
+            field_indices=field_indices,
+            labels=[point.label for point in points],
             unit_m=METRES_PER_UNIT[unit],
-            rate=parse_rate(text, 0, "", rows, between, time, 0.001 if MILLISECONDS_PATTERN.fullmatch(cells[time]) else 1.0),
-            notes=said,
+            rate=parse_rate(document, 0, "", line_indices, delimiter, time_field=time_field, time_unit_s=time_unit_s),
+            notes=notes,
         )
     )
 
 
-def _check_times(text: TextDocument, rows: list[int], between: str, time: int) -> None:
-    """Raise ReadError, naming the line, where times go back or leave frames out: without frame numbers nothing else tells."""
-    steps = np.diff(parse_fields(text, rows, between, detect_decimal_sign(text, rows, between), np.array([time]))[:, 0])
-    usual = np.median(steps) if len(steps) else 0.0
-    if (odd := np.flatnonzero((steps < 0) | ((steps > MAX_TIME_STEP_RATIO * usual) & (usual > 0)))).size:
-        step = f"the time goes on by {steps[odd[0]]:g}, elsewhere by {usual:g}"
-        raise text.build_error(rows[odd[0] + 1], f"{step}; export the trial whole, or with its frame numbers.")
+def _check_times(document: TextDocument, line_indices: list[int], delimiter: str, time_field: int) -> None:
+    """Raise ReadError if times decrease or omit frames, in a file without frame numbers."""
+    decimal_sign = detect_decimal_sign(document, line_indices, delimiter)
+    steps = np.diff(parse_fields(document, line_indices, delimiter, decimal_sign, np.array([time_field]))[:, 0])
+    median = np.median(steps) if len(steps) else 0.0
+    if (irregular := np.flatnonzero((steps < 0) | ((steps > MAX_TIME_STEP_RATIO * median) & (median > 0)))).size:
+        problem = f"the time step is {steps[irregular[0]]:g}, elsewhere {median:g}"
+        remedy = "export the complete trial, or with its frame numbers"
+        raise document.build_error(line_indices[irregular[0] + 1], f"{problem}; {remedy}.")
 
 
-def _find_points(cells: list[str]) -> list[tuple[int, str, str]]:
-    """-> the field of each point's x, its label and its unit, where three columns side by side are its x, y and z."""
+def _find_points(cells: list[str]) -> list[_PointColumns]:
+    """Return the points whose X, Y and Z are three adjacent columns with the same label and unit."""
     matches = [COLUMN_PATTERN.fullmatch(cell) for cell in cells]
     columns = [(match[1], match[2].upper(), (match[3] or "").lower()) if match else ("", "", "") for match in matches]
     return [
-        (i, label, unit)
+        _PointColumns(i, label, unit)
         for i, (label, axis, unit) in enumerate(columns[:-2])
         if axis == "X" and columns[i + 1 : i + 3] == [(label, "Y", unit), (label, "Z", unit)]
     ]
 
 
-def _infer_unit(text: TextDocument, rows: list[int], between: str, fields: np.ndarray) -> tuple[str, tuple[str, ...]]:
-    """-> the unit in which a capture spans as far as the points at `fields` (P, 3) do, and that it was told so."""
-    some = rows[:: max(1, len(rows) // INSPECTED_FRAMES)]
-    places = parse_fields(text, some, between, detect_decimal_sign(text, some, between), fields.ravel())
-    places = places[np.isfinite(places)]
-    unit = "mm" if len(places) and np.ptp(places) > MAX_CAPTURE_SPAN_M else "m"
-    return unit, (f"The file does not name its unit; its coordinates span as far as {unit} do.",)
+def _infer_unit(document: TextDocument, line_indices: list[int], delimiter: str, field_indices: Int[np.ndarray, "P 3"]) -> str:
+    """Return "mm" if the coordinates of the points span more than a capture in metres does, else "m"."""
+    inspected = line_indices[:: max(1, len(line_indices) // INSPECTED_FRAMES)]
+    decimal_sign = detect_decimal_sign(document, inspected, delimiter)
+    coordinates = parse_fields(document, inspected, delimiter, decimal_sign, field_indices.ravel())
+    coordinates = coordinates[np.isfinite(coordinates)]
+    return "mm" if len(coordinates) and np.ptp(coordinates) > MAX_CAPTURE_SPAN_M else "m"

@@ -1,12 +1,13 @@
-"""Reading Qualisys Track Manager's TSV of 3D trajectories.
+"""Read Qualisys Track Manager's TSV of 3D trajectories.
 
-Facts come first, a line each with its key in capitals, and among them the markers' names; then, if it was asked for, a line
-of column names; then a line a frame, in millimetres, with the frame's number and time or without (QTM user manual, "TSV
-file formats").
+Header lines have a key in capitals and its values, among them the marker names. A line of column names follows if it was
+exported. Then there is one line per frame, in millimetres, with or without frame number and time (QTM user manual, "TSV file
+formats").
 """
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,86 +20,105 @@ from mocapfix.take import Take
 TAB = "\t"
 KEY_PATTERN = re.compile(r"[A-Z][A-Z0-9_]+")
 QUALISYS_UNIT_M = 0.001
-MAX_TIME_ERROR_FRAMES = 0.1  # frames: how far off a time may be that was written with few digits
-OTHER_EXPORTS = {"BODY_NAMES": "rigid bodies (6D)", "NO_OF_BODIES": "rigid bodies (6D)", "CHANNEL_NAMES": "analog signals"}
-OTHER_EXPORTS |= {"NO_OF_SAMPLES": "analog signals", "SKELETON_NAMES": "a skeleton", "NO_OF_SKELETONS": "a skeleton"}
+MAX_TIME_ERROR_FRAMES = 0.1  # of a time step that is one frame: times may be written with few digits
+# What other exports of the program contain, by a key in their header.
+OTHER_EXPORTS = {
+    "BODY_NAMES": "rigid bodies (6D)",
+    "NO_OF_BODIES": "rigid bodies (6D)",
+    "CHANNEL_NAMES": "analog signals",
+    "NO_OF_SAMPLES": "analog signals",
+    "SKELETON_NAMES": "a skeleton",
+    "NO_OF_SKELETONS": "a skeleton",
+}
+
+
+class _HeaderValue(NamedTuple):
+    """The values of a key, and the index of its line."""
+
+    index: int
+    values: list[str]
 
 
 def is_qualisys_tsv(head: bytes) -> bool:
-    """-> does a file that begins so claim to be a Qualisys export, of trajectories or of something else?"""
+    """Return whether a file with this beginning is a Qualisys export, of trajectories or of something else."""
     first = head.lstrip().split(b"\t", 1)[0]
     return first in (b"NO_OF_FRAMES", b"NO_OF_CAMERAS", b"NO_OF_SAMPLES", b"NO_OF_SKELETONS", b"MARKER_NAMES")
 
 
 def read_qualisys_tsv(path: Path, data: bytes) -> Take:
-    """-> the take in the file's bytes. Blanks and 0 0 0 are missing; frames without numbers are counted from 1.
+    """Return the take in the bytes of a Qualisys TSV. Blanks and 0 0 0 are missing; frames without numbers are counted from 1.
 
-    Raises ReadError, naming file and line, for QTM's other exports and for a table that does not fit its names.
+    Raises:
+        ReadError: If the file is another export of QTM, or the table does not fit its names. The message names file and line.
     """
-    text = parse_document(path, data)
-    facts, body = _parse_header(text)
-    if "MARKER_NAMES" not in facts:
-        what = next((what for key, what in OTHER_EXPORTS.items() if key in facts), "no names of markers")
-        raise ReadError(f"{path}: holds {what}; export its trajectories as TSV (3D data).")
-    at, labels = facts["MARKER_NAMES"]
+    document = parse_document(path, data)
+    header, body = _parse_header(document)
+    if "MARKER_NAMES" not in header:
+        content = next((content for key, content in OTHER_EXPORTS.items() if key in header), "no marker names")
+        raise ReadError(f"{path}: has {content}; export its trajectories as TSV (3D data).")
+    names_index, labels = header["MARKER_NAMES"]
     while labels and not labels[-1]:
         labels.pop()
     if not labels:
-        raise text.build_error(at, "names no markers; export it again.")
-    named = body < len(text.lines) and any(cell.strip().upper().endswith("X") for cell in text.split_cells(body, TAB))
-    rows = list(find_nonblank_lines(text, body + named, TAB))
-    at_rate, frequency = facts.get("FREQUENCY", (at, [""]))
-    rate = parse_rate(text, at_rate, frequency[0])
-    first, frame = _find_first_field(text, body, rows, named, rate)
-    if frame is None:  # a line of tabs alone is a frame that shows nothing
-        rows = [index for index in range(body + named, len(text.lines)) if text.get_line(index)]
+        raise document.build_error(names_index, "names no markers; export it again.")
+    has_column_names = body < len(document.lines) and any(
+        cell.strip().upper().endswith("X") for cell in document.split_cells(body, TAB)
+    )
+    line_indices = list(find_nonblank_lines(document, body + has_column_names, TAB))
+    frequency = header.get("FREQUENCY", _HeaderValue(names_index, [""]))
+    rate = parse_rate(document, frequency.index, frequency.values[0])
+    first_field, frame_field = _find_first_field(document, body, line_indices, has_column_names, rate)
+    if frame_field is None:  # a line of tabs only is a frame without visible markers
+        line_indices = [index for index in range(body + has_column_names, len(document.lines)) if document.get_line(index)]
     return read_marker_table(
         MarkerTable(
-            document=text,
+            document=document,
             delimiter=TAB,
-            line_indices=rows,
-            frame_field=frame,
-            field_indices=first + np.arange(3 * len(labels)).reshape(-1, 3),
+            line_indices=line_indices,
+            frame_field=frame_field,
+            field_indices=first_field + np.arange(3 * len(labels)).reshape(-1, 3),
             labels=labels,
             unit_m=QUALISYS_UNIT_M,
             rate=rate,
-            declared_frame_count=facts.get("NO_OF_FRAMES", (0, [""]))[1][0],
+            declared_frame_count=header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0],
         )
     )
 
 
-def _parse_header(text: TextDocument) -> tuple[dict[str, tuple[int, list[str]]], int]:
-    """-> the line and the values of every key, and the index of the first line behind them.
+def _parse_header(document: TextDocument) -> tuple[dict[str, _HeaderValue], int]:
+    """Return the values of the keys, and the index of the first line after the header.
 
-    Behind the markers' names that may be a frame whose first field is missing, blank or spelled as no key is (NULL).
+    The line after the marker names may be a frame whose first field is missing: blank, or spelled unlike a key, such as NULL.
     """
-    facts: dict[str, tuple[int, list[str]]] = {}
-    for index in range(len(text.lines)):
-        key, *values = text.split_cells(index, TAB)
-        missing = key.lower() in MISSING_TEXTS
-        if (values and "MARKER_NAMES" in facts) if missing else not KEY_PATTERN.fullmatch(key):
-            return facts, index
-        if not missing:
-            facts.setdefault(key, (index, values or [""]))
-    return facts, len(text.lines)
+    header: dict[str, _HeaderValue] = {}
+    for index in range(len(document.lines)):
+        key, *values = document.split_cells(index, TAB)
+        is_missing = key.lower() in MISSING_TEXTS
+        if (values and "MARKER_NAMES" in header) if is_missing else not KEY_PATTERN.fullmatch(key):
+            return header, index
+        if not is_missing:
+            header.setdefault(key, _HeaderValue(index, values or [""]))
+    return header, len(document.lines)
 
 
-def _find_first_field(text: TextDocument, body: int, rows: list[int], named: bool, rate: float) -> tuple[int, int | None]:
-    """-> the field of the first marker's x, and that of the frame's number, None where there is none.
+def _find_first_field(
+    document: TextDocument, body: int, line_indices: list[int], has_column_names: bool, rate: float
+) -> tuple[int, int | None]:
+    """Return the field of the first marker's X, and that of the frame number, None if there is none.
 
-    Without column names, a whole number that rises by one is the frame's, and one behind it that rises by a frame's seconds
-    is the time.
+    Without column names, a whole number that increases by one is the frame number, and a number after it that increases by the
+    duration of a frame is the time.
     """
-    if named:
-        cells = [cell.upper() for cell in text.split_cells(body, TAB)]
+    if has_column_names:
+        cells = [cell.upper() for cell in document.split_cells(body, TAB)]
         return next(i for i, cell in enumerate(cells) if cell.endswith("X")), 0 if cells[0] == "FRAME" else None
-    if len(rows) < 2:
+    if len(line_indices) < 2:
         return 0, None
-    (a, s), (b, t) = ([*text.split_cells(row, TAB), ""][:2] for row in rows[:2])
-    if not (a.isdecimal() and b.isdecimal() and int(b) == int(a) + 1):
+    (frame_0, time_0), (frame_1, time_1) = ([*document.split_cells(i, TAB), ""][:2] for i in line_indices[:2])
+    if not (frame_0.isdecimal() and frame_1.isdecimal() and int(frame_1) == int(frame_0) + 1):
         return 0, None
     try:
-        frames = rate * (float(t.replace(",", ".")) - float(s.replace(",", ".")))
+        frames = rate * (float(time_1.replace(",", ".")) - float(time_0.replace(",", ".")))
     except ValueError:
         return 1, 0
     return 2 if abs(frames - 1) < MAX_TIME_ERROR_FRAMES else 1, 0

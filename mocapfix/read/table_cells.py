@@ -1,51 +1,64 @@
-"""The cells of a text table: numbers, what is missing, units, rates, and how a file writes them.
+"""Cells of a text table: numbers, missing values, units, rates, and the number format of the file.
 
-Written out rather than left to a library, because those at hand (kineticstoolkit, pyomeca, trc-data-reader) stand on
-pandas, know neither the line of a fault nor how a file spells what is missing, and lose where each number lay, which a
-file that is to come back the same but for its mended samples needs.
+This is not left to a library: the available ones (kineticstoolkit, pyomeca, trc-data-reader) depend on pandas, report
+neither the line of an error nor the spelling of missing values, and lose the place of each number, which a patched copy of
+the file needs.
 """
+
+from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocapfix.read.coordinates import METRES_PER_UNIT, get_metres_per_unit
 from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN, TextDocument
 
-MISSING_TEXTS = {"", "n/a", "na", "null", "none", "-", "--"}
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+
+MISSING_TEXTS = {"", "n/a", "na", "null", "none", "-", "--"}  # in lower case
 DECIMAL_COMMA_PATTERN = re.compile(r"\d,\d")
-MAX_INSPECTED_LINES = 200  # lines, from which is told how a file writes its numbers
-CELL_PADDING = ' \t"'  # a cell's number
-MIN_DECIMALS_BY_UNIT = {0.001: 2, 0.01: 3, 1.0: 5, 0.0254: 4, 0.3048: 5}  # of a unit, that a hundredth of a millimetre takes
-MAX_TABLE_DECIMALS = 9
+CELL_PADDING = ' \t"'  # characters around the text of a cell
+MAX_INSPECTED_LINES = 200  # lines from which number formats are inferred
+# Fewest decimals of a written coordinate, by metres per unit: enough for 0.01 mm.
+MIN_DECIMALS_BY_UNIT = {0.001: 2, 0.01: 3, 1.0: 5, 0.0254: 4, 0.3048: 5}
+MAX_TABLE_DECIMALS = 9  # of a written coordinate
+MIN_EXPONENT_DECIMALS = 6  # of a coordinate written with an exponent
 
 
 def find_nonblank_lines(document: TextDocument, start: int, delimiter: str) -> Iterator[int]:
-    """-> the indices of the lines from `start` on that hold anything."""
+    """Yield the indices of the lines from `start` on that have any content."""
     blank = delimiter + " \t\r"
     return (i for i in range(start, len(document.lines)) if document.lines[i].strip(blank))
 
 
 def parse_fields(
-    document: TextDocument, line_indices: Sequence[int], delimiter: str, decimal_sign: str, field_indices: np.ndarray
-) -> np.ndarray:
-    """-> (T, F) floats of the `fields` (F,) of the lines `rows`, NaN where one is missing or the line ends before it.
+    document: TextDocument,
+    line_indices: Sequence[int],
+    delimiter: str,
+    decimal_sign: str,
+    field_indices: Int[np.ndarray, " F"],
+) -> Float[np.ndarray, "T F"]:
+    """Return the numbers in F fields of T lines, NaN where a number is missing or the line ends before the field.
 
-    Raises ReadError naming line and field where one is no number.
+    Raises:
+        ReadError: If a field is not a number. The message names line and field.
     """
-    wanted, out = field_indices.tolist(), np.empty((len(line_indices), len(field_indices)))
-    chosen = itemgetter(*wanted) if len(wanted) > 1 else lambda cells: (cells[wanted[0]],)
+    wanted, numbers = field_indices.tolist(), np.empty((len(line_indices), len(field_indices)))
+    select = itemgetter(*wanted) if len(wanted) > 1 else lambda cells: (cells[wanted[0]],)
     width = max(wanted) + 1
     for t, index in enumerate(line_indices):
         cells = split_fields(document.get_line(index), delimiter, decimal_sign)
         cells += [""] * (width - len(cells))
         try:
-            out[t] = [float(cell) if cell else np.nan for cell in chosen(cells)]
+            numbers[t] = [float(cell) if cell else np.nan for cell in select(cells)]
         except ValueError:
-            out[t] = [_parse_field(document, index, field, cells[field]) for field in wanted]
-    return out
+            numbers[t] = [_parse_field(document, index, field, cells[field]) for field in wanted]
+    return numbers
 
 
 def _parse_field(document: TextDocument, index: int, field: int, cell: str) -> float:
@@ -59,18 +72,18 @@ def _parse_field(document: TextDocument, index: int, field: int, cell: str) -> f
 
 
 def split_fields(line: str, delimiter: str, decimal_sign: str) -> list[str]:
-    """-> a line's fields, with decimal points."""
+    """Return the fields of a line, with decimal points."""
     return (line.replace(",", ".") if decimal_sign == "," else line).split(delimiter)
 
 
 def detect_decimal_sign(document: TextDocument, line_indices: Sequence[int], delimiter: str) -> str:
-    """-> "," where the numbers of a table that commas do not divide are written with them, as in much of Europe."""
-    some = (document.get_line(index) for index in line_indices[:MAX_INSPECTED_LINES])
-    return "," if delimiter != "," and any(DECIMAL_COMMA_PATTERN.search(line) for line in some) else "."
+    """Return "," if numbers are written with decimal commas and commas are not the delimiter, else "."."""
+    inspected = (document.get_line(index) for index in line_indices[:MAX_INSPECTED_LINES])
+    return "," if delimiter != "," and any(DECIMAL_COMMA_PATTERN.search(line) for line in inspected) else "."
 
 
 def parse_whole_number(text: str) -> int | None:
-    """-> the whole number that a header says, None where it says none."""
+    """Return the whole number in a header field, None if it has none."""
     try:
         return int(float(text.replace(",", ".")))
     except (ValueError, OverflowError):
@@ -78,24 +91,28 @@ def parse_whole_number(text: str) -> int | None:
 
 
 def check_frame_count(declared: str, frame_count: int) -> tuple[str, ...]:
-    """-> what must be said where a header promises another number of frames than are there."""
+    """Return a note if the header field `declared` gives another number of frames than the file has."""
     if parse_whole_number(declared) in (None, frame_count):
         return ()
-    return (f"The header promises {parse_whole_number(declared)} frames and {frame_count} are there.",)
+    return (f"The header declares {parse_whole_number(declared)} frames; the file has {frame_count}.",)
 
 
 def parse_unit(document: TextDocument, index: int, name: str) -> float:
-    """-> metres in the unit that the line at `index` names. Raises ReadError with the choices."""
-    if (unit := get_metres_per_unit(name)) is None:
+    """Return the metres in the unit that the line at `index` names.
+
+    Raises:
+        ReadError: If the unit is unknown. The message lists the known units.
+    """
+    if (unit_m := get_metres_per_unit(name)) is None:
         raise document.build_error(index, f"the unit is {name!r}; set it to one of {', '.join(METRES_PER_UNIT)}.")
-    return unit
+    return unit_m
 
 
 def parse_unit_or_default(document: TextDocument, index: int, name: str, default_unit: str) -> tuple[float, tuple[str, ...]]:
-    """-> metres in the unit that the line at `index` names, or in the `usual` one where it names none, which is remarked on."""
+    """Return the metres in the unit that the line at `index` names, and a note if the default is used because it names none."""
     if name.strip():
         return parse_unit(document, index, name), ()
-    return METRES_PER_UNIT[default_unit], (f"The header names no unit; {default_unit} is taken, as is usual.",)
+    return METRES_PER_UNIT[default_unit], (f"The header names no unit; {default_unit}, the usual one, is assumed.",)
 
 
 def parse_rate(
@@ -104,13 +121,24 @@ def parse_rate(
     rate_text: str,
     line_indices: Sequence[int] = (),
     delimiter: str = "",
+    *,
     time_field: int = 0,
     time_unit_s: float = 1.0,
 ) -> float:
-    """-> frames a second: what the line at `index` says or, where it says nothing, what the field `time` (in units of
-    `seconds`) of the first and last of `rows` does.
+    """Return the frame rate (Hz) of a table.
 
-    Raises ReadError where neither does.
+    Args:
+        document: The file.
+        index: Index of the line that gives the rate, for the error message.
+        rate_text: The rate as that line gives it, "" if it does not.
+        line_indices: The lines of the table. If `rate_text` is not a rate, it is computed from the times in the first and the
+            last of them.
+        delimiter: Field separator.
+        time_field: Index of the field with the time.
+        time_unit_s: Seconds in the unit of the time.
+
+    Raises:
+        ReadError: If neither gives a rate.
     """
     try:
         rate = float(rate_text.replace(",", "."))
@@ -120,21 +148,29 @@ def parse_rate(
         return rate
     if len(line_indices) > 1:
         ends = [line_indices[0], line_indices[-1]]
-        first, last = parse_fields(document, ends, delimiter, "." if delimiter == "," else ",", np.array([time_field]))[:, 0]
+        decimal_sign = "." if delimiter == "," else ","
+        first, last = parse_fields(document, ends, delimiter, decimal_sign, np.array([time_field]))[:, 0]
         if last > first and (rate := round((len(line_indices) - 1) / (last - first) / time_unit_s, 3)) > 0:
-            return rate
-    what = f"the frame rate is {rate_text!r}" if rate_text else "nothing tells the frame rate"
-    raise document.build_error(index, f"{what}; give the frames a second.")
+            return float(rate)
+    problem = f"the frame rate is {rate_text!r}" if rate_text else "the file does not give its frame rate"
+    raise document.build_error(index, f"{problem}; give the frames per second.")
 
 
-def infer_number_format(present: Sequence[str], absent: Sequence[str], unit_m: float) -> tuple[str, str]:
-    """-> how a file writes a coordinate, as in format(), and one that is missing, told from cells of both.
+def infer_number_format(present: Sequence[str], missing: Sequence[str], unit_m: float) -> tuple[str, str]:
+    """Infer how a file writes coordinates.
 
-    A number gets as many decimals as the longest has, and enough for a hundredth of a millimetre.
+    Args:
+        present: Cells with coordinates.
+        missing: Cells of missing coordinates.
+        unit_m: Metres per file unit.
+
+    Returns:
+        Format specification of a coordinate, as for `format`, and the text of a missing one. The format has as many decimals
+        as the longest cell, and enough for 0.01 mm.
     """
-    missing = max(sorted(set(absent)), key=absent.count) if absent else ""
+    missing_text = max(sorted(set(missing)), key=missing.count) if missing else ""
     mantissas = [cell.lower().partition("e")[0] for cell in present]
-    digits = max((len(mantissa.partition(".")[2]) for mantissa in mantissas), default=0)
+    decimals = max((len(mantissa.partition(".")[2]) for mantissa in mantissas), default=0)
     if 2 * sum("e" in cell.lower() for cell in present) > len(present):
-        return f".{max(digits, 6)}e", missing
-    return f".{min(max(digits, MIN_DECIMALS_BY_UNIT[unit_m]), MAX_TABLE_DECIMALS)}f", missing
+        return f".{max(decimals, MIN_EXPONENT_DECIMALS)}e", missing_text
+    return f".{min(max(decimals, MIN_DECIMALS_BY_UNIT[unit_m]), MAX_TABLE_DECIMALS)}f", missing_text

@@ -1,7 +1,7 @@
-"""Reading a TRC, Motion Analysis' text file of trajectories, as OpenSim, Mokka and others write it too.
+"""Read TRC, Motion Analysis' text format of trajectories, which OpenSim, Mokka and others write too.
 
-Three lines of facts, a line of marker names, a line of axes, and a line a frame (OpenSim's documentation, "Marker (.trc)
-Files"). Writers agree on little else: tabs or commas, a blank line or none, facts that are right or not.
+Three lines of header, a line of marker names, a line of axes, then one line per frame (OpenSim documentation, "Marker (.trc)
+Files"). Programs differ in the rest: tabs or commas, with or without a blank line, with correct or wrong header values.
 """
 
 import re
@@ -14,74 +14,79 @@ from mocapfix.read.marker_table import MarkerTable, find_names_line, read_marker
 from mocapfix.read.table_cells import find_nonblank_lines, parse_rate, parse_unit_or_default, parse_whole_number
 from mocapfix.take import Take
 
-FIRST_MARKER_FIELD = 2  # the field of the first marker's x, behind frame and time
+FIRST_MARKER_FIELD = 2  # field of the first marker's X, after frame and time
 AXIS_PATTERN = re.compile(r"x\d*", re.IGNORECASE)
 
 
 def is_trc(head: bytes) -> bool:
-    """-> does a file that begins so claim to be a TRC?"""
+    """Return whether a file with this beginning is a TRC."""
     return head.lstrip()[:12].lower() in (b"pathfiletype", b"datarate\tcam", b"datarate,cam")
 
 
 def read_trc(path: Path, data: bytes) -> Take:
-    """-> the take in a TRC's bytes. Columns behind the last named marker are unlabelled trajectories, as Cortex writes them.
+    """Return the take in the bytes of a TRC.
 
-    Raises ReadError, naming file and line, for what cannot be a TRC's table; counts that the table contradicts are
-    remarked on and not believed.
+    Columns after the last named marker are unlabelled trajectories, as in the files of Cortex.
+
+    Raises:
+        ReadError: If the table is invalid. The message names file and line. Counts in the header that the table contradicts are
+            ignored and noted.
     """
-    text = parse_document(path, data)
-    at = find_names_line(text, "markers")
-    between = detect_delimiter(text.get_line(at))
-    if not between:
-        raise text.build_error(at, "neither tabs nor commas stand between the names; export it again.")
-    named = _parse_marker_names(text.split_cells(at, between)[FIRST_MARKER_FIELD:])
-    if not named:
-        raise text.build_error(at, "names no markers; export it again.")
-    keys, facts = _parse_header(text, at)
-    has_axes = at + 1 < len(text.lines) and any(AXIS_PATTERN.fullmatch(cell) for cell in text.split_cells(at + 1, between))
-    rows = list(find_nonblank_lines(text, at + 1 + has_axes, between))
-    widest = max((text.get_line(row).rstrip(between + " ").count(between) + 1 for row in rows), default=0)
-    points = max(len(named), -(-(widest - FIRST_MARKER_FIELD) // 3))
-    unit, said = parse_unit_or_default(text, keys + 1, facts.get("units", ""), "mm")
+    document = parse_document(path, data)
+    names_index = find_names_line(document, "markers")
+    delimiter = detect_delimiter(document.get_line(names_index))
+    if not delimiter:
+        raise document.build_error(names_index, "there are neither tabs nor commas between the names; export it again.")
+    names = _parse_marker_names(document.split_cells(names_index, delimiter)[FIRST_MARKER_FIELD:])
+    if not names:
+        raise document.build_error(names_index, "names no markers; export it again.")
+    keys_index, header = _parse_header(document, names_index)
+    axes_index = names_index + 1
+    has_axes = axes_index < len(document.lines) and any(
+        AXIS_PATTERN.fullmatch(cell) for cell in document.split_cells(axes_index, delimiter)
+    )
+    line_indices = list(find_nonblank_lines(document, axes_index + has_axes, delimiter))
+    widest = max((document.get_line(i).rstrip(delimiter + " ").count(delimiter) + 1 for i in line_indices), default=0)
+    point_count = max(len(names), -(-(widest - FIRST_MARKER_FIELD) // 3))
+    unit_m, unit_notes = parse_unit_or_default(document, keys_index + 1, header.get("units", ""), "mm")
     return read_marker_table(
         MarkerTable(
-            document=text,
-            delimiter=between,
-            line_indices=rows,
+            document=document,
+            delimiter=delimiter,
+            line_indices=line_indices,
             frame_field=0,
-            field_indices=FIRST_MARKER_FIELD + np.arange(3 * points).reshape(-1, 3),
-            labels=[*named, *(f"*{i}" for i in range(len(named), points))],
-            unit_m=unit,
-            rate=parse_rate(text, keys + 1, facts.get("datarate", ""), rows, between, time_field=1),
-            declared_frame_count=facts.get("numframes", ""),
-            notes=(*said, *_check_marker_count(facts, len(named), points)),
+            field_indices=FIRST_MARKER_FIELD + np.arange(3 * point_count).reshape(-1, 3),
+            labels=[*names, *(f"*{i}" for i in range(len(names), point_count))],
+            unit_m=unit_m,
+            rate=parse_rate(document, keys_index + 1, header.get("datarate", ""), line_indices, delimiter, time_field=1),
+            declared_frame_count=header.get("numframes", ""),
+            notes=(*unit_notes, *_check_marker_count(header, len(names), point_count)),
         )
     )
 
 
-def _parse_header(text: TextDocument, names: int) -> tuple[int, dict[str, str]]:
-    """-> the index of the line of keys, and the value under each key, by its name in lower case."""
-    for index in range(names):
-        if text.get_line(index).lstrip(' "').lower().startswith("datarate"):
-            between = detect_delimiter(text.get_line(index)) or "\t"
-            keys, values = text.split_cells(index, between), text.split_cells(index + 1, between)
+def _parse_header(document: TextDocument, names_index: int) -> tuple[int, dict[str, str]]:
+    """Return the index of the line of keys, and the value of each key in lower case."""
+    for index in range(names_index):
+        if document.get_line(index).lstrip(' "').lower().startswith("datarate"):
+            delimiter = detect_delimiter(document.get_line(index)) or "\t"
+            keys, values = document.split_cells(index, delimiter), document.split_cells(index + 1, delimiter)
             return index, {key.lower(): value for key, value in zip(keys, values, strict=False) if key}
-    raise text.build_error(names, "no line of facts (DataRate, NumFrames, Units) comes before the names; export it again.")
+    problem = "there is no header (DataRate, NumFrames, Units) before the names"
+    raise document.build_error(names_index, f"{problem}; export it again.")
 
 
 def _parse_marker_names(cells: list[str]) -> list[str]:
-    """-> the markers' names: one in every three cells or, where they stand closer, one in each."""
-    spread = cells[::3]
-    if any(cell for i, cell in enumerate(cells) if i % 3):
-        spread = cells
-    while spread and not spread[-1]:
-        spread = spread[:-1]
-    return spread
+    """Return the marker names: every third cell, or every cell if names are adjacent."""
+    names = cells if any(cell for i, cell in enumerate(cells) if i % 3) else cells[::3]
+    while names and not names[-1]:
+        names = names[:-1]
+    return names
 
 
-def _check_marker_count(facts: dict[str, str], named: int, points: int) -> tuple[str, ...]:
-    """-> what must be said of the header's number of markers."""
-    said = parse_whole_number(facts.get("nummarkers", ""))
-    if said is None or named <= said <= points:
+def _check_marker_count(header: dict[str, str], named: int, point_count: int) -> tuple[str, ...]:
+    """Return a note if the header declares a number of markers that does not fit the table."""
+    declared = parse_whole_number(header.get("nummarkers", ""))
+    if declared is None or named <= declared <= point_count:
         return ()
-    return (f"The header promises {said} markers and {named} are named.",)
+    return (f"The header declares {declared} markers; {named} are named.",)

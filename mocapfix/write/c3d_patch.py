@@ -1,6 +1,9 @@
-"""Writing a mended C3D: the original's bytes, with only the changed samples replaced."""
+"""Write a changed copy of a C3D file: the bytes of the original with only the changed samples replaced."""
+
+from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,57 +19,67 @@ from mocapfix.write.source_file import (
     read_source_bytes,
 )
 
-MISSING_SAMPLE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual of what is not there
-MAX_INT16_COUNT = 32_767  # that a 16-bit word holds
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int, Shaped
+
+MISSING_SAMPLE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual word
+MAX_INT16_COUNT = 32_767  # largest coordinate in an integer file, in counts
+MAX_RESIDUAL_COUNT = 255  # largest residual in the low byte of a residual word
 
 
 def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
-    """Write `before`'s file to `target` with the markers of `after`; -> (frame, marker) indices that could not be stored.
+    """Write the file of `before` to `target` with the markers of `after`.
 
-    A sample that came from another label, or from an unlabelled point, brings all of its words with it, bit for bit. Any other
-    that differs gets its new coordinates and its predicted standard deviation (`after.deviation`; 1 where it
-    has none) as residual, in counts clamped to 1..255, camera mask 0. One that is gone gets coordinates 0 and residual -1;
-    so does one that an integer file cannot hold, for the file is never rescaled. Every other byte stays as it is
-    (C3D User Guide, "The 3D Data Section").
+    A sample that comes from another label, or from an unlabelled point, keeps all of its words, bit for bit. Any other sample
+    that differs gets its new coordinates, camera mask 0, and as residual its `sample_sd` in counts, clamped to 1..255; 1 if it
+    has none. A missing sample gets coordinates 0 and residual -1, and so does one that an integer file cannot store, because files
+    are never rescaled. All other bytes are unchanged (C3D User Guide, "The 3D Data Section").
 
-    Raises WriteError where `target` is the input itself, where `before` was not read from a C3D that is still there, or
-    where `target` cannot be written.
+    Returns:
+        Frame and marker index of the samples that could not be stored.
+
+    Raises:
+        WriteError: If `target` is the input or is not writable, or if `before` was not read from a C3D that still exists.
     """
     layout = before.layout
     if not isinstance(layout, C3dLayout):
-        raise WriteError(f"{before.name}: was not read from a C3D, so there is no file to write the mended markers into.")
-    data = read_source_bytes(Path(target), before.path, layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes)
-    words, came = layout.view_words(data), find_relabelled_samples(before, after)
-    frames, markers = np.nonzero(find_changed_samples(before, after) & ~came)
-    samples, stored = _build_samples(layout, after, frames, markers)
-    theirs = words[np.nonzero(came)[0], after.source_points[came]]
+        raise WriteError(f"{before.name}: was not read from a C3D file, so there is no file to patch.")
+    stop_byte = layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes
+    data = read_source_bytes(Path(target), before.path, stop_byte)
+    words, relabelled = layout.view_words(data), find_relabelled_samples(before, after)
+    frames, markers = np.nonzero(find_changed_samples(before, after) & ~relabelled)
+    samples, is_stored = _build_samples(layout, after, frames, markers)
+    relabelled_frames, relabelled_markers = np.nonzero(relabelled)
+    relabelled_words = words[relabelled_frames, after.source_points[relabelled]]  # a copy, made before any word is replaced
     words[frames, before.point_columns[markers]] = _encode_samples(layout, samples)
-    words[np.nonzero(came)[0], before.point_columns[np.nonzero(came)[1]]] = theirs
-    gone = find_assigned_points(before, after)
-    words[gone] = _encode_samples(layout, np.tile(MISSING_SAMPLE, (len(gone[0]), 1)))
+    words[relabelled_frames, before.point_columns[relabelled_markers]] = relabelled_words
+    assigned = find_assigned_points(before, after)
+    words[assigned] = _encode_samples(layout, np.tile(MISSING_SAMPLE, (len(assigned[0]), 1)))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
-    lost = ~stored & ~np.isnan(after.markers[frames, markers]).any(-1)
-    return [(int(t), int(m)) for t, m in zip(frames[lost], markers[lost], strict=True)]
+    is_lost = ~is_stored & ~np.isnan(after.markers[frames, markers]).any(-1)
+    return [(int(t), int(m)) for t, m in zip(frames[is_lost], markers[is_lost], strict=True)]
 
 
-def _build_samples(layout: C3dLayout, after: Take, frames: np.ndarray, markers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> (n, 4) numbers to store, and (n,) bool: is the position among them?"""
+def _build_samples(
+    layout: C3dLayout, after: Take, frames: Int[np.ndarray, " n"], markers: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 4"], Bool[np.ndarray, " n"]]:
+    """Return coordinates and residual to store, and whether the position can be stored."""
     xyz = after.markers[frames, markers] @ layout.rotation_y_up_file / layout.unit_m
     counts = xyz.astype(np.float32) if layout.is_float else np.rint(xyz / layout.scale_factor)
     largest = MAX_STORED_COORDINATE if layout.is_float else MAX_INT16_COUNT
-    stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)  # all coordinates 0 would read as missing
-    deviation = np.full(len(frames), np.nan) if after.sample_sd is None else after.sample_sd[frames, markers]
-    residual = np.clip(np.nan_to_num(np.rint(deviation / layout.unit_m / layout.scale_factor), nan=1.0), 1, 255)
-    samples = np.c_[counts, residual]
-    samples[~stored] = MISSING_SAMPLE
-    return samples, stored
+    # A sample with all coordinates 0 would read as missing.
+    is_stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)
+    sample_sd = np.full(len(frames), np.nan) if after.sample_sd is None else after.sample_sd[frames, markers]
+    residual = np.nan_to_num(np.rint(sample_sd / layout.unit_m / layout.scale_factor), nan=1.0)
+    samples = np.c_[counts, np.clip(residual, 1, MAX_RESIDUAL_COUNT)]
+    samples[~is_stored] = MISSING_SAMPLE
+    return samples, is_stored
 
 
-def _encode_samples(layout: C3dLayout, samples: np.ndarray) -> np.ndarray:
-    """-> (n, 4) words as the file stores them."""
-    if layout.is_float and layout.processor_type == 85:
-        # A VAX F float is an IEEE one times 4 with its 16-bit halves swapped.
+def _encode_samples(layout: C3dLayout, samples: Float[np.ndarray, "n 4"]) -> Shaped[np.ndarray, "n 4"]:
+    """Return the words of samples as the file stores them."""
+    if layout.has_vax_floats:
         bits = (samples * 4).astype("<f4").view("<u4")
         return (bits >> 16) | (bits << 16)
     return samples.astype(layout.word_dtype)

@@ -20,7 +20,7 @@ def read(folder: Path, text: str | bytes):
     return bvh.read_bvh(path)
 
 
-def test_every_joint_has_its_own_numbers(tmp_path):
+def test_joints_channels_and_values_are_read(tmp_path):
     found = read(tmp_path, TEXT)
     assert found.names == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
     assert found.parents.tolist() == [-1, 0, 1, 0, 3]
@@ -50,72 +50,72 @@ def test_every_joint_has_its_own_numbers(tmp_path):
         lambda text: "\ufeff" + text.replace("End Site", "End Site of the foot"),
     ],
 )
-def test_it_is_read_however_it_is_spelled(tmp_path, change):
+def test_spelling_variants_are_read_alike(tmp_path, change):
     found, plain = read(tmp_path, change(TEXT)), read(tmp_path, TEXT)
     assert (found.names, found.channels, found.rate) == (plain.names, plain.channels, plain.rate)
     np.testing.assert_array_equal(found.values, VALUES)
     np.testing.assert_array_equal(found.offsets, plain.offsets)
 
 
-def test_what_is_no_number_in_a_frame_is_not_there(tmp_path):
+def test_not_a_number_is_missing(tmp_path):
     found = read(tmp_path, TEXT.replace("16.0000", "-1.#IND").replace("17.0000", "nan"))
     assert np.argwhere(np.isnan(found.values)).tolist() == [[1, 6], [2, 6]]
     assert np.isnan(found.compute_world_poses()[0][1:, 2]).all()
     assert not np.isnan(found.compute_world_poses()[0][:, 3]).any()
 
 
-def test_other_frames_than_declared_are_taken_and_said(tmp_path):
+def test_a_wrong_frame_count_is_noted(tmp_path):
     found = read(tmp_path, TEXT.replace("Frames: 3", "Frames: 500"))
     assert found.frame_count == 3
-    assert found.notes == ("It declares 500 frames and holds 3, which were taken.",)
+    assert found.notes == ("It declares 500 frames and has 3; all of these are read.",)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("MOTION", "NOTION", "has no line MOTION"),
-        ("ROOT Hips\n{", "ROOT Hips\n", r"a\.bvh, line 4: an OFFSET stands outside"),
+        ("ROOT Hips\n{", "ROOT Hips\n", r"a\.bvh, line 4: an OFFSET is outside"),
         ("}\nMOTION", "MOTION", "1 braces not closed"),
         ("}\nMOTION", "}\n}\nMOTION", r"line 43: a brace closes that was not opened"),
         ("}\nMOTION", "}\nROOT Other\n{\nOFFSET 0 0 0\n}\nMOTION", "line 43: a second ROOT, Other, follows Hips"),
-        ("CHANNELS 1 Xrotation", "CHANNELS 2 Xrotation", "line 9: 2 channels are announced and 1 named"),
+        ("CHANNELS 1 Xrotation", "CHANNELS 2 Xrotation", "line 9: 2 channels are declared and 1 named"),
         ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 9: channel Wrotation is neither"),
         ("CHANNELS 1 Xrotation", "CHANNELS", "line 9: no number of channels"),
-        ("OFFSET 0 -60 0", "OFFSET 0 -60", "line 8: OFFSET 0 -60 are no three numbers"),
-        ("OFFSET 0 -60 0", "OFFSET 0 x 0", "line 8: OFFSET 0 x 0 are no three numbers"),
+        ("OFFSET 0 -60 0", "OFFSET 0 -60", "line 8: OFFSET 0 -60 is not three numbers"),
+        ("OFFSET 0 -60 0", "OFFSET 0 x 0", "line 8: OFFSET 0 x 0 is not three numbers"),
         ("OFFSET 0 -60 0", "", "joint Left Knee has no OFFSET"),
-        ("OFFSET 0 -60 0", "GARBAGE 1", "line 8: 'GARBAGE 1' is none of ROOT"),
-        ("Frame Time: .0083333", "", "line 44: after MOTION come"),
+        ("OFFSET 0 -60 0", "GARBAGE 1", "line 8: 'GARBAGE 1' is not one of ROOT"),
+        ("Frame Time: .0083333", "", "line 44: there is no Frames: and Frame Time:"),
         ("Frame Time: .0083333", "Frame Time: 0", "line 45: a frame time of 0 s"),
-        ("Frame Time: .0083333", "Frame Time: x", "3 frames of x s are no numbers"),
-        ("10.6000", "ten", "line 47: 'ten' is no number"),
-        ("10.6000", "10,6", "line 47: '10,6' is no number"),
-        (" 7.1000", "", "line 47: holds 15 numbers where the channels are 16"),
-        (" 7.2000", "", "line 48: holds 15 numbers where the channels are 16"),
-        (" 7.0000", " 7.0000 8.0000", "line 46: holds 17 numbers where the channels are 16"),
-        ("\n".join(ROWS), "", "holds no motion: 16 channels and 0 numbers"),
+        ("Frame Time: .0083333", "Frame Time: x", "the number of frames 3 or the frame time x is not a number"),
+        ("10.6000", "ten", "line 47: 'ten' is not a number"),
+        ("10.6000", "10,6", "line 47: '10,6' is not a number"),
+        (" 7.1000", "", "line 47: has 15 numbers for 16 channels"),
+        (" 7.2000", "", "line 48: has 15 numbers for 16 channels"),
+        (" 7.0000", " 7.0000 8.0000", "line 46: has 17 numbers for 16 channels"),
+        ("\n".join(ROWS), "", "has no motion: 16 channels and 0 numbers"),
     ],
 )
-def test_a_file_with_a_fault_is_refused_where_it_is(tmp_path, old, new, message):
+def test_invalid_files_are_refused_with_the_line(tmp_path, old, new, message):
     assert TEXT.count(old) == 1
     with pytest.raises(ReadError, match=message):
         read(tmp_path, TEXT.replace(old, new))
 
 
-def test_a_line_too_short_and_one_too_long_do_not_make_up_for_each_other(tmp_path):
+def test_a_short_and_a_long_line_do_not_compensate_each_other(tmp_path):
     moved = TEXT.replace(" 7.0000\n10.6000", "\n7.0000 10.6000")
-    with pytest.raises(ReadError, match="line 46: holds 15 numbers"):
+    with pytest.raises(ReadError, match="line 46: has 15 numbers"):
         read(tmp_path, moved)
 
 
-def test_a_frame_of_several_lines_that_is_torn_is_named(tmp_path):
+def test_frames_may_span_several_lines(tmp_path):
     wrapped = HIERARCHY + "MOTION\nFrames: 3\nFrame Time: .01\n" + "\n".join(" ".join(ROWS).split()) + "\n"
     np.testing.assert_array_equal(read(tmp_path, wrapped).values, VALUES)
-    with pytest.raises(ReadError, match=r"line \d+: holds 1 numbers where the channels are 16"):
+    with pytest.raises(ReadError, match=r"line \d+: has 1 numbers for 16 channels"):
         read(tmp_path, wrapped.removesuffix("7.2000\n"))
 
 
-def test_files_that_are_not_there_or_hold_nothing_are_named(tmp_path):
+def test_missing_and_empty_files_are_refused(tmp_path):
     with pytest.raises(ReadError, match="there is no such file"):
         bvh.read_bvh(tmp_path / "b.bvh")
     with pytest.raises(ReadError, match="is a folder"):
@@ -128,7 +128,7 @@ def test_files_that_are_not_there_or_hold_nothing_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("factor", "unit"), [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1000, 0.01)]
 )
-def test_the_unit_is_the_one_by_which_the_figure_is_a_person(tmp_path, factor, unit):
+def test_the_unit_is_inferred_from_the_height_of_the_figure(tmp_path, factor, unit):
     scaled = [
         " ".join(["OFFSET", *(repr(float(x) * factor) for x in line.split()[1:])]) if "OFFSET" in line else line
         for line in HIERARCHY.replace("OFFSET 0 5 0", "OFFSET 60 5 0").splitlines()
@@ -138,7 +138,7 @@ def test_the_unit_is_the_one_by_which_the_figure_is_a_person(tmp_path, factor, u
     assert bool(found.notes) == (factor != 1)
 
 
-def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
+def test_the_up_axis_is_inferred_from_head_and_feet(tmp_path):
     turned = HIERARCHY
     for old, new in (("0 -60 0", "0 0 -60"), ("0 -50 5", "0 -5 -50"), ("0 60 0", "0 0 60"), ("0 40 0", "0 0 40")):
         turned = turned.replace(old, new)
@@ -146,10 +146,10 @@ def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
     found = read(tmp_path, f"{turned}MOTION\nFrames: 1\nFrame Time: .01\n{still}\n")
     assert any("Z axis points up" in note for note in found.notes)
     position, _ = found.compute_world_poses()
-    assert position[0, found.index("Head"), 1] == pytest.approx(1.0)
+    assert position[0, found.names.index("Head"), 1] == pytest.approx(1.0)
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize(
     ("name", "joints", "frames", "rate"),
     [
@@ -157,7 +157,7 @@ def test_z_points_up_where_the_head_is_above_the_feet_along_it(tmp_path):
         ("bvh-other/02_01_daz-friendly.bvh", 43, 344, 120), ("bvh-other/Male1_B3_Walk.bvh", 22, 183, 30),
     ],
 )  # fmt: skip
-def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, rate):
+def test_captures_are_complete_and_stand_on_the_floor(name, joints, frames, rate):
     found = bvh.read_bvh(CAPTURES / name)
     assert (len(found.names), found.frame_count, found.rate) == (joints, frames, rate)
     position, _ = found.compute_world_poses()
@@ -167,13 +167,13 @@ def test_captures_are_read_whole_and_stand_on_the_floor(name, joints, frames, ra
     assert abs(np.median(position[..., 1].min(1))) < 0.3
 
 
-def test_a_figure_that_is_nowhere_is_read_all_the_same(tmp_path):
+def test_a_figure_without_any_position_is_read(tmp_path):
     rows = "\n".join(" ".join(["nan"] * 16) for _ in range(3))
     found = read(tmp_path, TEXT.replace("\n".join(ROWS), rows))
     assert np.isnan(found.values).all()
 
 
-def test_displacements_are_told_from_places(tmp_path):
+def test_displacements_are_distinguished_from_positions(tmp_path):
     found = read(tmp_path, TEXT.replace(" 60.0000 ", " 0.1 ").replace(" 60.5000 ", " 0.2 ").replace(" 61.0000 ", " 0.3 "))
     assert found.is_position_added.tolist() == [False, False, False, True, False]
     np.testing.assert_allclose(found.compute_local_positions()[:, 3, 1], [0.601, 0.602, 0.603])
@@ -181,11 +181,11 @@ def test_displacements_are_told_from_places(tmp_path):
 
 @settings(max_examples=200)
 @given(st.binary(max_size=6), st.integers(0, len(TEXT)), st.integers(0, 120))
-def test_a_file_with_any_fault_is_read_or_refused_in_a_sentence(tmp_path_factory, put, at, dropped):
+def test_damaged_files_are_read_or_refused_with_a_message(tmp_path_factory, inserted, at, removed):
     data, folder = TEXT.encode(), tmp_path_factory.getbasetemp()
     found, refused = None, ""
     try:
-        found = read(folder, data[:at] + put + data[at + dropped :])
+        found = read(folder, data[:at] + inserted + data[at + removed :])
     except ReadError as error:
         refused = str(error)
     if found is None:

@@ -24,7 +24,7 @@ LABELS = ("Jim:LFHD", "Jim:LANK", "Jim:LFIN")
 STANDING = np.array([[[10, 20, 1700], [0, 30, 80], [400, 20.5, 1000]]], float) + np.arange(4)[:, None, None]
 
 
-def take_of(folder: Path, *args, **options):
+def write_and_read(folder: Path, *args, **options):
     path = folder / "take.c3d"
     path.write_bytes(c3d_bytes(*args, **options))
     return capture.read_capture(path)
@@ -32,7 +32,7 @@ def take_of(folder: Path, *args, **options):
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
-    take = take_of(tmp_path, STANDING, LABELS, encoding=encoding)
+    take = write_and_read(tmp_path, STANDING, LABELS, encoding=encoding)
     np.testing.assert_allclose(take.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-7)
     assert take.labels == LABELS
     assert take.rate == 120
@@ -45,34 +45,34 @@ def test_all_six_encodings_give_the_same_metres_with_y_up(tmp_path, encoding):
     [("mm", 0.001), ("cm ", 0.01), ("M", 1.0), ("Meters", 1.0), ("in", 0.0254), (None, 0.001), (["mm", "mm"], 0.001)],
 )
 def test_units(tmp_path, units, metres):
-    take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:UNITS": units, "POINT:Y_SCREEN": "+Y"})
+    take = write_and_read(tmp_path, STANDING, LABELS, extra={"POINT:UNITS": units, "POINT:Y_SCREEN": "+Y"})
     np.testing.assert_allclose(take.markers, STANDING * metres, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("vertical", "order"), [("+Y", [0, 1, 2]), ("+Z", [1, 2, 0]), ("-Z", [1, 2, 0]), ("+X", [2, 0, 1])])
-def test_the_screen_tells_which_axis_is_up(tmp_path, vertical, order):
-    take = take_of(tmp_path, STANDING, LABELS, extra={"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": vertical})
+def test_the_up_axis_is_read_from_y_screen(tmp_path, vertical, order):
+    take = write_and_read(tmp_path, STANDING, LABELS, extra={"POINT:X_SCREEN": "+X", "POINT:Y_SCREEN": vertical})
     np.testing.assert_allclose(take.markers, STANDING[..., order] / 1000, atol=1e-7)
     assert isinstance(take.layout, C3dLayout)
     assert np.linalg.det(take.layout.rotation_y_up_file) == 1
 
 
 @pytest.mark.parametrize("up", [0, 1, 2])
-def test_heads_are_above_feet_where_no_screen_is_given(tmp_path, up):
+def test_the_up_axis_is_estimated_from_head_and_feet(tmp_path, up):
     file = np.roll(STANDING, up - 2, axis=-1)
-    take = take_of(tmp_path, file, LABELS)
+    take = write_and_read(tmp_path, file, LABELS)
     np.testing.assert_allclose(take.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-7)
 
 
 @pytest.mark.parametrize(("tall", "order"), [(1, [0, 1, 2]), (2, [1, 2, 0])])
-def test_the_tallest_axis_is_up_where_labels_say_nothing(tmp_path, tall, order):
+def test_the_up_axis_is_estimated_from_the_extent_of_the_body(tmp_path, tall, order):
     file = np.roll(STANDING, tall - 2, axis=-1)
-    take = take_of(tmp_path, file, ("A", "B", "C"))
+    take = write_and_read(tmp_path, file, ("A", "B", "C"))
     np.testing.assert_allclose(take.markers, file[..., order] / 1000, atol=1e-7)
 
 
 @pytest.mark.parametrize("is_float", [False, True])
-def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
+def test_only_invalid_samples_are_nan(tmp_path, is_float):
     xyz, words = STANDING.copy(), np.full((4, 3), 5)
     words[0, 0] = -1
     xyz[1, 1] = 0
@@ -81,7 +81,7 @@ def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
     if is_float:
         xyz[1, 2], xyz[2, 2], xyz[3, 0], xyz[3, 1] = -9999.99, 9999999, np.nan, np.inf
         expected[1, 2] = expected[2, 2] = expected[3, 0] = expected[3, 1] = False
-    take = take_of(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
+    take = write_and_read(tmp_path, xyz, LABELS, words, encoding=(84, is_float))
     np.testing.assert_array_equal(take.visible, expected)
     np.testing.assert_array_equal(np.isnan(take.markers).all(-1), ~expected)
 
@@ -89,11 +89,11 @@ def test_invalid_samples_are_nan_and_only_they(tmp_path, is_float):
 def test_a_coordinate_of_zero_alone_is_valid(tmp_path):
     xyz = STANDING.copy()
     xyz[0, 0] = (0, 0, 1700)
-    assert take_of(tmp_path, xyz, LABELS).visible.all()
+    assert write_and_read(tmp_path, xyz, LABELS).visible.all()
 
 
 def test_first_frame_of_the_header(tmp_path):
-    take = take_of(tmp_path, STANDING, LABELS, first=40)
+    take = write_and_read(tmp_path, STANDING, LABELS, first=40)
     assert (take.first_frame, take.frame_count, take.get_frame_number(3)) == (40, 4, 43)
 
 
@@ -101,67 +101,67 @@ def test_first_frame_of_the_header(tmp_path):
 @pytest.mark.parametrize("header", [65535, 70000], ids=["saturated", "wrapped"])
 def test_first_frame_beyond_65535(tmp_path, encoding, header):
     trial = {"TRIAL:ACTUAL_START_FIELD": [70000 - 65536, 1], "TRIAL:ACTUAL_END_FIELD": [70003 - 65536, 1]}
-    take = take_of(tmp_path, STANDING, LABELS, encoding=encoding, first=header, extra=trial)
+    take = write_and_read(tmp_path, STANDING, LABELS, encoding=encoding, first=header, extra=trial)
     assert (take.first_frame, take.frame_count, take.get_frame_number(3)) == (70000, 4, 70003)
 
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
 @pytest.mark.parametrize(
-    "said",
+    "frame_parameters",
     [
         {"POINT:LONG_FRAMES": 70000.0},
         {"POINT:FRAMES": 70000.0},
         {"TRIAL:ACTUAL_START_FIELD": [1, 0], "TRIAL:ACTUAL_END_FIELD": [70000 - 65536, 1]},
     ],
 )
-def test_more_frames_than_the_header_can_say(tmp_path, said, processor):
+def test_frame_counts_beyond_the_header_word(tmp_path, frame_parameters, processor):
     xyz = np.ones((70000, 1, 3))
     xyz[-1] = 2
-    take = take_of(tmp_path, xyz, ["A"], encoding=(processor, False), extra=said)
+    take = write_and_read(tmp_path, xyz, ["A"], encoding=(processor, False), extra=frame_parameters)
     assert (take.frame_count, take.notes) == (70000, ())
     np.testing.assert_allclose(take.markers[[0, -2, -1], 0, 0], [0.001, 0.001, 0.002])
 
 
-def test_more_frames_than_a_word_can_say_and_nothing_else_does_are_read_and_told(tmp_path):
-    take = take_of(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
+def test_undeclared_frames_beyond_65535_are_read_and_noted(tmp_path):
+    take = write_and_read(tmp_path, np.ones((70000, 3, 3)), LABELS, encoding=(84, False), extra={"POINT:FRAMES": 65535})
     assert take.visible[:70000].all()
-    assert take.frame_count == 70000 + 256 // 30  # what is left of the last block cannot be told from frames
-    assert take.notes == ("The header promises 65535 frames and 70008 are there.",)
+    assert take.frame_count == 70000 + 256 // 30  # the rest of the last block is indistinguishable from frames
+    assert take.notes == ("The header declares 65535 frames; the file has 70008.",)
 
 
-def test_a_file_that_was_shortened_and_kept_its_header_is_read_and_told(tmp_path):
+def test_a_shortened_file_with_its_old_header_is_read_and_noted(tmp_path):
     path = tmp_path / "take.c3d"
     path.write_bytes(c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60])  # two frames of three points and three analog words
     take = capture.read_capture(path)
     np.testing.assert_allclose(take.markers, STANDING[:2][..., [1, 2, 0]] / 1000, atol=1e-7)
-    assert take.notes == ("The header promises 4 frames and 2 are there.",)
+    assert take.notes == ("The header declares 4 frames; the file has 2.",)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @given(rate=st.floats(0.5, 5000, width=32), scale=st.floats(0.125, 2, width=32))
-def test_numbers_of_parameters_are_the_files_own_in_every_encoding(tmp_path_factory, encoding, rate, scale):
+def test_numeric_parameters_in_every_encoding(tmp_path_factory, encoding, rate, scale):
     folder = tmp_path_factory.mktemp("numbers")
-    take = take_of(folder, STANDING, LABELS, encoding=encoding, scale=scale, extra={"POINT:RATE": rate})
+    take = write_and_read(folder, STANDING, LABELS, encoding=encoding, scale=scale, extra={"POINT:RATE": rate})
     assert isinstance(take.layout, C3dLayout)
     assert (take.rate, take.layout.scale_factor) == (rate, scale)
 
 
-def test_the_people_that_a_file_lists(tmp_path):
+def test_subject_names_are_read(tmp_path):
     bare = [label.removeprefix("Jim:") for label in LABELS]
-    jims = take_of(tmp_path, STANDING, bare, extra={"SUBJECTS:USED": 1, "SUBJECTS:NAMES": ["Jim   "]})
+    jims = write_and_read(tmp_path, STANDING, bare, extra={"SUBJECTS:USED": 1, "SUBJECTS:NAMES": ["Jim   "]})
     assert (jims.subject_names, jims.marker_subjects) == (("Jim",), ("Jim",) * 3)
-    several = take_of(tmp_path, STANDING, ["Jim:LFHD", "Ann:LANK", "LFIN"], extra={"SUBJECTS:NAMES": ["Jim", "Ann"]})
+    several = write_and_read(tmp_path, STANDING, ["Jim:LFHD", "Ann:LANK", "LFIN"], extra={"SUBJECTS:NAMES": ["Jim", "Ann"]})
     assert (several.subject_names, several.marker_subjects) == (("Jim", "Ann"), ("Jim", "Ann", ""))
 
 
-def test_a_parameter_left_from_a_longer_trial_is_overruled_by_a_file_that_ends_where_its_header_says(tmp_path):
-    assert take_of(tmp_path, STANDING, LABELS, extra={"POINT:FRAMES": 900}).frames == 4
+def test_the_header_overrules_a_larger_frame_count_parameter(tmp_path):
+    assert write_and_read(tmp_path, STANDING, LABELS, extra={"POINT:FRAMES": 900}).frame_count == 4
 
 
 def test_labels_beyond_255_and_their_columns(tmp_path):
     labels = [f"*{i}" for i in range(250)] + [f"M{i}" for i in range(250, 300)]
     xyz = np.arange(1, 901, dtype=float).reshape(1, 300, 3)
-    take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
+    take = write_and_read(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
     assert take.labels == tuple(labels[250:])
     assert len(take.other_labels) == 250
     np.testing.assert_array_equal(take.point_columns, np.arange(250, 300))
@@ -169,64 +169,64 @@ def test_labels_beyond_255_and_their_columns(tmp_path):
 
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
-def test_labels_and_lists_of_outputs_over_several_parameters(tmp_path, processor):
-    """600 points; the file's own list of scalars goes over 255, too, and names every second one from 0 to 598 among them."""
+def test_label_lists_over_several_parameters(tmp_path, processor):
+    """600 points. The list of scalars is longer than 255 too: every second label from 0 to 598."""
     labels = [f"M{i}" for i in range(600)]
     scalars = {"POINT:SCALARS": labels[:510:2], "POINT:SCALARS2": labels[510::2]}
-    take = take_of(tmp_path, np.full((1, 600, 3), 50.0), labels, encoding=(processor, False), extra=scalars)
+    take = write_and_read(tmp_path, np.full((1, 600, 3), 50.0), labels, encoding=(processor, False), extra=scalars)
     assert take.labels == tuple(labels[1::2])
     assert take.other_labels == tuple(labels[::2])
 
 
-def test_unlabelled_points_and_model_outputs_are_no_markers(tmp_path):
+def test_unlabelled_points_and_model_outputs_are_not_markers(tmp_path):
     others = ["*12", "", "#", "Uname*1", "C_123", "17", "Jim:*3", "Unlabeled 20", "Jim:Crank", "LKneeAngles", "Jim:LHipMoment"]
     others += ["Jim:PELO", "Jim:PELA", "Jim:PELL", "Jim:PELP", "CentreOfMass"]
     markers = ["LFHD", "Jim:LANK", "Jim:Marker_1", "P1", "C7", "LP", "LA", "Genoux_C", "Jim:Stick 1"]
     labels = [*others, *markers]
     xyz = np.arange(1, 3 * len(labels) + 1, dtype=float).reshape(1, -1, 3)
-    take = take_of(tmp_path, xyz, labels, extra={"POINT:SCALARS": ["Jim:Crank", "Other"]})
+    take = write_and_read(tmp_path, xyz, labels, extra={"POINT:SCALARS": ["Jim:Crank", "Other"]})
     assert take.labels == tuple(markers)
     assert take.other_labels == tuple(others)
 
 
-def test_unlabelled_trajectories_are_a_take_of_their_own(tmp_path):
+def test_unlabelled_trajectories_are_read_as_a_separate_take(tmp_path):
     xyz = np.concatenate([STANDING, STANDING[:, ::-1] + 5, STANDING[:, :1] * 0], axis=1)
-    labels = [*LABELS, "*12", "LKneeAngles", "Uname*1", "*99"]  # the last is never seen
-    take = take_of(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
+    labels = [*LABELS, "*12", "LKneeAngles", "Uname*1", "*99"]  # the last is never visible
+    take = write_and_read(tmp_path, xyz, labels, extra={"POINT:Y_SCREEN": "+Y"})
     assert take.unlabelled is not None
     assert take.unlabelled.labels == ("*12", "Uname*1")
     np.testing.assert_array_equal(take.unlabelled.point_columns, [3, 5])
     np.testing.assert_allclose(take.unlabelled.markers, xyz[:, [3, 5]] / 1000, rtol=1e-6)
     assert take.unlabelled.rate == take.rate
-    assert take_of(tmp_path, STANDING, LABELS).unlabelled is None
+    assert write_and_read(tmp_path, STANDING, LABELS).unlabelled is None
 
 
-def test_points_behind_the_last_measured_one_are_computed(tmp_path):
+def test_points_after_the_last_captured_one_are_computed(tmp_path):
     labels = ["A", "B", "C", "D", "RHJC", "LHJC", "HED0"]
     xyz, words = np.full((2, 7, 3), 100.0), np.zeros((2, 7))
     words[0, [0, 3]] = 0x0305
-    assert take_of(tmp_path, xyz, labels, words).labels == ("A", "B", "C", "D")
-    assert take_of(tmp_path, xyz, labels).labels == tuple(labels)  # no residuals at all: all are measured
-    assert take_of(tmp_path, xyz[:, :6], labels[:6], words[:, :6]).labels == tuple(labels[:6])  # two may be edited markers
+    assert write_and_read(tmp_path, xyz, labels, words).labels == ("A", "B", "C", "D")
+    assert write_and_read(tmp_path, xyz, labels).labels == tuple(labels)  # no residuals: all are measured
+    assert write_and_read(tmp_path, xyz[:, :6], labels[:6], words[:, :6]).labels == tuple(labels[:6])  # two may be edited markers
     words[0, [0, 3]] = 0x0005
-    assert take_of(tmp_path, xyz, labels, words).labels == tuple(labels)  # residuals without cameras, as Qualisys and a fill
+    assert write_and_read(tmp_path, xyz, labels, words).labels == tuple(labels)  # residuals without cameras, as Qualisys and a fill
 
 
-def test_duplicate_labels_and_markers_never_seen_are_kept(tmp_path):
+def test_duplicate_labels_and_invisible_markers_are_kept(tmp_path):
     xyz = STANDING.copy()
     xyz[:, 2] = 0
-    take = take_of(tmp_path, xyz, ("LFHD", "LFHD", "LANK"))
+    take = write_and_read(tmp_path, xyz, ("LFHD", "LFHD", "LANK"))
     assert take.labels == ("LFHD", "LFHD", "LANK")
     np.testing.assert_array_equal(take.visible.any(0), [True, True, False])
 
 
-def test_labels_with_more_or_fewer_names_than_points(tmp_path):
-    assert take_of(tmp_path, STANDING, [*LABELS, "Late", "Later"]).labels == LABELS
-    assert take_of(tmp_path, STANDING, LABELS[:2]).other_labels == ("",)
+def test_more_or_fewer_labels_than_points(tmp_path):
+    assert write_and_read(tmp_path, STANDING, [*LABELS, "Late", "Later"]).labels == LABELS
+    assert write_and_read(tmp_path, STANDING, LABELS[:2]).other_labels == ("",)
 
 
 BAD = {
-    "a C3D's first bytes": (b"\x02\x50" + bytes(100), "first 102 bytes"),
+    "the first bytes of a C3D": (b"\x02\x50" + bytes(100), "first 102 bytes"),
     "noise with the magic byte": (b"\x02\x50" + np.random.default_rng(1).bytes(5000), "damaged"),
     "no points": (c3d_bytes(np.zeros((4, 0, 3)), ["x"]), "no points"),
     "no frames": (c3d_bytes(np.zeros((0, 3, 3)), LABELS), "no frames"),
@@ -235,13 +235,13 @@ BAD = {
     "no rate": (c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}), "POINT:RATE is 0"),
     "no scale": (c3d_bytes(STANDING, LABELS, extra={"POINT:SCALE": 0.0}), "POINT:SCALE is 0"),
     "two numbers of points": (c3d_bytes(STANDING, LABELS, extra={"POINT:USED": 5}), "3 points by its header and 5"),
-    "cut off": (c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60 - 1], "4 frames are promised, 1 are there"),
-    "nothing but its header": (c3d_bytes(STANDING, LABELS)[: -256 - 4 * 60], "4 frames are promised, 0 are there"),
+    "cut off": (c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60 - 1], "4 frames are declared and 1 are there"),
+    "only its header": (c3d_bytes(STANDING, LABELS)[: -256 - 4 * 60], "4 frames are declared and 0 are there"),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_sentence_with_the_file(tmp_path, case):
+def test_invalid_files_are_refused_with_their_name(tmp_path, case):
     data, words = BAD[case]
     path = tmp_path / "walk.c3d"
     path.write_bytes(data)
@@ -253,7 +253,7 @@ def test_bad_input_is_one_sentence_with_the_file(tmp_path, case):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("processor", "order"), [(84, "<"), (86, ">")])
-def test_a_nan_that_signals_is_missing_without_a_word(tmp_path, processor, order):
+def test_a_signalling_nan_is_missing_without_a_warning(tmp_path, processor, order):
     data = c3d_bytes(STANDING, LABELS, encoding=(processor, True))
     path = tmp_path / "take.c3d"
     path.write_bytes(data.replace(struct.pack(f"{order}f", 1700), struct.pack(f"{order}I", 0x7F800001)))
@@ -261,7 +261,7 @@ def test_a_nan_that_signals_is_missing_without_a_word(tmp_path, processor, order
 
 
 @given(place=st.integers(0, 1023), byte=st.integers(0, 255), keep=st.integers(0, 2000))
-def test_damage_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_factory, place, byte, keep):
+def test_damaged_files_are_read_or_refused(tmp_path_factory, place, byte, keep):
     data = bytearray(c3d_bytes(STANDING, LABELS))
     data[place] = byte
     path = tmp_path_factory.mktemp("damaged") / "take.c3d"
@@ -273,7 +273,7 @@ def test_damage_gives_a_take_or_a_read_error_and_nothing_else(tmp_path_factory, 
     assert take.markers.shape == (take.frame_count, len(take.labels), 3)
 
 
-MARKERS = {  # by hand from each file's labels
+MARKERS = {  # counted by hand from the labels
     "05_13.c3d": 41,
     "HDM_bd_05-01_01_120.c3d": 41,
     "FunctionalWalk.c3d": 67,
@@ -289,20 +289,20 @@ MARKERS = {  # by hand from each file's labels
 
 @with_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
-def test_captures_stand_upright_and_have_the_markers_a_person_would_count(path):
+def test_captures_are_upright_and_have_the_expected_markers(path):
     take = capture.read_capture(path)
     assert len(take.labels) == MARKERS.get(path.name, len(take.labels))
     assert isinstance(take.layout, C3dLayout)
     assert len(take.labels) + len(take.other_labels) == take.layout.point_count
     if path.name == "Optotrak.c3d":
-        return  # sees from where its camera stands and not from a floor
+        return  # its origin is the camera and not the floor
     # What a laboratory captures lies above its floor and within a few metres.
     assert -0.1 < np.nanmin(np.nanpercentile(take.markers[..., 1], 5)) < np.nanpercentile(take.markers[..., 1], 95) < 2.5
 
 
 @with_captures
 @pytest.mark.parametrize("path", [path for path in READABLE if path.name != "sgi_real.c3d"], ids=lambda path: path.name)
-def test_captures_read_as_ezc3d_reads_them(path):
+def test_captures_agree_with_ezc3d(path):
     take = capture.read_capture(path)
     oracle = ezc3d.c3d(str(path))
     theirs = oracle["data"]["points"][:3, take.point_columns].transpose(2, 1, 0)
@@ -311,7 +311,7 @@ def test_captures_read_as_ezc3d_reads_them(path):
     np.testing.assert_allclose(ours[take.visible], theirs[take.visible], rtol=1e-6, atol=1e-4)
     assert (~np.isfinite(theirs[~take.visible]) | (theirs[~take.visible] == 0)).all()
     assert take.rate == pytest.approx(oracle["parameters"]["POINT"]["RATE"]["value"][0])
-    # ezc3d counts from 0 and takes a file's frame 0 for 1.
+    # ezc3d counts from 0 and reads a first frame 0 as 1.
     assert max(take.first_frame, 1) == oracle["header"]["points"]["first_frame"] + 1
 
 
@@ -321,7 +321,7 @@ SOURCES = (CAPTURES / "SOURCES.md").read_text(encoding="utf-8") if CAPTURES.is_d
 
 @with_captures
 @pytest.mark.parametrize("row", ROW.findall(SOURCES), ids=lambda row: row[0])
-def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
+def test_captures_have_the_points_frames_and_rate_of_their_source(row):
     name, points, frames, rate, unit = row
     take = capture.read_capture(next(CAPTURES.rglob(name)))
     assert isinstance(take.layout, C3dLayout)
@@ -331,14 +331,14 @@ def test_captures_have_the_points_frames_and_rate_that_their_source_gives(row):
 
 @with_captures
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_a_real_trial_is_the_same_in_all_six_encodings(tmp_path, encoding):
+def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
     trial = capture.read_capture(CAPTURES / "c3d" / "pc_int.c3d")
     layout = trial.layout
     assert isinstance(layout, C3dLayout)
     assert trial.path is not None
     words = layout.view_words(trial.path.read_bytes())
-    xyz, said = words[..., :3] * layout.scale_factor, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}
-    made = c3d_bytes(xyz, trial.labels, words[..., 3], encoding, layout.scale_factor, extra=said)
+    xyz, extra = words[..., :3] * layout.scale_factor, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}
+    made = c3d_bytes(xyz, trial.labels, words[..., 3], encoding, layout.scale_factor, extra=extra)
     (tmp_path / "again.c3d").write_bytes(made)
     again = capture.read_capture(tmp_path / "again.c3d")
     np.testing.assert_array_equal(again.visible, trial.visible)
@@ -354,7 +354,7 @@ def test_one_trial_in_three_encodings():
     intel, dec, sgi = (capture.read_capture(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
     np.testing.assert_array_equal(dec.markers, sgi.markers)
     np.testing.assert_array_equal(intel.visible, dec.visible)
-    np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm, and the rounding
+    np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm plus rounding
 
 
 @with_captures
@@ -365,7 +365,7 @@ def test_one_trial_in_three_encodings():
         ("empty.c3d", "empty"),
     ],
 )
-def test_bad_captures_fail_at_once(name, words):
+def test_invalid_captures_are_refused_quickly(name, words):
     start = time.perf_counter()
     with pytest.raises(ReadError, match=words):
         capture.read_capture(CAPTURES / "c3d" / name)

@@ -10,7 +10,7 @@ from tests.text_files import LABELS, STANDING, qualisys
 Y_UP = STANDING[..., [1, 2, 0]] / 1000
 
 
-def take_of(folder: Path, text: str):
+def write_and_read(folder: Path, text: str):
     path = folder / "walk.tsv"
     path.write_bytes(text.encode())
     return capture.read_capture(path)
@@ -19,53 +19,53 @@ def take_of(folder: Path, text: str):
 @pytest.mark.parametrize("columns", [(), ("Frame",), ("Frame", "Time")])
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("trailing", ["", "\t"])
-def test_with_and_without_columns_of_frames_and_times(tmp_path, columns, named, trailing):
-    take = take_of(tmp_path, qualisys(columns=columns, named=named, trailing=trailing, first=5))
+def test_columns_of_frame_numbers_and_times_are_optional(tmp_path, columns, named, trailing):
+    take = write_and_read(tmp_path, qualisys(columns=columns, named=named, trailing=trailing, first=5))
     np.testing.assert_allclose(take.markers, Y_UP, atol=1e-9)
     assert (take.labels, take.rate, take.first_frame, take.notes) == (LABELS, 100, 5 if columns else 1, ())
 
 
 @pytest.mark.parametrize("missing", ["0.000", "", "NULL"])
-def test_what_is_missing(tmp_path, missing):
+def test_spellings_of_missing_samples(tmp_path, missing):
     xyz = STANDING.copy()
     xyz[1, 2] = np.nan
-    take = take_of(tmp_path, qualisys(xyz, missing=missing))
+    take = write_and_read(tmp_path, qualisys(xyz, missing=missing))
     np.testing.assert_array_equal(take.visible, ~np.isnan(xyz[..., 0]))
 
 
 @pytest.mark.parametrize("missing", ["0.000", "", "NULL"])
 @pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize("columns", [(), ("Frame", "Time")])
-def test_no_frame_is_lost_where_the_first_marker_or_all_are_missing(tmp_path, missing, named, columns):
+def test_frames_without_visible_markers_are_kept(tmp_path, missing, named, columns):
     xyz = STANDING.copy()
     xyz[:2, 0], xyz[2] = np.nan, np.nan
-    take = take_of(tmp_path, qualisys(xyz, missing=missing, named=named, columns=columns))
+    take = write_and_read(tmp_path, qualisys(xyz, missing=missing, named=named, columns=columns))
     np.testing.assert_array_equal(take.visible, ~np.isnan(xyz[..., 0]))
     assert take.notes == ()
 
 
-def test_trajectories_that_were_chosen_and_not_named_are_markers_where_none_is_named(tmp_path):
-    take = take_of(tmp_path, qualisys(labels=("New 0000", "New 0002", "New 0003")))
+def test_default_names_are_markers_if_no_marker_is_named(tmp_path):
+    take = write_and_read(tmp_path, qualisys(labels=("New 0000", "New 0002", "New 0003")))
     assert take.labels == ("New 0000", "New 0002", "New 0003")
     assert take.unlabelled is None
-    take = take_of(tmp_path, qualisys(labels=("LFHD", "LANK", "New 0003")))
+    take = write_and_read(tmp_path, qualisys(labels=("LFHD", "LANK", "New 0003")))
     assert take.labels == ("LFHD", "LANK")
     assert take.unlabelled is not None
 
 
-BAD = {
+INVALID_FILES = {
     "rigid bodies": ("NO_OF_FRAMES\t2\r\nNO_OF_BODIES\t1\r\nBODY_NAMES\tBox\r\n1\t2\t3\r\n", r"rigid bodies \(6D\)"),
-    "analog": ("NO_OF_SAMPLES\t2\r\nFREQUENCY\t100\r\nCHANNEL_NAMES\tEMG\r\n1\r\n", "holds analog signals"),
+    "analog": ("NO_OF_SAMPLES\t2\r\nFREQUENCY\t100\r\nCHANNEL_NAMES\tEMG\r\n1\r\n", "has analog signals"),
     "no names": (qualisys(labels=()), "line 8: names no markers"),
-    "no rate": (qualisys().replace("FREQUENCY\t100", "FREQUENCY\t"), "line 4: nothing tells the frame rate"),
-    "cut off": (qualisys()[:-20], "line 13: is cut off"),
+    "no rate": (qualisys().replace("FREQUENCY\t100", "FREQUENCY\t"), "line 4: the file does not give its frame rate"),
+    "cut off": (qualisys()[:-20], "line 13: the file is cut off"),
     "a word": (qualisys().replace("1701.000", "oops"), "line 11: field 5 is 'oops'"),
 }
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_one_sentence_with_the_file_and_line(tmp_path, case):
-    text, words = BAD[case]
+@pytest.mark.parametrize("case", INVALID_FILES)
+def test_invalid_files_are_refused_with_the_line(tmp_path, case):
+    text, words = INVALID_FILES[case]
     with pytest.raises(ReadError, match=words) as error:
-        take_of(tmp_path, text)
+        write_and_read(tmp_path, text)
     assert str(error.value).startswith(str(tmp_path / "walk.tsv"))

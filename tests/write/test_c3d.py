@@ -2,319 +2,139 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-import c3d
+import c3d as c3d_library
 import ezc3d
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mocapfix import write
 from mocapfix.errors import WriteError
-from mocapfix.faults import Fragment
-from mocapfix.files.layouts import C3dLayout
+from mocapfix.files.layouts import C3dLayout, TableLayout
 from mocapfix.read import capture
-from mocapfix.repair import relabel
 from mocapfix.take import Take
-from tests.c3d_files import ENCODINGS, c3d_bytes
+from tests.text_files import LABELS, STANDING, trc
 
-CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
-UNREADABLE = {"bad_parameter_section.c3d", "empty.c3d"}
-# c3d 0.6.0 stops at a parameter named twice, and at an analog rate that is said twice and not alike.
-NOT_BY_C3D = {"PiG_Calibration-FlatFoot-Hole.c3d", "01_01.c3d", "05_13.c3d"}
-READABLE = sorted(path for folder in ("c3d", "cmu") for path in (CAPTURES / folder).glob("*.c3d") if path.name not in UNREADABLE)
-
-LABELS = ("*1", "LFHD", "LANK", "RANK")  # the first is no marker, so that marker and point indices differ
-FRAMES, MARKERS = 5, 3
-# Whole counts of 0.1 mm; one marker is missing in one frame.
-XYZ = np.arange(1, 61, dtype=float).reshape(FRAMES, 4, 3) * 13.7
-WORDS = np.where(np.arange(20).reshape(FRAMES, 4) == 10, -1, 0x0102)
+Y_UP = STANDING[..., [1, 2, 0]] / 1000
+Z_UP = np.eye(3)[[1, 2, 0]]
 
 
-def take_in(folder: Path, encoding, vertical="+Z") -> Take:
-    path = folder / "before.c3d"
-    path.write_bytes(c3d_bytes(XYZ, LABELS, WORDS, encoding, extra={"POINT:Y_SCREEN": vertical}))
-    return capture.read_capture(path)
+def in_axes(unit: float, axes: np.ndarray) -> TableLayout:
+    return TableLayout("utf-8", "\n", "\t", ".", unit, rotation_y_up_file=axes)
 
 
-def sample_bytes(take: Take, frame: int, marker: int) -> slice:
-    """Where the sample's four words lie, counted by hand."""
-    layout = take.layout
-    assert isinstance(layout, C3dLayout)
-    size = 16 if layout.is_float else 8
-    start = layout.start + frame * layout.frame_stride_bytes + size * int(take.columns[marker])
-    return slice(start, start + size)
+def by_library(path: Path) -> tuple[c3d_library.Reader, np.ndarray]:
+    """-> the library's reader and its (T, P, 5) points."""
+    with path.open("rb") as file, warnings.catch_warnings(action="ignore"):
+        reader = c3d_library.Reader(file)
+        return reader, np.array([points for _, points, _ in reader.read_frames()])
 
 
-def assert_only_changed(before: Take, target: Path, changed: np.ndarray) -> Take:
-    """Only those samples' bytes differ, and all other samples read back bit for bit; -> the copy, read."""
-    assert before.path is not None
-    old, new = (np.frombuffer(path.read_bytes(), "u1") for path in (before.path, target))
-    allowed = np.zeros(len(old), bool)
-    for frame, marker in np.argwhere(changed):
-        allowed[sample_bytes(before, frame, marker)] = True
-    np.testing.assert_array_equal(new[~allowed], old[~allowed])
-    copy = capture.read_capture(target)
-    assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
-    return copy
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_nothing_to_mend_is_a_byte_identical_copy(tmp_path, encoding):
-    before = take_in(tmp_path, encoding)
-    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(before.markers.copy())) == []
-    assert (tmp_path / "after.c3d").read_bytes() == (tmp_path / "before.c3d").read_bytes()
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
 @given(
-    values=arrays(float, (FRAMES, MARKERS, 3), elements=st.floats(-3, 3).map(lambda metres: round(metres, 9))),
-    sample_sd=arrays(float, (FRAMES, MARKERS), elements=st.floats(0, 0.05) | st.just(np.nan)),
-    what=arrays(np.int8, (FRAMES, MARKERS), elements=st.integers(0, 2)),
-    vertical=st.sampled_from(["+X", "+Y", "+Z"]),
+    markers=arrays(float, (5, 3, 3), elements=st.floats(-3, 3, width=32).filter(lambda x: abs(x) > 1e-6)),
+    gone=arrays(bool, (5, 3)),
+    sample_sd=arrays(float, (5, 3), elements=st.floats(0, 0.05) | st.just(np.nan)),
+    form=st.sampled_from([(0.001, Z_UP), (0.01, np.eye(3)), (1.0, np.eye(3)), (0.0254, np.eye(3)[[2, 0, 1]])]),
+    first=st.sampled_from([0, 1, 695, 65_533, 70_000]),
+    rate=st.sampled_from([30.0, 59.94, 120.0, 1000.0]),
 )
-def test_only_changed_samples_change_and_they_read_back(tmp_path_factory, encoding, values, deviation, what, vertical):
-    folder = tmp_path_factory.mktemp("mend")
-    before = take_in(folder, encoding, vertical)
-    assert isinstance(before.layout, C3dLayout)
-    markers = np.where((what == 1)[..., None], values, before.markers)
-    markers[what == 2] = np.nan
-    lost = write.patch_c3d(folder / "after.c3d", before, before.replace_markers(markers, deviation))
-
-    copy = assert_only_changed(before, folder / "after.c3d", what > 0)
-    nothing = np.abs(markers).max(-1) < (0.5e-4 if not encoding[1] else 1e-10)  # rounds to all-zero, which reads as missing
-    assert lost == [(t, m) for t, m in np.argwhere((what == 1) & nothing).tolist()]
-    filled = (what == 1) & ~nothing
-    step = 0.5e-4 if not encoding[1] else 3e-7
-    np.testing.assert_allclose(copy.markers[filled], markers[filled], atol=step * 1.001)
-    assert not copy.visible[what == 2].any()
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_the_words_of_a_filled_and_of_a_removed_sample(tmp_path, encoding):
-    before = take_in(tmp_path, encoding)
-    markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
-    places = [(0, 0), (1, 1), (2, 1), (3, 0), (4, 2)]
-    for place in places:
-        markers[place] = (0.1, 1.25, -0.3)  # metres, Y up; the file is in mm, Z up: (-300, 100, 1250)
-    deviation[0, 0], deviation[1, 1], deviation[2, 1], deviation[3, 0] = 0.0021, 1.0, 0.0, 0.00001
-    markers[4, 2] = np.nan
-    write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers, deviation))
-
-    data = (tmp_path / "after.c3d").read_bytes()
-    xyz = (-300, 100, 1250) if encoding[1] else (-3000, 1000, 12500)
-    # 2.1 mm are 21 counts of 0.1 mm; no residual is 0, which would say measured, nor beyond a byte.
-    wanted = [(*xyz, 21), (*xyz, 255), (*xyz, 1), (*xyz, 1), (0, 0, 0, -1)]
-    for place, words in zip(places, wanted, strict=True):
-        assert data[sample_bytes(before, *place)] == as_stored(words, encoding)
+def test_reads_back_the_same(tmp_path_factory, markers, gone, deviation, form, first, rate):
+    path = tmp_path_factory.mktemp("new") / "take.c3d"
+    labels = ("LFHD", "Jim:LANK", "Zehe_größte")
+    given_in = Take(np.where(gone[..., None], np.nan, markers), labels, rate, first, layout=in_axes(*form), sample_sd=deviation)
+    write.write_c3d(path, given_in)
+    back = capture.read_capture(path)
+    assert (back.labels, back.first_frame, back.frame_count) == (labels, first, 5)
+    assert back.rate == pytest.approx(rate, rel=1e-7)
+    np.testing.assert_allclose(back.markers, given_in.markers, atol=4e-7)
+    assert isinstance(back.layout, C3dLayout)
+    np.testing.assert_array_equal(back.layout.rotation_y_up_file, form[1])
+    assert back.layout.unit_m == (form[0] if form[0] != 0.0254 else 0.001)
+    words = back.layout.view_words(path.read_bytes())[..., 3]
+    counts = np.clip(np.rint(deviation / 1e-4), 1, 255)
+    np.testing.assert_array_equal(words, np.where(gone, -1, np.where(np.isnan(deviation), 0, counts)))
 
 
-def as_stored(words, encoding) -> bytes:
-    """Four words as tests/c3d_files.py stores a sample in a file of one point and one frame."""
-    scale = 1.0
-    made = c3d_bytes(np.array(words[:3], float).reshape(1, 1, 3), ["A"], np.array([[words[3]]]), encoding, scale)
-    return made[-256 - 3 * (4 if encoding[1] else 2) - (16 if encoding[1] else 8) :][: 16 if encoding[1] else 8]
+def test_both_libraries_read_it_the_same(tmp_path):
+    xyz = STANDING.copy()
+    xyz[1, 2] = np.nan
+    (tmp_path / "walk.trc").write_text(trc(xyz, first=185))
+    take = capture.read_capture(tmp_path / "walk.trc")
+    write.write_c3d(tmp_path / "walk.c3d", take)
+    file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
+    np.testing.assert_allclose(file["data"]["points"][:3].transpose(2, 1, 0), xyz, rtol=1e-6)
+    assert file["parameters"]["POINT"]["LABELS"]["value"] == list(LABELS)
+    assert file["header"]["points"]["first_frame"] == 184  # counted from 0
+    reader, points = by_library(tmp_path / "walk.c3d")
+    assert (reader.first_frame, reader.last_frame, reader.point_rate) == (185, 188, 100)
+    assert [label.strip() for label in reader.point_labels] == list(LABELS)
+    there = ~np.isnan(xyz[..., 0])
+    np.testing.assert_allclose(points[there][:, :3], xyz[there], rtol=1e-6)
+    assert points[1, 2, 3] == -1
 
 
-@pytest.mark.parametrize("processor", [84, 85, 86])
-def test_a_value_beyond_an_integer_file_is_left_empty_and_named(tmp_path, processor):
-    before = take_in(tmp_path, (processor, False))
-    markers = before.markers.copy()
-    markers[0, 1] = (0, 3.2768, 0)  # 32,768 counts of 0.1 mm
-    markers[1, 1] = (0, 3.2767, 0)
-    markers[3, 2] = (0, 0, -50)
-    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == [(0, 1), (3, 2)]
-    copy = capture.read_capture(tmp_path / "after.c3d")
-    assert not copy.visible[0, 1]
-    assert not copy.visible[3, 2]
-    np.testing.assert_allclose(copy.markers[1, 1], (0, 3.2767, 0))
+def test_what_was_filled_is_known_again_by_its_residual(tmp_path):
+    markers, deviation = np.tile(Y_UP, (10, 1, 1)), np.full((40, 3), np.nan)
+    deviation[3:9, 1] = 0.004
+    computed = np.zeros((40, 3), bool)
+    computed[20, 2] = True  # by an earlier file's word; nobody knows how surely
+    write.write_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, sample_sd=deviation, computed=computed))
+    back = capture.read_capture(tmp_path / "take.c3d")
+    np.testing.assert_array_equal(back.computed, ~np.isnan(deviation) | computed)
+    assert back.uncaptured is not None
+    assert not back.uncaptured.any()
 
 
-def test_the_input_is_never_the_target_nor_touched(tmp_path):
-    before = take_in(tmp_path, (84, True))
-    original = (tmp_path / "before.c3d").read_bytes()
-    (tmp_path / "link.c3d").symlink_to(tmp_path / "before.c3d")
-    for target in (tmp_path / "before.c3d", tmp_path / "link.c3d"):
-        with pytest.raises(WriteError, match="is the input itself"):
-            write.patch_c3d(target, before, before.replace_markers(before.markers + 1))
-    assert (tmp_path / "before.c3d").read_bytes() == original
+def test_unlabelled_trajectories_come_behind_the_markers(tmp_path):
+    loose = Take(Y_UP[:, :1] + 1, ("*7",), 100)
+    write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, unlabelled=loose))
+    back = capture.read_capture(tmp_path / "take.c3d")
+    assert back.labels == LABELS
+    assert back.unlabelled is not None
+    assert back.unlabelled.labels == ("*7",)
+    np.testing.assert_allclose(back.unlabelled.markers, loose.markers, atol=1e-6)
 
 
-def test_what_cannot_be_written_is_one_sentence_and_leaves_nothing(tmp_path):
-    before = take_in(tmp_path, (84, True))
-    with pytest.raises(WriteError, match="was not read from a C3D"):
-        write.patch_c3d(tmp_path / "after.c3d", replace(before, layout=None), before)
-    with pytest.raises(WriteError, match="was not read from a file"):
-        write.patch_c3d(tmp_path / "after.c3d", replace(before, path=None), before)
-    with pytest.raises(WriteError, match=r"nowhere.*cannot be written"):
-        write.patch_c3d(tmp_path / "nowhere" / "after.c3d", before, before)
-    (tmp_path / "before.c3d").write_bytes((tmp_path / "before.c3d").read_bytes()[:1200])
-    with pytest.raises(WriteError, match="has become shorter"):
-        write.patch_c3d(tmp_path / "after.c3d", before, before)
-    (tmp_path / "before.c3d").unlink()
-    with pytest.raises(WriteError, match="can no longer be read"):
-        write.patch_c3d(tmp_path / "after.c3d", before, before)
-    assert list(tmp_path.iterdir()) == []
+@settings(max_examples=6)
+@given(count=st.integers(250, 700), width=st.integers(5, 120))
+def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
+    path = tmp_path_factory.mktemp("many") / "take.c3d"
+    labels = tuple(f"M{i}".ljust(width, "x") for i in range(count))
+    markers = np.random.default_rng(0).normal(size=(2, count, 3))
+    write.write_c3d(path, Take(markers, labels, 100))
+    back = capture.read_capture(path)
+    assert back.labels == labels
+    np.testing.assert_allclose(back.markers, markers, atol=1e-6)
+    np.testing.assert_allclose(by_library(path)[1][..., :3], markers[..., [2, 0, 1]] * 1000, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize(("frames", "points"), [(66_000, 1), (2, 600)])
-def test_beyond_what_a_word_and_one_parameter_can_count(tmp_path, encoding, frames, points):
-    """The last marker's last sample is mended, in a file of more frames, or of more labels, than the format began with."""
-    if encoding == (85, True) and frames > 65_535:
-        pytest.skip("DEC floats are made one by one here: too slow")
-    path, labels = tmp_path / "before.c3d", [f"M{i}" for i in range(points)]
-    said = {"POINT:LONG_FRAMES": float(frames), "POINT:Y_SCREEN": "+Y"}
-    path.write_bytes(c3d_bytes(np.full((frames, points, 3), 50.0), labels, encoding=encoding, extra=said))
-    before = capture.read_capture(path)
-    markers = before.markers.copy()
-    markers[-1, -1] = (0.1, 1.25, -0.3)
-    assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == []
-    changed = np.zeros((frames, points), bool)
-    changed[-1, -1] = True
-    copy = assert_only_changed(before, tmp_path / "after.c3d", changed)
-    assert (copy.frame_count, copy.labels) == (frames, tuple(labels))
-    np.testing.assert_allclose(copy.markers[-1, -1], markers[-1, -1], rtol=1e-6)
+def test_more_frames_than_the_header_can_say(tmp_path):
+    markers = np.random.default_rng(0).normal(size=(70_000, 1, 3))
+    write.write_c3d(tmp_path / "long.c3d", Take(markers, ("LFHD",), 100, first_frame=3))
+    back = capture.read_capture(tmp_path / "long.c3d")
+    assert (back.first_frame, back.frame_count) == (3, 70_000)
+    np.testing.assert_allclose(back.markers, markers, atol=1e-6)
+    assert ezc3d.c3d(str(tmp_path / "long.c3d"))["data"]["points"].shape == (4, 1, 70_000)
+    reader, points = by_library(tmp_path / "long.c3d")
+    assert (reader.first_frame, reader.last_frame, len(points)) == (3, 70_002, 70_000)
 
 
-def test_a_mended_file_has_the_markers_of_the_original(tmp_path):
-    path = tmp_path / "before.c3d"
-    path.write_bytes(c3d_bytes(np.ones((2, 6, 3)), list("ABCDEF")))  # all residual words 0
-    before = capture.read_capture(path)
-    markers = before.markers.copy()
-    markers[0, 0] += 0.5
-    write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers))
-    assert capture.read_capture(tmp_path / "after.c3d").labels == before.labels
+def test_a_take_from_no_file_is_in_millimetres_with_z_up(tmp_path):
+    write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, first_frame=-20))
+    point = ezc3d.c3d(str(tmp_path / "take.c3d"))["parameters"]["POINT"]
+    assert (point["UNITS"]["value"], point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["mm"], ["+X"], ["+Z"])
+    assert capture.read_capture(tmp_path / "take.c3d").first_frame == 1  # C3D knows none before 0
 
 
-# samples that came from elsewhere: labels put right
-
-
-NAMED = ("*12", "A", "B", "A-1")  # nobody's, two markers, and one that goes on under another label
-OWN = 0x0103 + np.arange(4 * FRAMES).reshape(FRAMES, 4)  # every sample's residual word is its own
-GONE = (0, 0, 0, -1)
-
-
-def take_of_four(folder: Path, encoding) -> Take:
-    """-> A and B throughout; *12 seen in frames 0 and 1, A-1 in 2 and 3, and then not A"""
-    seen = np.ones((FRAMES, 4), bool)
-    seen[2:, 0] = seen[[0, 1, 4], 3] = seen[:4, 1] = False
-    path = folder / "before.c3d"
-    path.write_bytes(c3d_bytes(np.where(seen[..., None], XYZ, 0), NAMED, np.where(seen, OWN, -1), encoding))
-    take = capture.read_capture(path)
-    assert take.unlabelled is not None
-    assert (take.labels, take.unlabelled.labels) == (("A", "B", "A-1"), ("*12",))
-    return take
-
-
-def stored(path: Path, take: Take) -> np.ndarray:
-    """-> (T, P, bytes) each sample's own bytes, as the file holds them"""
-    layout = take.layout
-    assert isinstance(layout, C3dLayout)
-    return layout.view_words(path.read_bytes()).copy().view("u1").reshape(FRAMES, 4, -1)
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_exchanged_samples_bring_their_words_along_bit_for_bit(tmp_path, encoding):
-    before = take_of_four(tmp_path, encoding)
-    write.patch_c3d(tmp_path / "after.c3d", before, before.exchange_labels((0, 1), 3, 4))
-    old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
-    wanted = old.copy()
-    wanted[4, [1, 2]] = old[4, [2, 1]]
-    wanted[3, 1] = old[3, 2]  # of A there is nothing in frame 3
-    np.testing.assert_array_equal(new[:, :2], wanted[:, :2])
-    np.testing.assert_array_equal(new[[0, 1, 2, 4], 2:], wanted[[0, 1, 2, 4], 2:])
-    assert not capture.read_capture(tmp_path / "after.c3d").visible[3, 1]
-    assert new[3, 2].tobytes() == as_stored(GONE, encoding)
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize(("donor", "point", "frames"), [(2, 3, slice(2, 4)), (3, 0, slice(0, 2))], ids=["A-1", "*12"])
-def test_a_joined_fragment_keeps_its_words_and_its_donor_is_invalid_there(tmp_path, encoding, donor, point, frames):
-    before = take_of_four(tmp_path, encoding)
-    joined = relabel(before, [Fragment("fragment", 0, frames.start, frames.stop - 1, 0.0, "", donor=donor, relation="continues")])
-    write.patch_c3d(tmp_path / "after.c3d", before, joined)
-    old, new = (stored(tmp_path / name, before) for name in ("before.c3d", "after.c3d"))
-    np.testing.assert_array_equal(new[frames, 1], old[frames, point])
-    assert {each.tobytes() for each in new[frames, point]} == {as_stored(GONE, encoding)}
-    new[frames, [1, point]] = old[frames, [1, point]]
-    np.testing.assert_array_equal(new, old)
-    again = capture.read_capture(tmp_path / "after.c3d")
-    np.testing.assert_array_equal(again.markers[:, :2], joined.markers[:, :2])
-
-
-def test_a_sample_that_was_exchanged_and_then_mended_is_an_estimate(tmp_path):
-    before = take_of_four(tmp_path, (84, True))
-    after = before.exchange_labels((0, 1), 4, 4)
-    after.markers[4, 0], deviation = 0.5, np.full(after.visible.shape, np.nan)
-    deviation[4, 0] = 0.0021
-    write.patch_c3d(tmp_path / "after.c3d", before, replace(after, sample_sd=deviation))
-    data = (tmp_path / "after.c3d").read_bytes()
-    assert data[sample_bytes(before, 4, 0)] == as_stored((500, 500, 500, 21), (84, True))
-    assert data[sample_bytes(before, 4, 1)] == (tmp_path / "before.c3d").read_bytes()[sample_bytes(before, 4, 0)]
-
-
-def by_ezc3d(path: Path) -> np.ndarray:
-    """-> (T, P, 3) file units"""
-    return ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
-
-
-def by_c3d(path: Path) -> np.ndarray:
-    """-> (T, P, 3) file units"""
-    with warnings.catch_warnings(action="ignore"), path.open("rb") as handle:
-        return np.array([points[:, :3] for _, points, _ in c3d.Reader(handle).read_frames()])
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_mended_samples_read_in_the_c3d_library_as_here(tmp_path, encoding):
-    before, target = take_in(tmp_path, encoding), tmp_path / "after.c3d"
-    layout = before.layout
-    assert isinstance(layout, C3dLayout)
-    markers, deviation = before.markers.copy(), np.full((FRAMES, MARKERS), np.nan)
-    markers[1, 1], markers[4, 2], deviation[1, 1] = (0.1, 1.25, -0.3), np.nan, 0.0021
-    assert write.patch_c3d(target, before, before.replace_markers(markers, deviation)) == []
-    with warnings.catch_warnings(action="ignore"), target.open("rb") as handle:
-        points = np.array([points for _, points, _ in c3d.Reader(handle).read_frames()])
-    np.testing.assert_allclose(points[1, 2, :4], (-300, 100, 1250, 2.1), rtol=1e-6)  # mm, Z up, and the residual
-    assert points[4, 3, 3] == -1
-    was, now = (layout.view_words(path.read_bytes()) for path in (tmp_path / "before.c3d", target))
-    np.testing.assert_array_equal(np.argwhere((was != now).any(-1)), [(1, 2), (4, 3)])
-
-
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
-@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
-def test_mended_captures_read_in_other_libraries_as_here(tmp_path, path):
-    before = capture.read_capture(path)
-    layout = before.layout
-    assert isinstance(layout, C3dLayout)
-    target, chance = tmp_path / path.name, np.random.default_rng(7)
-    markers, changed = before.markers.copy(), chance.random(before.visible.shape) < 0.005
-    markers[changed] = chance.uniform(0.05, 0.8, (changed.sum(), 3))
-    assert write.patch_c3d(target, before, before.replace_markers(markers)) == []
-    wanted = (markers @ layout.rotation_y_up_file / layout.unit)[changed]
-    readers = [by_ezc3d] * (layout.processor_type != 86) + [by_c3d] * (path.name not in NOT_BY_C3D)
-    for reader in readers:
-        old, new = (reader(each)[:, before.columns] for each in (path, target))
-        half = 0.501 * layout.scale_factor if not layout.is_float else 1e-4 * 0.001 / layout.unit
-        np.testing.assert_allclose(new[changed], wanted, atol=half)
-        np.testing.assert_array_equal(new[~changed], old[~changed])
-
-
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
-@pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
-def test_captures_keep_all_bytes_but_those_of_mended_samples(tmp_path, path):
-    before = capture.read_capture(path)
-    target = tmp_path / path.name
-    assert write.patch_c3d(target, before, before) == []
-    assert target.read_bytes() == path.read_bytes()
-
-    assert isinstance(before.layout, C3dLayout)
-    chance = np.random.default_rng(7)
-    markers, changed = before.markers.copy(), chance.random(before.visible.shape) < 0.01
-    new = chance.uniform(0.05, 0.8, (*changed.shape, 3))
-    markers[changed] = np.where(chance.random(changed.shape) < 0.7, 1.0, np.nan)[changed, None] * new[changed]
-    assert write.patch_c3d(target, before, before.replace_markers(markers)) == []
-    copy = assert_only_changed(before, target, changed)
-    step = 1e-7 if before.layout.is_float else 0.5001 * before.layout.scale_factor * before.layout.unit
-    np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=step)
+def test_what_a_c3d_cannot_hold_is_one_sentence(tmp_path):
+    take = Take(Y_UP, LABELS, 100)
+    with pytest.raises(WriteError, match="longer than the 255 bytes"):
+        write.write_c3d(tmp_path / "take.c3d", replace(take, labels=("x" * 256, "LANK", "LFIN")))
+    many = Take(np.zeros((1, 1000, 3)), tuple(f"{i}".ljust(200, "x") for i in range(1000)), 100)
+    with pytest.raises(WriteError, match="1000 points with such labels are more than a C3D can hold"):
+        write.write_c3d(tmp_path / "take.c3d", many)
+    with pytest.raises(WriteError, match="cannot be written"):
+        write.write_c3d(tmp_path / "nowhere" / "take.c3d", take)
+    assert not list(tmp_path.iterdir())

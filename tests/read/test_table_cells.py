@@ -7,10 +7,10 @@ from mocapfix.read.table_cells import infer_number_format, parse_unit, parse_who
 
 
 @pytest.mark.parametrize(
-    ("present", "unit", "style"),
+    ("present", "unit", "number_format"),
     [
         (["1.25", "1046.47", "3"], "mm", ".2f"),
-        (["1", "20"], "mm", ".2f"),  # a hundredth of a millimetre at least
+        (["1", "20"], "mm", ".2f"),  # at least 0.01 mm
         (["1.25"], "m", ".5f"),
         (["1.123456789012"], "m", ".9f"),
         (["1.5e-03", "2.25E+01"], "mm", ".6e"),
@@ -18,13 +18,13 @@ from mocapfix.read.table_cells import infer_number_format, parse_unit, parse_who
         ([], "cm", ".3f"),
     ],
 )
-def test_a_number_gets_the_files_own_decimals(present, unit, style):
-    assert infer_number_format(present, [], METRES_PER_UNIT[unit])[0] == style
+def test_the_number_format_has_the_decimals_of_the_file(present, unit, number_format):
+    assert infer_number_format(present, [], METRES_PER_UNIT[unit])[0] == number_format
 
 
-@pytest.mark.parametrize(("absent", "missing"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")])
-def test_what_is_missing_is_spelled_as_it_is_most_often(absent, missing):
-    assert infer_number_format(["1.0"], absent, 0.001)[1] == missing
+@pytest.mark.parametrize(("missing", "missing_text"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")])
+def test_the_missing_text_is_the_most_frequent_one(missing, missing_text):
+    assert infer_number_format(["1.0"], missing, 0.001)[1] == missing_text
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_units(tmp_path, name, metres):
     assert parse_unit(parse_document(tmp_path, b"units"), 0, name) == metres
 
 
-def test_a_unit_that_is_none_names_the_choices(tmp_path):
+def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path):
     with pytest.raises(ReadError, match="line 1: the unit is 'deg'; set it to one of mm, cm, m, in, ft"):
         parse_unit(parse_document(tmp_path / "walk.trc", b"units"), 0, "deg")
 

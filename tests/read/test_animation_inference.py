@@ -4,7 +4,7 @@ from mocapfix.read.animation_inference import infer_rate
 
 
 @pytest.mark.parametrize(
-    ("spelled", "rate", "said"),
+    ("spelled", "rate", "is_noted"),
     [
         (".0083", 120, True), ("0.0083333", 120, False), ("0.00833333", 120, False), ("0.033", 30, True), ("0.033333", 30, False),
         ("0.016666", 60, True), ("0.0166", 60, True), ("0.041667", 24, False), ("0.0333667", 30000 / 1001, False),
@@ -12,8 +12,8 @@ from mocapfix.read.animation_inference import infer_rate
         ("0.2", 5, False), ("1", 1, False),
     ],
 )  # fmt: skip
-def test_a_rounded_frame_time_is_the_usual_rate_it_came_from(spelled, rate, said):
-    found, note = infer_rate(spelled)
-    assert found == pytest.approx(rate, rel=1e-12)
-    assert bool(note) == said
-    assert spelled in note or not said
+def test_rounded_frame_times_give_the_common_rate(spelled, rate, is_noted):
+    inferred, notes = infer_rate(spelled)
+    assert inferred == pytest.approx(rate, rel=1e-12)
+    assert bool(notes) == is_noted
+    assert all(spelled in note for note in notes)

@@ -1,0 +1,39 @@
+import codecs
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.errors import ReadError
+from mocapfix.read.file_content import detect_delimiter, parse_document
+
+PATH = Path("walk.trc")
+
+
+@given(data=st.binary() | st.text().map(str.encode))
+def test_encoded_lines_are_the_bytes_of_the_file(data):
+    try:
+        document = parse_document(PATH, data)
+    except ReadError:
+        assert data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # only UTF-16 can be invalid
+        return
+    assert document.newline.join(document.lines).encode(document.encoding) == data
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_have_neither_byte_order_marks_nor_ends(encoding, end):
+    document = parse_document(PATH, f"Tête{end}Fuß{end}".encode(encoding))
+    assert [document.get_line(index) for index in range(3)] == ["Tête", "Fuß", ""]
+
+
+def test_cells_may_be_quoted():
+    document = parse_document(PATH, b'Take Name,"Walk, first", 3 \n1,2\n')
+    assert document.split_cells(0, ",") == ["Take Name", "Walk, first", "3"]
+    assert document.split_cells(1, ",") == ["1", "2"]
+
+
+@pytest.mark.parametrize(("line", "delimiter"), [("a\tb,c\td", "\t"), ("1,5;2,5;3;;", ";"), ("a,b", ","), ("a b", ""), ("", "")])
+def test_the_delimiter_is_detected(line, delimiter):
+    assert detect_delimiter(line) == delimiter
