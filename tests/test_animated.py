@@ -245,7 +245,7 @@ def test_faults_of_files_are_sentences(walk, mocapfix, tmp_path, brief):
     said(mocapfix(*clean, "--refill"), "has joints and no markers, of which --refill tells")
     said(mocapfix(*clean, "--keep", "Tail"), "has no joint Tail to keep; its joints are Hips")
     said(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
-    said(mocapfix("clean", walk.path, "--out", walk.path.parent), "is the input itself and is never replaced")
+    said(mocapfix("clean", walk.path, "--out", walk.path.parent), "would replace the input file")
     assert {path.name for path in tmp_path.iterdir()} == {"torn.bvh", "wrong.yaml"}
 
 
