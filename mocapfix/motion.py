@@ -1,46 +1,69 @@
-"""A motion: the pose of a subject's skeleton in every frame."""
+"""Motion: the pose of a subject's skeleton in every frame, and how each pose was obtained."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
+from jaxtyping import Float, Int
 
-STATUS_TEXTS = (
-    "solved: the step became smaller than it could matter",
-    "solved: the iterations ran out while still improving a little",
-    "poor: the markers lie far from the body; look at labels and swaps in these frames",
-    "guessed: too few markers were seen; the pose comes from the frames around",
-    "solved: the markers lie on the body exactly",
-    "not solved: nothing holds the pose; it stays as it was",
-    "placed: in closed form from where the joints are; nothing was solved",
-    "placed: a hand or the head is out of reach of the bones before it; they point to it",
-    "placed: a hand or the head is nearer than the bones before it can fold",
-)
-GUESSED, PLACED, STRETCHED, FOLDED = 3, 6, 7, 8  # indices into STATUS
+
+class FrameStatus(IntEnum):
+    """How the pose of one frame was obtained."""
+
+    CONVERGED = 0
+    ITERATION_LIMIT = 1
+    POOR_FIT = 2
+    GUESSED = 3
+    EXACT = 4
+    UNCONSTRAINED = 5
+    PLACED = 6
+    OUT_OF_REACH = 7
+    TOO_NEAR = 8
+
+    @property
+    def description(self) -> str:
+        """The status as one phrase for reports and files."""
+        return _DESCRIPTIONS[self]
+
+
+_DESCRIPTIONS = {
+    FrameStatus.CONVERGED: "solved: the solve converged",
+    FrameStatus.ITERATION_LIMIT: "solved: the iteration limit was reached while the cost still fell slightly",
+    FrameStatus.POOR_FIT: "poor: the markers lie far from the body; check labels and swaps in these frames",
+    FrameStatus.GUESSED: "guessed: too few markers are visible; the pose comes from the neighbouring frames",
+    FrameStatus.EXACT: "solved: the markers lie exactly on the body",
+    FrameStatus.UNCONSTRAINED: "not solved: nothing constrains the pose; it is left unchanged",
+    FrameStatus.PLACED: "placed: computed in closed form from the joint positions, without a solve",
+    FrameStatus.OUT_OF_REACH: "placed: a hand or the head is out of reach of its bones; the bones point to it",
+    FrameStatus.TOO_NEAR: "placed: a hand or the head is nearer than its bones can fold",
+}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Local joint rotations and the root's place over T frames.
+    """Root positions and local joint rotations over T frames.
 
-    root        (T, 3) metres: the root joint in the world, Y up
-    rotations   (T, J, 3, 3): each joint's axes in its parent's (the root's in the world)
-    status      (T,) int: an index into STATUS
-    iterations  (T,) int: Levenberg-Marquardt iterations spent on the frame
-    deviation   (T, K) metres: predicted standard deviation per axis of the subject's K markers as the body places them
-    joint_deviation  (T, J) metres: likewise of the joints' places
+    root_position    (T, 3) m: the root joint in the world, Y up
+    local_rotations  (T, J, 3, 3): joint axes to parent axes (for the root: to world axes)
+    status           (T,) a FrameStatus for each frame
+    iterations       (T,) Levenberg-Marquardt iterations of each frame
+    marker_sd        (T, K) m: predicted standard deviation per axis of the subject's K markers as the body places them; empty
+                     if it was not computed
+    joint_sd         (T, J) m: the same for the joint positions
     """
 
-    root_position: np.ndarray
-    local_rotations: np.ndarray
-    status: np.ndarray
-    iterations: np.ndarray
-    marker_sd: np.ndarray
-    joint_sd: np.ndarray
+    root_position: Float[np.ndarray, "T 3"]
+    local_rotations: Float[np.ndarray, "T J 3 3"]
+    status: Int[np.ndarray, " T"]
+    iterations: Int[np.ndarray, " T"]
+    marker_sd: Float[np.ndarray, "..."]
+    joint_sd: Float[np.ndarray, "..."]
 
-    def select_frames(self, frames: np.ndarray) -> "Motion":
-        """-> the motion of some frames alone, by index."""
+    def select_frames(self, frames: Int[np.ndarray, " N"]) -> "Motion":
+        """Return the motion of some frames, given their indices."""
         return Motion(*(np.ascontiguousarray(field[frames]) for field in vars(self).values()))
 
     @property
     def frame_count(self) -> int:
+        """T."""
         return len(self.root_position)

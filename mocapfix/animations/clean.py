@@ -16,7 +16,7 @@ from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, conv
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Fault, Faults
 from mocapfix.fill.gap_filling import FillOptions
-from mocapfix.motion import PLACED, Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report import notes, report_data, review_file
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.result import CleaningResult
@@ -54,7 +54,12 @@ class AnimationBody:
         if joint_take.sample_sd is not None:
             unsure = np.nan_to_num(joint_take.sample_sd)
         motion = Motion(
-            root, local, none + PLACED, none, np.zeros((joint_take.frame_count, 0)), unsure[:, self.alignment.file_joints[told]]
+            root,
+            local,
+            none + FrameStatus.PLACED,
+            none,
+            np.zeros((joint_take.frame_count, 0)),
+            unsure[:, self.alignment.file_joints[told]],
         )
         return Subject(ours, "", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0)), motion
 

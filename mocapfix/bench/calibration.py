@@ -95,7 +95,11 @@ def compute_irreducible_joint_sd(truth: SyntheticTake, take: Take, body: BodyMod
     root, local = motion.root_position[looked], motion.local_rotations[looked]
     usual, turns = np.zeros(len(free.information)), np.zeros_like(person.skeleton.offsets)
     problem = refinement.build_calibration_problem(
-        person, body, mean_pose, take.markers[looked], person.skeleton.offsets, person.marker_offsets, turns
+        person,
+        body,
+        mean_pose,
+        take.markers[looked],
+        parameters.CalibratedBody(person.skeleton.offsets, person.marker_offsets, turns),
     )
     fit = refinement.linearise_frames(free, problem, usual, root, local)
     return refinement.compute_calibration_sd(fit.responses, fit.curvature)[0]

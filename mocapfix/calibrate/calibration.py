@@ -1,100 +1,102 @@
-"""Which frames to calibrate from: well seen and unlike each other."""
+"""Calibration: one person's bone lengths and marker offsets, estimated from a take alone.
+
+The size of the average body is estimated first. Frames that show most markers and differ most in pose are then selected, and
+bones, marker offsets and poses are refined together (see `refinement`).
+"""
 
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.calibrate import refinement
 from mocapfix.errors import TakeError
-from mocapfix.marker_sets import MarkerSet
+from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, Skeleton
 from mocapfix.solve import kinematics
+from mocapfix.stats.sampling import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-# MERGED: mocapfix.calibrate.frames
-MAX_CANDIDATE_FRAMES = 600  # frames looked at, evenly over the take: solving them all takes a fraction of a second
+MIN_CALIBRATION_MARKERS = 3
+"""Visible markers that at least one frame must have; fewer do not determine the pose of any segment."""
+MAX_CANDIDATE_FRAMES = 600
+"""Frames that are posed to select the calibration frames from; posing all of them takes a fraction of a second."""
+CANDIDATE_MARKER_SHARE = 0.9
+"""Markers that a candidate frame must show, as a share of the 90th percentile over all frames."""
 MAX_CALIBRATION_FRAMES = 150
+"""Frames that enter the refinement."""
+MIN_MOVED_MARKER_FRAMES = 10
+"""Frames in which a moved marker must be visible to get an offset of its own."""
+MIN_PAIR_DISTANCE_M = 0.12
+"""Nominal distance of a marker pair that is used to estimate the size; nearer pairs depend more on marker placement."""
+MIN_PAIR_FRAMES = 10
+"""Frames in which both markers of a pair must be visible."""
+MAX_DISTANCE_VARIATION = 0.03
+"""Median absolute deviation of a pair's distance as a share of its median; a pair that varies more spans a bending joint."""
+MIN_SIZE_RATIO = 0.3
+"""Smallest accepted size relative to the average body: a baby."""
+MAX_SIZE_RATIO = 1.6
+"""Largest accepted size relative to the average body: larger than any person."""
 
 
-def select_candidate_frames(markers: np.ndarray) -> np.ndarray:
-    """-> indices of up to CANDIDATES frames, evenly over the take, of those that show the most markers.
+def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
+    """Return the bone lengths and marker offsets that explain the take best, with a pose for each frame.
 
-    markers (T, K, 3), NaN where not believed. Well seen is within a tenth of the markers that the best frames show.
+    take  the markers in the order of the marker set, NaN if not visible or an outlier
+
+    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
     """
-    count = (~np.isnan(markers[..., 0])).sum(1)
-    enough = np.flatnonzero(count >= 0.9 * np.percentile(count, 90))
-    return enough[np.unique(np.linspace(0, len(enough) - 1, min(len(enough), MAX_CANDIDATE_FRAMES)).astype(int))]
+    start, markers = scale_average_subject(take, marker_set, body), take.markers
+    candidates = select_candidate_frames(markers)
+    motion = refinement.pose_frames(start, body, prior, markers[candidates])
+    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
+    subject = refinement.refine_subject(start, body, prior, markers[candidates[chosen]], motion.select_frames(chosen))
+    check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
+    return subject
 
 
-def select_varied_poses(local_rotations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """-> indices of up to CHOSEN of the poses `rotations` (N, J, 3, 3): half the most unlike, half at random.
-
-    The unlike ones by farthest-point selection in the chordal distance over the joints below the root.
-    """
-    flat = local_rotations[:, 1:].reshape(len(local_rotations), -1)
-    if len(flat) <= MAX_CALIBRATION_FRAMES:
-        return np.arange(len(flat))
-    chosen = [int(np.linalg.norm(flat - flat.mean(0), axis=1).argmin())]
-    nearest = np.full(len(flat), np.inf)
-    while len(chosen) < MAX_CALIBRATION_FRAMES // 2:
-        nearest = np.minimum(nearest, np.linalg.norm(flat - flat[chosen[-1]], axis=1))
-        nearest[chosen[-1]] = -1.0  # not again, though no other be any farther
-        chosen.append(int(nearest.argmax()))
-    rest = np.setdiff1d(np.arange(len(flat)), chosen)
-    return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
-
-
-# MERGED: mocapfix.calibrate.places
-# New places for markers that were moved: where they lie on the body that the other markers show.
-MIN_MOVED_MARKER_FRAMES = 10  # frames in which a place must be seen
-
-
-def add_moved_markers(
-    subject: Subject, motion: Motion, markers: np.ndarray, marker_indices: np.ndarray
-) -> tuple[Subject, np.ndarray]:
-    """-> the subject with one more marker for each new place, and which of the E were seen long enough to have one.
-
-    A place is the median, in the joint's axes, of where the marker is seen; its spread stays its marker's.
-
-    markers  (T, E, 3) metres, NaN where the marker is not at its new place
-    which    (E,) the subject's marker that is there
-    """
-    position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
-    enough = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MOVED_MARKER_FRAMES
-    marker_indices, joints = marker_indices[enough], subject.joints[marker_indices[enough]]
-    apart = markers[:, enough] - position[:, joints]
-    places = np.nanmedian(np.einsum("tkba,tkb->tka", rotation[:, joints], apart), axis=0).reshape(-1, 3)
-    grown = replace(
-        subject,
-        labels=(*subject.labels, *(subject.labels[k] for k in marker_indices)),
-        joints=np.r_[subject.joints, joints],
-        marker_offsets=np.r_[subject.marker_offsets, places],
-        marker_spread=np.r_[subject.marker_spread, subject.marker_spread[marker_indices]],
-        marker_sd=np.r_[subject.marker_sd, subject.marker_sd[marker_indices]],
+def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
+    """Return the average body at the size estimated from the take, the start of `calibrate_subject`; raises like it."""
+    if not ((~np.isnan(take.markers[..., 0])).sum(1) >= MIN_CALIBRATION_MARKERS).any():
+        raise TakeError(f"{take.name}: no frame shows three markers of the body, so it cannot be calibrated.")
+    ratio = estimate_body_size_ratio(body.skeleton, marker_set, take.markers)
+    check_size_ratio(take, ratio)
+    return Subject(
+        skeleton=scale_skeleton(body.skeleton, ratio),
+        marker_set=marker_set.name,
+        labels=marker_set.labels,
+        joints=marker_set.joints,
+        marker_offsets=marker_set.marker_offsets * ratio,
+        marker_spread=marker_set.marker_spread,
     )
-    return grown, enough
 
 
-# MERGED: mocapfix.calibrate.size
-# How large the subject is, before anything else is known of them.
-MIN_PAIR_DISTANCE_M = 0.12  # metres: nearer pairs say more of where the markers were stuck than of the body's size
-MIN_SIZE_RATIO, MAX_SIZE_RATIO = 0.3, 1.6  # of the average body: a baby, and more than anybody
-MAX_DISTANCE_VARIATION = 0.03  # a distance that varies by more than this share, over the take, spans a joint that bends
+def check_size_ratio(take: Take, ratio: float) -> None:
+    """Raise TakeError if no person can be `ratio` times the size of the average body."""
+    if not MIN_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
+        problem = "near together" if ratio < 1 else "far apart"
+        raise TakeError(f"{take.name}: the markers lie too {problem} for a person; check the unit of the file and the labels.")
 
 
-def estimate_body_size_ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: np.ndarray) -> float:
-    """-> the subject's size over the average body's, from distances that stay the same while the subject moves.
+def scale_skeleton(skeleton: Skeleton, factor: float) -> Skeleton:
+    """Return the skeleton with all lengths multiplied by `factor`."""
+    return replace(skeleton, offsets=skeleton.offsets * factor, ends=skeleton.ends * factor)
 
-    Candidates are pairs of markers on one joint or on a joint and its parent (a knee and an ankle marker). The median
-    over pairs, each pair's median over frames, within SMALLEST and LARGEST; 1 where no pair tells.
 
-    markers  (T, K, 3) metres, NaN where not believed
+def estimate_body_size_ratio(skeleton: Skeleton, marker_set: MarkerSet, markers: Float[np.ndarray, "T K 3"]) -> float:
+    """Return the subject's size relative to the average body, from marker distances that stay constant during the motion.
+
+    Pairs of markers on one joint, or on a joint and its parent (a knee and an ankle marker), are used. The result is the weighted
+    median over pairs of each pair's median over frames, limited to MIN_SIZE_RATIO..MAX_SIZE_RATIO; 1 if no pair qualifies.
+
+    markers  in metres, NaN if not visible or an outlier
     """
     nominal = compute_rest_marker_positions(skeleton, marker_set)
-    ratios, weights = [], []
+    ratios: list[float] = []
+    weights: list[float] = []
     for a in range(len(nominal)):
         for b in range(a):
             i, j = marker_set.joints[a], marker_set.joints[b]
@@ -103,60 +105,72 @@ def estimate_body_size_ratio(skeleton: Skeleton, marker_set: MarkerSet, markers:
                 continue
             distance = np.linalg.norm(markers[:, a] - markers[:, b], axis=-1)
             distance = distance[~np.isnan(distance)]
-            if len(distance) < 10:
+            if len(distance) < MIN_PAIR_FRAMES:
                 continue
-            middle = np.median(distance)
-            if np.median(np.abs(distance - middle)) <= MAX_DISTANCE_VARIATION * middle:  # markers all at one point, too
-                ratios.append(middle / expected)
-                weights.append(expected)
+            median = np.median(distance)
+            if np.median(np.abs(distance - median)) <= MAX_DISTANCE_VARIATION * median:  # true if all lie at one point, too
+                ratios.append(float(median / expected))
+                weights.append(float(expected))
     if not ratios:
         return 1.0
     order = np.argsort(ratios)
-    halfway = np.searchsorted(np.cumsum(np.array(weights)[order]), 0.5 * np.sum(weights))
-    return float(np.clip(np.array(ratios)[order][halfway], MIN_SIZE_RATIO, MAX_SIZE_RATIO))
+    middle = np.searchsorted(np.cumsum(np.array(weights)[order]), 0.5 * np.sum(weights))
+    return float(np.clip(np.array(ratios)[order][middle], MIN_SIZE_RATIO, MAX_SIZE_RATIO))
 
 
-def compute_rest_marker_positions(skeleton: Skeleton, marker_set: MarkerSet) -> np.ndarray:
-    """-> (K, 3) metres: the markers in the rest pose."""
+def compute_rest_marker_positions(skeleton: Skeleton, marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
+    """Return the markers of a set in the rest pose, in metres."""
     return skeleton.rest_positions[marker_set.joints] + marker_set.marker_offsets
 
 
-# MERGED: mocapfix.calibrate
-# Calibration: this person's bones and marker places, from the take alone.
-def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior) -> Subject:
-    """-> bone lengths and marker places that, with each frame's own pose, explain the take best.
+def select_candidate_frames(markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " N"]:
+    """Return up to MAX_CANDIDATE_FRAMES frames, evenly spaced among those that show the most markers (NaN if not visible)."""
+    count = (~np.isnan(markers[..., 0])).sum(1)
+    enough = np.flatnonzero(count >= CANDIDATE_MARKER_SHARE * np.percentile(count, 90))
+    return enough[sample_evenly(len(enough), MAX_CANDIDATE_FRAMES)]
 
-    worn  the take's markers in the marker set's order (K of them), NaN where not seen or not believed
 
-    Raises TakeError where no frame shows three markers or more, or the markers lie as on no body that there is.
+def select_varied_poses(local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.random.Generator) -> Int[np.ndarray, " C"]:
+    """Return the indices of up to MAX_CALIBRATION_FRAMES poses: half of them the most different, half at random.
+
+    The different ones are found by farthest-point selection in the chordal distance over the joints below the root.
     """
-    start, markers = scale_average_subject(take, marker_set, body), take.markers
-    looked = select_candidate_frames(markers)
-    motion = refinement.pose_frames(start, body, prior, markers[looked])
-    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
-    found = refinement.refine_subject(start, body, prior, markers[looked[chosen]], motion.select_frames(chosen))
-    check_size_ratio(take, found.skeleton.total_length_m / body.skeleton.total_length_m)
-    return found
+    flat = local_rotations[:, 1:].reshape(len(local_rotations), -1)
+    if len(flat) <= MAX_CALIBRATION_FRAMES:
+        return np.arange(len(flat))
+    chosen = [int(np.linalg.norm(flat - flat.mean(0), axis=1).argmin())]
+    nearest = np.full(len(flat), np.inf)
+    while len(chosen) < MAX_CALIBRATION_FRAMES // 2:
+        nearest = np.minimum(nearest, np.linalg.norm(flat - flat[chosen[-1]], axis=1))
+        nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
+        chosen.append(int(nearest.argmax()))
+    rest = np.setdiff1d(np.arange(len(flat)), chosen)
+    return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
 
 
-def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
-    """-> the average body at the size that the take tells, from where `subject` sets out; raises as it does."""
-    if not ((~np.isnan(take.markers[..., 0])).sum(1) >= 3).any():
-        raise TakeError(f"{take.name}: no frame shows three markers of the body; there is nothing to calibrate from.")
-    ratio = estimate_body_size_ratio(body.skeleton, marker_set, take.markers)
-    check_size_ratio(take, ratio)
-    places = marker_set.marker_offsets * ratio
-    whole = scale_skeleton(body.skeleton, ratio)
-    return Subject(whole, marker_set.name, marker_set.labels, marker_set.joints, places, marker_set.marker_spread)
+def add_moved_markers(
+    subject: Subject, motion: Motion, markers: np.ndarray, marker_indices: np.ndarray
+) -> tuple[Subject, np.ndarray]:
+    """Add to a subject a marker for each new position of a marker that was moved on the body.
 
+    A new offset is the median of the visible samples in the axes of the joint; its spread is that of the original marker.
 
-def check_size_ratio(take: Take, ratio: float) -> None:
-    """Raise TakeError where nobody is so many times the size of the average body."""
-    if not MIN_SIZE_RATIO < ratio < MAX_SIZE_RATIO:
-        apart = "near together" if ratio < 1 else "far apart"
-        raise TakeError(f"{take.name}: the markers lie too {apart} for a person's; are the file's unit and the labels right?")
+    markers         (T, E, 3) m: the samples at the new positions, NaN elsewhere
+    marker_indices  (E,) the subject's marker that was moved
 
-
-def scale_skeleton(skeleton: Skeleton, factor: float) -> Skeleton:
-    """-> the skeleton with every length times `factor`."""
-    return replace(skeleton, offsets=skeleton.offsets * factor, ends=skeleton.ends * factor)
+    Returns the extended subject, and (E,) bool: the positions visible in enough frames to be added.
+    """
+    position, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
+    enough = (~np.isnan(markers[..., 0])).sum(0) >= MIN_MOVED_MARKER_FRAMES
+    marker_indices, joints = marker_indices[enough], subject.joints[marker_indices[enough]]
+    relative = markers[:, enough] - position[:, joints]
+    offsets = np.nanmedian(np.einsum("tkba,tkb->tka", rotation[:, joints], relative), axis=0).reshape(-1, 3)
+    extended = replace(
+        subject,
+        labels=(*subject.labels, *(subject.labels[k] for k in marker_indices)),
+        joints=np.r_[subject.joints, joints],
+        marker_offsets=np.r_[subject.marker_offsets, offsets],
+        marker_spread=np.r_[subject.marker_spread, subject.marker_spread[marker_indices]],
+        marker_sd=np.r_[subject.marker_sd, subject.marker_sd[marker_indices]],
+    )
+    return extended, enough

@@ -1,155 +1,163 @@
-"""Which segment of a solved body a marker rides on: the one in whose axes it stays stillest, near a place where people wear one.
+"""Marker attachment: the body segment that carries each marker.
 
-A marker on skin stays where it is seen from its own segment, while others turn away under it. Near a joint two segments serve
-equally well, and in a take where a joint hardly turns so they do everywhere: there the place on the body decides, for markers
-are stuck where markers of any known set are.
+A marker on the skin stays nearly constant in the axes of its own segment and moves in those of others. Near a joint two segments
+fit equally well, and if a joint hardly turns in a take, they do everywhere. There the position on the body decides: markers are
+more likely where the known marker sets place one.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from mocapfix.marker_sets import MarkerSet
+from mocapfix.marker_set import MarkerSet
 
-KEPT_FRAME_SHARE = 0.9  # of a marker's frames: the others may be swaps, ghosts or poses that the solve got wrong
-MIN_SKIN_MOTION_M = 0.005  # metres per axis: so little a marker always strays, on the right segment too
-INDEPENDENT_POSE_COUNT = 10.0  # poses: so many unlike ones a take has, however many frames
-ATLAS_DISTANCE_SD_M = (
-    0.07  # metres: standard deviation of how far a marker is stuck from where the known sets have one on that segment
-)
-MAX_ATTACHED_SD_M = 0.025  # metres per axis: what strays by more from every segment rides on none
-MAX_ATLAS_DISTANCE_M = (
-    0.15  # metres: what lies farther off all places for markers is held; unless its label tells the segment, as a wand's does
-)
-MIN_ATTACHMENT_FRAMES, MIN_ATTACHMENT_FRAME_SHARE = (
-    30,
-    0.3,
-)  # frames in which a marker must be seen, or of a short take the share of them
+KEPT_FRAME_SHARE = 0.9
+"""Share of a marker's frames that is used; the frames with the largest residuals may be swaps, ghosts or wrong poses."""
+MIN_SKIN_MOTION_M = 0.005
+"""Motion per axis that a marker shows even on the correct segment."""
+INDEPENDENT_POSE_COUNT = 10.0
+"""Effective number of independent poses in a take, whatever its number of frames."""
+ATLAS_DISTANCE_SD_M = 0.07
+"""Standard deviation of the distance from a marker to the nearest position of the known sets on its segment."""
+MAX_ATTACHED_SD_M = 0.025
+"""Motion per axis above which a marker is not attached to a segment."""
+MAX_ATLAS_DISTANCE_M = 0.15
+"""Distance from all known marker positions above which a marker is taken for a prop, unless its label names the segment."""
+MIN_ATTACHMENT_FRAMES = 30
+"""Frames in which a marker must be visible to be attached."""
+MIN_ATTACHMENT_FRAME_SHARE = 0.3
+"""The same as a share of the frames, for short takes."""
 
 
 @dataclass(frozen=True)
 class AttachedMarkers:
-    """Where each of M markers rides.
+    """The segments of M markers.
 
-    joints  (M,) index of the joint, -1 on none
-    places  (M, 3) metres in the joint's axes, of the stillest joint where it rides on none
-    strays  (M,) metres per axis: by how much it strays from that place
-    sure    (M,) how likely that joint is, of all
-    second  (M,) the next likeliest joint
-    likely  (M,) log likelihood of the joint, but for a constant; NaN where the marker is never seen
-    reasons  M sentences' ends on why a marker rides on none, "" where it rides on one
+    joints             (M,) index of the joint, -1 for none
+    offsets            (M, 3) m in the axes of the joint; for unattached markers of the most likely joint
+    residual_sd        (M,) m: motion per axis about the offset
+    probability        (M,) posterior probability of the joint
+    second_joints      (M,) the second most likely joint
+    log_likelihood     (M,) log likelihood of the joint up to a constant; NaN if the marker is never visible
+    rejection_reasons  why each marker is not attached (the predicate of a sentence), "" if it is
     """
 
-    joints: np.ndarray
-    offsets: np.ndarray
-    residual_sd: np.ndarray
-    probability: np.ndarray
-    second_joints: np.ndarray
-    log_likelihood: np.ndarray
+    joints: Int[np.ndarray, " M"]
+    offsets: Float[np.ndarray, "M 3"]
+    residual_sd: Float[np.ndarray, " M"]
+    probability: Float[np.ndarray, " M"]
+    second_joints: Int[np.ndarray, " M"]
+    log_likelihood: Float[np.ndarray, " M"]
     rejection_reasons: tuple[str, ...]
 
 
-def attach_markers(
-    markers: np.ndarray,
-    joint_positions: np.ndarray,
-    joint_rotations: np.ndarray,
-    atlas: "MarkerAtlas",
-    joint_names: tuple[str, ...],
-    label_log_odds: np.ndarray,
-) -> AttachedMarkers:
-    """-> the segment each marker rides on.
+@dataclass(frozen=True)
+class MarkerAtlas:
+    """A marker positions of the known sets, in metres in the axes of their joints, on a body of a given size."""
 
-    markers   (N, M, 3) metres in N unlike frames, NaN where not seen
-    position, rotation  (N, J, 3) metres and (N, J, 3, 3): the body's joints in the world
-    atlas     where people wear markers on a body of that size
-    names     J joints' names
-    told      (M, J) what the labels say for each joint, log odds
+    joints: Int[np.ndarray, " A"]
+    offsets: Float[np.ndarray, "A 3"]
+
+    def compute_distances(self, joint: int, offsets: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, " M"]:
+        """Return the distance in metres of each offset in a joint's axes from the nearest known one on that joint."""
+        known = self.offsets[self.joints == joint]
+        return np.linalg.norm(offsets[:, None] - known[None], axis=-1).min(1)
+
+    def scale(self, size: float) -> "MarkerAtlas":
+        """Return the atlas of a body `size` times as large."""
+        return MarkerAtlas(self.joints, self.offsets * size)
+
+
+def build_marker_atlas(marker_sets: tuple[MarkerSet, ...]) -> MarkerAtlas:
+    """Return all marker positions of some sets on the average body."""
+    joints = np.concatenate([marker_set.joints for marker_set in marker_sets])
+    return MarkerAtlas(joints, np.concatenate([marker_set.marker_offsets for marker_set in marker_sets]))
+
+
+def attach_markers(
+    markers: Float[np.ndarray, "N M 3"],
+    joint_positions: Float[np.ndarray, "N J 3"],
+    joint_rotations: Float[np.ndarray, "N J 3 3"],
+    atlas: MarkerAtlas,
+    joint_names: tuple[str, ...],
+    label_log_odds: Float[np.ndarray, "M J"],
+) -> AttachedMarkers:
+    """Return the most likely segment of each marker.
+
+    markers                           in metres in N different frames, NaN if not visible
+    joint_positions, joint_rotations  the joints in the world, in metres
+    atlas                             marker positions of the known sets at the size of this body
+    label_log_odds                    log odds of each joint given the marker's label
     """
     candidates, each = np.unique(atlas.joints), np.arange(markers.shape[1])
-    places, strays = measure_marker_offsets(markers, joint_positions[:, candidates], joint_rotations[:, candidates])
-    apart = np.stack([atlas.compute_distances(int(j), places[c]) for c, j in enumerate(candidates)])
-    likely = (
-        -1.5 * INDEPENDENT_POSE_COUNT * np.log(strays**2 + MIN_SKIN_MOTION_M**2)
-        - 0.5 * (apart / ATLAS_DISTANCE_SD_M) ** 2
+    offsets, sd = measure_marker_offsets(markers, joint_positions[:, candidates], joint_rotations[:, candidates])
+    distance = np.stack([atlas.compute_distances(int(joint), offsets[c]) for c, joint in enumerate(candidates)])
+    log_likelihood = (
+        -1.5 * INDEPENDENT_POSE_COUNT * np.log(sd**2 + MIN_SKIN_MOTION_M**2)
+        - 0.5 * (distance / ATLAS_DISTANCE_SD_M) ** 2
         + label_log_odds.T[candidates]
     )
-    order = (-np.nan_to_num(likely, nan=-np.inf)).argsort(0, kind="stable")
+    order = (-np.nan_to_num(log_likelihood, nan=-np.inf)).argsort(0, kind="stable")
     best, second = order[0], order[1]
-    count = (~np.isnan(markers[..., 0])).sum(0)
-    fewest = min(MIN_ATTACHMENT_FRAMES, MIN_ATTACHMENT_FRAME_SHARE * len(markers))
-    off = np.where(label_log_odds[each, candidates[best]] > 0, 0.0, apart[best, each])
-    segments = [joint_names[j] for j in candidates]
+    frame_count = (~np.isnan(markers[..., 0])).sum(0)
+    min_frames = min(MIN_ATTACHMENT_FRAMES, MIN_ATTACHMENT_FRAME_SHARE * len(markers))
+    atlas_distance = np.where(label_log_odds[each, candidates[best]] > 0, 0.0, distance[best, each])
+    candidate_names = [joint_names[j] for j in candidates]
     reasons = [
-        _explain_too_few_frames(int(count[m]), fewest) or _explain_no_segment(strays[:, m], float(off[m]), best[m], segments)
+        _explain_too_few_frames(int(frame_count[m]), min_frames)
+        or _explain_no_segment(sd[:, m], float(atlas_distance[m]), int(best[m]), candidate_names)
         for m in each
     ]
-    sure = np.nan_to_num(1 / np.exp(likely - likely[best, each]).sum(0))
-    joints = np.where([bool(reason) for reason in reasons], -1, candidates[best])
     return AttachedMarkers(
-        joints, places[best, each], strays[best, each], sure, candidates[second], likely[best, each], tuple(reasons)
+        joints=np.where([bool(reason) for reason in reasons], -1, candidates[best]),
+        offsets=offsets[best, each],
+        residual_sd=sd[best, each],
+        probability=np.nan_to_num(1 / np.exp(log_likelihood - log_likelihood[best, each]).sum(0)),
+        second_joints=candidates[second],
+        log_likelihood=log_likelihood[best, each],
+        rejection_reasons=tuple(reasons),
     )
 
 
 def measure_marker_offsets(
-    markers: np.ndarray, joint_positions: np.ndarray, joint_rotations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> where each of M markers is in the axes of each of C joints, the median (C, M, 3), and by how much it strays from there
-    (C, M), root mean square per axis over the stillest frames; NaN where it is never seen."""
-    each = (joint_positions.shape[1], markers.shape[1])
-    places, strays = np.full((*each, 3), np.nan), np.full(each, np.nan)
+    markers: Float[np.ndarray, "N M 3"],
+    joint_positions: Float[np.ndarray, "N C 3"],
+    joint_rotations: Float[np.ndarray, "N C 3 3"],
+) -> tuple[Float[np.ndarray, "C M 3"], Float[np.ndarray, "C M"]]:
+    """Return each marker's median position in the axes of each joint, in metres, and its root mean square motion per axis.
+
+    The motion is measured over the KEPT_FRAME_SHARE of the frames with the smallest residuals. NaN if never visible.
+    """
+    shape = (joint_positions.shape[1], markers.shape[1])
+    offsets, sd = np.full((*shape, 3), np.nan), np.full(shape, np.nan)
     for m in range(markers.shape[1]):
-        seen = ~np.isnan(markers[:, m, 0])
-        if not seen.any():
+        visible = ~np.isnan(markers[:, m, 0])
+        if not visible.any():
             continue
-        own = np.einsum("tcba,tcb->tca", joint_rotations[seen], markers[seen, None, m] - joint_positions[seen])
-        places[:, m] = np.median(own, axis=0)
-        square = np.sort(((own - places[:, m]) ** 2).sum(-1), axis=0)[: max(1, round(KEPT_FRAME_SHARE * seen.sum()))]
-        strays[:, m] = np.sqrt(square.mean(0) / 3)
-    return places, strays
+        local = np.einsum("tcba,tcb->tca", joint_rotations[visible], markers[visible, None, m] - joint_positions[visible])
+        offsets[:, m] = np.median(local, axis=0)
+        squared = np.sort(((local - offsets[:, m]) ** 2).sum(-1), axis=0)[: max(1, round(KEPT_FRAME_SHARE * visible.sum()))]
+        sd[:, m] = np.sqrt(squared.mean(0) / 3)
+    return offsets, sd
 
 
 def _explain_too_few_frames(frame_count: int, min_frames: float) -> str:
-    """-> why a marker that is seen in `count` frames is not judged, "" where it is."""
+    """Return why a marker visible in `frame_count` frames cannot be attached, "" if it can."""
     if frame_count >= max(min_frames, 1):
         return ""
-    return f"is seen in {frame_count} of the frames looked at, too few to tell" if frame_count else "is never seen"
+    return f"is visible in {frame_count} of the frames examined, which is too few" if frame_count else "is never visible"
 
 
 def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: int, joint_names: list[str]) -> str:
-    """-> why a marker rides on no segment, "" where it does.
+    """Return why a marker is attached to no segment, "" if it is.
 
-    strays  (C,) metres per axis from C segments of these names, of which the likeliest is `best`
-    apart   metres from the nearest place for markers on that one, 0 where the label tells the segment
+    residual_sd     (C,) m per axis: its motion relative to each of C segments, of which `best` is the most likely
+    atlas_distance  distance in metres from the nearest known marker position on that segment; 0 if the label names the segment
     """
     if residual_sd[best] > MAX_ATTACHED_SD_M:
         least = int(residual_sd.argmin())
         return f"moves by {residual_sd[least] * 1e3:.0f} mm against {joint_names[least]} and by more against every other segment"
     if atlas_distance > MAX_ATLAS_DISTANCE_M:
-        return (
-            f"stays still against {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm off the body: it is held, or on a prop"
-        )
+        return f"is rigid with {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm off the body: it is held, or on a prop"
     return ""
-
-
-@dataclass(frozen=True)
-class MarkerAtlas:
-    """Where people wear markers: A places in metres in their joints' axes, on a body of some size."""
-
-    joints: np.ndarray
-    offsets: np.ndarray
-
-    def compute_distances(self, joint: int, places: np.ndarray) -> np.ndarray:
-        """-> (M,) metres from places (M, 3) in a joint's axes to the nearest one on it."""
-        there = self.offsets[self.joints == joint]
-        return np.linalg.norm(places[:, None] - there[None], axis=-1).min(1)
-
-    def scale(self, size: float) -> "MarkerAtlas":
-        """-> the atlas on a body so many times the size."""
-        return MarkerAtlas(self.joints, self.offsets * size)
-
-
-def build_marker_atlas(marker_sets: tuple[MarkerSet, ...]) -> MarkerAtlas:
-    """-> all places of some sets, on the average body."""
-    return MarkerAtlas(
-        np.concatenate([each.joints for each in marker_sets]), np.concatenate([each.marker_offsets for each in marker_sets])
-    )

@@ -1,35 +1,39 @@
-"""Learning a marker set: from a first guess at some of a take's markers to the segment and the place of all of them.
+"""Learning a marker set: from an initial guess for some markers of a take to the segment and offset of all of them.
 
-In turns, a person is calibrated on the markers whose segments are known so far, and every marker is attached to the segment of
-that person in whose axes it stays stillest, until nothing changes any more.
+Two steps alternate until nothing changes: a person is calibrated on the markers whose segments are known so far, and every marker
+is attached to the segment of that person in whose axes it moves least.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.calibrate import calibration, marker_attachment, refinement
-from mocapfix.calibrate.calibration import calibrate_subject
-from mocapfix.calibrate.marker_attachment import AttachedMarkers
-from mocapfix.marker_sets import MarkerSet, load_shipped_marker_sets
+from mocapfix.calibrate import refinement
+from mocapfix.calibrate.calibration import calibrate_subject, select_candidate_frames
+from mocapfix.calibrate.marker_attachment import AttachedMarkers, attach_markers, build_marker_atlas
+from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_sets.library import load_shipped_marker_sets
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-MAX_ATTACHMENT_ROUNDS = 5  # at most
-ONE_TAKE_MARKER_SPREAD_M = 0.02  # metres: of one take of one person nobody knows more of the next one's places
+MAX_ATTACHMENT_ROUNDS = 5
+"""Rounds of calibration and attachment."""
+ONE_TAKE_MARKER_SPREAD_M = 0.02
+"""Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
 
 
 @dataclass(frozen=True)
 class MarkerSetFit:
-    """A marker set learnt from a take.
+    """A marker set learned from a take.
 
-    marker_set   of the markers that ride on a segment
-    subject      the person it was learnt on
-    attachment   of all the take's markers, in its order
-    residual     metres: how far the markers lie from the body on average, over the frames looked at
+    marker_set       the markers that are attached to a segment
+    subject          the person calibrated on them
+    attachment       the segments of all markers of the take, in its order
+    mean_residual_m  mean distance of the markers from the body over the frames examined
     """
 
     marker_set: MarkerSet
@@ -38,60 +42,79 @@ class MarkerSetFit:
     mean_residual_m: float
 
 
+class CalibratedFrames(NamedTuple):
+    """A calibrated person and the world poses of N frames.
+
+    joint_positions (N, J, 3) m, joint_rotations (N, J, 3, 3), mean_residual_m: mean marker distance from the body
+    """
+
+    subject: Subject
+    joint_positions: np.ndarray
+    joint_rotations: np.ndarray
+    mean_residual_m: float
+
+
 def fit_marker_set(
     take: Take, labels: tuple[str, ...], guess: MarkerSet, label_log_odds: float, body: BodyModel, prior: MeanPosePrior
 ) -> MarkerSetFit:
-    """-> the marker set of a take's M markers, as far as they ride on the body.
+    """Return the marker set of a take, as far as its markers are attached to the body.
 
-    labels  the M markers' names in the set to be
-    guess   a first guess at some of them, by these names: enough to show a body
-    worth   log odds that the guess is right about a marker's segment, before it is seen to move
+    labels          the names of the take's M markers in the new set
+    guess           an initial set of some of these markers, enough to determine a body
+    label_log_odds  log odds that the guess names the correct segment
 
-    Raises TakeError where the guess lies as on no body that there is.
+    Raises TakeError if the guess does not fit a person's size.
     """
-    worn, looked, known = (
-        guess,
-        calibration.select_candidate_frames(take.markers),
-        marker_attachment.build_marker_atlas(load_shipped_marker_sets()),
-    )
-    told = np.zeros((len(labels), len(body.skeleton.names)))
-    told[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
+    frames, atlas = select_candidate_frames(take.markers), build_marker_atlas(load_shipped_marker_sets())
+    log_odds = np.zeros((len(labels), len(body.skeleton.names)))
+    log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
+    marker_set = guess
     for _ in range(MAX_ATTACHMENT_ROUNDS):
-        person, position, rotation, residual = calibrate_on_frames(take, labels, worn, body, prior, looked)
-        size = person.skeleton.total_length_m / body.skeleton.total_length_m
-        grown = known.scale(size)
-        found = marker_attachment.attach_markers(take.markers[looked], position, rotation, grown, body.skeleton.names, told)
-        before, worn = worn, build_marker_set(found, labels, guess, size)
-        if worn.labels == before.labels and (worn.joints == before.joints).all():
+        fit = calibrate_on_frames(take, labels, marker_set, body, prior, frames)
+        size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
+        attachment = attach_markers(
+            take.markers[frames], fit.joint_positions, fit.joint_rotations, atlas.scale(size), body.skeleton.names, log_odds
+        )
+        previous, marker_set = marker_set, build_marker_set(attachment, labels, guess, size)
+        if marker_set.labels == previous.labels and (marker_set.joints == previous.joints).all():
             break
-    return MarkerSetFit(worn, person, found, residual)
+    return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m)
 
 
 def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:
-    """-> the markers that ride on a segment, as a set on the average body, than which the person is so many times larger: where
-    the guess has them if it is right about the segment, else where they were found."""
+    """Return the attached markers as a set on the average body.
+
+    Where the guess has the correct segment its offset is kept, otherwise the measured one is used.
+
+    size  the person's size relative to the average body
+    """
     guessed = {label: k for k, label in enumerate(guess.labels)}
-    on = [m for m, joint in enumerate(attachment.joints) if joint >= 0]
-    places, spread = attachment.offsets[on] / size, np.full(len(on), ONE_TAKE_MARKER_SPREAD_M)
-    for n, m in enumerate(on):
+    attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0]
+    offsets, spread = attachment.offsets[attached] / size, np.full(len(attached), ONE_TAKE_MARKER_SPREAD_M)
+    for n, m in enumerate(attached):
         k = guessed.get(labels[m], -1)
         if k >= 0 and guess.joints[k] == attachment.joints[m]:
-            places[n], spread[n] = guess.marker_offsets[k], guess.marker_spread[k]
-    names, aliases = tuple(labels[m] for m in on), ((),) * len(on)
+            offsets[n], spread[n] = guess.marker_offsets[k], guess.marker_spread[k]
     return replace(
-        guess, labels=names, joints=attachment.joints[on], marker_offsets=places, marker_spread=spread, aliases=aliases
+        guess,
+        labels=tuple(labels[m] for m in attached),
+        joints=attachment.joints[attached],
+        marker_offsets=offsets,
+        marker_spread=spread,
+        aliases=((),) * len(attached),
     )
 
 
 def calibrate_on_frames(
     take: Take, labels: tuple[str, ...], marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, frames: np.ndarray
-) -> tuple[Subject, np.ndarray, np.ndarray, float]:
-    """-> the person who wears a set in a take, their joints in the frames `looked` at, position (N, J, 3) in metres and rotation
-    (N, J, 3, 3), and the mean distance in metres of the set's markers from that body."""
+) -> CalibratedFrames:
+    """Calibrate the wearer of a marker set and pose the given frames of the take."""
     columns = np.array([labels.index(label) for label in marker_set.labels])
-    markers = take.select(columns, take.visible)
-    person = calibrate_subject(markers, marker_set, body, prior)
-    motion = refinement.pose_frames(person, body, prior, markers.markers[frames])
-    position, rotation = kinematics.compute_world_poses(person.skeleton, motion)
-    placed = kinematics.compute_joint_and_marker_positions(person, motion)[1]
-    return person, position, rotation, float(np.nanmean(np.linalg.norm(markers.markers[frames] - placed, axis=-1)))
+    selected = take.select(columns, take.visible)
+    subject = calibrate_subject(selected, marker_set, body, prior)
+    markers = selected.markers[frames]
+    motion = refinement.pose_frames(subject, body, prior, markers)
+    joint_positions, joint_rotations = kinematics.compute_world_poses(subject.skeleton, motion)
+    predicted = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
+    residual = float(np.nanmean(np.linalg.norm(markers - predicted, axis=-1)))
+    return CalibratedFrames(subject, joint_positions, joint_rotations, residual)

@@ -1,8 +1,14 @@
-"""What calibration may change of a body, and how far people, marker places and the poses of one take stray from it."""
+"""Calibration parameters: what calibration may change of a body, and the prior deviations of people from the average.
+
+The parameters are the size, the principal components of body shape, the scale of each bone group, the length of each bone, the
+marker offsets, and the take's mean pose.
+"""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.linalg import block_diag
 
 from mocapfix.calibrate.shape_responses import ShapeDeformations
@@ -10,70 +16,90 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, Skeleton
 from mocapfix.subject import Subject
 
-BODY_SIZE_SD = 1e3  # part of the size: free, since the take tells it better than anything
-BONE_GROUP_SD = 0.05  # part of a bone group's length, left and right together: likeliest of each CMU subject, given the others
-INDIVIDUAL_BONE_LENGTH_SD = (
-    0.03  # part of a bone's length that it has for itself, left and right apart: CMU's subjects are that crooked
-)
-MEAN_POSE_SD_RAD = 0.02  # radians: so far a take's mean pose strays from people's about axes where none is known to
-MIN_SCALED_BONE_LENGTH_M = 0.02  # metres: what is shorter is no bone
+BODY_SIZE_SD = 1e3
+"""Relative standard deviation of the size: practically free, since the take determines it well."""
+BONE_GROUP_SD = 0.05
+"""Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects."""
+INDIVIDUAL_BONE_LENGTH_SD = 0.03
+"""Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects."""
+MEAN_POSE_SD_RAD = 0.02
+"""Standard deviation of a take's mean pose from the average about axes for which no variation is known."""
+MIN_SCALED_BONE_LENGTH_M = 0.02
+"""Length above which an offset counts as a bone with a length of its own."""
+
+
+class CalibratedBody(NamedTuple):
+    """A body given by calibration parameters: joint and marker offsets in metres, and the rotation vectors of its mean pose."""
+
+    offsets: np.ndarray
+    marker_offsets: np.ndarray
+    mean_pose_vectors: np.ndarray
 
 
 @dataclass(frozen=True)
 class CalibrationParameters:
-    """The shared unknowns (Q,): P of them along deformations, then the K markers' shifts (K, 3) in metres, then the take's mean
-    pose: by how much the free joints below the root are turned from people's (F, 3), radians; all zero at first.
+    """The definition of Q shared unknowns, all 0 at the start.
 
-    offsets, places  (J, 3), (K, 3) metres: the body that is changed
-    free             (J,) bool, joints that turn
-    deformations     what changes with each of the P
-    information      (Q, Q) the unknowns' inverse covariance about zero
+    They are P coefficients of deformations, the shifts of K markers (K, 3) in metres, and the rotation vectors (F, 3) in radians
+    of the take's mean pose from the average, for the free joints below the root.
+
+    offsets         (J, 3) m: joint offsets at the start
+    marker_offsets  (K, 3) m: marker offsets at the start
+    free_joints     (J,) joints that turn
+    deformations    change of the offsets with each of the P coefficients
+    information     (Q, Q) inverse covariance of the unknowns about 0
     """
 
-    offsets: np.ndarray
-    marker_offsets: np.ndarray
+    offsets: Float[np.ndarray, "J 3"]
+    marker_offsets: Float[np.ndarray, "K 3"]
     free_joints: np.ndarray
     deformations: ShapeDeformations
-    information: np.ndarray
+    information: Float[np.ndarray, "Q Q"]
 
-    def compute_body(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """-> offsets (J, 3) and places (K, 3) in metres, and the mean pose's turns (J, 3) in radians."""
-        dense = len(self.deformations.marker_offsets)
-        along, shifts, turned = np.split(unknowns, [dense, dense + self.marker_offsets.size])
-        places = self.marker_offsets + np.tensordot(along, self.deformations.marker_offsets, 1) + shifts.reshape(-1, 3)
-        turns = np.zeros_like(self.offsets)
-        turns[np.flatnonzero(self.free_joints)[1:]] = turned.reshape(-1, 3)
-        return self.offsets + np.tensordot(along, self.deformations.joint_offsets, 1), places, turns
+    def compute_body(self, unknowns: Float[np.ndarray, " Q"]) -> CalibratedBody:
+        """Return the body that the unknowns describe."""
+        coefficient_count = len(self.deformations.marker_offsets)
+        coefficients, shifts, vectors = np.split(unknowns, [coefficient_count, coefficient_count + self.marker_offsets.size])
+        marker_offsets = (
+            self.marker_offsets + np.tensordot(coefficients, self.deformations.marker_offsets, 1) + shifts.reshape(-1, 3)
+        )
+        mean_pose_vectors = np.zeros_like(self.offsets)
+        mean_pose_vectors[np.flatnonzero(self.free_joints)[1:]] = vectors.reshape(-1, 3)
+        offsets = self.offsets + np.tensordot(coefficients, self.deformations.joint_offsets, 1)
+        return CalibratedBody(offsets, marker_offsets, mean_pose_vectors)
 
 
 def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPosePrior) -> CalibrationParameters:
-    """-> size, shape, scales of bone groups, each bone's own length and marker places of `start`, and the mean pose, free.
+    """Return the calibration parameters of a subject.
 
-    start  `body` at some size; its spread is by how far people's markers lie from its places
+    start  `body` at the estimated size; its marker spread is the standard deviation of people's marker offsets
     """
-    offsets, places = start.skeleton.offsets, start.marker_offsets
+    offsets, marker_offsets = start.skeleton.offsets, start.marker_offsets
     shapes = body.shape_components * np.linalg.norm(offsets) / np.linalg.norm(body.skeleton.offsets)
     groups = np.zeros((len(body.bone_groups), *offsets.shape))
     for g, joints in enumerate(map(list, body.bone_groups.values())):
         groups[g, joints] = offsets[joints]
-    lengths = list_bones(start.skeleton)
-    along = np.concatenate([offsets[None], shapes, groups, lengths])
-    with_size = np.concatenate([places[None], np.zeros((len(along) - 1, *places.shape))])
-    own = *[BONE_GROUP_SD] * len(groups), *[INDIVIDUAL_BONE_LENGTH_SD] * len(lengths)
-    deviations = (BODY_SIZE_SD, *[1.0] * len(shapes), *own, *np.repeat(start.marker_spread, 3))
-    habits = np.linalg.inv(prior.between_take_covariance[np.flatnonzero(body.free_joints)[1:]] + MEAN_POSE_SD_RAD**2 * np.eye(3))
-    information = np.asarray(block_diag(np.diag(1 / np.square(deviations)), *habits))
-    return CalibrationParameters(offsets, places, body.free_joints, ShapeDeformations(along, with_size), information)
+    bones = list_bones(start.skeleton)
+    joint_deformations = np.concatenate([offsets[None], shapes, groups, bones])
+    # the size alone moves the markers along
+    marker_deformations = np.concatenate([marker_offsets[None], np.zeros((len(joint_deformations) - 1, *marker_offsets.shape))])
+    length_sd = *[BONE_GROUP_SD] * len(groups), *[INDIVIDUAL_BONE_LENGTH_SD] * len(bones)
+    sd = (BODY_SIZE_SD, *[1.0] * len(shapes), *length_sd, *np.repeat(start.marker_spread, 3))
+    free_below_root = np.flatnonzero(body.free_joints)[1:]
+    mean_pose_information = np.linalg.inv(prior.between_take_covariance[free_below_root] + MEAN_POSE_SD_RAD**2 * np.eye(3))
+    information = np.asarray(block_diag(np.diag(1 / np.square(sd)), *mean_pose_information))
+    deformations = ShapeDeformations(joint_deformations, marker_deformations)
+    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information)
 
 
-def list_bones(skeleton: Skeleton) -> np.ndarray:
-    """-> (B, J, 3) metres: the offsets of one bone each, as long as it is.
+def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
+    """Return for each of B bones the offsets in metres of the joints it carries, zero for all others.
 
-    Joints at the same offset from one parent hang on one bone: the thorax carries the neck and both shoulders.
+    Joints at the same offset from one parent share a bone: the thorax carries the neck and both shoulders.
     """
-    offsets, found = skeleton.offsets, []
+    offsets, bones = skeleton.offsets, list[np.ndarray]()
     for j in np.flatnonzero(np.linalg.norm(offsets, axis=1) > MIN_SCALED_BONE_LENGTH_M):
-        same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
-        if np.flatnonzero(same)[0] == j:
-            found.append(np.where(same[:, None], offsets, 0.0))
-    return np.array(found)
+        is_same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
+        if np.flatnonzero(is_same)[0] == j:
+            bones.append(np.where(is_same[:, None], offsets, 0.0))
+    return np.array(bones)

@@ -1,16 +1,16 @@
-"""Bones, marker places and the poses of many frames fitted together.
+"""Refinement: bones, marker offsets and the poses of many frames, fitted together.
 
-Levenberg-Marquardt over the unknowns that the frames share (size, bones, marker places); at each step the
-frames' poses are solved anew and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step sees
-how the poses give way. The nominal places and lengths are the prior that settles what the take leaves open.
+Levenberg-Marquardt over the unknowns that the frames share (see `parameters`). At each step the poses of the frames are solved
+again and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step accounts for the change of the poses.
+The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
-from mocapfix.calibrate import parameters as freedom
-from mocapfix.calibrate.parameters import CalibrationParameters
+from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, build_calibration_parameters
 from mocapfix.calibrate.shape_responses import SharedResponses, compute_shared_responses, reduce_shared_equations
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
@@ -27,21 +27,37 @@ from mocapfix.solve.pose_problem import (
 )
 from mocapfix.subject import Subject
 
-CALIBRATION_MARKER_SD_M = 0.010  # metres: skin slides less, but neighbouring frames tell the same of it
-CALIBRATION_ROBUST_SCALE_M = 0.050  # metres: Geman-McClure scale
-POSE_PRIOR_WEIGHT = (
-    0.02  # of how poses stray from their take's mean: with more, longer bones win, for on them all turns are smaller
-)
+CALIBRATION_MARKER_SD_M = 0.010
+"""Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated."""
+CALIBRATION_ROBUST_SCALE_M = 0.050
+"""Geman-McClure scale of the marker residuals."""
+SELECTION_ROBUST_SCALES_M = (0.4, 0.2, 0.1)
+"""The same scales, one after the other, for a body that is not yet calibrated."""
+POSE_PRIOR_WEIGHT = 0.02
+"""Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations."""
+MAX_SELECTION_ITERATIONS = 8
+"""Iterations of a frame when an uncalibrated body is posed."""
+MAX_POSE_ITERATIONS = 6
+"""Iterations of a frame between two steps of the shared unknowns."""
 MAX_REFINEMENT_ROUNDS = 25
-MIN_RELATIVE_DECREASE = 1e-3  # relative fall of the cost under which calibration ends
+"""Steps of the shared unknowns."""
+MIN_RELATIVE_DECREASE = 1e-3
+"""Relative decrease of the cost below which the refinement ends."""
+INITIAL_DAMPING = 1e-3
+"""Marquardt damping at the start."""
+MIN_DAMPING = 1e-6
+"""Smallest damping after accepted steps."""
+MAX_DAMPING = 1e3
+"""Damping above which the refinement ends without an accepted step."""
 
 
 @dataclass(frozen=True)
 class RefinementState:
-    """A body, the poses of N frames on it, and what they say of the shared unknowns (Q,) there.
+    """A body with the poses of N frames, and the quadratic model of the cost in the shared unknowns (Q,) there.
 
-    cost       half a sum of squares in standard deviations, priors included
-    curvature  (Q, Q) its second derivative and (Q,) its slope, the poses giving way
+    root_position, local_rotations  (N, 3) m and (N, J, 3, 3): the poses
+    cost                            half the sum of squares in standard deviations, priors included
+    curvature, gradient             (Q, Q) and (Q,): derivatives of the cost with the poses eliminated
     """
 
     unknowns: np.ndarray
@@ -55,64 +71,57 @@ class RefinementState:
 
 
 def build_calibration_problem(
-    start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray, offsets, marker_offsets, mean_pose_vectors
+    start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray, calibrated: CalibratedBody
 ) -> PoseProblem:
-    """-> the pose problem of frames (N, K, 3) on a body with these offsets (J, 3) and marker places (K, 3), their mean pose
-    turned from people's by (J, 3) radians."""
-    tree, pull = (
-        KinematicTree(start.skeleton.parents, offsets, body.free_joints),
-        build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT)),
-    )
-    listened, limits = ~np.isnan(markers[..., 0]), build_no_joint_limits(len(offsets))
+    """Return the pose problem of frames (N, K, 3) on a body with calibrated offsets and mean pose."""
+    tree = KinematicTree(start.skeleton.parents, calibrated.offsets, body.free_joints)
+    prior_term = build_pose_prior_term(prior.build_within_take_prior().scale_information(POSE_PRIOR_WEIGHT))
     return PoseProblem(
         tree,
-        MarkerAttachment(start.joints, marker_offsets),
+        MarkerAttachment(start.joints, calibrated.marker_offsets),
         markers,
-        listened,
+        ~np.isnan(markers[..., 0]),
         CALIBRATION_MARKER_SD_M,
-        pull._replace(vectors=mean_pose_vectors),
-        limits,
+        prior_term._replace(mean_vectors=calibrated.mean_pose_vectors),
+        build_no_joint_limits(len(calibrated.offsets)),
     )
 
 
-def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray) -> Motion:
-    """-> poses of frames (N, K, 3) on a body not yet calibrated, robustly, so that spikes do not pass for variety."""
+def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"]) -> Motion:
+    """Return robust poses of some frames on a body that is not yet calibrated, so that spikes do not look like varied poses."""
     motion = register_poses(start, body.free_joints, prior, markers)
-    problem = build_calibration_problem(
-        start, body, prior, markers, start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3))
-    )
-    problem.solve(motion.root_position, motion.local_rotations, build_no_tracking(len(body.free_joints)), (0.4, 0.2, 0.1), 8)
+    uncalibrated = CalibratedBody(start.skeleton.offsets, start.marker_offsets, np.zeros((len(body.free_joints), 3)))
+    problem = build_calibration_problem(start, body, prior, markers, uncalibrated)
+    no_tracking = build_no_tracking(len(body.free_joints))
+    problem.solve(motion.root_position, motion.local_rotations, no_tracking, SELECTION_ROBUST_SCALES_M, MAX_SELECTION_ITERATIONS)
     return motion
 
 
-def refine_subject(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: np.ndarray, motion: Motion) -> Subject:
-    """-> `start` with the bones and places that fit the frames `markers` (N, K, 3), posed by `motion`, best."""
-    free = freedom.build_calibration_parameters(start, body, prior)
+def refine_subject(
+    start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"], motion: Motion
+) -> Subject:
+    """Return `start` with the bones and marker offsets that fit the frames best, starting from the poses of `motion`."""
+    parameters = build_calibration_parameters(start, body, prior)
 
-    def fit(unknowns: np.ndarray, root: np.ndarray, local: np.ndarray) -> RefinementState:
-        return solve_and_linearise(
-            free,
-            build_calibration_problem(start, body, prior, markers, *free.compute_body(unknowns)),
-            unknowns,
-            root.copy(),
-            local.copy(),
-        )
+    def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
+        problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
+        return solve_and_linearise(parameters, problem, unknowns, root_position.copy(), local_rotations.copy())
 
-    best, damping = fit(np.zeros(len(free.information)), motion.root_position, motion.local_rotations), 1e-3
+    state = fit(np.zeros(len(parameters.information)), motion.root_position, motion.local_rotations)
+    damping = INITIAL_DAMPING
     for _ in range(MAX_REFINEMENT_ROUNDS):
-        trial = fit(
-            best.unknowns + compute_damped_step(best.curvature, best.gradient, damping), best.root_position, best.local_rotations
-        )
-        if trial.cost < best.cost:
-            enough = best.cost - trial.cost < MIN_RELATIVE_DECREASE * trial.cost
-            best, damping = trial, max(damping / 5, 1e-6)
-            if enough:
+        step = compute_damped_step(state.curvature, state.gradient, damping)
+        trial = fit(state.unknowns + step, state.root_position, state.local_rotations)
+        if trial.cost < state.cost:
+            has_converged = state.cost - trial.cost < MIN_RELATIVE_DECREASE * trial.cost
+            state, damping = trial, max(damping / 5, MIN_DAMPING)
+            if has_converged:
                 break
         else:
             damping *= 10
-            if damping > 1e3:
+            if damping > MAX_DAMPING:
                 break
-    return build_refined_subject(start, best)
+    return build_refined_subject(start, state)
 
 
 def solve_and_linearise(
@@ -122,8 +131,9 @@ def solve_and_linearise(
     root_position: np.ndarray,
     local_rotations: np.ndarray,
 ) -> RefinementState:
-    """-> the frames solved anew from the poses given, which are spoilt, and what they and the priors say together."""
-    problem.solve(root_position, local_rotations, build_no_tracking(local_rotations.shape[1]), (CALIBRATION_ROBUST_SCALE_M,), 6)
+    """Solve the poses from those given, which are overwritten, and return the state there."""
+    no_tracking = build_no_tracking(local_rotations.shape[1])
+    problem.solve(root_position, local_rotations, no_tracking, (CALIBRATION_ROBUST_SCALE_M,), MAX_POSE_ITERATIONS)
     return linearise_frames(parameters, problem, unknowns, root_position, local_rotations)
 
 
@@ -134,57 +144,69 @@ def linearise_frames(
     root_position: np.ndarray,
     local_rotations: np.ndarray,
 ) -> RefinementState:
-    """-> what frames and priors say together at these poses, as they are."""
-    still = build_no_tracking(local_rotations.shape[1])
-    found = compute_shared_responses(
-        problem, parameters.deformations, still, CALIBRATION_ROBUST_SCALE_M, root_position, local_rotations
+    """Return the state at given poses, without solving them."""
+    no_tracking = build_no_tracking(local_rotations.shape[1])
+    responses = compute_shared_responses(
+        problem, parameters.deformations, no_tracking, CALIBRATION_ROBUST_SCALE_M, root_position, local_rotations
     )
-    curvature, gradient = reduce_shared_equations(found)
-    habit = parameters.information @ unknowns
-    cost = float(found.cost.sum() + 0.5 * unknowns @ habit)
+    curvature, gradient = reduce_shared_equations(responses)
+    prior_gradient = parameters.information @ unknowns
+    cost = float(responses.cost.sum() + 0.5 * unknowns @ prior_gradient)
     return RefinementState(
-        unknowns, problem, root_position, local_rotations, found, cost, curvature + parameters.information, gradient + habit
+        unknowns,
+        problem,
+        root_position,
+        local_rotations,
+        responses,
+        cost,
+        curvature + parameters.information,
+        gradient + prior_gradient,
     )
 
 
-def compute_damped_step(curvature: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    """-> (Q,) the damped Gauss-Newton step (Marquardt 1963)."""
+def compute_damped_step(
+    curvature: Float[np.ndarray, "Q Q"], gradient: Float[np.ndarray, " Q"], damping: float
+) -> Float[np.ndarray, " Q"]:
+    """Return the damped Gauss-Newton step (Marquardt 1963)."""
     return np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), -gradient)
 
 
-def compute_calibration_sd(responses: SharedResponses, curvature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> standard deviations per axis, metres, by which what is left open of the shared unknowns displaces the joints (J,)
-    and the markers (K,), each frame's pose giving way; root mean squares over the frames.
+def compute_calibration_sd(
+    responses: SharedResponses, curvature: Float[np.ndarray, "Q Q"]
+) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
+    """Return the standard deviation per axis, in metres, of joints and markers due to the uncertainty of the shared unknowns.
 
-    curvature  (Q, Q) of the shared unknowns, priors included: their inverse covariance
+    The pose of each frame adapts to the unknowns. The values are root mean squares over the frames.
+
+    curvature  inverse covariance of the shared unknowns, priors included
     """
-    half = np.linalg.inv(np.linalg.cholesky(curvature))  # half' half is the covariance
-    displaced = (
-        half @ moved.reshape(*moved.shape[:2], -1) for moved in (responses.joint_response, responses.marker_response[:, :-1])
+    half = np.linalg.inv(np.linalg.cholesky(curvature))  # half.T @ half is the covariance
+    displacements = (
+        half @ response.reshape(*response.shape[:2], -1)
+        for response in (responses.joint_response, responses.marker_response[:, :-1])
     )
-    joints, markers = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displaced)
-    return joints, markers
+    joint_sd, marker_sd = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displacements)
+    return joint_sd, marker_sd
 
 
 def build_refined_subject(start: Subject, state: RefinementState) -> Subject:
-    """-> the subject of a fit; a marker's spread is the median of its distances, per axis."""
-    tree, places = state.problem.tree, state.problem.attachment.offsets
+    """Return the subject of a refined state; the spread of a marker is its median distance per axis from the body."""
+    tree = state.problem.tree
     size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
-    skeleton = replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size)
     joint_sd, marker_sd = compute_calibration_sd(state.responses, state.curvature)
     subject = replace(
         start,
-        skeleton=skeleton,
-        marker_offsets=places,
+        skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),
+        marker_offsets=state.problem.attachment.offsets,
         frame_count=len(state.root_position),
         joint_sd=joint_sd,
         marker_sd=marker_sd,
     )
-    nothing = np.zeros(len(state.root_position), int)
-    motion = Motion(state.root_position, state.local_rotations, nothing, nothing, np.zeros(0), np.zeros(0))
-    _, placed = kinematics.compute_joint_and_marker_positions(subject, motion)
-    distance = np.linalg.norm(state.problem.marker_positions - placed, axis=-1)
-    seen = (~np.isnan(distance)).any(0)
+    zeros = np.zeros(len(state.root_position), int)
+    motion = Motion(state.root_position, state.local_rotations, zeros, zeros, np.zeros(0), np.zeros(0))
+    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
+    distance = np.linalg.norm(state.problem.marker_positions - predicted, axis=-1)
+    visible = (~np.isnan(distance)).any(0)
     spread = start.marker_spread.copy()
-    spread[seen] = np.sqrt(np.nanmedian(distance[:, seen] ** 2, axis=0) / 3)
+    spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)
     return replace(subject, marker_spread=spread)

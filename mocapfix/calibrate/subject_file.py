@@ -1,4 +1,4 @@
-"""The subject file: one person's bones and marker places as YAML that people can read, mend and give back."""
+"""The subject file: one person's bones and marker offsets as YAML that people can read, edit and use again."""
 
 from pathlib import Path
 
@@ -12,24 +12,25 @@ from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.subject import Subject
 
 SUBJECT_FILE_HEADER = """\
-# A subject of mocapfix: one person's bones and where the markers lie on them.
-# All lengths are in metres. A bone's offset is the joint in its parent's axes, its end the tip of a last bone; a marker's
-# place is in the axes of the joint it rides on, and spread is how far it strays from there on average. What calibration
-# could not tell displaces joints and markers by sd (standard deviation per axis; 0 where they were measured otherwise).
-# Rest pose: a T-pose facing +Z, Y up, every joint's axes along the world's.
+# A subject of mocapfix: one person's bones and the markers on them. All lengths are in metres.
+# offset: the joint in its parent's axes; end: the tip of a last bone in its joint's axes; place: the marker in the axes of its
+# joint; spread: typical distance per axis of the marker from its place; sd: standard deviation per axis of the joint or marker
+# due to the uncertainty of the calibration (0 if it was measured otherwise).
+# Rest pose: a T-pose facing +Z, Y up, with all joint axes parallel to the world axes.
 """
-LENGTH_DECIMALS = 7  # a tenth of a micrometre
+LENGTH_DECIMALS = 7
+"""Decimals of the lengths in the file: a tenth of a micrometre."""
 
 
 def read_subject(path: str | Path) -> Subject:
-    """-> the subject that `save` wrote to a YAML file, or that a person mended there.
+    """Return the subject in a file that `write_subject` wrote, possibly edited since.
 
-    Raises SceneError with the file and the path of the wrong key.
+    Raises SceneError with the file and the path of the invalid key.
     """
-    form = read_yaml_model(_SubjectModel, Path(path))
-    _check_bones(Path(path), form.bones)
-    skeleton, markers = load_cmu31_body().skeleton, form.markers.values()
-    bones = [form.bones[name] for name in skeleton.names]
+    model = read_yaml_model(_SubjectModel, Path(path))
+    _check_bones(Path(path), model.bones)
+    skeleton, markers = load_cmu31_body().skeleton, model.markers.values()
+    bones = [model.bones[name] for name in skeleton.names]
     return Subject(
         skeleton=Skeleton(
             skeleton.names,
@@ -37,24 +38,25 @@ def read_subject(path: str | Path) -> Subject:
             np.array([bone.offset for bone in bones], float),
             np.array([bone.end or [np.nan] * 3 for bone in bones], float),
         ),
-        marker_set=form.marker_set,
-        labels=tuple(form.markers),
+        marker_set=model.marker_set,
+        labels=tuple(model.markers),
         joints=np.array([skeleton.find_joint(marker.joint) for marker in markers], int),
         marker_offsets=np.array([marker.place for marker in markers], float).reshape(-1, 3),
         marker_spread=np.array([marker.spread for marker in markers], float),
         joint_sd=np.array([bone.sd for bone in bones], float),
         marker_sd=np.array([marker.sd for marker in markers], float),
-        frame_count=form.frames,
+        frame_count=model.frames,
     )
 
 
 def write_subject(path: str | Path, subject: Subject) -> None:
-    """Write a subject as YAML, lengths rounded to a tenth of a micrometre.
+    """Write a subject as YAML, with lengths rounded to LENGTH_DECIMALS.
 
-    Raises WriteError where the folder cannot be written, and then leaves what was there.
+    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
     """
-    skeleton, bones, markers = subject.skeleton, {}, {}
-    names = skeleton.names
+    skeleton, names = subject.skeleton, subject.skeleton.names
+    bones: dict[str, InlineMapping] = {}
+    markers: dict[str, InlineMapping] = {}
     for name, parent, offset, end, sd in zip(
         names, skeleton.parents, skeleton.offsets, skeleton.ends, subject.joint_sd, strict=True
     ):
@@ -63,15 +65,15 @@ def write_subject(path: str | Path, subject: Subject) -> None:
         )
         if not np.isnan(end).any():
             bones[name]["end"] = _round_lengths(end)
-    for label, joint, place, spread, sd in zip(
+    for label, joint, offset, spread, sd in zip(
         subject.labels, subject.joints, subject.marker_offsets, subject.marker_spread, subject.marker_sd, strict=True
     ):
         markers[label] = InlineMapping(
-            joint=names[joint], place=_round_lengths(place), spread=_round_length(spread), sd=_round_length(sd)
+            joint=names[joint], place=_round_lengths(offset), spread=_round_length(spread), sd=_round_length(sd)
         )
     data = {"marker_set": subject.marker_set, "frames": int(subject.frame_count), "bones": bones, "markers": markers}
-    with replace_atomically(Path(path)) as part:
-        part.write_text(SUBJECT_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
+    with replace_atomically(Path(path)) as new_file:
+        new_file.write_text(SUBJECT_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
 
 
 def _round_lengths(vector: np.ndarray) -> list[float]:
@@ -104,7 +106,7 @@ class _SubjectModel(StrictModel):
 
 
 def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
-    """The bones must be the skeleton's, for the solver knows no other tree."""
+    """Raise SceneError unless the bones are those of the CMU skeleton, the only tree that the solver supports."""
     skeleton = load_cmu31_body().skeleton
     for name, bone in bones.items():
         if name not in skeleton.names:
@@ -114,6 +116,8 @@ def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:
         if bone.parent != parent:
             raise SceneError(f"{path}: bones.{name}.parent: must be {parent or 'null'}, not {bone.parent or 'null'}.")
         if (bone.end is None) != np.isnan(skeleton.ends[joint]).any():
-            raise SceneError(f"{path}: bones.{name}.end: {'is missing' if bone.end is None else 'only a last bone has one'}.")
+            raise SceneError(
+                f"{path}: bones.{name}.end: {'is missing' if bone.end is None else 'only the last bone of a chain has one'}."
+            )
     if missing := [name for name in skeleton.names if name not in bones]:
         raise SceneError(f"{path}: bones.{missing[0]}: is missing.")

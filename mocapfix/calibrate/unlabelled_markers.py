@@ -1,15 +1,26 @@
-"""Average bodies that stand where a cloud of markers is, facing all ways, and wear a marker wherever people do."""
+"""An initial marker set for markers without informative labels: bodies are fitted to the cloud that the markers form.
+
+Frames in which the cloud is tall show a standing person. The average body, with the markers of one shipped set, is placed there
+in many headings, with raised, half raised and hanging arms. Markers are assigned one-to-one to the nearest marker positions of
+the body, and the body is solved with this assignment, in turns (iterative closest points; Besl & McKay 1992). The best bodies
+are then tested on more frames, in all of which the assignment must hold: a body that faces backwards or has an arm assigned to a
+leg fails there.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from mocapfix.calibrate import calibration, marker_attachment, refinement
-from mocapfix.calibrate.calibration import scale_average_subject, scale_skeleton
-from mocapfix.calibrate.marker_attachment import MarkerAtlas
+from mocapfix.calibrate import refinement
+from mocapfix.calibrate.calibration import scale_average_subject, scale_skeleton, select_candidate_frames
+from mocapfix.calibrate.marker_attachment import MarkerAtlas, build_marker_atlas
 from mocapfix.errors import TakeError
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.marker_sets import MarkerSet, load_shipped_marker_sets
+from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_sets.library import load_shipped_marker_sets
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.joint_limits import JointLimits
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
@@ -22,173 +33,193 @@ from mocapfix.solve.pose_problem import (
     build_no_tracking,
     build_pose_prior_term,
 )
+from mocapfix.stats.sampling import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-# MERGED: mocapfix.calibrate.standing
 BODY_HEADING_COUNT = 16
-ARM_RAISE_SHARES = (0.0, 0.5, 1.0)  # how far from hanging to a T-pose
-GUESSED_MARKER_SPREAD_M = 0.05  # metres: of a marker about the place it was guessed to have
+"""Headings in which a body is placed."""
+ARM_RAISE_SHARES = (0.0, 0.5, 1.0)
+"""Arm positions in which a body is placed: 0 hanging, 1 as in a T-pose."""
+GUESSED_MARKER_SPREAD_M = 0.05
+"""Spread of a marker about its guessed offset."""
+MIN_CLOUD_MARKERS = 20
+"""Markers visible in one frame; fewer fit a body in many ways."""
+HEIGHT_QUANTILES = (0.5, 0.8, 1.0)
+"""Frames to which bodies are fitted, by the quantile of the cloud's height; the tallest frames have raised arms."""
+MATCHING_ROUNDS = 20
+"""Rounds of assignment and solve."""
+MATCHING_ITERATIONS = 5
+"""Solver iterations of a round."""
+MATCHING_GATES_M = (0.4, 0.15)
+"""Largest distance of an assigned marker in the first and in the last round."""
+MATCHING_MARKER_SD_M = 0.04
+"""Standard deviation of a person's markers about those of the average body."""
+MATCHING_LIMIT_SD_RAD = 0.1
+"""Standard deviation of joint angles beyond the joint limits."""
+MAX_TRIED_BODIES = 9
+"""Best bodies that are tested on more frames."""
+MAX_TRIAL_FRAMES = 60
+"""Frames they are tested on."""
+TRIAL_ROUNDS = 6
+"""Rounds of assignment and solve in this test."""
+UNMATCHED_GATE_SHARE = 0.95
+"""Share of the gate: a marker whose capped mean distance reaches it is not assigned."""
 
 
-def build_standing_bodies(
-    markers: np.ndarray, height: float, atlas: MarkerAtlas, body: BodyModel, prior: MeanPosePrior
-) -> tuple[np.ndarray, np.ndarray, Subject]:
-    """-> root (H, 3) and local rotations (H, J, 3, 3) of bodies that stand where the markers (M, 3) are, facing all ways; and
-    whose they are."""
-    turns = Rotation.from_euler("y", np.linspace(0, 2 * np.pi, BODY_HEADING_COUNT, endpoint=False)[:, None]).as_matrix()
-    local = np.concatenate(
-        [np.tile(raise_arms(prior.mean_rotations, share, body), (BODY_HEADING_COUNT, 1, 1, 1)) for share in ARM_RAISE_SHARES]
-    )
-    local[:, 0] = np.tile(turns, (len(ARM_RAISE_SHARES), 1, 1))
-    nominal = build_atlas_subject(atlas, body, 1.0)
-    tall = np.ptp(
-        kinematics.compute_joint_and_marker_positions(
-            nominal, wrap_poses_as_motion(np.zeros((1, 3)), prior.mean_rotations[None].copy())
-        )[1][0, :, 1]
-    )
-    person = build_atlas_subject(atlas, body, height / float(tall))
-    placed = kinematics.compute_joint_and_marker_positions(person, wrap_poses_as_motion(np.zeros((len(local), 3)), local))[1]
-    root = np.nanmedian(markers, axis=0) - np.median(placed, axis=1)
-    root[:, 1] = np.nanmin(markers[:, 1]) - placed[:, :, 1].min(1)
-    return root, local, person
+class StandingBodies(NamedTuple):
+    """H poses, root (H, 3) m and local rotations (H, J, 3, 3), of an average body with markers at all atlas positions."""
+
+    root_position: np.ndarray
+    local_rotations: np.ndarray
+    subject: Subject
 
 
-def raise_arms(local_rotations: np.ndarray, share: float, body: BodyModel) -> np.ndarray:
-    """-> local rotations (J, 3, 3) with the arms so far between those given and a T-pose."""
-    local = local_rotations.copy()
-    for side in ("Left", "Right"):
-        for bone in ("Shoulder", "Arm", "ForeArm"):
-            j = body.skeleton.find_joint(side + bone)
-            local[j] = Rotation.from_rotvec((1 - share) * Rotation.from_matrix(local_rotations[j]).as_rotvec()).as_matrix()
-    return local
+class MarkerAssignment(NamedTuple):
+    """Assigned atlas positions of the markers, -1 for none, and the mean misfit in metres; both for one body or for H bodies."""
 
-
-def build_atlas_subject(atlas: MarkerAtlas, body: BodyModel, size: float) -> Subject:
-    """-> somebody so many times the average body's size who wears a marker at every place."""
-    names = tuple(f"place {a}" for a in range(len(atlas.joints)))
-    spread = np.full(len(names), GUESSED_MARKER_SPREAD_M)
-    return Subject(scale_skeleton(body.skeleton, size), "atlas", names, atlas.joints, atlas.offsets * size, spread)
-
-
-def wrap_poses_as_motion(root_position: np.ndarray, local_rotations: np.ndarray) -> Motion:
-    """-> poses as a motion of which nothing else is known."""
-    nothing = np.zeros(len(root_position), int)
-    return Motion(root_position, local_rotations, nothing, nothing, np.zeros(0), np.zeros(0))
-
-
-# MERGED: mocapfix.calibrate.unlabelled
-# A first guess at markers whose labels tell nothing: a body laid on the cloud they make.
-#
-# In a frame in which the cloud is tall somebody stands. The average body is put there facing all ways, its arms raised, half
-# raised and hanging, with the markers of each set that ships; every marker takes the place for markers that it lies nearest to, no
-# two the same one, and the body is solved to these, in turns (iterative closest points; Besl & McKay 1992). The likeliest bodies
-# are tried on more frames, in all of which a marker must keep its place: on a body that faces backwards or has an arm for a leg
-# it does not.
-MIN_CLOUD_MARKERS = 20  # markers: on fewer a body can lie in any way
-HEIGHT_QUANTILES = (
-    0.5,
-    0.8,
-    1.0,
-)  # of the frames are less tall than those that a body is laid on: arms raised are taller than anybody
-MATCHING_ROUNDS = 20  # of nearest places
-MATCHING_GATES_M = (0.4, 0.15)  # metres, the first round's and the last's: a marker farther from every place has none
-MATCHING_MARKER_SD_M, MATCHING_LIMIT_SD_RAD = (
-    0.04,
-    0.1,
-)  # metres, radians: of a stranger's markers about the average body's, of joints beyond limits
-MAX_TRIED_BODIES = 9  # bodies that are tried on more frames
-MAX_TRIAL_FRAMES = 60  # frames they are tried on
-TRIAL_ROUNDS = 6  # rounds of that
-UNMATCHED_GATE_SHARE = 0.95  # of the last gate: a marker that is on average as far from every place has none
+    atlas_indices: np.ndarray
+    misfit_m: np.ndarray
 
 
 def guess_from_marker_cloud(
     take: Take, labels: tuple[str, ...], body: BodyModel, prior: MeanPosePrior, limits: JointLimits
 ) -> MarkerSet:
-    """-> a set that has each of the take's markers where the body has a place for it, under `labels`.
+    """Return a set of those markers of the take for which the body has a position, under the names `labels`.
 
-    Raises TakeError where there are too few markers to lay a body on.
+    Raises TakeError if too few markers are visible at once.
     """
-    looked = calibration.select_candidate_frames(take.markers)
-    some = take.markers[looked[np.unique(np.linspace(0, len(looked) - 1, MAX_TRIAL_FRAMES).astype(int))]]
-    if (~np.isnan(some[..., 0])).sum(1).max(initial=0) < MIN_CLOUD_MARKERS:
-        raise TakeError(
-            f"{take.name}: shows fewer than {MIN_CLOUD_MARKERS} markers at once; name a known set that it is like (--like)."
-        )
-    height = np.ptp(np.where(np.isnan(some[..., 1]), np.nanmean(some[..., 1], axis=1, keepdims=True), some[..., 1]), axis=1)
-    standing = np.argsort(height)[[round(share * (len(height) - 1)) for share in HEIGHT_QUANTILES]]
-    hopes = []
-    for known in map(marker_attachment.build_marker_atlas, zip(load_shipped_marker_sets())):
+    candidates = select_candidate_frames(take.markers)
+    trial = take.markers[candidates[sample_evenly(len(candidates), MAX_TRIAL_FRAMES)]]
+    if (~np.isnan(trial[..., 0])).sum(1).max(initial=0) < MIN_CLOUD_MARKERS:
+        raise TakeError(f"{take.name}: shows fewer than {MIN_CLOUD_MARKERS} markers at once; name a similar known set (--like).")
+    mean_height = np.nanmean(trial[..., 1], axis=1, keepdims=True)
+    height = np.ptp(np.where(np.isnan(trial[..., 1]), mean_height, trial[..., 1]), axis=1)
+    standing = np.argsort(height)[[round(quantile * (len(height) - 1)) for quantile in HEIGHT_QUANTILES]]
+    hypotheses: list[tuple[float, np.ndarray, MarkerAtlas]] = []
+    for marker_set in load_shipped_marker_sets():
+        atlas = build_marker_atlas((marker_set,))
         for frame in standing:
-            assigned, misfit = fit_bodies_to_markers(some[frame], float(height[frame]), known, body, prior, limits)
-            hopes += [(float(misfit[h]), assigned[h], known) for h in range(len(misfit))]
-    hopes.sort(key=lambda hope: hope[0])
-    tried = [(known, *refine_assignment(assigned, some, known, body, prior)) for _, assigned, known in hopes[:MAX_TRIED_BODIES]]
-    known, best, _ = min(tried, key=lambda each: each[2])
-    return build_guessed_marker_set(best, labels, known)
+            fits = fit_bodies_to_markers(trial[frame], float(height[frame]), atlas, body, prior, limits)
+            hypotheses += [
+                (float(misfit), indices, atlas) for indices, misfit in zip(fits.atlas_indices, fits.misfit_m, strict=True)
+            ]
+    hypotheses.sort(key=lambda hypothesis: hypothesis[0])
+    tested = [
+        (atlas, refine_assignment(indices, trial, atlas, body, prior)) for _, indices, atlas in hypotheses[:MAX_TRIED_BODIES]
+    ]
+    atlas, best = min(tested, key=lambda each: float(each[1].misfit_m))
+    return build_guessed_marker_set(best.atlas_indices, labels, atlas)
 
 
 def fit_bodies_to_markers(
-    markers: np.ndarray, height: float, atlas: MarkerAtlas, body: BodyModel, prior: MeanPosePrior, limits: JointLimits
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> for H bodies the place (H, M) in the atlas that each of a frame's markers (M, 3) has, -1 for none, and the mean misfit
-    (H,) in metres.
-
-    height  metres, of the markers
-    """
-    root, local, person = build_standing_bodies(markers, height, atlas, body, prior)
-    tree = KinematicTree(body.skeleton.parents, person.skeleton.offsets, body.free_joints)
-    pull, walls = build_pose_prior_term(prior), build_joint_limit_term(limits, MATCHING_LIMIT_SD_RAD)
-    assigned, misfit = np.full((len(root), len(markers)), -1), np.full(len(root), np.inf)
+    markers: Float[np.ndarray, "M 3"],
+    height: float,
+    atlas: MarkerAtlas,
+    body: BodyModel,
+    prior: MeanPosePrior,
+    limits: JointLimits,
+) -> MarkerAssignment:
+    """Return the assignment (H, M) and misfit (H,) of H bodies fitted to one frame's markers, whose height is given in metres."""
+    root_position, local_rotations, subject = build_standing_bodies(markers, height, atlas, body, prior)
+    tree = KinematicTree(body.skeleton.parents, subject.skeleton.offsets, body.free_joints)
+    prior_term, limit_term = build_pose_prior_term(prior), build_joint_limit_term(limits, MATCHING_LIMIT_SD_RAD)
+    indices, misfit = np.full((len(root_position), len(markers)), -1), np.full(len(root_position), np.inf)
     for gate in np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS):
-        placed = kinematics.compute_joint_and_marker_positions(person, wrap_poses_as_motion(root, local))[1]
-        target = np.full(placed.shape, np.nan)
-        for h, there in enumerate(placed):
-            assigned[h], misfit[h] = assign_nearest(np.linalg.norm(markers[:, None] - there, axis=-1), float(gate))
-            has = assigned[h] >= 0
-            target[h, assigned[h, has]] = markers[has]
-        attached = MarkerAttachment(person.joints, person.marker_offsets)
-        problem = PoseProblem(tree, attached, target, ~np.isnan(target[..., 0]), MATCHING_MARKER_SD_M, pull, walls)
-        problem.solve(root, local, build_no_tracking(local.shape[1]), (float(gate),), 5)
-    return assigned, misfit
+        predicted = _predict_markers(subject, root_position, local_rotations)
+        target = np.full(predicted.shape, np.nan)
+        for h, positions in enumerate(predicted):
+            indices[h], misfit[h] = assign_nearest(np.linalg.norm(markers[:, None] - positions, axis=-1), float(gate))
+            is_assigned = indices[h] >= 0
+            target[h, indices[h, is_assigned]] = markers[is_assigned]
+        attachment = MarkerAttachment(subject.joints, subject.marker_offsets)
+        visible = ~np.isnan(target[..., 0])
+        problem = PoseProblem(tree, attachment, target, visible, MATCHING_MARKER_SD_M, prior_term, limit_term)
+        no_tracking = build_no_tracking(local_rotations.shape[1])
+        problem.solve(root_position, local_rotations, no_tracking, (float(gate),), MATCHING_ITERATIONS)
+    return MarkerAssignment(indices, misfit)
 
 
-def assign_nearest(distance: np.ndarray, max_distance: float) -> tuple[np.ndarray, float]:
-    """-> the place (M,) that each marker has by its distances from A places (M, A), in metres, no two the same one, -1 for none
-    nearer than `gate` or left; and the mean distance of those that are seen, without a place as at the gate."""
-    assigned, seen = np.full(len(distance), -1), np.flatnonzero(~np.isnan(distance[:, 0]))
-    capped = np.minimum(distance[seen], max_distance)
+def assign_nearest(distance: Float[np.ndarray, "M A"], max_distance: float) -> MarkerAssignment:
+    """Assign markers one-to-one to the nearest of A positions, given their distances in metres (NaN if not visible).
+
+    Markers farther than about `max_distance` from every free position are not assigned, and count with `max_distance` in the
+    mean misfit of the visible markers.
+    """
+    indices, visible = np.full(len(distance), -1), np.flatnonzero(~np.isnan(distance[:, 0]))
+    capped = np.minimum(distance[visible], max_distance)
     rows, columns = linear_sum_assignment(capped)
-    near = capped[rows, columns] < UNMATCHED_GATE_SHARE * max_distance
-    assigned[seen[rows[near]]] = columns[near]
-    return assigned, float((capped[rows, columns].sum() + max_distance * (len(seen) - len(rows))) / max(len(seen), 1))
+    is_near = capped[rows, columns] < UNMATCHED_GATE_SHARE * max_distance
+    indices[visible[rows[is_near]]] = columns[is_near]
+    total = capped[rows, columns].sum() + max_distance * (len(visible) - len(rows))
+    return MarkerAssignment(indices, total / max(len(visible), 1))
 
 
 def refine_assignment(
-    assigned: np.ndarray, markers: np.ndarray, atlas: MarkerAtlas, body: BodyModel, prior: MeanPosePrior
-) -> tuple[np.ndarray, float]:
-    """-> places (M,) in the atlas that the markers keep in all frames (N, M, 3), from those they have in one; and the mean misfit
-    in metres."""
-    misfit, gate = np.inf, MATCHING_GATES_M[1]
+    indices: np.ndarray, markers: Float[np.ndarray, "N M 3"], atlas: MarkerAtlas, body: BodyModel, prior: MeanPosePrior
+) -> MarkerAssignment:
+    """Return the assignment that fits all frames, starting from the assignment `indices` (M,) in one frame."""
+    assignment, gate = MarkerAssignment(indices, np.array(np.inf)), MATCHING_GATES_M[1]
     for _ in range(TRIAL_ROUNDS):
-        guess = build_guessed_marker_set(assigned, tuple(map(str, range(len(assigned)))), atlas)
-        worn = Take(markers[:, [int(label) for label in guess.labels]], guess.labels, 1.0)
-        person = scale_average_subject(worn, guess, body)
-        motion = refinement.pose_frames(person, body, prior, worn.markers)
-        grown = build_atlas_subject(atlas, body, person.skeleton.total_length_m / body.skeleton.total_length_m)
-        placed = kinematics.compute_joint_and_marker_positions(grown, motion)[1]
-        distance = np.full((len(assigned), placed.shape[1]), np.nan)
+        guess = build_guessed_marker_set(assignment.atlas_indices, tuple(map(str, range(len(indices)))), atlas)
+        take = Take(markers[:, [int(label) for label in guess.labels]], guess.labels, 1.0)
+        subject = scale_average_subject(take, guess, body)
+        motion = refinement.pose_frames(subject, body, prior, take.markers)
+        scaled = build_atlas_subject(atlas, body, subject.skeleton.total_length_m / body.skeleton.total_length_m)
+        predicted = kinematics.compute_joint_and_marker_positions(scaled, motion)[1]
+        distance = np.full((len(indices), predicted.shape[1]), np.nan)
         for m in np.flatnonzero(~np.isnan(markers[..., 0]).all(0)):
-            apart = np.linalg.norm(markers[:, m, None] - placed, axis=-1)
-            distance[m] = np.nanmean(np.minimum(apart, gate), axis=0)
-        assigned, misfit = assign_nearest(distance, gate)
-    return assigned, misfit
+            each = np.linalg.norm(markers[:, m, None] - predicted, axis=-1)
+            distance[m] = np.nanmean(np.minimum(each, gate), axis=0)
+        assignment = assign_nearest(distance, gate)
+    return assignment
 
 
-def build_guessed_marker_set(assigned: np.ndarray, labels: tuple[str, ...], atlas: MarkerAtlas) -> MarkerSet:
-    """-> the markers that have a place (M,) in the atlas, as a set."""
-    on = np.flatnonzero(assigned >= 0)
-    which, spread = assigned[on], np.full(len(on), GUESSED_MARKER_SPREAD_M)
-    names = tuple(labels[m] for m in on)
-    return MarkerSet("guess", "guess", "cmu31", names, atlas.joints[which], atlas.offsets[which], spread, ((),) * len(on))
+def build_guessed_marker_set(indices: np.ndarray, labels: tuple[str, ...], atlas: MarkerAtlas) -> MarkerSet:
+    """Return the markers with an assigned atlas position (M,) as a marker set."""
+    assigned = np.flatnonzero(indices >= 0)
+    known, spread = indices[assigned], np.full(len(assigned), GUESSED_MARKER_SPREAD_M)
+    names, aliases = tuple(labels[m] for m in assigned), ((),) * len(assigned)
+    return MarkerSet("guess", "guess", "cmu31", names, atlas.joints[known], atlas.offsets[known], spread, aliases)
+
+
+def build_standing_bodies(
+    markers: Float[np.ndarray, "M 3"], height: float, atlas: MarkerAtlas, body: BodyModel, prior: MeanPosePrior
+) -> StandingBodies:
+    """Return bodies of the given height that stand where the markers are, in all headings and arm positions."""
+    angles = np.linspace(0, 2 * np.pi, BODY_HEADING_COUNT, endpoint=False)
+    headings = Rotation.from_euler("y", angles[:, None]).as_matrix()
+    arm_poses = [raise_arms(prior.mean_rotations, share, body) for share in ARM_RAISE_SHARES]
+    local_rotations = np.concatenate([np.tile(pose, (BODY_HEADING_COUNT, 1, 1, 1)) for pose in arm_poses])
+    local_rotations[:, 0] = np.tile(headings, (len(ARM_RAISE_SHARES), 1, 1))
+    average = build_atlas_subject(atlas, body, 1.0)
+    average_markers = _predict_markers(average, np.zeros((1, 3)), prior.mean_rotations[None].copy())
+    subject = build_atlas_subject(atlas, body, height / float(np.ptp(average_markers[0, :, 1])))
+    predicted = _predict_markers(subject, np.zeros((len(local_rotations), 3)), local_rotations)
+    root_position = np.nanmedian(markers, axis=0) - np.median(predicted, axis=1)
+    root_position[:, 1] = np.nanmin(markers[:, 1]) - predicted[:, :, 1].min(1)
+    return StandingBodies(root_position, local_rotations, subject)
+
+
+def raise_arms(local_rotations: Float[np.ndarray, "J 3 3"], share: float, body: BodyModel) -> Float[np.ndarray, "J 3 3"]:
+    """Return a pose with the arms between the given pose (share 0) and a T-pose (share 1)."""
+    raised = local_rotations.copy()
+    for side in ("Left", "Right"):
+        for bone in ("Shoulder", "Arm", "ForeArm"):
+            j = body.skeleton.find_joint(side + bone)
+            raised[j] = Rotation.from_rotvec((1 - share) * Rotation.from_matrix(local_rotations[j]).as_rotvec()).as_matrix()
+    return raised
+
+
+def build_atlas_subject(atlas: MarkerAtlas, body: BodyModel, size: float) -> Subject:
+    """Return a subject `size` times as large as the average body with a marker at every position of the atlas."""
+    labels = tuple(f"position {a}" for a in range(len(atlas.joints)))
+    spread = np.full(len(labels), GUESSED_MARKER_SPREAD_M)
+    return Subject(scale_skeleton(body.skeleton, size), "atlas", labels, atlas.joints, atlas.offsets * size, spread)
+
+
+def _predict_markers(subject: Subject, root_position: np.ndarray, local_rotations: np.ndarray) -> np.ndarray:
+    """Return the positions (H, A, 3) of the subject's markers in H poses, in metres."""
+    zeros = np.zeros(len(root_position), int)
+    motion = Motion(root_position, local_rotations, zeros, zeros, np.zeros(0), np.zeros(0))
+    return kinematics.compute_joint_and_marker_positions(subject, motion)[1]

@@ -1,8 +1,8 @@
-"""Twists: how far each joint is turned about its own bone, and what joint positions alone suggest of it.
+"""Twist regression: the rotation of each joint about its own bone, predicted from joint positions.
 
-A joint's rotation is a twist about its bone, the way to its children, and then a swing of the bone (HybrIK, section 3.2). Where
-joints lie tells the swing. Of the twist it tells what people's habits make of it, and the bones beyond: a small network says it
-(section 3.3), trained by `mocapfix.train.twist` and evaluated without torch.
+A joint's rotation is a twist about its bone, the direction to its children, followed by a swing of the bone (HybrIK, section
+3.2). Joint positions determine the swing. They determine the twist only through the variation among people's poses and through
+the bones beyond; a small network predicts it (section 3.3), trained by `mocapfix.train.twist` and evaluated here without torch.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Float32
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
@@ -22,128 +23,140 @@ from mocapfix.kernels.twist_network import BoneLines, compute_bone_direction_fra
 from mocapfix.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.solve.parallel import run_over_frames
 
-CHEST_SPAN_JOINTS = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))  # no bones, but they show how the chest is turned
+CHEST_SPAN_JOINTS = (("Spine1", "LeftArm"), ("Spine1", "RightArm"))
+"""Pairs of joints whose direction shows the rotation of the chest, in addition to the bones."""
 
 
 @dataclass(frozen=True)
 class TwistRegressor:
-    """The network, of L layers, for the 31 joints of the CMU skeleton.
+    """A network of L layers with rectifiers between them, for the 31 joints of the CMU skeleton.
 
-    weights  L matrices, each layer's inputs by its outputs; between layers what is negative becomes 0
-    offsets  L vectors; the last layer has two numbers for each joint that has a bone
-    sigma    (J,) radians: how far people's twists are taken to lie from what it says; infinite for joints without a bone
+    weights  L matrices, inputs by outputs
+    biases   L vectors; the last layer has two outputs for each joint that has a bone
+    sd_rad   (J,) standard deviation of people's twists about the prediction; infinite for joints without a bone
     """
 
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
-    sd_rad: np.ndarray
+    sd_rad: Float[np.ndarray, " J"]
 
-    def predict_twists(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """-> (T, J, 2) cosine and sine of each joint's twist, times how sure it is, 1/rad^2: 1 / sigma^2 and less where the
-        joints may mean many twists, whose mean is short; 0 for joints without a bone.
+    def predict_twists(
+        self, positions: Float[np.ndarray, "T J 3"], root_rotations: Float[np.ndarray, "T 3 3"]
+    ) -> Float[np.ndarray, "T J 2"]:
+        """Return the cosine and sine of each joint's twist, scaled by its information in 1/rad^2.
 
-        positions  (T, J, 3) metres, in the world; NaN where unknown
-        turns      (T, 3, 3) the root's, in the world
+        The information is 1 / sd_rad^2, or less if the positions are compatible with many twists, whose mean vector is short; it
+        is 0 for joints without a bone.
+
+        positions       joints in the world in metres, NaN where unknown
+        root_rotations  root axes to world axes
         """
-        said, joints = self.evaluate(compute_span_directions(positions, turns)), np.flatnonzero(np.isfinite(self.sd_rad))
-        scale = 1 / (np.maximum(np.hypot(said[..., 0], said[..., 1]), 1) * self.sd_rad[joints] ** 2)
-        told = np.zeros((len(said), len(self.sd_rad), 2))
-        told[:, joints] = said * scale[..., None]
-        return told
+        outputs = self.evaluate(compute_span_directions(positions, root_rotations))
+        joints = np.flatnonzero(np.isfinite(self.sd_rad))
+        scale = 1 / (np.maximum(np.hypot(outputs[..., 0], outputs[..., 1]), 1) * self.sd_rad[joints] ** 2)
+        twists = np.zeros((len(outputs), len(self.sd_rad), 2))
+        twists[:, joints] = outputs * scale[..., None]
+        return twists
 
-    def evaluate(self, inputs: np.ndarray) -> np.ndarray:
-        """-> (T, B, 2) what the network makes of (T, N) inputs: cosine and sine for the B joints with a bone, as they come."""
-        found = np.empty((len(inputs), len(self.biases[-1])), np.float32)
-        run_over_frames(evaluate_layer_frames, len(inputs), self.weights, self.biases, inputs, found)
-        return found.reshape(len(inputs), len(self.biases[-1]) // 2, 2)
+    def evaluate(self, inputs: Float32[np.ndarray, "T N"]) -> Float32[np.ndarray, "T B 2"]:
+        """Return the network's outputs, not normalised: cosine and sine for the B joints with a bone."""
+        outputs = np.empty((len(inputs), len(self.biases[-1])), np.float32)
+        run_over_frames(evaluate_layer_frames, len(inputs), self.weights, self.biases, inputs, outputs)
+        return outputs.reshape(len(inputs), len(self.biases[-1]) // 2, 2)
 
 
-def compute_twists(rotations: np.ndarray, bones: np.ndarray) -> np.ndarray:
-    """-> (..., J, 2) cosine and sine of the angle about each bone (J, 3) in local rotations (..., J, 3, 3); NaN without a bone.
+def compute_twists(
+    rotations: Float[np.ndarray, "*batch J 3 3"], bones: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "*batch J 2"]:
+    """Return the cosine and sine of the angle about each bone in local rotations; NaN for joints without a bone.
 
-    R = swing twist, the swing about an axis across the bone. As a quaternion R has w = cos(s/2) cos(t/2) and along the bone
-    cos(s/2) sin(t/2), for the angles s and t; and R's trace and its part along the bone tell the squares of both. Where the
-    bone swings right round to the other side there is no such angle, and what comes out is not finite.
+    R = swing twist, with the swing about an axis across the bone. As a quaternion, R has the scalar part cos(s/2) cos(t/2) and
+    the part cos(s/2) sin(t/2) along the bone, for the swing angle s and the twist angle t. The squares of both follow from the
+    trace of R and its component along the bone. If the bone swings to the opposite direction, the twist is undefined and not
+    finite.
     """
     u = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
     along = np.einsum("ja,...jab,jb->...j", u, rotations, u)
     skew = rotations - np.swapaxes(rotations, -1, -2)
-    turned = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
-    both = np.stack([np.trace(rotations, axis1=-2, axis2=-1) - along, (turned * u).sum(-1)], axis=-1)
+    axis = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], axis=-1)
+    both = np.stack([np.trace(rotations, axis1=-2, axis2=-1) - along, (axis * u).sum(-1)], axis=-1)
     return both / (1 + along)[..., None]
 
 
-def compute_bone_vectors(skeleton: Skeleton) -> np.ndarray:
-    """-> (J, 3) metres: each joint's bone, the mean offset of its children that lie away from it; NaN where there are none."""
-    found = np.full(skeleton.offsets.shape, np.nan)
-    ends = find_separate_joints(skeleton)
-    for j in set(skeleton.parents[ends]):
-        found[j] = skeleton.offsets[ends & (skeleton.parents == j)].mean(axis=0)
-    return found
+def compute_bone_vectors(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
+    """Return each joint's bone in metres: the mean offset of its separate children; NaN without any."""
+    bones = np.full(skeleton.offsets.shape, np.nan)
+    is_separate = find_separate_joints(skeleton)
+    for j in set(skeleton.parents[is_separate]):
+        bones[j] = skeleton.offsets[is_separate & (skeleton.parents == j)].mean(axis=0)
+    return bones
 
 
 @cache
 def build_twist_spans() -> BoneLines:
-    """-> what the network is told of: the way to every joint from its parent, where it lies away from it, and BESIDE."""
-    body = load_cmu31_skeleton()
-    ends = [(int(body.parents[j]), int(j)) for j in np.flatnonzero(find_separate_joints(body))]
-    rest = [body.offsets[j] for _, j in ends]
-    for start, end in CHEST_SPAN_JOINTS:
-        j = body.find_joint(end)
-        ends.append((body.find_joint(start), j))
-        rest.append(body.offsets[body.parents[j]] + body.offsets[j])
-    start, end = np.array(ends).T.copy()
-    bone = {int(j): p for p, j in reversed(list(enumerate(end)))}
-    return BoneLines(start, end, np.array([bone.get(int(j), -1) for j in start]), np.array(rest))
+    """Return the spans whose directions are the inputs of the network: all bones, and CHEST_SPAN_JOINTS."""
+    skeleton = load_cmu31_skeleton()
+    spans = [(int(skeleton.parents[j]), int(j)) for j in np.flatnonzero(find_separate_joints(skeleton))]
+    rest_vectors = [skeleton.offsets[j] for _, j in spans]
+    for start_name, end_name in CHEST_SPAN_JOINTS:
+        j = skeleton.find_joint(end_name)
+        spans.append((skeleton.find_joint(start_name), j))
+        rest_vectors.append(skeleton.offsets[skeleton.parents[j]] + skeleton.offsets[j])
+    start, end = np.array(spans).T.copy()
+    span_of_joint = {int(j): p for p, j in reversed(list(enumerate(end)))}
+    return BoneLines(start, end, np.array([span_of_joint.get(int(j), -1) for j in start]), np.array(rest_vectors))
 
 
-def compute_span_directions(positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """-> (T, N) single precision: the spans of joints (T, J, 3) in the axes (T, 3, 3) of the root, see `direct_frames`."""
-    found = np.empty((len(positions), 2, len(build_twist_spans().start), 3), np.float32)
-    plain = (np.ascontiguousarray(each, float) for each in (positions, turns))
-    run_over_frames(compute_bone_direction_frames, len(found), build_twist_spans(), *plain, found)
-    return found.reshape(len(found), 6 * len(build_twist_spans().start))
+def compute_span_directions(
+    positions: Float[np.ndarray, "T J 3"], root_rotations: Float[np.ndarray, "T 3 3"]
+) -> Float32[np.ndarray, "T N"]:
+    """Return the directions of all spans in the axes of the root, see `compute_bone_direction_frames`."""
+    spans = build_twist_spans()
+    directions = np.empty((len(positions), 2, len(spans.start), 3), np.float32)
+    inputs = (np.ascontiguousarray(each, float) for each in (positions, root_rotations))
+    run_over_frames(compute_bone_direction_frames, len(directions), spans, *inputs, directions)
+    return directions.reshape(len(directions), 6 * len(spans.start))
 
 
 @cache
 def load_shipped_regressor() -> TwistRegressor:
-    """-> the network that ships."""
+    """Return the network shipped with mocapfix."""
     return read_twist_regressor(find_shipped_folder("priors") / "twist.safetensors")
 
 
 def read_twist_regressor(path: Path) -> TwistRegressor:
-    """-> the network in a file. Raises SceneError naming the file, where it is none."""
+    """Read a network. Raises SceneError, naming the file, if it is not one."""
     try:
         tensors = {name: values.astype(np.float32) for name, values in load_file(path).items()}
         layers = range((len(tensors) - 1) // 2)
-        weights, offsets = (tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets"))
-        network = TwistRegressor(weights, offsets, tensors.pop("sigma").astype(float))
+        weights, biases = (tuple(tensors.pop(f"{kind}.{i}") for i in layers) for kind in ("weights", "offsets"))
+        network = TwistRegressor(weights, biases, tensors.pop("sigma").astype(float))
         if tensors:
-            raise ValueError(f"it holds {', '.join(tensors)}, too")
+            raise ValueError(f"unexpected tensors: {', '.join(tensors)}")
         return check_twist_regressor(network)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
-        raise SceneError(f"{path}: is no regressor of twists that mocapfix trained ({' '.join(str(error).split())}).") from error
+        raise SceneError(f"{path}: is not a twist regressor trained by mocapfix ({' '.join(str(error).split())}).") from error
 
 
 def write_twist_regressor(path: Path, network: TwistRegressor) -> None:
-    """Put a network into place, whole or not at all, in half precision. Raises WriteError where the folder cannot be written."""
+    """Write a network in half precision, atomically. Raises WriteError if the folder cannot be written."""
     tensors = {"sigma": network.sd_rad.astype(np.float32)}
-    for i, (weights, offsets) in enumerate(zip(network.weights, network.biases, strict=True)):
-        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": offsets.astype(np.float16)}
-    with replace_atomically(path) as part:
-        save_file(tensors, part)
+    for i, (weights, biases) in enumerate(zip(network.weights, network.biases, strict=True)):
+        tensors |= {f"weights.{i}": weights.astype(np.float16), f"offsets.{i}": biases.astype(np.float16)}
+    with replace_atomically(path) as new_file:
+        save_file(tensors, new_file)
 
 
 def check_twist_regressor(network: TwistRegressor) -> TwistRegressor:
-    """-> the network. Raises ValueError unless it is one for the 31 joints: its layers fit, and all numbers are finite."""
-    body = load_cmu31_skeleton()
-    has = ~np.isnan(compute_bone_vectors(body)[:, 0])
+    """Return the network. Raises ValueError unless its layers fit the 31 joints and each other and all numbers are finite."""
+    skeleton = load_cmu31_skeleton()
+    has_bone = ~np.isnan(compute_bone_vectors(skeleton)[:, 0])
     widths = [6 * len(build_twist_spans().start), *map(len, network.biases)]
-    if not network.weights or network.sd_rad.shape != has.shape or widths[-1] != 2 * has.sum():
-        raise ValueError(f"it must say a cosine and a sine for the {has.sum()} of {len(has)} joints that have a bone")
+    if not network.weights or network.sd_rad.shape != has_bone.shape or widths[-1] != 2 * has_bone.sum():
+        raise ValueError(f"it must have a cosine and a sine for the {has_bone.sum()} of {len(has_bone)} joints with a bone")
     if [each.shape for each in network.weights] != list(pairwise(widths)):
         raise ValueError(f"its layers are not {' by '.join(map(str, widths))}")
-    numbers = np.concatenate([each.ravel() for each in (*network.weights, *network.biases)])
-    if not np.isfinite(numbers).all() or not ((network.sd_rad > 0) & (np.isfinite(network.sd_rad) == has)).all():
-        raise ValueError("it holds numbers that are not finite, or a sigma of a joint without a bone")
+    values = np.concatenate([each.ravel() for each in (*network.weights, *network.biases)])
+    if not np.isfinite(values).all() or not ((network.sd_rad > 0) & (np.isfinite(network.sd_rad) == has_bone)).all():
+        raise ValueError("it has values that are not finite, or a sigma for a joint without a bone")
     return network

@@ -14,7 +14,7 @@ import numpy as np
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_atomically
 from mocapfix.keypoints.camera_scale import KeypointCamera
 from mocapfix.keypoints.keypoint_file import Keypoints
-from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.kinematics import compute_world_poses
@@ -79,7 +79,7 @@ class KeypointResult:
                 "p95": round(float(np.nanpercentile(error_px, 95)), 2),
                 "by_keypoint": dict(zip(detector.labels, means, strict=True)),
             },
-            "status": {STATUS_TEXTS[status]: count for status, count in Counter(self.motion.status.tolist()).items()},
+            "status": {FrameStatus(status).description: count for status, count in Counter(self.motion.status.tolist()).items()},
             "seconds": self.timer.stage_seconds,
         }
 

@@ -11,7 +11,7 @@ import numpy as np
 from mocapfix.animation import Animation
 from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
-from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report.report import (
     ErrorSummary,
     FaultEntry,
@@ -122,7 +122,7 @@ def build_solve_section(
         "start": start_name,
         "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
-        "status": {STATUS_TEXTS[code]: count for code, count in sorted(Counter(motion.status.tolist()).items())},
+        "status": {FrameStatus(code).description: count for code, count in sorted(Counter(motion.status.tolist()).items())},
     }
 
 

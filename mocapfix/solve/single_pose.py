@@ -10,7 +10,7 @@ from mocapfix.errors import ConstraintError
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm, count_rows
-from mocapfix.motion import STATUS_TEXTS
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior import io
 from mocapfix.pose_prior import mean_pose as priors
 from mocapfix.pose_prior.gaussian import GaussianModel
@@ -90,7 +90,7 @@ def solve_pose(
     one = PoseSolution(*(each[best : best + 1].copy() for each in vars(found).values()))
     joints, deviation = compute_joint_sd(tree, terms, model, prior_scale, one)
     return SolvedPose(
-        skeleton, one.root_position[0], one.local_rotations[0], joints, deviation, one.codes[0], float(one.cost[0]), STATUS_TEXTS[one.status[0]],
+        skeleton, one.root_position[0], one.local_rotations[0], joints, deviation, one.codes[0], float(one.cost[0]), FrameStatus(one.status[0]).description,
         int(one.iterations[0]),
     )  # fmt: skip
 

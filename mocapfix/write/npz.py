@@ -25,7 +25,7 @@ import numpy as np
 
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import quaternions
-from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.take import Take
@@ -70,5 +70,5 @@ def _build_body_arrays(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarr
         "joints": kinematics.compute_world_poses(skeleton, motion)[0],
         "joint_sd": motion.joint_sd,
         "status": motion.status,
-        "status_texts": np.array(STATUS_TEXTS),
+        "status_texts": np.array([status.description for status in FrameStatus]),
     }

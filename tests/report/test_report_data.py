@@ -11,7 +11,7 @@ import pytest
 from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
 from mocapfix.marker_sets import load_marker_set
-from mocapfix.motion import STATUS_TEXTS, Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report import report
 from mocapfix.report.report_data import (
     build_fault_entries,
@@ -120,7 +120,7 @@ def test_solve_section_has_residuals_iterations_and_statuses(subject):
     assert residual["by_marker"]["Jim:RFHD"] == {"mean": 3.0, "p95": 4.8}
     assert set(residual["by_marker"]) == {"Jim:LFHD", "Jim:RFHD"}  # markers without residuals are left out
     assert section["iterations_mean"] == 2.5
-    assert section["status"] == {STATUS_TEXTS[0]: 4, STATUS_TEXTS[1]: 1, STATUS_TEXTS[3]: 1}
+    assert section["status"] == {FrameStatus(0).description: 4, FrameStatus(1).description: 1, FrameStatus(3).description: 1}
 
 
 def test_solve_section_without_any_residual(subject):

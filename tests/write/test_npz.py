@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.motion import STATUS_TEXTS
+from mocapfix.motion import FrameStatus
 from mocapfix.solve import kinematics
 from mocapfix.take import Take
 from mocapfix.write import npz
@@ -24,7 +24,7 @@ def test_what_is_written_loads_without_pickle_and_is_what_was_solved(tmp_path):
     assert (tuple(found["names"]), tuple(found["labels"]), tuple(found["status_texts"])) == (
         SKELETON.names,
         TAKE.labels,
-        STATUS_TEXTS,
+        [status.description for status in FrameStatus],
     )
     for name, array in (("markers", MARKERS), ("marker_sd", SURE), ("root", motion.root), ("status", motion.status)):
         np.testing.assert_array_equal(found[name], array)

@@ -11,7 +11,7 @@ from mocapfix.bench import unseen_poses
 from mocapfix.bench.common_task import build_pose_motion
 from mocapfix.errors import ConstraintError
 from mocapfix.initialise import initial_motion
-from mocapfix.motion import FOLDED, GUESSED, PLACED, STRETCHED
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
@@ -47,7 +47,7 @@ def test_exact_joints_are_given_back_to_a_twentieth_of_a_millimetre(people, way)
     _, joints, _ = people
     found = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
     assert np.abs(joints_of(found) - joints).max() < 5e-5
-    assert (found.status == PLACED).all()
+    assert (found.status == FrameStatus.PLACED).all()
 
 
 def test_exact_joints_and_twists_are_the_pose_itself(people):
@@ -122,7 +122,7 @@ def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_sho
         found = initial_motion.solve_hybrik(joints, stranger, variant=way, twists=STRAIGHT)
         off[way] = np.linalg.norm(joints_of(found, stranger) - joints, axis=2)[:, ends]
         if way == "x":
-            reached = found.status == PLACED
+            reached = found.status == FrameStatus.PLACED
     assert reached.sum() > 80
     head, hands = off["x"][reached, 0], off["x"][reached, 1:]
     assert np.median(head) < 0.1 * np.median(off["adaptive"][:, 0])
@@ -139,8 +139,8 @@ def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
     far[:, hand] += 0.5 * (direction / np.linalg.norm(direction, axis=1, keepdims=True))[:, None]
     near[:, hand] -= joints[:2, hand[:1]] - shoulder[:, None]
     stretched, folded = (initial_motion.solve_hybrik(each, SUBJECT, twists=STRAIGHT) for each in (far, near))
-    assert (stretched.status == STRETCHED).all()
-    assert (folded.status == FOLDED).all()
+    assert (stretched.status == FrameStatus.OUT_OF_REACH).all()
+    assert (folded.status == FrameStatus.TOO_NEAR).all()
     wrist = joints_of(stretched)[:, hand[0]] - joints_of(stretched)[:, index("LeftArm")]
     reach = np.linalg.norm(SKELETON.offsets[[index("LeftForeArm"), index("LeftHand")]], axis=1).sum()
     assert np.allclose(np.linalg.norm(wrist, axis=1), reach, atol=1e-6)
@@ -190,7 +190,7 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
     take[1, hips] = np.nan
     take[3] = np.nan
     found = initial_motion.solve_hybrik(take, SUBJECT, twists=STRAIGHT)
-    assert found.status.tolist() == [PLACED, PLACED, PLACED, GUESSED, PLACED]
+    assert found.status.tolist() == [FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.GUESSED, FrameStatus.PLACED]
     turned = Rotation.from_matrix(motion.rotations[0, 0].T @ found.local_rotations[:, 0]).magnitude()
     assert turned[1] < 0.7  # people bend
     assert turned[3] < 1e-3
@@ -200,7 +200,7 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
 def test_no_frame_and_nothing_known_are_poses_too():
     assert len(initial_motion.solve_hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root_position) == 0
     nothing = initial_motion.solve_hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
-    assert (nothing.status == GUESSED).all()
+    assert (nothing.status == FrameStatus.GUESSED).all()
     assert np.isfinite(nothing.local_rotations).all()
 
 

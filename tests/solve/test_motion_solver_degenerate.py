@@ -4,7 +4,7 @@ import numpy as np
 
 from mocapfix import synthetic
 from mocapfix.initialise import initial_motion
-from mocapfix.motion import STATUS_TEXTS
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
@@ -38,7 +38,7 @@ def test_frames_that_say_little_are_told_in_words_and_spoil_no_others():
     markers[40] = markers[40, 0]  # all at one point
     motions = [solved(truth, each) for each in (sound, markers)]
     finite(motions[1])
-    words = [STATUS_TEXTS[motions[1].status[t]].split(":")[0] for t in (*strange, 50)]
+    words = [FrameStatus(motions[1].status[t]).description.split(":")[0] for t in (*strange, 50)]
     assert words == ["guessed", "guessed", "poor", "solved"]
     expected, joints = (kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] for motion in motions)
     away = np.abs(np.subtract.outer(np.arange(60), strange)).min(1) > 1
@@ -49,4 +49,4 @@ def test_a_take_in_which_nothing_is_seen_is_guessed_throughout():
     truth = synthetic.compose_take(seed=2, seconds=0.5, rate=60)
     motion = solved(truth, np.full_like(truth.marker_positions, np.nan))
     finite(motion)
-    assert all(STATUS_TEXTS[status].startswith("guessed") for status in motion.status)
+    assert all(FrameStatus(status).description.startswith("guessed") for status in motion.status)
