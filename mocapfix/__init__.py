@@ -14,20 +14,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
-    from mocapfix.fill.gap_filling import FillOptions
+    from mocapfix.options import CleanOptions, build_clean_options
     from mocapfix.pipeline import calibrate, clean, inspect
     from mocapfix.result import CleaningResult
     from mocapfix.take import Take
-    from mocapfix.write.output_options import OutputOptions
 
-__all__ = ["CleaningResult", "FillOptions", "MocapfixError", "OutputOptions", "Take", "calibrate", "clean", "inspect"]
+__all__ = ["CleanOptions", "CleaningResult", "MocapfixError", "Take", "build_clean_options", "calibrate", "clean", "inspect"]
 
 MODULE_OF_NAME = {
+    "CleanOptions": "options",
     "CleaningResult": "result",
-    "FillOptions": "fill.gap_filling",
     "MocapfixError": "errors",
-    "OutputOptions": "write.output_options",
     "Take": "take",
+    "build_clean_options": "options",
     "calibrate": "pipeline",
     "clean": "pipeline",
     "inspect": "pipeline",

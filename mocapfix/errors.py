@@ -26,3 +26,20 @@ class SceneError(MocapfixError):
 
 class ConstraintError(MocapfixError):
     """A constraint on a pose is invalid. The message names the constraint."""
+
+
+class OptionError(MocapfixError):
+    """An option whose value is not allowed.
+
+    name     the option's name in Python
+    flag     its flag on the command line
+    job_key  its dotted key in a job file
+    problem  what is wrong, as the end of a sentence that begins with the option's name, without a full stop
+    """
+
+    def __init__(self, name: str, flag: str, job_key: str, problem: str) -> None:
+        super().__init__(f"{name} {problem}.")
+        self.name = name
+        self.flag = flag
+        self.job_key = job_key
+        self.problem = problem

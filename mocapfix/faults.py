@@ -22,13 +22,6 @@ EXTERNAL_FILL_KINDS: tuple[FaultKind, ...] = (
 )  # told; replaced, where the rest contradicts them, on request
 LABEL_KINDS: tuple[FaultKind, ...] = ("swap", "mislabelled")
 SHIFT_KINDS: tuple[FaultKind, ...] = ("moved", "drift")
-REPAIRABLE_KINDS = (
-    "gap",
-    *REPLACED_SAMPLE_KINDS,
-    *EXTERNAL_FILL_KINDS,
-    *LABEL_KINDS,
-    "fragment",
-)  # what --only may name; a gap stands for all that is missing
 MIN_LABEL_CONFIDENCE = 0.6  # confidence from which on labels are changed
 
 

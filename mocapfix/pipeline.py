@@ -16,12 +16,10 @@ from mocapfix.animations.joint_points import convert_to_take
 from mocapfix.changes import expand_unfilled_reasons, find_unfilled_runs
 from mocapfix.detect import loop
 from mocapfix.detect.loop import DetectionState, FaultFilter
-from mocapfix.errors import SceneError, TakeError
-from mocapfix.faults import REPAIRABLE_KINDS
-from mocapfix.files.shipped import DEFAULT_INIT_METHOD, DEFAULT_PRIOR_NAME, INIT_METHODS
+from mocapfix.errors import TakeError
 from mocapfix.fill import gap_filling
-from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.marker_sets import MarkerSet
+from mocapfix.options import CleanOptions, FillOptions, InitialiseOptions
 from mocapfix.pose_prior import io
 from mocapfix.pose_prior import mean_pose as priors
 from mocapfix.pose_prior.model import PoseModel
@@ -34,63 +32,39 @@ from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import body_fit
 from mocapfix.solve.body_fit import BodyFit, FitSettings, load_requested_subject, select_subject
-from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-DEFAULT_FILL_OPTIONS = FillOptions()  # may be touched
 # The matrices are small and the kernels have threads of their own: BLAS's only stand in the way where cores are busy.
 ONE_THREAD = threadpool_limits.wrap(limits=1, user_api="blas")
-MAX_SOLVE_ROUNDS = 3  # at most, with a look at the body after each but the last
 
 
 @ONE_THREAD
 def clean(
-    path: str | Path,
-    *,
-    marker_set: str | Path | None = None,
-    subject: str | Path | Subject | None = None,
-    prior: str = DEFAULT_PRIOR_NAME,
-    prior_scale: float = 1.0,
-    init: str = DEFAULT_INIT_METHOD,
-    options: FillOptions = DEFAULT_FILL_OPTIONS,
-    only: Sequence[str] = (),
-    changes: str | Path | Sequence[str | Path] | None = None,
-    subject_prefix: str | None = None,
-    up: str | None = None,
-    hierarchy: str | Path | None = None,
-    progress: ProgressCallback | None = None,
+    path: str | Path, options: CleanOptions | None = None, *, progress: ProgressCallback | None = None, **values: object
 ) -> CleaningResult:
-    """-> the take at `path`, cleaned: faults found, labels put right, the body calibrated and solved, the rest mended. An
-    animation goes its own, shorter way (see mocapfix.animations.clean).
+    """Clean the take or animation at `path`: detect faults, repair labels, fit the body, fill gaps.
 
-    marker_set  a shipped set's name or a YAML file; None chooses by the take's labels
-    subject     a subject file (or a Subject) from an earlier calibration; None calibrates from this take
-    prior       what people's poses are like, where a limb is lost: a trained prior's name, its .safetensors file, or "none"
-    prior_scale  times the prior's standard deviations: with 2 it is believed half as much
-    init        the way to each frame's first pose, from which it is solved: one of scenes.STARTS
-    options     what may be touched and how sure a fill must be
-    only        the kinds of fault that are mended, of faults.MENDED; none named: all
-    changes     the changes file of an earlier cleaning of this take, with somebody's decisions; of several people's one each
-    subject_prefix  the one person whose markers are cleaned ("Jim", whose labels are "Jim:LFHD" and the like); None: everybody,
-                in turn, and the result holds each one's
-    up          "X", "Y" or "Z": the file's axis that points to the sky; None: what the file says or its markers tell
-    hierarchy   of an animation: how its joints are called, a shipped style or a YAML file; None: as its names tell
-    progress    told each stage's name as it begins
+    options   every option of every stage; None for the defaults
+    progress  called with the name of each stage as it begins
+    values    single options by name, which replace those of `options`: `clean(path, prior="none", max_gap_s=2.0)`
 
     Raises MocapfixError with a sentence for a technician; nothing is written.
     """
-    how, clock = build_settings(prior, prior_scale, init, only), StageTimer(report_progress=progress)
+    options = (options or CleanOptions()).change(**values)
+    subject, marker_set, subject_prefix = options.subject.subject, options.subject.marker_set, options.subject.subject_prefix
+    hierarchy, only = options.subject.hierarchy, options.detect.repair_kinds
+    how, clock = build_settings(options), StageTimer(report_progress=progress)
     with clock("read"):
-        take = convert_to_take(capture.read_capture(path, up))
-    gap_filling.check_fill_options(take, options)
-    files = [changes] if isinstance(changes, str | Path) else changes or ()
+        take = convert_to_take(capture.read_capture(path, options.read.up_axis))
+    gap_filling.check_fill_options(take, options.fill)
+    files = options.review.review_files
     about_markers = {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}
     animated.check_animation_options(
-        take, about_markers | {"--init": init != DEFAULT_INIT_METHOD, "--refill": options.refill}, hierarchy
+        take, about_markers | {"--init": options.initialise != InitialiseOptions(), "--refill": options.fill.refill}, hierarchy
     )
     if isinstance(take.layout, Animation):
-        return animated.clean_animation(take.layout, how, hierarchy, options, only, files, clock)
+        return animated.clean_animation(take.layout, how, hierarchy, options.fill, only, files, clock)
     bodies = split_subjects_of_take(take, marker_set, subject, subject_prefix)
     decided = review_file.read_review_files(files, bodies)
     cleaned: list[CleaningResult] = []
@@ -99,7 +73,7 @@ def clean(
             body = replace(body, unlabelled=cleaned[-1].take.unlabelled)
         worn = resolve_subject(body, marker_set, subject)
         cleaned.append(
-            clean_subject(body, *worn, how, options, only, decisions_on, StageTimer(dict(clock.stage_seconds), progress))
+            clean_subject(body, *worn, how, options.fill, only, decisions_on, StageTimer(dict(clock.stage_seconds), progress))
         )
     return cleaned[0] if len(cleaned) == 1 else multi_subject.merge_results(take, tuple(cleaned))
 
@@ -175,20 +149,17 @@ def clean_subject(
 
 @ONE_THREAD
 def inspect(
-    path: str | Path,
-    marker_set: str | Path | None = None,
-    subject: str | Path | Subject | None = None,
-    progress: ProgressCallback | None = None,
-    subject_prefix: str | None = None,
-    up: str | None = None,
-    hierarchy: str | Path | None = None,
+    path: str | Path, options: CleanOptions | None = None, *, progress: ProgressCallback | None = None, **values: object
 ) -> list[dict]:
-    """-> the record's take, faults and notes of what `clean` would find, for each of several people; nothing is written.
+    """Return the take, faults and notes of the report of `clean`, for each of several subjects; nothing is written.
 
-    Raises as `clean`.
+    Arguments and errors as of `clean`; the stages after the body fit have no effect.
     """
-    clock, how, found = StageTimer(report_progress=progress), build_settings(DEFAULT_PRIOR_NAME, 1.0, DEFAULT_INIT_METHOD, ()), []
-    take = convert_to_take(capture.read_capture(path, up))
+    options = (options or CleanOptions()).change(**values)
+    subject, marker_set, subject_prefix = options.subject.subject, options.subject.marker_set, options.subject.subject_prefix
+    hierarchy = options.subject.hierarchy
+    clock, how, found = StageTimer(report_progress=progress), build_settings(options), []
+    take = convert_to_take(capture.read_capture(path, options.read.up_axis))
     animated.check_animation_options(
         take, {"--marker-set": marker_set, "--subject": subject, "--subject-prefix": subject_prefix}, hierarchy
     )
@@ -206,15 +177,10 @@ def inspect(
     return found
 
 
-def build_settings(prior: str, prior_scale: float, init: str, only: Sequence[str]) -> FitSettings:
-    """-> how the body is to be found. Raises SceneError where something is asked for that there is not."""
-    if not 0 < prior_scale < float("inf"):
-        raise SceneError(f"A prior's scale must be more than 0 and finite, not {prior_scale:g}.")
-    if init not in INIT_METHODS:
-        raise SceneError(f"There is no start {init!r}; choose one of: {', '.join(INIT_METHODS)}.")
-    if strange := [kind for kind in only if kind not in REPAIRABLE_KINDS]:
-        raise SceneError(f"There is no kind of fault {strange[0]!r} to mend; choose of: {', '.join(REPAIRABLE_KINDS)}.")
-    return FitSettings(load_prior_lazily(prior), SolveOptions(prior_scale=prior_scale), init, prior)
+def build_settings(options: CleanOptions) -> FitSettings:
+    """Return how the body is fitted. Raises SceneError if there is no such prior."""
+    prior = options.prior.prior
+    return FitSettings(load_prior_lazily(prior), options.solve, options.initialise.method, prior)
 
 
 def load_prior_lazily(name: str) -> Callable[[], PoseModel] | None:
@@ -248,9 +214,9 @@ def detect_and_fit(
     parts = repair.split_moved_markers(looked.take, looked.faults.items)
     if worn_set is None:
         return looked, parts, None
-    for solves in range(1, MAX_SOLVE_ROUNDS + 1):
+    for solves in range(1, how.solve_options.max_solve_rounds + 1):
         body = body_fit.fit_body(parts, parts.split_mask(looked.solver_mask), worn_set, subject, how, clock)
-        if solves == MAX_SOLVE_ROUNDS:
+        if solves == how.solve_options.max_solve_rounds:
             break
         with clock("detect"):
             more = loop.detect_on_body(looked, parts, body, worn_set, stands)
@@ -285,18 +251,22 @@ def fill_gaps(
 @ONE_THREAD
 def calibrate(
     paths: Sequence[str | Path],
-    name: str | Path | None = None,
-    pose_prior: str = "mean-pose",
-    subject_prefix: str | None = None,
-    up: str | None = None,
+    options: CleanOptions | None = None,
+    *,
+    mean_pose_prior: str = "mean-pose",
+    **values: object,
 ) -> Subject:
-    """-> one person's subject from one or several takes of them, together; of the one named, where others are in them too.
+    """Return one person's subject from one or several takes; of the subject prefix in `options` if the takes have several.
 
-    Raises TakeError where no marker set fits, the takes do not wear the same one, or one shows several people and none is named.
+    Of the options, the up axis, the marker set and the subject prefix have an effect; `values` replace them by name.
+
+    Raises TakeError if no marker set fits, if the takes have different ones, or if one has several subjects and none is named.
     """
+    options = (options or CleanOptions()).change(**values)
+    name, subject_prefix = options.subject.marker_set, options.subject.subject_prefix
     takes = []
     for path in paths:
-        whole = capture.read_take(path, up)
+        whole = capture.read_take(path, options.read.up_axis)
         take, *more = split_subjects_of_take(whole, name, None, subject_prefix)
         if more:
             raise TakeError(
@@ -316,4 +286,4 @@ def calibrate(
         raise TakeError(f"The takes wear different marker sets: {names}; calibrate them apart, or name one with --marker-set.")
     together = worn[0].replace_markers(np.concatenate([each.markers for each in worn]))
     body = load_cmu31_body()
-    return calibrate.calibrate_subject(together, sets[0], body, priors.load_mean_pose_prior(pose_prior, body.skeleton))
+    return calibrate.calibrate_subject(together, sets[0], body, priors.load_mean_pose_prior(mean_pose_prior, body.skeleton))

@@ -18,13 +18,14 @@ from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
 from mocapfix.motion import Motion
+from mocapfix.options import OutputOptions
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.report_data import build_fill_section
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.output_formats import OutputFormat, get_source_suffixes, write_cleaned_copy
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.write.output_options import build_exported_motion, build_output_notes, list_output_formats
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -106,7 +107,7 @@ class CleaningResult:
 
     def get_output_paths(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> dict[str, Path]:
         """Return the paths that `write` writes for a take of at most one subject, by suffix."""
-        unavailable = {suffix for each in options.formats if not self._can_write(each) for suffix in each.all_suffixes}
+        unavailable = {suffix for each in list_output_formats(options) if not self._can_write(each) for suffix in each.all_suffixes}
         unavailable -= set(get_source_suffixes(self.input_take.path))
         paths = build_output_paths(folder, self._stem, self.input_take.path, options, self.input_take.output_stem)
         return {suffix: path for suffix, path in paths.items() if suffix not in unavailable}
@@ -149,12 +150,12 @@ class CleaningResult:
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
         with timer("write"):
-            exported_motion = options.build_exported_motion(self.subject, self.motion, self.input_take.rate)
+            exported_motion = build_exported_motion(options, self.subject, self.motion, self.input_take.rate)
         report = self.subject_report
-        notes = [*report["notes"], *options.build_notes(self.input_take, exported_motion is not None)]
+        notes = [*report["notes"], *build_output_notes(options, self.input_take, exported_motion is not None)]
         final_report: Report = {**report, "seconds": timer.stage_seconds, "notes": notes}
         final = replace(self, report=final_report)._drop_samples(unstorable_samples)
-        for each in options.formats:
+        for each in list_output_formats(options):
             if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
                 with timer(each.timer_stage):
                     each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", final, exported_motion)
@@ -204,7 +205,7 @@ def build_output_paths(
     subject_stem  stem of the other outputs of one of several subjects; empty: that of the input
     """
     source_suffixes = get_source_suffixes(source_path)
-    others = [suffix for each in options.formats for suffix in each.all_suffixes if suffix not in source_suffixes]
+    others = [suffix for each in list_output_formats(options) for suffix in each.all_suffixes if suffix not in source_suffixes]
     paths = {suffix: folder / f"{stem}.{suffix}" for suffix in source_suffixes}
     return paths | {suffix: folder / f"{subject_stem or stem}.{suffix}" for suffix in others}
 

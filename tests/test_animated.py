@@ -16,7 +16,7 @@ from mocapfix.animation import Animation
 from mocapfix.animations import clean as animated
 from mocapfix.animations import joint_points
 from mocapfix.cli import app
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import FillOptions
 from mocapfix.read import amc, bvh
 from mocapfix.write.animation_patch import patch_animation
 
@@ -161,11 +161,11 @@ def test_a_decision_gives_the_old_bytes_back(walk, mocapfix, tmp_path, decision)
 @pytest.mark.parametrize(
     ("asked", "kinds"),
     [
-        ({"only": ("pop",)}, {"pop"}),
-        ({"options": FillOptions(frames=(300, 420))}, {"pop", "flip"}),
-        ({"options": FillOptions(keep=("LeftUpLeg", *ARM, "Hips"))}, {"flip", "jitter"}),
-        ({"options": FillOptions(max_gap=0.4)}, {"pop", "flip", "jitter", "spike"}),
-        ({"options": FillOptions(limit=1e-4), "prior": "none"}, {"pop", "flip", "jitter", "spike"}),
+        ({"repair_kinds": ("pop",)}, {"pop"}),
+        ({"frames": (300, 420)}, {"pop", "flip"}),
+        ({"keep": ("LeftUpLeg", *ARM, "Hips")}, {"flip", "jitter"}),
+        ({"max_gap_s": 0.4}, {"pop", "flip", "jitter", "spike"}),
+        ({"max_sd_m": 1e-4, "prior": "none"}, {"pop", "flip", "jitter", "spike"}),
     ],
 )
 def test_only_what_may_be_touched_is(walk, asked, kinds):
@@ -266,7 +266,7 @@ def test_a_scene_names_the_joints(walk, mocapfix, tmp_path):
 
 
 def test_an_amc_comes_back_as_one_with_its_skeleton(walk, tmp_path):
-    made = pipeline.clean(walk.path, only=("flip",))
+    made = pipeline.clean(walk.path, repair_kinds=("flip",))
     assert made.subject is not None
     assert made.motion is not None
     write.write_asf_amc(tmp_path / "walk.asf", tmp_path / "walk.amc", made.subject.skeleton, made.motion, made.input_take.rate, 7)
@@ -289,7 +289,7 @@ def test_numbers_that_are_not_there_are_missing_and_found_again(walk, tmp_path):
         for column in own:
             words[head + frame][column] = "nan"
     (tmp_path / "holes.bvh").write_text("\n".join(" ".join(line) for line in words))
-    result = pipeline.clean(tmp_path / "holes.bvh", only=("gap",))
+    result = pipeline.clean(tmp_path / "holes.bvh", repair_kinds=("gap",))
     elbow = result.input_take.labels.index("LeftForeArm")
     assert not result.input_take.visible[100:130, elbow].any()
     assert np.isfinite(joint_points.get_animation(result.take).values).all()

@@ -16,7 +16,7 @@ from mocapfix.read import capture
 from mocapfix.report.review_file import read_review_files
 from mocapfix.result import CleaningResult
 from mocapfix.take import Take
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.options import OutputOptions
 from tests.conftest import as_c3d
 
 CMU41 = load_marker_set("cmu41").labels
@@ -258,7 +258,7 @@ def test_what_is_there_already_is_not_replaced_and_nothing_is_written(files, two
 
 
 def test_what_else_is_asked_for_is_everybodys_own_but_the_c3d_which_is_one(files, two, tmp_path):
-    outputs = two[0].write(tmp_path, options=OutputOptions(also=("npz", "c3d", "amc"), bvh_for=("blender",)))
+    outputs = two[0].write(tmp_path, options=OutputOptions(extra_formats=("npz", "c3d", "amc"), rigs=("blender",)))
     assert {kind for kind in outputs if kind.endswith(("c3d", "npz", "asf", "amc", "blender.bvh"))} == {
         "c3d", "others.npz", *(f"{name}.{kind}" for name in ("Jim", "Ann") for kind in ("npz", "asf", "amc", "blender.bvh")),
     }  # fmt: skip

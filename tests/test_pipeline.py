@@ -13,7 +13,7 @@ from mocapfix import marker_sets, pipeline, synthetic, write
 from mocapfix.bench.demo import compute_fill_errors
 from mocapfix.calibrate import subject_file
 from mocapfix.errors import SceneError, TakeError, WriteError
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.read import capture
 from mocapfix.report import review_file
 from mocapfix.skeleton import load_cmu31_body
@@ -184,7 +184,7 @@ def test_the_written_report_is_the_results_and_plain_json(cleaned):
 
 
 def test_faults_and_gaps_left_carry_the_files_own_frame_numbers(brief, known):
-    report = pipeline.clean(brief.path, subject=known, options=FillOptions(max_gap=0.1)).report
+    report = pipeline.clean(brief.path, subject=known, max_gap_s=0.1).report
     assert report["take"]["first_frame"] == FIRST
     faults = {(each["kind"], each["marker"], each["first"], each["last"]) for each in report["faults"]}
     assert {("gap", "RELB", 341, 360), ("gap", "LKNE", 371, 390), ("spike", "STRN", 321, 321)} <= faults
@@ -270,13 +270,13 @@ def test_a_knocked_marker_is_found_and_its_gaps_are_filled_at_either_place(knock
 
 
 def test_max_gap_is_held_against_the_gap_and_not_what_is_hidden_of_a_place(knocked):
-    result, off = cleaned_without(knocked, options=FillOptions(max_gap=0.25))
+    result, off = cleaned_without(knocked, max_gap_s=0.25)
     first, last = HIDDEN[1]
     assert not np.isnan(off[first : last + 1]).any()
     assert [(each.first, each.last, each.reason) for each in result.unfilled_runs] == [
         (first, last, "the gap is longer than 0.25 s") for first, last in (HIDDEN[0], HIDDEN[2])
     ]
-    left = [(each.first, each.last) for each in cleaned_without(knocked, options=FillOptions(max_gap=0.15))[0].unfilled_runs]
+    left = [(each.first, each.last) for each in cleaned_without(knocked, max_gap_s=0.15)[0].unfilled_runs]
     assert left == list(HIDDEN)
 
 
@@ -285,7 +285,7 @@ def test_a_move_that_is_rejected_is_none(knocked, tmp_path):
     path = tmp_path / "decided.yaml"
     decided = [replace(each, decision="reject" if each.kind == "moved" else "accept") for each in result.changes]
     review_file.write_review_file(path, result.input_take, decided)
-    result, _ = cleaned_without(knocked, changes=path)
+    result, _ = cleaned_without(knocked, review_files=path)
     assert not result.faults.select_kinds("moved", "drift")
     assert {change.kind: change.decision for change in result.changes} == {"gap": "accept", "moved": "reject"}
 
@@ -311,13 +311,13 @@ RELB, LKNE, STRN = list(range(341, 361)), list(range(371, 391)), [321]
         (FillOptions(frames=(350, 380)), {"RELB": RELB[9:], "LKNE": LKNE[:10]}),
         (FillOptions(frames=(-(2**62), 340)), {"STRN": STRN}),
         (FillOptions(frames=(321, 321), keep=("STRN",)), {}),
-        (FillOptions(max_gap=0.1), {"STRN": STRN}),
-        (FillOptions(max_gap=20 / 120), {"RELB": RELB, "LKNE": LKNE, "STRN": STRN}),
+        (FillOptions(max_gap_s=0.1), {"STRN": STRN}),
+        (FillOptions(max_gap_s=20 / 120), {"RELB": RELB, "LKNE": LKNE, "STRN": STRN}),
     ],
     ids=["all", "keep", "frames", "until", "keep in frames", "max-gap", "max-gap, exactly"],
 )
 def test_options_say_what_is_touched_and_nothing_else_is(brief, known, options, touched):
-    result = pipeline.clean(brief.path, subject=known, options=options)
+    result = pipeline.clean(brief.path, subject=known, options=CleanOptions(fill=options))
     assert changed(result) == touched
     fill = result.report["fill"]
     assert fill["filled"] == sum(len(touched.get(label, ())) for label in ("RELB", "LKNE"))
@@ -337,7 +337,7 @@ def test_options_say_what_is_touched_and_nothing_else_is(brief, known, options, 
 )
 def test_what_the_take_does_not_have_cannot_be_named(brief, options, sentence):
     with pytest.raises(TakeError, match=re.escape(sentence)):
-        pipeline.clean(brief.path, options=options)
+        pipeline.clean(brief.path, options=CleanOptions(fill=options))
 
 
 # other people, other markers
@@ -431,7 +431,7 @@ def test_labels_exchanged_throughout_are_put_right_and_where_they_are_kept_the_m
     np.testing.assert_allclose(result.take.markers[seen, b], brief.markers[seen, a], atol=1e-6)
     assert result.report["notes"] == []
     review_file.write_review_file(path, result.input_take, [replace(said, decision="keep")])
-    notes = " ".join(pipeline.clean(source, subject=known, changes=path).report["notes"])
+    notes = " ".join(pipeline.clean(source, subject=known, review_files=path).report["notes"])
     for label in ("LKNE", "RSHO"):
         assert f"{label} lies more than 60 mm from the body for half the take: is it labelled right?" in notes
 
@@ -444,11 +444,11 @@ def test_stages_are_told_in_order(brief):
 
 def test_a_start_that_there_is_not_is_refused_before_anything_is_read():
     with pytest.raises(SceneError, match=r"no start 'hybrik'; choose one of: .*registration, previous"):
-        pipeline.clean("nowhere.c3d", init="hybrik")
+        pipeline.clean("nowhere.c3d", method="hybrik")
 
 
 def test_the_start_that_was_chosen_is_gone_from_and_told(brief):
-    results = {init: pipeline.clean(brief.path, subject=brief.subject, init=init) for init in ("registration", "previous")}
+    results = {init: pipeline.clean(brief.path, subject=brief.subject, method=init) for init in ("registration", "previous")}
     motions = {init: result.motion for init, result in results.items()}
     for init, result in results.items():
         assert result.report["solve"]["start"] == init

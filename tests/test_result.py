@@ -9,15 +9,15 @@ import pytest
 from mocapfix import pipeline, write
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.files.layouts import TableLayout
-from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.options import RIG_NAMES
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
 from mocapfix.write.output_formats import OPTIONAL_FORMATS
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.options import OutputOptions
 from tests.conftest import FIRST
 from tests.write.read_back import Bvh, smooth_rotations
 
-EVERYTHING = OutputOptions(also=tuple(OPTIONAL_FORMATS), bvh_for=RIG_NAMES)
+EVERYTHING = OutputOptions(extra_formats=tuple(OPTIONAL_FORMATS), rigs=RIG_NAMES)
 MOVES = ("bvh", "glb", "asf", "amc", *(f"{name}.bvh" for name in RIG_NAMES))
 
 
@@ -115,7 +115,7 @@ def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, t
     source = tmp_path / "brief.trc"
     write.write_trc(source, capture.read_capture(brief.path))
     result = pipeline.clean(source, subject=brief.subject)
-    outputs = result.write(tmp_path / "out", options=OutputOptions(also=("c3d", "trc", "npz")))
+    outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("c3d", "trc", "npz")))
     assert [path.name for kind, path in outputs.items() if kind in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
     for kind in ("trc", "c3d"):
         back = capture.read_capture(outputs[kind])
@@ -128,7 +128,7 @@ def test_a_text_take_comes_back_as_what_it_was_and_as_a_c3d_where_asked(brief, t
 def test_of_a_table_that_lists_only_what_was_seen_a_plain_one_is_made_and_that_is_said(solved, tmp_path):
     layout = TableLayout("utf-8", "\n", ",", ".", unit_m=1.0)
     before = replace(solved.before, layout=layout, path=solved.before.path.with_suffix(".csv"))
-    outputs = replace(solved, before=before).write(tmp_path, options=OutputOptions(also=("csv",)))
+    outputs = replace(solved, before=before).write(tmp_path, options=OutputOptions(extra_formats=("csv",)))
     assert outputs["csv"].name == "somebody.csv"
     np.testing.assert_allclose(capture.read_capture(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
     assert "somebody.csv lists only what was seen" in outputs["report.json"].read_text()
@@ -139,19 +139,19 @@ def test_where_one_of_them_cannot_be_written_none_is(solved, tmp_path):
     solved.motion.rotations[:, stub] = smooth_rotations(0, 61, 1, swing=0.5)[:, 0]
     (tmp_path / "somebody.bvh").write_text("earlier")
     with pytest.raises(WriteError, match="MotionBuilder"):
-        solved.write(tmp_path, overwrite=True, options=OutputOptions(bvh_for=("motionbuilder",)))
+        solved.write(tmp_path, overwrite=True, options=OutputOptions(rigs=("motionbuilder",)))
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"somebody.bvh": "earlier"}
 
 
 def test_what_is_there_of_another_kind_stops_all_of_them(solved, tmp_path):
     (tmp_path / "somebody.glb").write_text("mine")
     with pytest.raises(WriteError, match=r"somebody\.glb: is there already"):
-        solved.write(tmp_path, options=OutputOptions(also=("gltf",)))
+        solved.write(tmp_path, options=OutputOptions(extra_formats=("gltf",)))
     assert [path.name for path in tmp_path.iterdir()] == ["somebody.glb"]
 
 
 def test_a_kind_that_is_named_twice_is_written_once():
-    suffixes = [kind.suffix for kind in OutputOptions(also=("npz", "npz"), bvh_for=("cmu", "cmu")).formats]
+    suffixes = [kind.suffix for kind in OutputOptions(extra_formats=("npz", "npz"), rigs=("cmu", "cmu")).formats]
     assert (suffixes.count("npz"), suffixes.count("cmu.bvh")) == (1, 1)
 
 

@@ -1,7 +1,8 @@
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.files.shipped import RIG_NAMES, find_shipped_folder
+from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.options import RIG_NAMES
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.write import rig
 

@@ -11,7 +11,8 @@ from mocapfix.animations import joint_points
 from mocapfix.animations.repair import REPAIR_METHODS, UNCHANGED, AnimationRepair
 from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
 from mocapfix.faults import Fault, Faults, build_fault_mask
-from mocapfix.fill.gap_filling import FillOptions, compute_editable_mask, compute_gap_durations, explain_rejections
+from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_rejections
+from mocapfix.options import FillOptions
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.take import Take
 

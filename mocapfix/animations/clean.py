@@ -15,8 +15,8 @@ from mocapfix.animations.repair import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Fault, Faults
-from mocapfix.fill.gap_filling import FillOptions
 from mocapfix.motion import FrameStatus, Motion
+from mocapfix.options import FillOptions
 from mocapfix.report import notes, report_data, review_file
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.result import CleaningResult

@@ -12,11 +12,11 @@ from mocapfix.calibrate import calibration as calibrate
 from mocapfix.calibrate import calibration as frames
 from mocapfix.calibrate import parameters, refinement
 from mocapfix.initialise import initial_motion
+from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import mean_pose as prior
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.take import Take

@@ -7,10 +7,11 @@ import numpy as np
 
 from mocapfix.bench.common_task import build_pose_motion
 from mocapfix.errors import SceneError
-from mocapfix.files.shipped import DEFAULT_PRIOR_NAME, find_shipped_folder
+from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.terms import PointTerm
+from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior import io
 from mocapfix.pose_prior.autoencoder import AutoencoderModel, NaturalnessModel
 from mocapfix.pose_prior.model import PoseModel

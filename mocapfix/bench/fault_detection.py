@@ -27,14 +27,14 @@ from mocapfix.faults import (
     Fragment,
     build_fault_mask,
 )
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.repair.relabel import JOINED_RELATIONS
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
 from mocapfix.stats.runs import find_runs
 
 REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
-REFILL_OPTIONS = FillOptions(refill=True)  # so that straight fills are estimated, too
+REFILL_OPTIONS = CleanOptions(fill=FillOptions(refill=True))  # so that straight fills are estimated, too
 FaultRow = dict[str, float | None]  # what the table says of a kind
 
 

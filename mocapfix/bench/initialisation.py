@@ -21,9 +21,9 @@ from mocapfix.bench.initialisation_outcomes import (
     find_wrong_frames,
 )
 from mocapfix.bench.initialisation_takes import InitialisationTake
-from mocapfix.files.shipped import INIT_METHODS
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
+from mocapfix.options import INIT_METHODS
 from mocapfix.pose_prior import mean_pose
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body

@@ -17,11 +17,11 @@ from mocapfix.bench.uncertainty import find_informative_markers
 from mocapfix.kernels.levenberg_marquardt import STATUS_ITERATION_LIMIT, compute_cost_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.motion import Motion
+from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import mean_pose as prior
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.solve.pose_problem import PoseProblem, build_no_tracking
 from mocapfix.take import Take
 

@@ -9,7 +9,7 @@ from mocapfix.bench import given_joints as iterations
 from mocapfix.bench import given_joints as speed
 from mocapfix.bench.compared_priors import ComparedPrior, ComparedPriors
 from mocapfix.errors import SceneError
-from mocapfix.files.shipped import DEFAULT_PRIOR_NAME
+from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback

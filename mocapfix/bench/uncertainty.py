@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix import pipeline, synthetic
-from mocapfix.fill.gap_filling import FillOptions
-from mocapfix.pipeline import DEFAULT_FILL_OPTIONS
+from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
@@ -42,12 +41,12 @@ def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, d
     return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(filled)}
 
 
-def clean_composed_take(truth: SyntheticTake, options: FillOptions = DEFAULT_FILL_OPTIONS) -> CleaningResult:
+def clean_composed_take(truth: SyntheticTake, options: CleanOptions | None = None) -> CleaningResult:
     """-> what the pipeline makes of a composed take, read from a file like any other."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         synthetic.write_synthetic_take(path, truth)
-        return pipeline.clean(path, options=options)
+        return pipeline.clean(path, options)
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> dict[str, PredictedErrors]:

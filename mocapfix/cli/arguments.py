@@ -1,30 +1,132 @@
-"""Arguments that several commands take."""
+"""Command-line arguments: those that several commands share, and those that are built from `mocapfix.options`.
 
+Every stage of `CleanOptions` becomes a group of arguments, every option of it a flag.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import Field, field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, cast, get_args
 
 import tyro
 
+from mocapfix.errors import OptionError
+from mocapfix.options import CleanOptions, Option, StageOptions, list_stages
 
-def describe_option(metavar: str, help: str, default: str, **more: Any) -> Any:
-    """-> how help shows an argument whose default, None or an empty text, does not say what is then done; `default` does."""
-    return tyro.conf.arg(metavar=metavar, help=help, help_behavior_hint=f"(default: {default})", **more)
+FRAME_LIMIT = 2**62
+"""beyond the number of any frame: the end of a range that is left open"""
 
-
-TakeArgument = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="a file of captured motion")]
+FlagOption = tyro.conf.FlagCreatePairsOff[bool]
+JsonOption = Annotated[FlagOption, tyro.conf.arg(name="json", help="print JSON instead of a table")]
+OverwriteOption = Annotated[FlagOption, tyro.conf.arg(help="replace existing files")]
+TakeArgument = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TAKE", help="motion capture file")]
 TakesArgument = Annotated[
     tuple[Path, ...],
     tyro.conf.Positional,
-    tyro.conf.arg(metavar="TAKE...", help="files of captured motion", help_behavior_hint="(at least one)"),
-]
-MarkerSetOption = Annotated[str | None, describe_option("NAME|FILE", "which markers", "by the labels")]
-SubjectOption = Annotated[Path | None, describe_option("FILE", "a calibrated subject", "from the take itself")]
-SubjectPrefixOption = Annotated[
-    str | None, describe_option("NAME", 'the one person of several: "Jim" of Jim:LFHD', "everybody, in turn")
+    tyro.conf.arg(metavar="TAKE...", help="motion capture files", help_behavior_hint="(at least one)"),
 ]
 UpAxisOption = Annotated[
-    Literal["X", "Y", "Z"] | None, describe_option("X|Y|Z", "the file's axis to the sky", "as the file tells")
+    str | None,
+    tyro.conf.arg(metavar="X|Y|Z", help="up axis of the file", help_behavior_hint="(default: from the file or its markers)"),
 ]
-HierarchyOption = Annotated[
-    str | None, describe_option("STYLE|FILE", "how an animation's joints are called", "as their names tell")
-]
+
+
+def describe_option(metavar: str, help: str, default: str, **details: Any) -> Any:
+    """Return how help shows an argument whose default value does not explain itself; `default` is the text that does."""
+    return tyro.conf.arg(metavar=metavar, help=help, help_behavior_hint=f"(default: {default})", **details)
+
+
+def build_options_argument(
+    stages: Iterable[str], *, without: Iterable[str] = (), default_texts: Mapping[str, str] | None = None
+) -> Any:
+    """Return the annotation of the parameter of a command that holds options, which `parse_options` reads.
+
+    stages         the names of the stages in `CleanOptions` whose options the command has
+    without        the names of options that it does not have
+    default_texts  by name of an option, the default that help shows instead of the usual text
+    """
+    groups: list[tuple[str, Any, Any]] = []
+    for name, stage in list_stages():
+        if name in stages:
+            group = _build_group(stage, frozenset(without), default_texts or {})
+            groups.append((name, tyro.conf.OmitArgPrefixes[group], field(default_factory=group)))
+    return Annotated[tyro.conf.OmitArgPrefixes[make_dataclass("OptionArguments", groups)], tyro.conf.arg(name="")]
+
+
+def parse_options(arguments: object) -> CleanOptions:
+    """Return the options in the value of a parameter of `build_options_argument`. Raises OptionError."""
+    stages: dict[str, Any] = {}
+    for name, stage in list_stages():
+        group = getattr(arguments, name, None)
+        if group is not None:
+            given = {each.name: (each, getattr(group, each.name)) for each in _list_fields(stage) if hasattr(group, each.name)}
+            stages[name] = stage(**{key: _parse_value(each, value) for key, (each, value) in given.items()})
+    return CleanOptions(**stages)
+
+
+def parse_frames(text: str) -> tuple[int, int] | None:
+    """Return the first and the last frame that FIRST:LAST names, None for all frames. Raises ValueError."""
+    first, colon, last = text.partition(":")
+    if not colon:
+        raise ValueError(text)
+    return None if text == ":" else (int(first) if first else -FRAME_LIMIT, int(last) if last else FRAME_LIMIT)
+
+
+def split_names(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return the names in texts, in which commas may separate several."""
+    return tuple(name.strip() for text in texts for name in text.split(",") if name.strip())
+
+
+def _list_fields(stage: type[StageOptions]) -> tuple[Field[Any], ...]:
+    return fields(cast(Any, stage))
+
+
+def _build_group(stage: type[StageOptions], without: frozenset[str], default_texts: Mapping[str, str]) -> type[Any]:
+    """Return the dataclass that holds the arguments of a stage's options."""
+    arguments = [
+        (each.name, *_build_argument(each, default_texts.get(each.name, "")))
+        for each in _list_fields(stage)
+        if each.name not in without
+    ]
+    group = make_dataclass(stage.__name__.removesuffix("Options"), arguments)
+    group.__doc__ = stage.__doc__
+    return group
+
+
+def _build_argument(each: Field[Any], default_text: str = "") -> tuple[Any, Any]:
+    """Return the annotation and the default value of the argument for an option."""
+    option: Option = each.metadata["option"]
+    details: dict[str, Any] = {"name": option.flag.removeprefix("--"), "help": option.help, "aliases": option.aliases or None}
+    if default_text := default_text or option.default_text:
+        details["help_behavior_hint"] = f"(default: {default_text})"
+    if isinstance(each.default, bool):
+        return Annotated[FlagOption, tyro.conf.arg(**details)], each.default
+    argument = tyro.conf.arg(metavar=option.metavar, **details)
+    if each.type == tuple[float, ...]:
+        return Annotated[str, argument], ",".join(f"{number:g}" for number in option.to_display(each.default))
+    if isinstance(each.default, tuple):
+        element = Path if Path in get_args(get_args(each.type)[0]) else str
+        return Annotated[tyro.conf.UseAppendAction[tuple[element, ...]], argument], ()
+    if isinstance(each.default, float):
+        return Annotated[float, argument], option.to_display(each.default)
+    if isinstance(each.default, int | str):
+        return Annotated[type(each.default), argument], each.default
+    return Annotated[float | None if each.type == float | None else str | None, argument], None
+
+
+def _parse_value(each: Field[Any], value: Any) -> Any:
+    """Return the value of an option from that of its argument. Raises OptionError."""
+    option: Option = each.metadata["option"]
+    if value == _build_argument(each)[1]:
+        return each.default
+    try:
+        if each.type == tuple[int, int] | None:
+            return parse_frames(value)
+        if each.type == tuple[str, ...]:
+            return split_names(value)
+        if each.type == tuple[float, ...]:
+            value = tuple(float(number) for number in split_names([value]))
+    except ValueError:
+        form = "FIRST:LAST, as in 100:250" if each.name == "frames" else "numbers with commas between them"
+        raise OptionError(each.name, option.flag, option.job_key, f"must be {form}, not {value!r}") from None
+    return option.from_display(value)

@@ -8,9 +8,10 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_hybrik import run_bench_hybrik
 from mocapfix.cli.bench_prior import PRIOR_BENCH_COMMANDS
-from mocapfix.cli.console import EXIT_DONE, FlagOption, JsonOption, show_progress, stdout_console
+from mocapfix.cli.console import EXIT_DONE, show_progress, stdout_console
 
 
 # MERGED: mocapfix.cli_bench_animations

@@ -8,7 +8,8 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from mocapfix.cli.console import EXIT_DONE, JsonOption, show_progress, stdout_console
+from mocapfix.cli.arguments import JsonOption
+from mocapfix.cli.console import EXIT_DONE, show_progress, stdout_console
 
 JITTER_FIGURE_NAME, TWIST_FIGURE_NAME = "hybrik-jitter.png", "twist-distribution.png"
 

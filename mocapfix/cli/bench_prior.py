@@ -9,7 +9,8 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.console import EXIT_DONE, JsonOption, show_progress, stdout_console
+from mocapfix.cli.arguments import JsonOption
+from mocapfix.cli.console import EXIT_DONE, show_progress, stdout_console
 
 
 def run_bench_prior(

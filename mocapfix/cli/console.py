@@ -1,33 +1,50 @@
-"""The terminal: where the commands print, and how they show that they work."""
+"""The terminal: where the commands print, how they show progress, and their exit statuses."""
 
-from collections.abc import Iterator
+import json
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.markup import escape
 
-FlagOption = tyro.conf.FlagCreatePairsOff[bool]
-JsonOption = Annotated[FlagOption, tyro.conf.arg(name="json", help="print JSON instead of a table")]
-EXIT_DONE, EXIT_FAILED, EXIT_USAGE = 0, 1, 2  # exit statuses
+EXIT_DONE = 0
+EXIT_FAILED = 1
+"""something could not be done"""
+EXIT_USAGE = 2
+"""the command line is wrong"""
 
 stdout_console = Console(highlight=False)
 stderr_console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
-def show_progress(name: str) -> Iterator:
-    """Show on a terminal which stage a take is in; in a pipe, nothing but the one-time compilation."""
+def show_progress(name: str) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows on a terminal which stage a take is in; in a pipe, only the one-time compilation is shown."""
     from mocapfix.kernels.compilation_cache import is_solver_compiled
 
     if not is_solver_compiled():
-        stderr_console.print("First run on this machine: compiling the kernels, which takes about half a minute and is kept.")
+        stderr_console.print("First run on this machine: compiling the kernels takes about half a minute, once.")
     with stderr_console.status(escape(name)) as status:
         yield lambda stage: status.update(f"{escape(name)}: {stage}")
 
 
-def print_usage_error(message: str) -> int:
-    """Say what is wrong with a command; -> its exit status."""
+def print_line(text: str) -> None:
+    """Print one line of rich markup to standard output, without wrapping it."""
+    stdout_console.print(text, soft_wrap=True)
+
+
+def print_json(data: object) -> None:
+    """Print a JSON document to standard output."""
+    sys.stdout.write(json.dumps(data, indent=1) + "\n")
+
+
+def print_error(message: str) -> None:
+    """Print one message to standard error."""
     stderr_console.print(escape(message), style="red", soft_wrap=True)
+
+
+def print_usage_error(message: str) -> int:
+    """Print what is wrong with a command; return its exit status."""
+    print_error(message)
     return EXIT_USAGE

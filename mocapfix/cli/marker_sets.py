@@ -8,8 +8,8 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import UpAxisOption, describe_option
-from mocapfix.cli.console import EXIT_DONE, FlagOption, show_progress, stdout_console
+from mocapfix.cli.arguments import FlagOption, UpAxisOption, describe_option
+from mocapfix.cli.console import EXIT_DONE, show_progress, stdout_console
 
 if TYPE_CHECKING:
     from mocapfix.marker_sets import MarkerSet

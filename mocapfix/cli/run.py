@@ -1,4 +1,4 @@
-"""The command that runs a scene: mocapfix run SCENE."""
+"""The command `mocapfix run`: run a scene, which is a cleaning job or a 2-D keypoint scene."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,25 +6,29 @@ from typing import Annotated
 import tyro
 from rich.markup import escape
 
-from mocapfix.cli.arguments import describe_option
-from mocapfix.cli.console import EXIT_DONE, FlagOption, show_progress, stdout_console
+from mocapfix.cli.arguments import OverwriteOption, describe_option
+from mocapfix.cli.clean import clean_takes, print_output_files
+from mocapfix.cli.console import EXIT_DONE, print_line, show_progress
 from mocapfix.errors import SceneError
 
 
 def run_scene(
-    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or a shipped scene's name")],
+    scene: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE", help="a YAML file, or the name of a shipped scene")
+    ],
     output_folder: Annotated[
-        Path | None, describe_option("DIR", "where outputs go", "SCENE.mocapfix/", name="out", aliases=["-o"])
+        Path | None, describe_option("DIR", "folder for the output files", "SCENE.mocapfix/", name="out", aliases=["-o"])
     ] = None,
-    overwrite: Annotated[FlagOption, tyro.conf.arg(help="replace outputs that are there")] = False,
+    overwrite: OverwriteOption = False,
 ) -> int:
-    """Do what a scene says: clean takes as it is written down, or find the motion and camera of a film from 2-D keypoints."""
+    """Run a scene: clean takes as a job file describes, or estimate motion and camera from 2-D keypoints."""
     from mocapfix.files.shipped import find_shipped_folder, read_yaml
 
-    path = Path(scene) if scene.endswith((".yaml", ".yml")) else find_shipped_folder("scenes") / f"{Path(scene).name}.yaml"
-    if path.parent == find_shipped_folder("scenes") and not path.is_file():
-        there = ", ".join(sorted(each.stem for each in path.parent.glob("*.yaml")))
-        raise SceneError(f"There is no scene named {scene!r}; choose one of: {there}; or give a .yaml file.")
+    shipped_folder = find_shipped_folder("scenes")
+    path = Path(scene) if scene.endswith((".yaml", ".yml")) else shipped_folder / f"{Path(scene).name}.yaml"
+    if path.parent == shipped_folder and not path.is_file():
+        names = ", ".join(sorted(each.stem for each in shipped_folder.glob("*.yaml")))
+        raise SceneError(f"There is no scene named {scene!r}; choose one of: {names}; or name a .yaml file.")
     kind = read_yaml(path).get("kind")
     if not isinstance(kind, str) or kind not in SCENE_RUNNERS:
         raise SceneError(f"{path}: kind: must be one of {', '.join(SCENE_RUNNERS)}, not {kind!r}.")
@@ -32,50 +36,38 @@ def run_scene(
 
 
 def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
-    """Takes cleaned as the scene says."""
+    """Clean the takes of the job at `path`; return the exit status."""
     from mocapfix import pipeline
-    from mocapfix.cli.clean import clean_takes
     from mocapfix.files.output_files import make_output_folder
-    from mocapfix.jobs import cleaning_job
+    from mocapfix.jobs.cleaning_job import read_cleaning_job
 
-    said = cleaning_job.read_cleaning_job(path)
-    outputs, takes = said.output_options, said.list_takes(path, output_folder)
-    stdout_console.print(f"[bold]{escape(said.title)}[/]: {len(takes)} {'take' if len(takes) == 1 else 'takes'}.", soft_wrap=True)
+    job = read_cleaning_job(path)
+    takes = job.list_takes(output_folder)
+    print_line(f"[bold]{escape(job.header.title)}[/]: {len(takes)} {'take' if len(takes) == 1 else 'takes'}.")
     make_output_folder(output_folder)
-    said.write_composed_takes(output_folder, overwrite)
-    given = {
-        "marker_set": said.resolve_marker_set(path),
-        "subject_prefix": said.subject_prefix,
-        "up": said.volume.up,
-        "init": said.start,
-    }
-    given |= {"prior": said.prior.name, "prior_scale": said.prior.scale, "options": said.fill_options, "only": said.fill.only}
-    given |= {"hierarchy": said.resolve_hierarchy(path)}
-    known = said.find_subject_source(path)
-    if isinstance(known, list):
+    job.write_composed_takes(output_folder, overwrite)
+    subject = job.get_subject_file()
+    if calibration_takes := job.list_calibration_takes():
         with show_progress(path.name) as progress:
             progress("calibrate")
-            known = pipeline.calibrate(known, given["marker_set"], subject_prefix=said.subject_prefix, up=said.volume.up)
-    return clean_takes(takes, output_folder, given | {"subject": known}, outputs, overwrite)
+            subject = pipeline.calibrate(calibration_takes, job.options)
+    return clean_takes(takes, output_folder, job.options.change(subject=subject), overwrite=overwrite)
 
 
 def run_keypoints_job(path: Path, output_folder: Path, overwrite: bool) -> int:
-    """Poses and camera from keypoints."""
+    """Estimate poses and camera of the keypoint scene at `path`; return the exit status."""
     from mocapfix.keypoints import keypoint_scene
 
     with show_progress(path.name) as progress:
         result = keypoint_scene.run_keypoint_scene(path, progress)
         outputs = result.write(output_folder, overwrite)
-    record = result.report
-    where, camera = record["reprojection_px"], record["camera"]
-    stdout_console.print(
-        f"[bold]{escape(result.title)}[/]: {record['frames']} frames, keypoints {where['mean']:.1f} px from the body on average; "
-        f"the camera sees {camera['pixels_per_metre']:.1f} pixels per metre. {record['seconds']['total']:.1f} s.",
-        soft_wrap=True,
+    report = result.report
+    print_line(
+        f"[bold]{escape(result.title)}[/]: {report['frames']} frames, mean reprojection error "
+        f"{report['reprojection_px']['mean']:.1f} px; camera scale {report['camera']['pixels_per_metre']:.1f} pixels per metre. "
+        f"{report['seconds']['total']:.1f} s."
     )
-    stdout_console.print(
-        f"  {escape(str(output_folder))}/: {', '.join(escape(file.name) for file in outputs.values())}", soft_wrap=True
-    )
+    print_output_files(outputs)
     return EXIT_DONE
 
 

@@ -6,7 +6,8 @@ from typing import Annotated
 import tyro
 from rich.markup import escape
 
-from mocapfix.cli.console import EXIT_DONE, FlagOption, stderr_console, stdout_console
+from mocapfix.cli.arguments import FlagOption
+from mocapfix.cli.console import EXIT_DONE, stderr_console, stdout_console
 
 TrainingConfigOption = Annotated[Path, tyro.conf.arg(metavar="NAME.yaml", help="what to train, and how")]
 TrainingDataOption = Annotated[

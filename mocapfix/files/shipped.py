@@ -7,10 +7,6 @@ import yaml
 
 from mocapfix.errors import SceneError
 
-DEFAULT_PRIOR_NAME = "autoencoder"  # the trained prior that is asked where nobody names one
-INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "registration", "previous")  # ways to a frame's first pose
-DEFAULT_INIT_METHOD = "hybrik-x"  # the way that is gone where nobody names one
-RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # skeletons as other programs want them, in scenes/rigs
 YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's, ten times as fast, where PyYAML was built with it
 
 

@@ -1,6 +1,5 @@
 """The fill: every missing or doubted sample gets the surest estimate there is, or stays empty and is named."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from mocapfix.fill.marker_estimates import (
     estimate_missing_samples,
 )
 from mocapfix.motion import Motion
+from mocapfix.options import FillOptions
 from mocapfix.report.terms import get_point_terms
 from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
@@ -27,22 +27,6 @@ class FilledTake(NamedTuple):
     take: Take
     unfilled: tuple[UnfilledRun, ...]
     method: np.ndarray
-
-
-@dataclass(frozen=True)
-class FillOptions:
-    """What may be touched, and how sure an estimate must be."""
-
-    max_gap: float = 600.0
-    """the longest gap that is filled, seconds"""
-    keep: tuple[str, ...] = ()
-    """labels of markers that are left exactly as they are"""
-    frames: tuple[int, int] | None = None
-    """the only frames that may be touched, first and last, the file's own numbers"""
-    limit: float = 0.250
-    """a sample whose predicted error per axis is larger stays empty, metres (standard deviation)"""
-    refill: bool = False
-    """other programs' fills are replaced where what was measured contradicts them"""
 
 
 def fill_take(
@@ -127,9 +111,9 @@ def explain_rejections(
     reasons = np.full(is_wanted.shape, "", object)
     unknown = is_wanted & np.isnan(sd)
     reasons[unknown] = "nothing that moves with it was seen well enough to place it"
-    unsure = is_wanted & (sd > options.limit)
-    reasons[unsure] = f"its place could only be guessed to worse than {options.limit * 1e3:.0f} mm"
-    reasons[is_wanted & (gap_durations_s > options.max_gap)] = f"the gap is longer than {options.max_gap:g} s"
+    unsure = is_wanted & (sd > options.max_sd_m)
+    reasons[unsure] = f"its place could only be guessed to worse than {options.max_sd_m * 1e3:.0f} mm"
+    reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
     reasons[is_wanted & ~take.visible.any(0)] = "the marker is never seen in this take"
     return reasons
 

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool
 from scipy.spatial.transform import Rotation
 
-from mocapfix.files.shipped import DEFAULT_INIT_METHOD
 from mocapfix.initialise import joint_positions
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.motion import Motion
+from mocapfix.options import DEFAULT_INIT_METHOD
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics

@@ -1,37 +1,29 @@
-"""The parts of a cleaning job as its YAML says them, key by key."""
+"""Cleaning jobs: YAML files that name takes, whose they are, and the options with which they are cleaned.
+
+A job is a scene of the kind "clean", which `mocapfix run` runs. Its keys are those of `mocapfix.options`, and the header below.
+Paths are relative to the folder of the job file and may have wildcards.
+"""
 
 from collections.abc import Iterable
+from dataclasses import Field as DataclassField
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    FiniteFloat,
-    NonNegativeInt,
-    PositiveFloat,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
-from mocapfix import synthetic
-from mocapfix.errors import MocapfixError, SceneError
-from mocapfix.faults import REPAIRABLE_KINDS
+from mocapfix.errors import MocapfixError, OptionError, SceneError
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
-from mocapfix.files.shipped import DEFAULT_INIT_METHOD, DEFAULT_PRIOR_NAME, INIT_METHODS
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.fill.gap_filling import FillOptions
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.options import CleanOptions, Option, build_clean_options, list_stages
+from mocapfix.synthetic import compose_take, write_synthetic_take
+from mocapfix.write.output_options import list_output_formats
 
-
-# MERGED: mocapfix.job_form
-def _build_choice_validator(choices: tuple[str, ...]):
-    def check(value: str) -> str:
-        if value not in choices:
-            raise ValueError(f"must be one of {', '.join(choices)}, not {value!r}")
-        return value
-
-    return AfterValidator(check)
+WILDCARD_CHARACTERS = set("*?[")
+COMPOSED_FOLDER = "composed"
+"""the folder for composed takes, within the output folder"""
+FILE_OPTIONS = ("marker_set", "hierarchy")
+"""options that name something shipped or a file; a file beside the job takes precedence"""
 
 
 def _check_c3d_name(value: str) -> str:
@@ -41,27 +33,31 @@ def _check_c3d_name(value: str) -> str:
 
 
 def _wrap_file_name(value: object) -> object:
-    """A text alone is a file's name."""
+    """Return the mapping that a text alone stands for: a file's name."""
     return {"file": value} if isinstance(value, str) else value
 
 
 class JobTake(StrictModel):
-    """A file or a wildcard, as text alone; or a take that mocapfix composes itself, damage and all: `compose` is what its file
-    shall be called, `seed` tells which person, skin and damage are drawn."""
+    """A take to be cleaned.
+
+    file     a file or a wildcard; in YAML also as text alone
+    compose  instead: the name of a C3D file for a synthetic take with damage
+    seed     the seed of the synthetic take
+    """
 
     file: str | None = None
-    compose: Annotated[str | None, AfterValidator(lambda value: value and _check_c3d_name(value))] = None
+    compose: Annotated[str, AfterValidator(_check_c3d_name)] | None = None
     seed: NonNegativeInt = 0
 
     @model_validator(mode="after")
     def _check_exactly_one(self) -> Self:
         if (self.file is None) == (self.compose is None):
-            raise ValueError("must be a file, or say compose")
+            raise ValueError("must have either file or compose")
         return self
 
 
 class JobSubject(StrictModel):
-    """A subject file, as text alone; or takes to calibrate one from."""
+    """The subject of a job: a subject file, in YAML also as text alone, or takes from which the subject is calibrated."""
 
     file: str | None = None
     calibrate: tuple[str, ...] = ()
@@ -69,146 +65,90 @@ class JobSubject(StrictModel):
     @model_validator(mode="after")
     def _check_exactly_one(self) -> Self:
         if (self.file is None) == (not self.calibrate):
-            raise ValueError("must be a subject file, or say calibrate")
+            raise ValueError("must have either file or calibrate")
         return self
 
 
-class JobVolume(StrictModel):
-    """up: the files' axis that points to the sky; floor: metres, how high it lies along that axis."""
+class JobHeader(StrictModel):
+    """The keys of a job that are not options.
 
-    up: Literal["X", "Y", "Z"] | None = None
-    floor: FiniteFloat = 0.0
-
-
-class JobPrior(StrictModel):
-    name: str = DEFAULT_PRIOR_NAME
-    scale: PositiveFloat = 1.0
-
-
-class JobFill(StrictModel):
-    """What may be touched; as `mocapfix clean --help` says of each."""
-
-    max_gap: PositiveFloat = FillOptions.max_gap
-    limit_mm: PositiveFloat = FillOptions.limit * 1e3
-    keep: tuple[str, ...] = ()
-    frames: tuple[int, int] | None = None
-    refill: bool = False
-    only: tuple[Annotated[str, _build_choice_validator(REPAIRABLE_KINDS)], ...] = ()
-
-
-class JobWrite(StrictModel):
-    """What is written beside the usual files."""
-
-    bvh_for: tuple[str, ...] = ()
-    also: tuple[str, ...] = ()
-    fps: PositiveFloat | None = None
-
-
-JobTakeField = Annotated[JobTake, BeforeValidator(_wrap_file_name)]
-JobSubjectField = Annotated[JobSubject, BeforeValidator(_wrap_file_name)]
-InitMethodField = Annotated[str, _build_choice_validator(INIT_METHODS)]
-
-
-# MERGED: mocapfix.job
-# A cleaning job written down: which takes, whose, in which volume, under which prior, and what is to be written.
-#
-# A scene of the kind "clean", as `mocapfix run` does it. Paths are from the scene's own folder, and may have wildcards.
-WILDCARD_CHARACTERS = set("*?[")
-
-
-class CleaningJob(StrictModel):
-    """What the scene says.
-
-    title       one line
-    takes       files, wildcards, or takes to be composed
-    subject     a subject file; takes to calibrate one from; null: each take its own
-    subject_prefix  the one to be cleaned of several subjects in a file; null: all of them
-    marker_set  a shipped set's name or a YAML file; null chooses by the labels
-    hierarchy   of animations, how their joints are called: a shipped style or a YAML file; null: as their names tell
+    title    one line
+    takes    the takes, in this order
+    subject  the subject of all takes; null calibrates one from each take
     """
 
     kind: Literal["clean"]
     title: str
-    takes: tuple[JobTakeField, ...] = Field(min_length=1)
-    subject: JobSubjectField | None = None
-    subject_prefix: str | None = None
-    marker_set: str | None = None
-    hierarchy: str | None = None
-    volume: JobVolume = JobVolume()
-    prior: JobPrior = JobPrior()
-    start: InitMethodField = DEFAULT_INIT_METHOD
-    fill: JobFill = JobFill()
-    write: JobWrite = JobWrite()
+    takes: tuple[Annotated[JobTake, BeforeValidator(_wrap_file_name)], ...] = Field(min_length=1)
+    subject: Annotated[JobSubject, BeforeValidator(_wrap_file_name)] | None = None
 
-    @property
-    def fill_options(self) -> FillOptions:
-        said = self.fill
-        return FillOptions(said.max_gap, said.keep, said.frames, said.limit_mm / 1e3, said.refill)
 
-    @property
-    def output_options(self) -> OutputOptions:
-        return OutputOptions(self.write.also, self.write.bvh_for, self.write.fps, self.volume.floor)
+@dataclass(frozen=True)
+class CleaningJob:
+    """A cleaning job that was read from `path`; its options have no subject yet."""
 
-    def list_takes(self, path: Path, folder: Path) -> list[Path]:
-        """-> the takes of the scene at `path`, in its order; those that are composed will be in `folder`."""
+    path: Path
+    header: JobHeader
+    options: CleanOptions
+
+    def list_takes(self, output_folder: Path) -> list[Path]:
+        """Return the paths of the takes in their order, each once. Raises SceneError if a wildcard matches no file."""
         takes: list[Path] = []
-        for index, each in enumerate(self.takes):
-            if each.compose:
-                takes.append(get_composed_path(folder, each.compose))
-            elif each.file:
-                takes += expand_paths(path, [each.file], f"takes.{index}")
+        for index, take in enumerate(self.header.takes):
+            if take.compose:
+                takes.append(output_folder / COMPOSED_FOLDER / take.compose)
+            elif take.file:
+                takes += expand_paths(self.path, [take.file], f"takes.{index}")
         return list(dict.fromkeys(takes))
 
-    def write_composed_takes(self, folder: Path, overwrite: bool) -> None:
-        """Write the takes that are to be composed. Raises WriteError where one is there and may not be replaced."""
-        for each in self.takes:
-            if each.compose:
-                target = get_composed_path(folder, each.compose)
+    def write_composed_takes(self, output_folder: Path, overwrite: bool) -> None:
+        """Write the synthetic takes. Raises WriteError if one of the files exists and may not be replaced."""
+        for take in self.header.takes:
+            if take.compose:
+                target = output_folder / COMPOSED_FOLDER / take.compose
                 check_outputs_absent([target], overwrite)
                 make_output_folder(target.parent)
-                synthetic.write_synthetic_take(target, synthetic.compose_take(seed=each.seed))
+                write_synthetic_take(target, compose_take(seed=take.seed))
 
-    def resolve_marker_set(self, path: Path) -> str | Path | None:
-        """-> the marker set: a file beside the scene at `path` goes before a shipped set's name."""
-        return _prefer_file_beside(path, self.marker_set)
+    def get_subject_file(self) -> Path | None:
+        """Return the path of the subject file, None if the job names none."""
+        subject = self.header.subject
+        return self.path.parent / subject.file if subject and subject.file else None
 
-    def resolve_hierarchy(self, path: Path) -> str | Path | None:
-        """-> how joints are called: a file beside the scene at `path` goes before a shipped style's name."""
-        return _prefer_file_beside(path, self.hierarchy)
-
-    def find_subject_source(self, path: Path) -> Path | list[Path] | None:
-        """-> the subject's file, or the takes to calibrate the subject from; None: each take its own."""
-        if self.subject is None:
-            return None
-        if self.subject.file:
-            return path.parent / self.subject.file
-        return expand_paths(path, self.subject.calibrate, "subject.calibrate")
-
-
-def _prefer_file_beside(path: Path, name: str | None) -> str | Path | None:
-    beside = name and path.parent / name
-    return beside if beside and beside.is_file() else name
+    def list_calibration_takes(self) -> list[Path]:
+        """Return the takes from which the subject is calibrated; empty if there are none. Raises SceneError as `list_takes`."""
+        subject = self.header.subject
+        return expand_paths(self.path, subject.calibrate, "subject.calibrate") if subject else []
 
 
 def read_cleaning_job(path: str | Path) -> CleaningJob:
-    """-> what a scene of the kind "clean" says. Raises SceneError with the file and the path of the wrong key."""
-    said = read_yaml_model(CleaningJob, Path(path))
+    """Return the job in a YAML file. Raises SceneError with the file and the dotted path of the first wrong key."""
+    path = Path(path)
+    header = read_yaml_model(JOB_MODEL, path)
+    values = header.model_dump()
+    given: dict[str, object] = {}
+    for each, option in _list_job_options():
+        section, _, key = option.job_key.rpartition(".")
+        value = values[section][key] if section else values[key]
+        if each.name in FILE_OPTIONS and value and (path.parent / value).is_file():
+            value = path.parent / value
+        if value != option.to_display(each.default):
+            given[each.name] = option.from_display(value)
     try:
-        _ = said.output_options
+        options = build_clean_options(**given)
+    except OptionError as error:
+        raise SceneError(f"{path}: {error.job_key}: {error.problem}.") from error
+    try:
+        list_output_formats(options.output)
     except MocapfixError as error:
         raise SceneError(f"{path}: write: {error}") from error
-    return said
-
-
-def get_composed_path(folder: Path, name: str) -> Path:
-    """-> where a composed take goes: beside what cleaning it gives, which has its name."""
-    return folder / "composed" / name
+    return CleaningJob(path, header, options)
 
 
 def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
-    """-> the files beside the scene at `path` that names and wildcards under `key` say, in their order, each once.
+    """Return the files that names and wildcards mean beside the job at `path`, in their order, each once.
 
-    Raises SceneError where a wildcard finds none; what a plain name says is found missing when it is read.
+    Raises SceneError, naming `key`, if a wildcard matches no file. A plain name may be that of a file that does not exist.
     """
     found: dict[Path, None] = {}
     for name in names:
@@ -216,6 +156,34 @@ def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
         folder, pattern = path.parent / root, name.removeprefix(root)
         matching = sorted(folder.glob(pattern)) if set(pattern) & WILDCARD_CHARACTERS else [folder / pattern]
         if not matching:
-            raise SceneError(f"{path}: {key}: no file in {folder} is called {name!r}.")
+            raise SceneError(f"{path}: {key}: no file in {folder} matches {name!r}.")
         found |= dict.fromkeys(matching)
     return list(found)
+
+
+def _list_job_options() -> list[tuple[DataclassField[Any], Option]]:
+    """Return the fields and options that a job file can set."""
+    named = [(each, cast(Option, each.metadata["option"])) for _, stage in list_stages() for each in fields(cast(Any, stage))]
+    return [(each, option) for each, option in named if option.job_key]
+
+
+def _get_yaml_type(each: DataclassField[Any]) -> Any:
+    """Return the type of an option's value in a job file."""
+    special: dict[Any, Any] = {float: FiniteFloat, float | None: FiniteFloat | None, str | Path | None: str | None}
+    return next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
+
+
+def _build_job_model() -> type[JobHeader]:
+    """Return the model of a job file: the header and a key for every option."""
+    keys: dict[str, dict[str, Any]] = {"": {}}
+    for each, option in _list_job_options():
+        section, _, key = option.job_key.rpartition(".")
+        keys.setdefault(section, {})[key] = (_get_yaml_type(each), option.to_display(each.default))
+    top = keys.pop("")
+    for section, section_keys in keys.items():
+        model = create_model(f"Job{section.capitalize()}", __base__=StrictModel, **section_keys)
+        top[section] = (model, model())
+    return create_model("JobFile", __base__=JobHeader, **top)
+
+
+JOB_MODEL = _build_job_model()

@@ -13,6 +13,7 @@ from mocapfix.errors import TakeError
 from mocapfix.initialise import initial_motion
 from mocapfix.marker_sets import MarkerSet
 from mocapfix.motion import Motion
+from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.pose_prior.model import PoseModel
@@ -20,7 +21,6 @@ from mocapfix.repair import MarkerEpochs
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.motion_solver import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

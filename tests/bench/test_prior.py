@@ -9,7 +9,8 @@ from tests.train.people import walked, write_bvh
 from mocapfix.bench import compared_priors, pose_priors
 from mocapfix.cli import app
 from mocapfix.errors import SceneError
-from mocapfix.files.shipped import DEFAULT_PRIOR_NAME, find_shipped_folder
+from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.options import DEFAULT_PRIOR_NAME
 
 ROW = {"position_mm", "rotation_deg", "position_sd", "rotation_sd"}
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.options import RIG_NAMES
 from mocapfix.write import rig
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.options import OutputOptions
 
 ROOT = Path(__file__).parents[2]
 PYTHON = Path(os.environ.get("BLENDER_PYTHON", ROOT / ".blender" / "bin" / "python"))
@@ -33,8 +33,8 @@ def moments(cleaned) -> np.ndarray:
 def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
     """-> by kind, what Blender makes of everything that is written; "slow" is the BVH at 30 frames a second."""
     folder = tmp_path_factory.mktemp("blender")
-    outputs = cleaned.result.write(folder / "all", options=OutputOptions(also=("gltf",), bvh_for=RIG_NAMES))
-    slow = cleaned.result.write(folder / "slow", options=OutputOptions(fps=30))
+    outputs = cleaned.result.write(folder / "all", options=OutputOptions(extra_formats=("gltf",), rigs=RIG_NAMES))
+    slow = cleaned.result.write(folder / "slow", options=OutputOptions(output_rate_hz=30))
     paths = {kind: outputs[kind] for kind in SCALES} | {"slow": slow["bvh"]}
     jobs = [
         {"path": str(path), "scale": SCALES.get(kind, 0.01), "moments": [(lead(kind) + int(t)) / 120 for t in moments]}

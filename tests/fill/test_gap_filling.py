@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix.fill import gap_filling
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
@@ -98,14 +98,14 @@ def test_only_the_frames_that_may_be_touched_are(rod):
 @pytest.mark.parametrize(("seconds", "filled"), [(0.2, False), (0.21, True), (5.0, True)])
 def test_a_gap_is_as_long_as_its_samples_and_longer_ones_are_left(rod, seconds, filled):
     take = torn(rod, (0, 100, 120))  # 21 samples
-    after, left = given(take, FillOptions(max_gap=seconds))
+    after, left = given(take, FillOptions(max_gap_s=seconds))
     assert after.visible[100:121, 0].all() == filled
     assert [each.reason for each in left if each.marker == 0] == ([] if filled else [f"the gap is longer than {seconds:g} s"])
 
 
 def test_what_is_less_sure_than_the_limit_stays_empty_and_is_told(rod):
     take = torn(rod, (0, 100, 180))
-    after, left = given(take, FillOptions(limit=1e-6))
+    after, left = given(take, FillOptions(max_sd_m=1e-6))
     assert not after.visible[100:181, 0].any()
     assert next(each for each in left if each.marker == 0).reason == "its place could only be guessed to worse than 0 mm"
 

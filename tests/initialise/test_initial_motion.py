@@ -10,7 +10,7 @@ from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.motion_solver import SolveOptions
+from mocapfix.options import SolveOptions
 from mocapfix.take import Take
 
 BODY = load_cmu31_body()

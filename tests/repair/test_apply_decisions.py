@@ -13,8 +13,8 @@ from mocapfix import pipeline, write
 from mocapfix.changes import compare_samples
 from mocapfix.detect.loop import DetectionState
 from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
-from mocapfix.files.shipped import DEFAULT_INIT_METHOD
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import DEFAULT_INIT_METHOD
+from mocapfix.options import FillOptions
 from mocapfix.read import capture
 from mocapfix.repair import apply_decisions
 from mocapfix.report import review_file
@@ -53,7 +53,7 @@ def muddled_taken(muddled):
     """-> decisions.taken of the muddled take, to be called with touch, only and decided"""
     take = capture.read_capture(muddled.path)
     known, worn_set, _ = pipeline.select_subject(take, None, muddled.subject)
-    how = pipeline.build_settings("none", 1.0, DEFAULT_INIT_METHOD, ())
+    how = pipeline.build_settings(build_clean_options(prior="none"))
     looked, parts, body = pipeline.detect_and_fit(take, worn_set, known, how, lambda fault: True, StageTimer())
     assert body
     whole, _, ways = pipeline.fill_gaps(looked, parts, body, FillOptions())
@@ -70,7 +70,7 @@ def test_one_of_each_is_wrong_and_all_of_it_is_put_right(muddled):
 
 @pytest.mark.parametrize("rejected", [(GAP, SWAP, LOOSE), (SPIKE, FRAGMENT, INSIDE), tuple(WRONG)], ids=["these", "those", "all"])
 def test_what_is_rejected_is_not_made_and_nothing_else_differs(muddled, tmp_path, rejected):
-    result, output = again(muddled, tmp_path, changes=decided(muddled, tmp_path, reject=rejected))
+    result, output = again(muddled, tmp_path, review_files=decided(muddled, tmp_path, reject=rejected))
     accepted = set(WRONG) - set(rejected)
     assert differing(muddled.path, output) == touched(accepted)
     inside = {("LWRB", 250, 250)} if INSIDE in rejected and SWAP in accepted else set()
@@ -100,7 +100,7 @@ def test_any_of_them_may_be_rejected_and_only_some_kinds_asked_for(muddled, mudd
 
 
 def test_what_is_kept_is_believed(muddled, tmp_path):
-    result, output = again(muddled, tmp_path, changes=decided(muddled, tmp_path, keep=[SPIKE, SWAP]))
+    result, output = again(muddled, tmp_path, review_files=decided(muddled, tmp_path, keep=[SPIKE, SWAP]))
     assert differing(muddled.path, output) == touched({GAP, FRAGMENT, LOOSE})
     assert {fault.kind for fault in result.faults.items} == {"gap", "fragment"}
     labels, error = result.input_take.labels, result.residual_m
@@ -113,10 +113,10 @@ def test_what_is_kept_is_believed(muddled, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "made"),
     [
-        ({"only": ("gap",)}, {GAP}),
-        ({"only": ("spike", "fragment")}, {SPIKE, FRAGMENT, LOOSE}),
-        ({"options": FillOptions(keep=("LWRB", "RFHD"))}, {SPIKE, GAP, LOOSE}),
-        ({"options": FillOptions(frames=(FIRST + 30, FIRST + 260))}, {GAP, FRAGMENT, LOOSE}),
+        ({"repair_kinds": ("gap",)}, {GAP}),
+        ({"repair_kinds": ("spike", "fragment")}, {SPIKE, FRAGMENT, LOOSE}),
+        ({"keep": ("LWRB", "RFHD")}, {SPIKE, GAP, LOOSE}),
+        ({"frames": (FIRST + 30, FIRST + 260)}, {GAP, FRAGMENT, LOOSE}),
     ],
     ids=["gaps", "two kinds", "one of a swapped pair", "frames that cut a swap"],
 )

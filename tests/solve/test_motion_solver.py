@@ -12,7 +12,7 @@ from mocapfix.pose_prior import io, mean_pose
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver, occluded_joints
-from mocapfix.solve.motion_solver import SolveOptions
+from mocapfix.options import SolveOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import WriteError
-from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.options import RIG_NAMES
 from mocapfix.motion import Motion
 from mocapfix.read.bvh import read_bvh
 from mocapfix.skeleton import load_cmu31_body

@@ -12,7 +12,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 from tests.conftest import as_c3d
 
-CAPTURES = Path(__file__).resolve().parents[2] / "shared" / "data" / "captures"
+CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU = marker_sets.load_marker_set("cmu41")
 WHOLE = synthetic.compose_take(seed=8, seconds=5.0, rate=25.0)
 NAMES = {"KNE": "knee lat", "WRA": "wrist radius", "WRB": "wrist ulna", "HEE": "Ferse"}

@@ -5,7 +5,7 @@ import pytest
 
 from mocapfix.marker_sets import load_shipped_marker_sets
 from mocapfix.skeleton import load_cmu31_body
-from tests.marker_set.sides import other_side
+from tests.marker_sets.sides import other_side
 
 EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
 BONES = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Arm", "ForeArm", "UpLeg", "Leg", "Foot")]

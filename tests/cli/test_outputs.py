@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from mocapfix.files.shipped import RIG_NAMES
+from mocapfix.options import RIG_NAMES
 from mocapfix.write.output_formats import OPTIONAL_FORMATS
 
 

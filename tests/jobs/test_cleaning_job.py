@@ -4,9 +4,9 @@ import pytest
 
 from mocapfix.errors import SceneError
 from mocapfix.files import shipped
-from mocapfix.fill.gap_filling import FillOptions
+from mocapfix.options import FillOptions
 from mocapfix.jobs import cleaning_job
-from mocapfix.write.output_options import OutputOptions
+from mocapfix.options import OutputOptions
 
 SHIPPED = shipped.find_shipped_folder("scenes")
 
@@ -27,7 +27,7 @@ def test_what_is_left_out_is_as_the_command_line_has_it(scene):
     said = cleaning_job.read_cleaning_job(scene(""))
     assert said.fill_options == FillOptions()
     assert said.output_options == OutputOptions()
-    assert (said.prior.name, said.start) == (shipped.DEFAULT_PRIOR_NAME, shipped.DEFAULT_INIT_METHOD)
+    assert (said.prior.name, said.start) == (DEFAULT_PRIOR_NAME, DEFAULT_INIT_METHOD)
 
 
 def test_the_session_that_ships_shows_every_key_as_it_is_when_left_out(scene):
