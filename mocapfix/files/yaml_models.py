@@ -95,17 +95,26 @@ class InlineMapping(dict[str, Any]):
     """A mapping that is written on one line, such as that of a bone or a marker."""
 
 
-def dump_yaml(data: Mapping[str, Any]) -> str:
+class InlineSequence(list[Any]):
+    """A list that is written on one line, such as the labels of a change."""
+
+
+def dump_yaml(data: Mapping[str, Any], max_line_length: int = MAX_LINE_LENGTH) -> str:
     """Return the YAML text of a mapping, with the keys in its order."""
-    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=MAX_LINE_LENGTH, allow_unicode=True)
+    return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=max_line_length, allow_unicode=True)
 
 
 class _YamlDumper(yaml.SafeDumper):
-    """PyYAML's safe writer, extended by InlineMapping."""
+    """PyYAML's safe writer, extended by InlineMapping and InlineSequence."""
 
 
 def _represent_inline(dumper: yaml.SafeDumper, mapping: InlineMapping) -> yaml.MappingNode:
     return dumper.represent_mapping("tag:yaml.org,2002:map", mapping, flow_style=True)
 
 
+def _represent_inline_sequence(dumper: yaml.SafeDumper, sequence: InlineSequence) -> yaml.SequenceNode:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", sequence, flow_style=True)
+
+
 _YamlDumper.add_representer(InlineMapping, _represent_inline)
+_YamlDumper.add_representer(InlineSequence, _represent_inline_sequence)

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from pydantic import Field
 
 from mocapfix.changes import Change, Decision, SampleState, list_affected_markers
 from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING_KINDS, SHIFT_KINDS, Fault, FaultKind
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.files.yaml_models import StrictModel, read_yaml_model
+from mocapfix.files.yaml_models import InlineSequence, StrictModel, dump_yaml, read_yaml_model
 from mocapfix.report.report import ChangeEntry
 from mocapfix.take import Take
 
@@ -23,7 +22,7 @@ REVIEW_FILE_HEADER = """\
 #   reject  do not apply the change; the samples stay as they were, and nothing else is affected
 #   keep    do not apply the change; leave the samples as they are and use them in the solve
 """
-REVIEW_FILE_WIDTH = 120  # characters a line
+REVIEW_FILE_LINE_LENGTH = 120  # characters
 
 
 class _IntervalStateModel(StrictModel):
@@ -114,11 +113,10 @@ def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -
     Raises WriteError if the folder cannot be written; an existing file stays as it is then.
     """
     last_frame = take.get_frame_number(take.frame_count - 1)
-    data = {"take": take.name, "frames": [take.first_frame, last_frame], "changes": serialize_changes(changes)}
+    entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in serialize_changes(changes)]
+    data = {"take": take.name, "frames": InlineSequence([take.first_frame, last_frame]), "changes": entries}
     with replace_atomically(Path(path)) as part:
-        text = REVIEW_FILE_HEADER + yaml.dump(
-            data, Dumper=_ReviewFileDumper, sort_keys=False, allow_unicode=True, width=REVIEW_FILE_WIDTH
-        )
+        text = REVIEW_FILE_HEADER + dump_yaml(data, REVIEW_FILE_LINE_LENGTH)
         part.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -210,14 +208,3 @@ def build_fault_filter(take: Take, reviewed_changes: Sequence[ReviewedChange]) -
         return not kept[fault.frame_slice][:, list_affected_markers(fault, count)].any()
 
     return is_accepted
-
-
-class _ReviewFileDumper(yaml.SafeDumper):
-    """YAML writer with lists of scalars on one line."""
-
-
-def _represent_list(dumper: yaml.SafeDumper, data: list) -> yaml.Node:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=not any(isinstance(each, dict) for each in data))
-
-
-_ReviewFileDumper.add_representer(list, _represent_list)

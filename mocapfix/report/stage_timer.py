@@ -1,6 +1,6 @@
 """Wall-clock time of each processing stage."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -20,7 +20,7 @@ class StageTimer:
     report_progress: ProgressCallback | None = None
 
     @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
+    def __call__(self, stage: str) -> Generator[None]:
         """Time the enclosed block as `stage`."""
         if self.report_progress:
             self.report_progress(stage)

@@ -55,11 +55,13 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
     input_state = classify_input_samples(before.visible[frame], outcome)
     body = comparison.joint_position_world[frame] if comparison.joint_position_world is not None else np.empty((0, 3))
     body = body if np.isfinite(body).all() else np.empty((0, 3))
-    has_body = skeleton is not None and len(body) > 0
-    left = _find_left_direction(skeleton, body) if has_body else _find_widest_direction(after.markers[frame])
+    if skeleton is not None and len(body):
+        left = _find_left_direction(skeleton, body)
+    else:
+        left = _find_widest_direction(after.markers[frame])
     view = _fit_view(before.markers[frame], after.markers[frame], body, left)
     floor = view.draw_floor()
-    bones = view.draw_bones(skeleton, body) if has_body else ""
+    bones = view.draw_bones(skeleton, body) if skeleton is not None and len(body) else ""
     points = comparison.terms.points
     return (
         view.render_svg(floor + view.draw_markers(before.markers[frame], input_state, before.labels), f"{points} before"),
