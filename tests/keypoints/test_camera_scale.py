@@ -18,8 +18,8 @@ def test_level_camera_image_axes():
 
 
 @given(st.floats(-1.5, 1.5))
-def test_camera_axes_are_right_handed(down):
-    rotation = build_camera_rotation(down)
+def test_camera_axes_are_right_handed(pitch_rad):
+    rotation = build_camera_rotation(pitch_rad)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
 
@@ -34,7 +34,7 @@ def test_scale_does_not_depend_on_the_frames_offsets(seed, scale):
     rng = np.random.default_rng(seed)
     flat, weight = rng.normal(size=(4, 9, 2)), rng.uniform(0, 1, (4, 9))
     pixels = scale * flat + rng.normal(0, 300, (4, 1, 2))
-    pixels[weight < 0.2], weight[weight < 0.2] = 1e6, 0.0  # what does not count may be anything
+    pixels[weight < 0.2], weight[weight < 0.2] = 1e6, 0.0  # samples without weight are ignored
     assert fit_camera_scale(flat, pixels, weight) == pytest.approx(scale)
 
 
@@ -56,14 +56,14 @@ def test_coincident_points_give_no_scale():
 @pytest.mark.parametrize("echo", [0.0, 0.5, 0.9])
 @pytest.mark.parametrize("start", [60.0, 170.0, 200.0, 420.0])
 def test_slowly_converging_scale_is_found(echo, start):
-    asked = []
+    evaluated = []
 
-    def answer(scale):
-        asked.append(scale)
+    def estimate(scale):
+        evaluated.append(scale)
         return 200 * (scale / 200) ** echo
 
-    assert solve_camera_scale(answer, start) == pytest.approx(200, rel=0.03)
-    assert len(asked) <= 12
+    assert solve_camera_scale(estimate, start) == pytest.approx(200, rel=0.03)
+    assert len(evaluated) <= 12
 
 
 def test_noisy_scale_estimates_do_not_diverge():

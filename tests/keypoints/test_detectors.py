@@ -14,14 +14,14 @@ BODY_25 = (
 PAIRS = ("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
-def rest(name: str) -> tuple[detectors.KeypointDetector, np.ndarray]:
-    """-> a detector and its points (V, 3) on the average body in its T-pose"""
+def load_on_rest_pose(name: str) -> tuple[detectors.KeypointDetector, np.ndarray]:
+    """Return a detector and its points (V, 3) on the average body in its T-pose."""
     skeleton = load_cmu31_body().skeleton
     joints = np.zeros((31, 3))
     for j in range(1, 31):
         joints[j] = joints[skeleton.parents[j]] + skeleton.offsets[j]
-    known = detectors.load_detector(name, skeleton)
-    return known, joints[known.joints] + known.offsets
+    detector = detectors.load_detector(name, skeleton)
+    return detector, joints[detector.joints] + detector.offsets
 
 
 def test_points_are_in_the_detectors_order():
@@ -33,17 +33,17 @@ def test_points_are_in_the_detectors_order():
 
 @pytest.mark.parametrize("name", ["openpose", "coco"])
 def test_left_mirrors_right(name):
-    known, points = rest(name)
+    detector, points = load_on_rest_pose(name)
     other = {"L": "R", "l": "r"}
-    for label, point in zip(known.labels, points, strict=True):
+    for label, point in zip(detector.labels, points, strict=True):
         twin = label.replace("left", "right") if name == "coco" else other.get(label[0], label[0]) + label[1:]
-        if twin in known.labels and twin != label:
-            np.testing.assert_allclose(points[known.labels.index(twin)], point * [-1, 1, 1], atol=1e-12)
+        if twin in detector.labels and twin != label:
+            np.testing.assert_allclose(points[detector.labels.index(twin)], point * [-1, 1, 1], atol=1e-12)
 
 
 def test_t_pose_points_are_anatomical():
-    known, points = rest("openpose")
-    at = dict(zip(known.labels, points, strict=True))
+    detector, points = load_on_rest_pose("openpose")
+    at = dict(zip(detector.labels, points, strict=True))
     for above, below in pairwise(("LEye", "Nose", "Neck", "LShoulder", "LHip", "LKnee", "LAnkle", "LHeel")):
         assert at[above][1] > at[below][1]
     assert at["Nose"][2] > at["LEye"][2] > at["LEar"][2]  # it faces +Z
@@ -53,13 +53,13 @@ def test_t_pose_points_are_anatomical():
 
 
 def test_both_detectors_agree_on_shared_points():
-    (coco, points), (openpose, others) = rest("coco"), rest("openpose")
+    (coco, points), (openpose, others) = load_on_rest_pose("coco"), load_on_rest_pose("openpose")
     for label, twin in (("nose", "Nose"), ("left_wrist", "LWrist"), ("right_hip", "RHip"), ("right_ankle", "RAnkle")):
         np.testing.assert_array_equal(points[coco.labels.index(label)], others[openpose.labels.index(twin)])
 
 
 def test_unknown_detector_error_lists_the_known_ones():
-    with pytest.raises(SceneError, match=r"no order of keypoints named 'mpii'; choose one of: coco, openpose"):
+    with pytest.raises(SceneError, match=r"Unknown keypoint order 'mpii'; choose one of: coco, openpose"):
         detectors.load_detector("mpii", load_cmu31_body().skeleton)
 
 
@@ -75,7 +75,6 @@ def test_invalid_detector_file_error_names_the_key(tmp_path, monkeypatch, old, n
     text = (detectors.find_shipped_folder("scenes") / "keypoints" / "openpose.yaml").read_text(encoding="utf-8")
     (tmp_path / "keypoints").mkdir()
     (tmp_path / "keypoints" / "mine.yaml").write_text(text.replace(old, new), encoding="utf-8")
-    monkeypatch.setattr("mocapfix.files.shipped.find_shipped_folder", lambda _: tmp_path)
-    monkeypatch.setattr(detectors, "folder", lambda _: tmp_path)
+    monkeypatch.setattr(detectors, "find_shipped_folder", lambda _: tmp_path)
     with pytest.raises(SceneError, match=message):
         detectors.load_detector("mine", load_cmu31_body().skeleton)

@@ -1,4 +1,4 @@
-"""Motion and camera of a composed film; every solve is of one kind, so that it compiles once."""
+"""Motion and camera of an example film; every solve has the same terms, so that it compiles once."""
 
 import json
 from dataclasses import replace
@@ -17,23 +17,25 @@ SKELETON = load_cmu31_body().skeleton
 MODEL = io.load_pose_model("pca", SKELETON)
 
 
-def error(found, truth):
-    """-> (T,) metres: mean distance of joints (T, J, 3) seen from the root"""
+def compute_error_m(found, truth):
+    """Mean distances (T,) of joints (T, J, 3) relative to the root."""
     return np.linalg.norm((found - found[:, :1]) - (truth - truth[:, :1]), axis=-1).mean(axis=1)
 
 
 @pytest.fixture(scope="module")
 def composed(tmp_path_factory):
-    """-> keypoints, true joints, true camera"""
-    said, joints, camera = example_film.compose_example_film("openpose", 1.0, RATE)
+    """Keypoints, true joints and true camera."""
+    film, joints, camera = example_film.compose_example_film("openpose", 1.0, RATE)
     path = tmp_path_factory.mktemp("film") / "film.json"
-    path.write_text(json.dumps(said), encoding="utf-8")
+    path.write_text(json.dumps(film), encoding="utf-8")
     return keypoint_file.read_keypoints(path, SKELETON), joints, camera
 
 
-def sight_of(keypoints):
-    weight = np.where(keypoints.confidence > 0, keypoints.confidence / keypoints.detector.sd, 0.0) ** 2
-    return ReprojectionProblem(SKELETON, keypoints.detector, MODEL, 1.0, build_camera_rotation(0.0), keypoints.pixels, weight)
+def build_problem(keypoints):
+    weight = np.where(keypoints.confidence > 0, keypoints.confidence / keypoints.detector.sd_m, 0.0) ** 2
+    return ReprojectionProblem(
+        SKELETON, keypoints.detector, MODEL, 1.0, build_camera_rotation(0.0), keypoints.position_px, weight
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,31 +43,31 @@ def solved(composed):
     return film_solver.solve_film(composed[0], RATE, SKELETON, MODEL, build_camera_rotation(0.0))
 
 
-def placed(keypoints, motion):
-    return sight_of(keypoints).compute_positions(motion.root, motion.mean_rotations)
+def compute_positions(keypoints, motion):
+    return build_problem(keypoints).compute_positions(motion.root_position, motion.local_rotations)
 
 
 def test_motion_and_camera_are_estimated_together(composed, solved):
     keypoints, joints, camera = composed
     motion, found = solved
-    at, points = placed(keypoints, motion)
-    assert found.scale == pytest.approx(camera.scale, rel=0.03)
-    assert error(at, joints).mean() < 0.08
-    distance = np.linalg.norm(found.image(points) - keypoints.pixels, axis=-1)[keypoints.confidence > 0]
+    at, points = compute_positions(keypoints, motion)
+    assert found.scale_px_m == pytest.approx(camera.scale_px_m, rel=0.03)
+    assert compute_error_m(at, joints).mean() < 0.08
+    distance = np.linalg.norm(found.project(points) - keypoints.position_px, axis=-1)[keypoints.confidence > 0]
     assert distance.mean() < 5.0
 
 
 def test_body_stands_on_the_floor_above_the_origin(composed, solved):
-    at, _ = placed(composed[0], solved[0])
+    at, _ = compute_positions(composed[0], solved[0])
     assert at[..., 1].min() == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(solved[0].root[0, [0, 2]], 0, atol=1e-9)
+    np.testing.assert_allclose(solved[0].root_position[0, [0, 2]], 0, atol=1e-9)
 
 
 def test_image_size_does_not_change_the_motion(composed, solved):
-    keypoints = replace(composed[0], pixels=3 * composed[0].pixels + [50.0, -20.0])
+    keypoints = replace(composed[0], position_px=3 * composed[0].position_px + [50.0, -20.0])
     motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
-    assert camera.scale_px_m == pytest.approx(3 * solved[1].scale, rel=0.01)
-    np.testing.assert_allclose(placed(keypoints, motion)[0], placed(keypoints, solved[0])[0], atol=0.02)
+    assert camera.scale_px_m == pytest.approx(3 * solved[1].scale_px_m, rel=0.01)
+    np.testing.assert_allclose(compute_positions(keypoints, motion)[0], compute_positions(keypoints, solved[0])[0], atol=0.02)
 
 
 def test_frame_without_keypoints_is_interpolated(composed, solved):
@@ -73,36 +75,38 @@ def test_frame_without_keypoints_is_interpolated(composed, solved):
     confidence[4:6] = 0.0
     keypoints = replace(composed[0], confidence=confidence)
     motion, _ = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
-    at, was = placed(keypoints, motion)[0], placed(keypoints, solved[0])[0]
-    assert error(at, was)[4:6].max() < 0.12
-    assert np.abs(motion.root_position - solved[0].root)[4:6].max() < 0.05
+    found, expected = compute_positions(keypoints, motion)[0], compute_positions(keypoints, solved[0])[0]
+    assert compute_error_m(found, expected)[4:6].max() < 0.12
+    assert np.abs(motion.root_position - solved[0].root_position)[4:6].max() < 0.05
 
 
 def test_single_image_is_solved(composed):
-    one = replace(composed[0], pixels=composed[0].pixels[:1], confidence=composed[0].confidence[:1])
+    one = replace(composed[0], position_px=composed[0].position_px[:1], confidence=composed[0].confidence[:1])
     motion, camera = film_solver.solve_film(one, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
     assert motion.frame_count == 1
-    assert camera.scale_px_m == pytest.approx(composed[2].scale, rel=0.15)
-    assert error(placed(one, motion)[0], composed[1][:1])[0] < 0.15
+    assert camera.scale_px_m == pytest.approx(composed[2].scale_px_m, rel=0.15)
+    assert compute_error_m(compute_positions(one, motion)[0], composed[1][:1])[0] < 0.15
 
 
 def test_outlier_keypoints_hardly_change_the_motion(composed, solved):
-    pixels = composed[0].pixels.copy()
-    pixels[::4, 4] += [150.0, 60.0]  # right wrists
-    keypoints = replace(composed[0], pixels=pixels)
+    position_px = composed[0].position_px.copy()
+    position_px[::4, 4] += [150.0, 60.0]  # right wrists
+    keypoints = replace(composed[0], position_px=position_px)
     motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
-    assert camera.scale_px_m == pytest.approx(solved[1].scale, rel=0.03)
-    assert error(placed(keypoints, motion)[0], composed[1]).mean() < 0.09
+    assert camera.scale_px_m == pytest.approx(solved[1].scale_px_m, rel=0.03)
+    assert compute_error_m(compute_positions(keypoints, motion)[0], composed[1]).mean() < 0.09
 
 
 def test_robust_weight_decreases_with_distance(composed):
-    sight, scale = sight_of(composed[0]), 180.0
-    points = np.zeros((*sight.weight.shape, 3))
-    points[..., :2] = sight.position_px / scale * [1, -1]
-    np.testing.assert_allclose(sight.compute_robust_weights(scale, points), sight.weight)
-    off = sight.robust_scales_sd[-1] / np.sqrt(np.maximum(sight.weight, 1e-9))  # there, by Geman and McClure, it counts a quarter
+    problem, scale = build_problem(composed[0]), 180.0
+    points = np.zeros((*problem.weight.shape, 3))
+    points[..., :2] = problem.position_px / scale * [1, -1]
+    np.testing.assert_allclose(problem.compute_robust_weights(scale, points), problem.weight)
+    off = problem.robust_scales_sd[-1] / np.sqrt(
+        np.maximum(problem.weight, 1e-9)
+    )  # at the Geman-McClure scale the weight is a quarter
     points[..., 0] += off
-    np.testing.assert_allclose(sight.compute_robust_weights(scale, points), sight.weight / 4)
+    np.testing.assert_allclose(problem.compute_robust_weights(scale, points), problem.weight / 4)
 
 
 def test_transition_cost_depends_on_joint_speed_relative_to_the_root():
@@ -117,11 +121,11 @@ def test_transition_cost_depends_on_joint_speed_relative_to_the_root():
 
 
 def test_headings_differ_in_the_root_only():
-    middle = np.tile(np.eye(3), (31, 1, 1))
-    turned = film_solver.rotate_to_headings(middle)
-    np.testing.assert_array_equal(turned[:, 1:], np.tile(middle[1:], (film_solver.HEADING_COUNT, 1, 1, 1)))
-    ahead = turned[:, 0, :, 2]
-    np.testing.assert_allclose(ahead[:, 1], 0, atol=1e-12)
-    np.testing.assert_allclose(ahead.sum(axis=0), 0, atol=1e-12)
-    np.testing.assert_allclose(ahead[0], [0, 0, 1], atol=1e-12)
-    assert len(turned[0]) == len(load_cmu31_body().skeleton.names)
+    pose = np.tile(np.eye(3), (31, 1, 1))
+    poses = film_solver.rotate_to_headings(pose)
+    np.testing.assert_array_equal(poses[:, 1:], np.tile(pose[1:], (film_solver.HEADING_COUNT, 1, 1, 1)))
+    forward = poses[:, 0, :, 2]
+    np.testing.assert_allclose(forward[:, 1], 0, atol=1e-12)
+    np.testing.assert_allclose(forward.sum(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(forward[0], [0, 0, 1], atol=1e-12)
+    assert len(poses[0]) == len(load_cmu31_body().skeleton.names)

@@ -10,36 +10,36 @@ from mocapfix.skeleton import load_cmu31_body
 SKELETON = load_cmu31_body().skeleton
 
 
-def person(x: float, sure: float = 0.9, points: int = 25, key: str = "pose_keypoints_2d") -> dict:
-    """Somebody all of whose points lie at (x, 2 x)."""
-    return {key: [x, 2 * x, sure] * points}
+def person(x: float, confidence: float = 0.9, points: int = 25, key: str = "pose_keypoints_2d") -> dict:
+    """Return a person with all points at (x, 2 x)."""
+    return {key: [x, 2 * x, confidence] * points}
 
 
 def film(*frames: list[dict], **more) -> dict:
     return {"order": "openpose", "rate": 25, "image": [640, 480], **more, "frames": [{"people": people} for people in frames]}
 
 
-def saved(path, said):
-    path.write_text(said if isinstance(said, str) else json.dumps(said), encoding="utf-8")
+def write_json(path, content):
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
     return path
 
 
 def test_film_file_is_read(tmp_path):
-    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
+    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(3.0)], [person(4.0)])), SKELETON)
     assert (found.frame_count, found.rate_hz, found.image_size_px, found.detector.name) == (2, 25, (640, 480), "openpose")
     np.testing.assert_array_equal(found.position_px[1], [[4.0, 8.0]] * 25)
     np.testing.assert_array_equal(found.confidence, np.full((2, 25), 0.9))
 
 
 def test_coco_people_have_seventeen_points_under_their_key(tmp_path):
-    said = film([person(3.0, points=17, key="keypoints")], order="coco", rate=None, image_size_px=None)
-    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", said), SKELETON)
+    content = film([person(3.0, points=17, key="keypoints")], order="coco", rate=None, image=None)
+    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", content), SKELETON)
     assert (found.position_px.shape, found.rate_hz, found.image_size_px) == ((1, 17, 2), None, None)
 
 
 def test_openpose_folder_is_read_in_order_of_names(tmp_path):
     for name, x in (("b_000002_keypoints.json", 2.0), ("b_000001_keypoints.json", 1.0)):
-        saved(tmp_path / name, {"version": 1.3, "people": [{**person(x), "face_keypoints_2d": []}]})
+        write_json(tmp_path / name, {"version": 1.3, "people": [{**person(x), "face_keypoints_2d": []}]})
     found = keypoint_file.read_keypoints(tmp_path, SKELETON)
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
     one = keypoint_file.read_keypoints(tmp_path / "b_000002_keypoints.json", SKELETON)
@@ -49,7 +49,7 @@ def test_openpose_folder_is_read_in_order_of_names(tmp_path):
 
 def test_one_person_is_tracked_among_several(tmp_path):
     frames = [[person(100.0, 0.3), person(10.0)], [person(11.0, 0.2), person(101.0)], [], [person(102.0), person(12.0)]]
-    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film(*frames)), SKELETON)
+    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film(*frames)), SKELETON)
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [10.0, 11.0, 0.0, 12.0])
     np.testing.assert_array_equal(found.confidence[:, 0], [0.9, 0.2, 0.0, 0.9])
 
@@ -61,43 +61,43 @@ def test_tracking_continues_without_shared_points():
 
 
 def test_confidence_is_clipped_to_one(tmp_path):
-    found = keypoint_file.read_keypoints(saved(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
+    found = keypoint_file.read_keypoints(write_json(tmp_path / "a.json", film([person(1.0, 1.3)])), SKELETON)
     assert found.confidence.max() == 1
 
 
 def test_negative_confidence_is_clipped_to_zero(tmp_path):
     found = keypoint_file.read_keypoints(
-        saved(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON
+        write_json(tmp_path / "a.json", film([person(1.0, 0.2)], [person(8.0, -1.0), person(2.0, 0.2)])), SKELETON
     )
     np.testing.assert_array_equal(found.position_px[:, 0, 0], [1.0, 2.0])
     np.testing.assert_array_equal(found.confidence[:, 0], [0.2, 0.2])
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("content", "message"),
     [
         ("{", r"bad\.json, line 1: is not valid JSON"),
-        ("[]", r"bad\.json: holds neither frames nor people"),
+        ("[]", r"bad\.json: contains neither frames nor people"),
         (film([person(1.0)], order="mpii"), r"bad\.json: order: .*'mpii'; choose one of: coco, openpose"),
         (film([person(1.0)], order=None), r"bad\.json: order: must be one of coco, openpose, not None"),
         (film([person(1.0)], rate=0), r"bad\.json: rate: must be frames a second, more than 0, not 0"),
-        (film([person(1.0)], image_size_px=[640]), r"bad\.json: image: must be \[width, height\] in pixels, not \[640\]"),
+        (film([person(1.0)], image=[640]), r"bad\.json: image: must be \[width, height\] in pixels, not \[640\]"),
         (film(), r"bad\.json: frames: must be a list of at least one frame"),
         (film([person(1.0)], [person(1.0, points=17)]), r"frames\.1: people\.0\.pose_keypoints_2d: .*25 points \(openpose\)"),
-        (film([{"keypoints": []}]), r"frames\.0: people\.0\.pose_keypoints_2d: must hold"),
-        (film([person(float("nan"))]), r"frames\.0: people: holds a number that is not finite"),
+        (film([{"keypoints": []}]), r"frames\.0: people\.0\.pose_keypoints_2d: must contain"),
+        (film([person(float("nan"))]), r"frames\.0: people: contains a number that is not finite"),
         ({"order": "openpose", "frames": [[]]}, r"frames\.0: people: must be a list"),
-        (film([person(10**400)]), r"frames\.0: people\.0\.pose_keypoints_2d: must hold"),  # type: ignore[arg-type]
-        (film([], []), r"bad\.json: nobody was found in any frame"),
+        (film([person(10**400)]), r"frames\.0: people\.0\.pose_keypoints_2d: must contain"),  # type: ignore[arg-type]
+        (film([], []), r"bad\.json: no person was found in any frame"),
     ],
 )
-def test_errors_name_file_frame_and_key(tmp_path, said, message):
+def test_errors_name_file_frame_and_key(tmp_path, content, message):
     with pytest.raises(ReadError, match=message):
-        keypoint_file.read_keypoints(saved(tmp_path / "bad.json", said), SKELETON)
+        keypoint_file.read_keypoints(write_json(tmp_path / "bad.json", content), SKELETON)
 
 
 def test_empty_folder_and_missing_file_are_refused(tmp_path):
-    with pytest.raises(ReadError, match="holds no keypoints"):
+    with pytest.raises(ReadError, match="contains no keypoints"):
         keypoint_file.read_keypoints(tmp_path, SKELETON)
     with pytest.raises(ReadError, match=r"gone\.json: cannot be read"):
         keypoint_file.read_keypoints(tmp_path / "gone.json", SKELETON)

@@ -1,4 +1,4 @@
-"""What a scene says, and what running it writes."""
+"""Scene files of keypoints, and the files that running them writes."""
 
 import json
 
@@ -14,28 +14,28 @@ TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """-> a folder with a scene of half a second"""
-    place = tmp_path_factory.mktemp("scene")
-    said, _, _ = example_film.compose_example_film("coco", 0.5, 10.0)
-    (place / "film.json").write_text(json.dumps(said), encoding="utf-8")
-    (place / "mine.yaml").write_text(TEXT, encoding="utf-8")
-    return place
+def folder(tmp_path_factory):
+    """A folder with a scene of half a second."""
+    folder = tmp_path_factory.mktemp("scene")
+    film, _, _ = example_film.compose_example_film("coco", 0.5, 10.0)
+    (folder / "film.json").write_text(json.dumps(film), encoding="utf-8")
+    (folder / "mine.yaml").write_text(TEXT, encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="module")
-def result(place):
-    return keypoint_scene.run_keypoint_scene(place / "mine.yaml")
+def result(folder):
+    return keypoint_scene.run_keypoint_scene(folder / "mine.yaml")
 
 
 def test_shipped_scene_is_valid_and_matches_the_example_film():
     path = find_shipped_folder("scenes") / "keypoints-2d.yaml"
-    said = keypoint_scene.read_keypoint_scene(path)
-    found = keypoint_file.read_keypoints(path.parent / said.keypoints, load_cmu31_body().skeleton)
+    film = keypoint_scene.read_keypoint_scene(path)
+    found = keypoint_file.read_keypoints(path.parent / film.keypoints, load_cmu31_body().skeleton)
     composed, _, _ = example_film.compose_example_film("openpose", 6.0, 30.0)
     people = [frame["people"][0]["pose_keypoints_2d"] for frame in composed["frames"]]
     points = np.array(people).reshape(180, 25, 3)
-    np.testing.assert_allclose(found.position_px, points[..., :2], atol=0.11)  # other processors round otherwise
+    np.testing.assert_allclose(found.position_px, points[..., :2], atol=0.11)  # rounding differs between processors
     assert (found.rate_hz, found.image_size_px) == (30.0, (example_film.IMAGE_WIDTH_PX, example_film.IMAGE_HEIGHT_PX))
 
 
@@ -51,36 +51,36 @@ def test_shipped_scene_is_valid_and_matches_the_example_film():
         ("prior: pca", "prior: oracle", r"no trained prior 'oracle'"),
     ],
 )
-def test_invalid_scene_error_names_file_and_key(place, tmp_path, old, new, message):
-    (tmp_path / "film.json").write_bytes((place / "film.json").read_bytes())
+def test_invalid_scene_error_names_file_and_key(folder, tmp_path, old, new, message):
+    (tmp_path / "film.json").write_bytes((folder / "film.json").read_bytes())
     (tmp_path / "mine.yaml").write_text(TEXT.replace(old, new), encoding="utf-8")
     with pytest.raises(SceneError, match=message):
         keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
-def test_film_without_rate_needs_the_scenes_rate(place, tmp_path):
-    said = json.loads((place / "film.json").read_text(encoding="utf-8"))
-    del said["rate"]
-    (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
+def test_film_without_rate_needs_the_scenes_rate(folder, tmp_path):
+    film = json.loads((folder / "film.json").read_text(encoding="utf-8"))
+    del film["rate"]
+    (tmp_path / "film.json").write_text(json.dumps(film), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
-    with pytest.raises(SceneError, match=r"mine\.yaml: rate: must say how many frames a second film\.json has"):
+    with pytest.raises(SceneError, match=r"mine\.yaml: rate: give the frames per second of film\.json"):
         keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("damage", "message"),
     [
-        (lambda points: points * [1, 1, 0.05], "In no frame are 4 keypoints found with a confidence of 0.1 and more"),
-        (lambda points: points * [0, 0, 1], "The keypoints tell no size of a body"),
-        (lambda points: points * [1, -1, 1], "The keypoints tell no size of a body"),
+        (lambda points: points * [1, 1, 0.05], "No frame has 4 keypoints with a confidence of 0.1 or more"),
+        (lambda points: points * [0, 0, 1], "The keypoints do not determine the size of a body"),
+        (lambda points: points * [1, -1, 1], "The keypoints do not determine the size of a body"),
     ],
 )
-def test_keypoints_that_determine_no_body_are_refused(place, tmp_path, spoil, message):
-    said = json.loads((place / "film.json").read_text(encoding="utf-8"))
-    for frame in said["frames"]:
+def test_keypoints_that_determine_no_body_are_refused(folder, tmp_path, damage, message):
+    film = json.loads((folder / "film.json").read_text(encoding="utf-8"))
+    for frame in film["frames"]:
         for person in frame["people"]:
-            person["keypoints"] = spoil(np.reshape(person["keypoints"], (-1, 3))).ravel().tolist()
-    (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
+            person["keypoints"] = damage(np.reshape(person["keypoints"], (-1, 3))).ravel().tolist()
+    (tmp_path / "film.json").write_text(json.dumps(film), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(TEXT, encoding="utf-8")
     with pytest.raises(TakeError, match=message):
         keypoint_scene.run_keypoint_scene(tmp_path / "mine.yaml")
@@ -100,7 +100,7 @@ def test_result_writes_motion_page_report_and_recording(result, tmp_path):
     assert "&lt;Mine&gt;" in page
     assert "<Mine>" not in page
     report = json.loads(outputs["report.json"].read_text(encoding="utf-8"))
-    assert report["camera"]["pixels_per_metre"] == round(result.camera.scale, 3)
+    assert report["camera"]["pixels_per_metre"] == round(result.camera.scale_px_m, 3)
     assert sum(report["status"].values()) == report["frames"] == 5
     assert outputs["rrd"].stat().st_size > 1000
     with pytest.raises(WriteError, match=r"mine\.bvh: is there already"):
@@ -109,11 +109,13 @@ def test_result_writes_motion_page_report_and_recording(result, tmp_path):
 
 
 def test_report_contains_reprojection_errors(result):
-    pixels, sure = result.keypoints.position_px, result.keypoints.confidence > 0
-    assert np.isnan(result.distance[~sure]).all()
-    images = result.camera.image_size_px(result.joints)
+    pixels, is_found = result.keypoints.position_px, result.keypoints.confidence > 0
+    assert np.isnan(result.reprojection_error_px[~is_found]).all()
+    images = result.camera.project(result.joint_positions)
     wrist, elbow = (result.keypoints.detector.labels.index(f"left_{name}") for name in ("wrist", "elbow"))
-    joint = result.skeleton.index("LeftForeArm")
-    apart = np.linalg.norm(images[:, joint] - pixels[:, elbow], axis=-1)  # whose place is the joint itself
-    np.testing.assert_allclose(result.distance[sure[:, elbow], elbow], apart[sure[:, elbow]])
-    assert result.report["reprojection_px"]["by_keypoint"]["left_wrist"] == round(float(np.nanmean(result.distance[:, wrist])), 2)
+    joint = result.skeleton.find_joint("LeftForeArm")
+    distance = np.linalg.norm(images[:, joint] - pixels[:, elbow], axis=-1)  # whose folder is the joint itself
+    np.testing.assert_allclose(result.reprojection_error_px[is_found[:, elbow], elbow], distance[is_found[:, elbow]])
+    assert result.report["reprojection_px"]["by_keypoint"]["left_wrist"] == round(
+        float(np.nanmean(result.reprojection_error_px[:, wrist])), 2
+    )
