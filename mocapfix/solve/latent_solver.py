@@ -30,7 +30,7 @@ def build_latent_term(
         np.full(len(scaled_codes), stiffness),
         batch_rows,
     )
-    each = {name: np.repeat(getattr(term, name), times, axis=0) for name in ("decoded", "jacobian", "at", "curvature")}
+    each = {name: np.repeat(getattr(term, name), times, axis=0) for name in ("decoded", "jacobian", "code", "curvature")}
     return term._replace(**each)
 
 
@@ -101,7 +101,7 @@ class LatentSolver:
             rows, at, bent = self.batch_rows[frames], self.scaled_codes[frames], self.model.bent
             latent.decoded[rows], slopes = self.model.linearise(self.prior_scale * at)
             latent.jacobian[rows, ..., :bent] = self.prior_scale * slopes[..., :bent]
-            latent.at[rows], latent.hold[rows], self.is_jacobian_stale[frames] = at, self.code_stiffness[frames], False
+            latent.code[rows], latent.code_weight[rows], self.is_jacobian_stale[frames] = at, self.code_stiffness[frames], False
             update_code_curvature(latent, rows, bent)
         return said
 

@@ -103,7 +103,7 @@ def test_result_writes_motion_page_report_and_recording(result, tmp_path):
     assert report["camera"]["pixels_per_metre"] == round(result.camera.scale_px_m, 3)
     assert sum(report["status"].values()) == report["frames"] == 5
     assert outputs["rrd"].stat().st_size > 1000
-    with pytest.raises(WriteError, match=r"mine\.bvh: is there already"):
+    with pytest.raises(WriteError, match=r"mine\.bvh: already exists"):
         result.write(tmp_path / "out")
     result.write(tmp_path / "out", overwrite=True)
 
