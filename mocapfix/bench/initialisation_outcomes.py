@@ -14,9 +14,9 @@ import numpy as np
 
 from mocapfix.bench.initialisation_takes import InitialisationTake
 from mocapfix.bench.uncertainty import find_informative_markers
-from mocapfix.kernels.levenberg_marquardt import STATUS_ITERATION_LIMIT, compute_cost_frames
+from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.terms import count_rows
-from mocapfix.motion import Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import mean_pose as prior
 from mocapfix.pose_prior.joint_limits import load_joint_limits
@@ -80,7 +80,7 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
         for pose in ((root, local, iterations), (motion.root, motion.rotations, motion.iterations))
     )
     return StartOutcome(
-        compute_marker_error(markers, case.take), joints, alone, whole, status == STATUS_ITERATION_LIMIT,
+        compute_marker_error(markers, case.take), joints, alone, whole, status == FrameStatus.ITERATION_LIMIT,
         (median(times[0]), median(times[1])),
     )  # fmt: skip
 

@@ -13,8 +13,14 @@ from mocapfix.kernels import low_rank, sweep
 from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics, copy_array
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.workspace import allocate_workspace, copy_pose, load_pose, store_pose
+from mocapfix.motion import FrameStatus
 
-STATUS_CONVERGED, STATUS_ITERATION_LIMIT, STATUS_EXACT, STATUS_UNCONSTRAINED = 0, 1, 4, 5  # values of motion.FrameStatus
+# Numba compiles these as plain integers.
+CONVERGED = int(FrameStatus.CONVERGED)
+ITERATION_LIMIT = int(FrameStatus.ITERATION_LIMIT)
+EXACT = int(FrameStatus.EXACT)
+UNCONSTRAINED = int(FrameStatus.UNCONSTRAINED)
+
 INITIAL_DAMPING_RATIO = 1e-5  # initial damping over the largest curvature, for good starts (levmar: 1e-3 for poor ones)
 MIN_COST_DECREASE = 1e-3  # a predicted decrease of the cost (half a sum of squares in standard deviations) below it is negligible
 MIN_COST = 1e-12  # a cost below it is rounding error
@@ -102,11 +108,11 @@ def solve_frame(tree, terms, t, scales2, damping_ratio, max_iterations, work):
     max_iterations  at each scale
     """
     pose, trial_pose, equations = work.pose, work.trial_pose, work.equations
-    total, status = 0, STATUS_ITERATION_LIMIT
+    total, status = 0, ITERATION_LIMIT
     compute_forward_kinematics(tree, pose)
     for scale2 in scales2:
         copy_pose(pose, trial_pose)
-        status, iterations, cost, predicted = STATUS_ITERATION_LIMIT, 0, 0.0, 0.0
+        status, iterations, cost, predicted = ITERATION_LIMIT, 0, 0.0, 0.0
         damping, growth, is_trial = -1.0, 2.0, False
         while True:
             trial_cost = linearise_terms(tree, terms, t, scale2, trial_pose, equations)
@@ -122,20 +128,20 @@ def solve_frame(tree, terms, t, scales2, damping_ratio, max_iterations, work):
                 continue
             if damping < 0.0:
                 if not is_constrained(equations):
-                    return STATUS_UNCONSTRAINED, total
+                    return UNCONSTRAINED, total
                 damping = damping_ratio * find_largest_curvature(equations)
             cost = trial_cost
             if cost < MIN_COST:
-                status = STATUS_EXACT
+                status = EXACT
                 break
             iterations += 1
             predicted = compute_direction(tree, work, damping)
             if not math.isfinite(predicted):
-                return STATUS_UNCONSTRAINED, total + iterations
+                return UNCONSTRAINED, total + iterations
             apply_step(tree, pose, work.step, trial_pose)
             compute_forward_kinematics(tree, trial_pose)
             if predicted < MIN_COST_DECREASE:
-                status = STATUS_CONVERGED
+                status = CONVERGED
                 if growth == 2.0:  # after a rejection even a negligible step is not accepted unchecked
                     copy_pose(trial_pose, pose)
                 break

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import MIN_COST_DECREASE, STATUS_ITERATION_LIMIT, compute_cost_frames, solve_frames
+from mocapfix.kernels.levenberg_marquardt import MIN_COST_DECREASE, compute_cost_frames, solve_frames
 from mocapfix.kernels.terms import LatentCodeTerm, count_rows
 from mocapfix.kernels.terms.latent_code import update_code_curvature, update_linearisations
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.solve.frame_order import order_independently
 
@@ -66,7 +67,7 @@ class LatentSolver:
         self.root, self.local_rotations, self.scaled_codes = (
             np.array(each, float, order="C") for each in (root, local, codes / scale)
         )
-        self.status, self.iterations = np.full(len(root), STATUS_ITERATION_LIMIT), np.zeros(len(root), int)
+        self.status, self.iterations = np.full(len(root), FrameStatus.ITERATION_LIMIT), np.zeros(len(root), int)
         self.cost, self.code_stiffness, self.batch_rows = (
             np.zeros(len(root)),
             np.full(len(root), INITIAL_CODE_STIFFNESS),
@@ -82,7 +83,7 @@ class LatentSolver:
             self.run_round(said, tau, scales2, min(MAX_ROUND_ITERATIONS, most), batch)
             if watch:
                 watch(self.root, self.local_rotations, self.prior_scale * self.scaled_codes)
-            batch = batch[(self.status[batch] == STATUS_ITERATION_LIMIT) & (self.iterations[batch] < most)]
+            batch = batch[(self.status[batch] == FrameStatus.ITERATION_LIMIT) & (self.iterations[batch] < most)]
             tau, scales2, said = RESTART_CODE_DAMPING, scales2[-1:], self.relinearise(said, batch) if len(batch) else said
 
     def linearise(self, batch: np.ndarray) -> tuple:
@@ -140,4 +141,4 @@ class LatentSolver:
         self.cost[batch] -= np.where(worse, 0.0, fall)
         self.is_jacobian_stale[batch[worse]] = True
         self.code_stiffness[batch[failed]] *= CODE_STIFFNESS_GROWTH
-        self.status[batch[failed | (fall > MIN_ROUND_COST_DECREASE)]] = STATUS_ITERATION_LIMIT
+        self.status[batch[failed | (fall > MIN_ROUND_COST_DECREASE)]] = FrameStatus.ITERATION_LIMIT

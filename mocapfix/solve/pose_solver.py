@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import STATUS_ITERATION_LIMIT
 from mocapfix.kernels.terms import LatentCodeTerm, ScalarTerm, TrackingTerm
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.mixture import MixtureModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.solve.latent_solver import INITIAL_CODE_DAMPING, LatentSolver, SolverCallback, build_latent_term
@@ -54,7 +54,7 @@ class MixtureSolver(LatentSolver):
         now = self.mixture.select_components(
             compute_pose_vectors(self.local_rotations[batch], self.mean_rotations)
         ).component_index
-        self.status[batch[now != self.component_index[batch]]] = STATUS_ITERATION_LIMIT
+        self.status[batch[now != self.component_index[batch]]] = FrameStatus.ITERATION_LIMIT
 
 
 # MERGED: mocapfix.solve.natural

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED
 from mocapfix.kernels.sweep import MIN_INFORMATION
 from mocapfix.kernels.terms import TrackingTerm
+from mocapfix.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import foretold, solved, worked
 
@@ -76,7 +76,7 @@ def test_errors_are_as_large_as_predicted():
     prior = TrackingTerm(frame.local[None].copy(), weight, frame.root[None].copy(), np.array([root_sd**-2]))
     problem = frame._replace(terms=random_terms.terms(joints, frames, points=seen, courses=prior))
     root_found, found, shared, status, _ = solved(problem, PLAIN, frames)
-    assert (status == STATUS_CONVERGED).all()
+    assert (status == FrameStatus.CONVERGED).all()
     marker_sd, joint_sd, joint_var, root_var = foretold(problem, np.inf, root_found, found, shared)
 
     def agree(errors, sd):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_EXACT, STATUS_ITERATION_LIMIT, STATUS_UNCONSTRAINED
+from mocapfix.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import foretold, solved
 
@@ -45,7 +45,7 @@ def assert_finite(frame, ends):
     """The ends of all frames are poses with a status."""
     root, local, _, status, _ = ends
     joints, fixed = len(frame.local), ~frame.tree.free
-    assert np.isin(status, [STATUS_CONVERGED, STATUS_ITERATION_LIMIT, STATUS_EXACT, STATUS_UNCONSTRAINED]).all()
+    assert np.isin(status, [FrameStatus.CONVERGED, FrameStatus.ITERATION_LIMIT, FrameStatus.EXACT, FrameStatus.UNCONSTRAINED]).all()
     assert np.isfinite(root).all()
     np.testing.assert_allclose(local @ np.swapaxes(local, 2, 3), np.tile(np.eye(3), (FRAMES, joints, 1, 1)), atol=1e-12)
     np.testing.assert_array_equal(local[:, fixed], np.tile(frame.local[fixed], (FRAMES, 1, 1, 1)))
@@ -66,9 +66,9 @@ def test_frames_with_degenerate_markers(body, scales2, held):
     assert_finite(frame, ends)
     root, local, shared, status, _ = ends
     if held:
-        assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
+        assert status[0] in (FrameStatus.CONVERGED, FrameStatus.EXACT)
     else:
-        assert status[0] == STATUS_UNCONSTRAINED
+        assert status[0] == FrameStatus.UNCONSTRAINED
         np.testing.assert_array_equal(local[0], frame.local)
         np.testing.assert_array_equal(root[0], frame.root)
     unheard = points._replace(weight=points.weight.copy())
@@ -88,7 +88,7 @@ def test_body_without_markers(body):
     frame = frame._replace(terms=random_terms.terms(len(frame.local), FRAMES, points=points))
     ends = solved(frame, ROBUST, FRAMES)
     assert_finite(frame, ends)
-    assert (ends[3] == STATUS_UNCONSTRAINED).all()
+    assert (ends[3] == FrameStatus.UNCONSTRAINED).all()
     sure = foretold(frame, np.inf, *ends[:3])
     assert sure[0].shape == (FRAMES, 0)
     np.testing.assert_allclose(sure[1][:, 0], np.sqrt(1e3))
@@ -110,4 +110,4 @@ def test_start_that_is_not_finite_is_unconstrained(nowhere):
     frame, points = strange(np.random.default_rng(10), usual(np.random.default_rng(11)))
     frame = frame._replace(terms=random_terms.terms(8, FRAMES, points=points))
     *_, status, _ = solved(frame, ROBUST, FRAMES, start=(np.full(3, nowhere), frame.local, np.zeros(0)))
-    assert (status == STATUS_UNCONSTRAINED).all()
+    assert (status == FrameStatus.UNCONSTRAINED).all()

@@ -6,15 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.levenberg_marquardt import (
-    INITIAL_DAMPING_RATIO,
-    MIN_COST_DECREASE,
-    STATUS_CONVERGED,
-    STATUS_EXACT,
-    STATUS_ITERATION_LIMIT,
-    STATUS_UNCONSTRAINED,
-    solve_frames,
-)
+from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, MIN_COST_DECREASE, solve_frames
 from mocapfix.kernels.terms import (
     GEMAN_MCCLURE,
     HUBER,
@@ -25,6 +17,7 @@ from mocapfix.kernels.terms import (
     TrackingTerm,
     count_rows,
 )
+from mocapfix.motion import FrameStatus
 from mocapfix.solve.frame_order import order_independently
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import solved
@@ -62,7 +55,7 @@ def test_exact_markers_recover_a_pose(seed, joints):
     frame = random_terms.frame(rng, joints, [])
     frame = frame._replace(terms=random_terms.terms(joints, points=all_over(rng, frame)))
     root, local, _, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
-    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    assert status[0] in (FrameStatus.CONVERGED, FrameStatus.EXACT)
     np.testing.assert_allclose(root[0], frame.root, atol=1e-6)
     np.testing.assert_allclose(local[0], frame.local, atol=1e-6)
 
@@ -73,7 +66,7 @@ def test_exact_markers_recover_the_shape(seed, joints):
     frame = random_terms.frame(rng, joints, [], shapes=min(3, joints - 1))
     frame = frame._replace(terms=random_terms.terms(joints, points=all_over(rng, frame)))
     _, local, shape, status, _ = solved(frame, PLAIN, start=near(rng, frame, 0.1))
-    assert status[0] in (STATUS_CONVERGED, STATUS_EXACT)
+    assert status[0] in (FrameStatus.CONVERGED, FrameStatus.EXACT)
     np.testing.assert_allclose(shape[0], frame.shared, atol=1e-4)
     np.testing.assert_allclose(local[0], frame.local, atol=1e-4)
 
@@ -107,7 +100,7 @@ def test_second_solve_from_the_solution_changes_the_cost_little(seed):
     *first, status, _ = solved(frame, PLAIN, most=300)
     *again, _, _ = solved(frame, PLAIN, most=300, start=tuple(each[0] for each in first))
     costs = [dense_oracle.cost(frame._replace(root=r[0], local=q[0], shared=s[0])) for r, q, s in (first, again)]
-    assert status[0] == STATUS_CONVERGED
+    assert status[0] == FrameStatus.CONVERGED
     assert costs[0] - costs[1] < 0.01 + 1e-2 * costs[0]  # data that conflict can leave a kink, where only small steps help
 
 
@@ -132,7 +125,7 @@ def test_negligible_step_after_a_rejection_is_not_accepted():
     for angle in np.arange(2.2, 3.1, 0.02):
         start = np.zeros(3), Rotation.from_rotvec([[0, 0, 0], [angle, 0, 0]]).as_matrix(), np.zeros(0)
         _, local, _, status, _ = solved(dense_oracle.Frame(chain(2), random_terms.terms(2, latent=beyond), *start), PLAIN, most=100)
-        assert status[0] == STATUS_CONVERGED
+        assert status[0] == FrameStatus.CONVERGED
         np.testing.assert_allclose(Rotation.from_matrix(local[0, 1]).as_rotvec(), [np.pi, 0, 0], atol=0.002)
 
 
@@ -146,12 +139,12 @@ def test_every_end_has_its_status():
         *_, status, iterations = solved(frame, PLAIN, **how)
         return status[0], iterations[0]
 
-    assert end(seen, start=far, most=2) == (STATUS_ITERATION_LIMIT, 2)
-    assert end(seen, start=far)[0] in (STATUS_CONVERGED, STATUS_EXACT)
-    assert end(seen)[0] == STATUS_EXACT
-    assert end(frame) == (STATUS_UNCONSTRAINED, 0)
+    assert end(seen, start=far, most=2) == (FrameStatus.ITERATION_LIMIT, 2)
+    assert end(seen, start=far)[0] in (FrameStatus.CONVERGED, FrameStatus.EXACT)
+    assert end(seen)[0] == FrameStatus.EXACT
+    assert end(frame) == (FrameStatus.UNCONSTRAINED, 0)
     pulled = frame._replace(terms=random_terms.terms(5, courses=pull_to(frame.local, 1.0)))
-    assert end(pulled)[0] == STATUS_CONVERGED
+    assert end(pulled)[0] == FrameStatus.CONVERGED
 
 
 @pytest.mark.parametrize("loss", [GEMAN_MCCLURE, HUBER])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_UNCONSTRAINED
+from mocapfix.motion import FrameStatus
 from mocapfix.solve import frame_order
 from mocapfix.stats.runs import find_runs
 from tests.kernels import random_terms
@@ -117,10 +117,10 @@ def test_copied_joints_come_from_the_start_frame():
     assert status.tolist() == [
         -1,
         -1,
-        STATUS_UNCONSTRAINED,
-        STATUS_UNCONSTRAINED,
-        STATUS_UNCONSTRAINED,
-        STATUS_UNCONSTRAINED,
+        FrameStatus.UNCONSTRAINED,
+        FrameStatus.UNCONSTRAINED,
+        FrameStatus.UNCONSTRAINED,
+        FrameStatus.UNCONSTRAINED,
         -1,
         -1,
     ]
@@ -135,7 +135,7 @@ def test_windows_copy_whole_poses():
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
     status, _ = followed(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
-    assert (status == STATUS_UNCONSTRAINED).all()
+    assert (status == FrameStatus.UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
 
@@ -150,7 +150,7 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
     terms, order = random_terms.terms(joints, frames, courses=pull), frame_order.order_in_windows(frames, joints, frames)
     status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
-    assert (status == STATUS_CONVERGED).all()
+    assert (status == FrameStatus.CONVERGED).all()
     assert (iterations > 1).all()
     np.testing.assert_allclose(local, wanted, atol=1e-3)
     np.testing.assert_allclose(local[-1] @ np.swapaxes(local[-1], 1, 2), np.tile(np.eye(3), (joints, 1, 1)), atol=1e-12)

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.solve.test_poses import CODE, JOINTS, body, given, posed, unbent
 
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.mixture import MixtureModel
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.solve import pose_solver
-from tests.solve.test_poses import CODE, JOINTS, body, given, posed, unbent
 
 
 def mixed(rng, count=2) -> MixtureModel:
@@ -61,7 +61,7 @@ def test_each_pose_ends_in_its_component_as_under_that_alone():
     model, chosen = mixed(rng), [0, 1, 1, 0]
     tree, points, start = case(rng, model, chosen)
     found = pose_solver.solve_poses(tree, (points,), model, *start)
-    assert (found.status == STATUS_CONVERGED).all()
+    assert (found.status == FrameStatus.CONVERGED).all()
     assert (
         model.select_components(compute_pose_vectors(found.local_rotations, model.reference_rotations)).component_index.tolist()
         == chosen

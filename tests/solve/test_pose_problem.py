@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix.kernels.compilation_cache import is_solver_compiled
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_EXACT, STATUS_UNCONSTRAINED
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
@@ -47,7 +47,7 @@ def test_exact_markers_recover_poses_and_the_compiled_solver_is_cached():
     body, root, local = problem()
     found = off(root, local)
     status, iterations = body.solve(*found, build_no_tracking(JOINTS), PLAIN, 50)
-    assert np.isin(status, [STATUS_CONVERGED, STATUS_EXACT]).all()
+    assert np.isin(status, [FrameStatus.CONVERGED, FrameStatus.EXACT]).all()
     assert (iterations > 0).all()
     np.testing.assert_allclose(found[0], root, atol=1e-3 * SD)
     np.testing.assert_allclose(found[1], local, atol=1e-3)
@@ -62,7 +62,7 @@ def test_masked_markers_are_ignored():
     start = off(root, local)
     found = start[0].copy(), start[1].copy()
     status, _ = deaf.solve(*found, build_no_tracking(JOINTS), PLAIN)
-    assert (status == STATUS_UNCONSTRAINED).all()
+    assert (status == FrameStatus.UNCONSTRAINED).all()
     np.testing.assert_array_equal(found[0], start[0])
     np.testing.assert_array_equal(found[1], start[1])
 
@@ -72,7 +72,7 @@ def test_frame_without_pose_starts_from_the_solution_before():
     start = root.copy(), local.copy()
     start[0][1:], start[1][1:] = np.nan, np.nan
     status, iterations = body.solve(*start, build_no_tracking(JOINTS), PLAIN)
-    assert (status == STATUS_EXACT).any()  # the first starts where it belongs
+    assert (status == FrameStatus.EXACT).any()  # the first starts where it belongs
     assert iterations[0] == 0
     assert (iterations[1:] > 0).all()
     np.testing.assert_allclose(start[0], root, atol=1e-3 * SD)

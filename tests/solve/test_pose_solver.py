@@ -8,8 +8,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.levenberg_marquardt import STATUS_CONVERGED, STATUS_ITERATION_LIMIT
 from mocapfix.kernels.terms import LatentCodeTerm, PointTerm
+from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.solve import latent_solver, pose_solver
@@ -103,7 +103,7 @@ def test_poses_that_the_model_knows_come_back_from_all_their_joints(make):
         found.local_rotations, posed(model, codes), atol=0.02
     )  # a code of zero is likelier than the true one
     np.testing.assert_allclose(found.codes, codes, atol=0.2)
-    assert (found.status == STATUS_CONVERGED).all()
+    assert (found.status == FrameStatus.CONVERGED).all()
 
 
 def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
@@ -194,7 +194,7 @@ def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
         root[t], local[t], codes[t] = first.root_position[t], first.local_rotations[t], first.codes[t]
     model.asked.clear()
     again = pose_solver.solve_poses(tree, (points,), model, root, local, codes, max_iterations=200)
-    assert (again.status == STATUS_CONVERGED).all()
+    assert (again.status == FrameStatus.CONVERGED).all()
     assert model.asked[:2] == [5, 2]  # codes of the first round differ, else one would be asked for all
 
 
@@ -215,7 +215,7 @@ def test_the_start_is_left_as_it_was_and_few_iterations_run_out():
     found = pose_solver.solve_poses(tree, (points,), model, *start, codes, max_iterations=1)
     for now, before in zip((*start, codes), kept, strict=True):
         np.testing.assert_array_equal(now, before)
-    assert (found.status == STATUS_ITERATION_LIMIT).any()
+    assert (found.status == FrameStatus.ITERATION_LIMIT).any()
     assert (found.iterations >= 1).all()
 
 
