@@ -1,18 +1,14 @@
 """Marker takes: the trajectories of one recorded performance."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.files.layouts import C3dLayout, TableLayout
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Take:
     layout: C3dLayout | TableLayout | None = None
     point_columns: Int[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0, int))
     other_labels: tuple[str, ...] = ()
-    unlabelled: Take | None = None
+    unlabelled: "Take | None" = None
     sample_sd: Float[np.ndarray, "T M"] | None = None
     computed: Bool[np.ndarray, "T M"] | None = None
     uncaptured: Bool[np.ndarray, "T M"] | None = None
@@ -114,7 +110,7 @@ class Take:
         """Return the number that the file gives to the frame at `index`."""
         return self.first_frame + int(index)
 
-    def select(self, marker_indices: Int[np.ndarray, " K"], mask: Bool[np.ndarray, "T M"]) -> Take:
+    def select(self, marker_indices: Int[np.ndarray, " K"], mask: Bool[np.ndarray, "T M"]) -> "Take":
         """Return a take of K markers in the given order, without layout.
 
         Args:
@@ -128,7 +124,7 @@ class Take:
         labels = tuple(self.labels[m] if m >= 0 else "" for m in marker_indices)
         return Take(markers, labels, self.rate, self.first_frame, self.path, subject_name=self.subject_name)
 
-    def extract_markers(self, marker_indices: Int[np.ndarray, " K"], subject_name: str) -> Take:
+    def extract_markers(self, marker_indices: Int[np.ndarray, " K"], subject_name: str) -> "Take":
         """Return some markers as a take of the same file. Writing it changes the samples of these markers only."""
         names = ("sample_sd", "computed", "uncaptured", "relabelled_points")
         arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
@@ -141,16 +137,16 @@ class Take:
             **{name: array[:, marker_indices] for name, array in arrays.items() if array is not None},
         )
 
-    def find_marker_indices(self, part: Take) -> Int[np.ndarray, " K"]:
+    def find_marker_indices(self, part: "Take") -> Int[np.ndarray, " K"]:
         """Return the index in this take of each marker of a part that `extract_markers` returned."""
         indices = {int(point): m for m, point in enumerate(self.point_indices)}
         return np.array([indices[int(point)] for point in part.point_indices], int)
 
-    def masked(self, mask: Bool[np.ndarray, "T M"]) -> Take:
+    def masked(self, mask: Bool[np.ndarray, "T M"]) -> "Take":
         """Return the take with only the samples in `mask`, NaN elsewhere."""
         return replace(self, markers=np.where(mask[..., None], self.markers, np.nan))
 
-    def exchange_labels(self, label_cycle: tuple[int, ...], first_frame_index: int, last_frame_index: int) -> Take:
+    def exchange_labels(self, label_cycle: tuple[int, ...], first_frame_index: int, last_frame_index: int) -> "Take":
         """Return the take with samples exchanged among a cycle of markers.
 
         In the frames from first to last inclusive, each marker of the cycle gets the samples of the next one, and the last
@@ -165,6 +161,6 @@ class Take:
             array[frames, targets] = array[frames, origins]
         return replace(self, **changed)
 
-    def replace_markers(self, markers: Float[np.ndarray, "T M 3"], sample_sd: Float[np.ndarray, "T M"] | None = None) -> Take:
+    def replace_markers(self, markers: Float[np.ndarray, "T M 3"], sample_sd: Float[np.ndarray, "T M"] | None = None) -> "Take":
         """Return the take with other positions and standard deviations of the estimated samples."""
         return replace(self, markers=markers, sample_sd=sample_sd)

@@ -1,14 +1,10 @@
 """Where the samples of a marker file lie in its bytes or lines: created by the readers, used by the patches."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 # C3D processor types: byte order and floating-point format of the file.
 INTEL_PROCESSOR = 84  # little endian, IEEE floats

@@ -4,14 +4,12 @@ A bone of an ASF has its own axes, rotated by C from the world's in the rest pos
 those. In world axes it is C M C^-1.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
@@ -19,9 +17,6 @@ from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
 # The format has no keyword for the rate, so it is read from comments or keywords of some programs.

@@ -4,20 +4,16 @@ Source: Lander 1998, "Working with motion capture file formats"; CMU's files. A 
 is placed at the beginning of the bone and has its name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 METRES_PER_INCH = 0.0254  # lengths times the file's `length` are inches, as in CMU's files
 ROOT_NAME = "root"

@@ -4,14 +4,13 @@ Source: Meredith and Maddock 2001, "Motion capture file formats explained". Wher
 assumed: position channels of the root replace its offset.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
@@ -19,9 +18,6 @@ from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_a
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Int
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAME_COUNT_PATTERN = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)

@@ -1,19 +1,15 @@
 """The HIERARCHY section of a BVH file: joints, offsets, channels and end sites."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 # Separators of the items of a line, of which there may be several.
 ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)

@@ -1,12 +1,10 @@
 """Read a C3D file: its point block as one NumPy view, converted to a take in metres with Y up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3dLayout
@@ -25,9 +23,6 @@ from mocapfix.read.point_types import (
     find_unlabelled_columns,
 )
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file

@@ -1,18 +1,13 @@
 """Coordinates in files: units of length, codes for missing points, and the up axis."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 METRES_PER_UNIT = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 # Abbreviations of unit names without the plural s: "Millimetres", "Meters", "Inches".

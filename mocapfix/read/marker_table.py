@@ -3,14 +3,12 @@
 The module of each format finds the table and its columns; this module reads it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
@@ -28,9 +26,6 @@ from mocapfix.read.table_cells import (
     split_fields,
 )
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 MAX_HEADER_LINES = 15  # lines within which the column names must begin
 MAX_FRAME_NUMBER = 2**53  # larger whole numbers are not exact as floats

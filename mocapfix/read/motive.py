@@ -9,13 +9,12 @@ Information", in the file). A frame row lists rigid bodies with eleven fields ea
 name, in metres. Missing samples have no field, so the layout has no fields.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
@@ -31,9 +30,6 @@ from mocapfix.read.marker_table import (
 from mocapfix.read.point_types import is_unlabelled
 from mocapfix.read.table_cells import check_frame_count, find_nonblank_lines, parse_fields, parse_rate, parse_unit_or_default
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Int
 
 MARKER_TYPE = "marker"  # type of a column with a measured marker, in lower case
 EXPECTED_MARKERS_NOTE = (

@@ -4,22 +4,18 @@ This is the CSV that mocapfix writes (LFHD_X_mm, with the unit in the name), and
 laboratories. Label and axis are separated by "_", ".", ":", "-" or a blank, fields by commas, semicolons or tabs.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
 
 from mocapfix.read.coordinates import METRES_PER_UNIT
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, read_marker_table
 from mocapfix.read.table_cells import detect_decimal_sign, find_nonblank_lines, parse_fields, parse_rate
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Int
 
 COLUMN_PATTERN = re.compile(r"(.*[^ _.:\-])[ _.:\-]+([XYZ])(?:[ _]?[(\[]?(mm|cm|m)[)\]]?)?", re.IGNORECASE)
 FRAME_COLUMN_PATTERN = re.compile(r"(frame|field|sample)\b.*", re.IGNORECASE)

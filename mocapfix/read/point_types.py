@@ -1,15 +1,10 @@
 """Types of points and samples in a file: markers, model outputs, unlabelled trajectories, computed samples."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence, Set
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 # Names that Vicon, Qualisys, Motive and Cortex give to unlabelled trajectories. So is a label without any letter ("*12").
 UNLABELLED_PATTERN = re.compile(r"(uname|unlabell?ed|unnamed|unidentified|new |c_)[\s_*]*\d*", re.IGNORECASE)

@@ -5,20 +5,15 @@ neither the line of an error nor the spelling of missing values, and lose the pl
 the file needs.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.read.coordinates import METRES_PER_UNIT, get_metres_per_unit
 from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN, TextDocument
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 MISSING_TEXTS = {"", "n/a", "na", "null", "none", "-", "--"}  # in lower case
 DECIMAL_COMMA_PATTERN = re.compile(r"\d,\d")

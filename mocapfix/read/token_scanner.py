@@ -4,18 +4,13 @@ A number of up to fifteen digits times or divided by a power of ten up to 10^22 
 "How to read floating point numbers accurately"). Python parses all others.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 MAX_EXACT_DIGITS = 15  # digits of a whole number that a double represents exactly
 POWERS_OF_TEN = 10.0 ** np.arange(23)  # those that a double represents exactly

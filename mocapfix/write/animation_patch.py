@@ -1,11 +1,9 @@
 """Write a changed copy of an animation file, BVH or AMC: the bytes of the original with only the changed numbers replaced."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
 from mocapfix.animation import Animation
@@ -13,9 +11,6 @@ from mocapfix.errors import WriteError
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.write.number_format import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, MAX_WRITTEN_DECIMALS, write_number
 from mocapfix.write.source_file import read_source_bytes
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 DEFAULT_DECIMALS = 6  # of a number in a file that has no number with decimals
 

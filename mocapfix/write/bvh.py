@@ -1,13 +1,14 @@
-"""A motion as BVH: the file animators' programs open.
+"""Write a motion as BVH.
 
-Y up, facing +Z in the rest pose; centimetres (BVH carries no unit). The root has six channels, every other joint three;
-all rotations are Z Y X in degrees, R = Rz Ry Rx, continuous from frame to frame. A rig may want another unit and order.
+By default: Y up, facing +Z in the rest pose, in centimetres (BVH has no unit). The root has six channels, every other joint
+three. All rotations are Z Y X in degrees, R = Rz Ry Rx, continuous over time. A rig may have another unit and order.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.errors import WriteError
 from mocapfix.files.output_files import replace_atomically
@@ -17,40 +18,53 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.write.number_format import format_rows
 from mocapfix.write.rig import Rig, retarget_to_rig
 
-CENTIMETRE_M = 0.01  # metres
-BVH_DECIMALS = 6
+CENTIMETRE_M = 0.01
+BVH_DECIMALS = 6  # of every number
 
 
 def write_bvh(
-    target: Path, skeleton: Skeleton, motion: Motion, rate: float, unit_m: float = CENTIMETRE_M, rotation_order: str = "ZYX"
+    target: Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    unit_m: float = CENTIMETRE_M,
+    rotation_order: str = "ZYX",
 ) -> None:
-    """Write `motion` at `rate` frames a second; `target` is put into place whole or not at all.
+    """Write a motion.
 
-    unit       metres in one unit of the file
-    rotations  the order of a joint's rotation channels, first the one that turns last
+    Args:
+        target: The file.
+        skeleton: The skeleton.
+        motion: Its motion.
+        rate: Frames per second.
+        unit_m: Metres per unit of the file.
+        rotation_order: Order of a joint's rotation channels, the outermost first.
 
-    Raises WriteError where the folder cannot be written or a leaf of the skeleton has no end site.
+    Raises:
+        WriteError: If `target` is not writable or a leaf of the skeleton has no end site.
     """
-    order = list(_iterate_depth_first(skeleton))
-    angles = np.degrees(compute_euler_angles(motion.local_rotations[:, [joint for joint, _ in order]], rotation_order))
+    joints = list(_iterate_depth_first(skeleton))
+    rotations = motion.local_rotations[:, [joint for joint, _ in joints]]
+    angles = np.degrees(compute_euler_angles(rotations, rotation_order))
     channels = np.hstack([motion.root_position * (1 / unit_m), angles.reshape(motion.frame_count, -1)])
-    head = "".join(_build_hierarchy(target, skeleton, order, unit_m, rotation_order))
-    head += f"MOTION\nFrames: {motion.frame_count}\nFrame Time: {1 / rate:.10f}\n"
+    header = "".join(_build_hierarchy(target, skeleton, joints, unit_m, rotation_order))
+    header += f"MOTION\nFrames: {motion.frame_count}\nFrame Time: {1 / rate:.10f}\n"
     with replace_atomically(Path(target)) as part:
-        part.write_bytes(head.encode("ascii") + format_rows(channels, BVH_DECIMALS))
+        part.write_bytes(header.encode("ascii") + format_rows(channels, BVH_DECIMALS))
 
 
 def write_rig_bvh(target: Path, rig: Rig, skeleton: Skeleton, motion: Motion, rate: float) -> None:
-    """Write `motion` as another program wants it; raises WriteError as `bvh` and `rigged` do."""
-    told, moved = retarget_to_rig(rig, skeleton, motion)
-    write_bvh(target, told, moved, rate, rig.unit_m, rig.rotation_order)
+    """Write a motion on the rig of another program. Raise WriteError as `write_bvh` and `retarget_to_rig` do."""
+    rig_skeleton, rig_motion = retarget_to_rig(rig, skeleton, motion)
+    write_bvh(target, rig_skeleton, rig_motion, rate, rig.unit_m, rig.rotation_order)
 
 
-def compute_euler_angles(rotations: np.ndarray, rotation_order: str = "ZYX") -> np.ndarray:
-    """-> (T, J, 3) radians about the axes of `order`, of rotations (T, J, 3, 3), each joint continuous over time.
+def compute_euler_angles(rotations: Float[np.ndarray, "T J 3 3"], rotation_order: str = "ZYX") -> Float[np.ndarray, "T J 3"]:
+    """Return the Euler angles (rad) of rotations, each joint continuous over time.
 
-    R is the product of the three turns in that order. A step is at most a right angle and what the motion itself turns; it
-    comes near that only where the motion passes closer to gimbal lock than it turns in a frame.
+    A rotation is the product of the three rotations about the axes in `rotation_order`. A step is at most a right angle plus the
+    rotation of the motion itself. It comes close to that only if the motion passes gimbal lock at a smaller angle than it
+    rotates in a frame.
     """
     axes = np.array(["XYZ".index(axis) for axis in rotation_order])
     by_joint = np.ascontiguousarray(np.swapaxes(rotations, 0, 1))
@@ -58,33 +72,33 @@ def compute_euler_angles(rotations: np.ndarray, rotation_order: str = "ZYX") -> 
 
 
 def _iterate_depth_first(skeleton: Skeleton, joint: int = 0, depth: int = 0) -> Iterator[tuple[int, int]]:
-    """-> joint and depth in the order in which BVH lists joints and their channels."""
+    """Yield joint and depth in the order in which BVH lists joints and their channels."""
     yield joint, depth
     for child in np.flatnonzero(skeleton.parents == joint):
         yield from _iterate_depth_first(skeleton, int(child), depth + 1)
 
 
 def _build_hierarchy(
-    target: Path, skeleton: Skeleton, order: list[tuple[int, int]], unit: float, rotations: str
+    target: Path, skeleton: Skeleton, joints: list[tuple[int, int]], unit_m: float, rotation_order: str
 ) -> Iterator[str]:
-    """-> the lines of the HIERARCHY section."""
+    """Yield the lines of the HIERARCHY section."""
     yield "HIERARCHY\n"
-    depths = [depth for _, depth in order] + [0]
-    turns = " ".join(f"{axis}rotation" for axis in rotations)
-    for (joint, depth), following in zip(order, depths[1:], strict=True):
-        tab = "\t" * depth
-        place = "Xposition Yposition Zposition " if depth == 0 else ""
-        offset = skeleton.offsets[joint] if depth else np.zeros(3)  # the root's place is in its channels
-        yield f"{tab}{'JOINT' if depth else 'ROOT'} {skeleton.names[joint]}\n{tab}{{\n{tab}\tOFFSET {_format_vector(offset, unit)}\n"
-        yield f"{tab}\tCHANNELS {6 if depth == 0 else 3} {place}{turns}\n"
-        if following <= depth:
+    depths = [depth for _, depth in joints] + [0]
+    rotation_channels = " ".join(f"{axis}rotation" for axis in rotation_order)
+    for (joint, depth), next_depth in zip(joints, depths[1:], strict=True):
+        name, indent = skeleton.names[joint], "\t" * depth
+        position_channels = "Xposition Yposition Zposition " if depth == 0 else ""
+        offset = skeleton.offsets[joint] if depth else np.zeros(3)  # the position of the root is in its channels
+        yield f"{indent}{'JOINT' if depth else 'ROOT'} {name}\n{indent}{{\n"
+        yield f"{indent}\tOFFSET {_format_vector(offset, unit_m)}\n"
+        yield f"{indent}\tCHANNELS {6 if depth == 0 else 3} {position_channels}{rotation_channels}\n"
+        if next_depth <= depth:
             end = skeleton.ends[joint]
             if not np.linalg.norm(end) > 0:
-                name = skeleton.names[joint]
                 raise WriteError(f"{target}: the last bone {name} has no length; give it an end in the subject file.")
-            yield f"{tab}\tEnd Site\n{tab}\t{{\n{tab}\t\tOFFSET {_format_vector(end, unit)}\n{tab}\t}}\n"
-        yield from ("\t" * level + "}\n" for level in range(depth, following - 1, -1))
+            yield f"{indent}\tEnd Site\n{indent}\t{{\n{indent}\t\tOFFSET {_format_vector(end, unit_m)}\n{indent}\t}}\n"
+        yield from ("\t" * level + "}\n" for level in range(depth, next_depth - 1, -1))
 
 
-def _format_vector(vector: np.ndarray, unit: float) -> str:
-    return " ".join(f"{x * (1 / unit):.{BVH_DECIMALS}f}" for x in vector)
+def _format_vector(vector: Float[np.ndarray, " 3"], unit_m: float) -> str:
+    return " ".join(f"{x * (1 / unit_m):.{BVH_DECIMALS}f}" for x in vector)

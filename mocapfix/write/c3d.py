@@ -1,78 +1,89 @@
-"""A take as a new C3D: Intel floats, a header, the groups POINT and TRIAL, the samples.
+"""Write a take as a new C3D file: Intel floats, a header, the groups POINT and TRIAL, the samples.
 
-Written here byte by byte (c3d.org, "The C3D file format", sections 2 to 4), for it is nearly the smallest file there can
-be, and the libraries that write C3D lose the residual words or long takes.
+The bytes are built here (c3d.org, "The C3D file format", sections 2 to 4), because the file is nearly the smallest possible
+one, and the libraries that write C3D lose residual words or long takes.
 """
 
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.errors import WriteError
+from mocapfix.files.layouts import INTEL_PROCESSOR
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.take import Take
 from mocapfix.write.source_file import FileFrame, get_file_frame
 
-BLOCK_BYTES = 512  # bytes
-INTEL_PROCESSOR_TYPE = 84  # the processor whose byte order and floats the file has
-RESIDUAL_COUNT_M = 1e-4  # metres in a count of the residual
-MISSING_RESIDUAL, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL = (
-    -1,
-    0,
-    1,
-)  # residual words: not seen; without a residual; put there, nobody knows how surely
-MAX_LABEL_BYTES, MAX_LABELS_PER_PARAMETER, MAX_PARAMETER_BYTES = (
-    255,
-    255,
-    32_000,
-)  # bytes of a label; labels and bytes in one parameter
-MAX_PARAMETER_BLOCKS, MAX_C3D_POINTS, MAX_UINT16 = 255, 65_535, 65_535
+BLOCK_BYTES = 512
+RESIDUAL_COUNT_M = 1e-4  # metres per count of the residual
+MAX_RESIDUAL_COUNTS = 255  # largest residual in the low byte of a residual word
+MISSING_RESIDUAL = -1  # residual word of a missing sample
+MEASURED_RESIDUAL = 0  # residual word of a measured sample
+UNKNOWN_SD_RESIDUAL = 1  # residual word of an estimated sample without a standard deviation
+MAX_LABEL_BYTES = 255
+MAX_LABELS_PER_PARAMETER = 255
+MAX_PARAMETER_BYTES = 32_000
+MAX_PARAMETER_BLOCKS = 255
+MAX_C3D_POINTS = 65_535
+MAX_UINT16 = 65_535  # largest frame number in the header
 UP_AXIS_NAMES = {0: "+X", 1: "+Y", 2: "+Z"}
-RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # the axis to the right where another one is up
+RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # axis that points right, by the index of the up axis
+
+
+class _Parameter(NamedTuple):
+    """Name of a parameter, and its type, dimensions and values as bytes."""
+
+    name: str
+    content: bytes
 
 
 def write_c3d(target: str | Path, take: Take) -> None:
-    """Write a take's markers, and behind them its unlabelled trajectories, in the unit and axes that its own file had.
+    """Write the markers of a take, followed by its unlabelled trajectories, in the unit and axes of the source file.
 
-    A measured sample has the residual word 0, one that mocapfix put there its predicted standard deviation in counts of
-    0.1 mm, clamped to 1..255, camera mask 0; one that is not there coordinates 0 and residual -1. More than 255 labels go
-    on in LABELS2 and so on; numbers of frames beyond the header's 65,535 are in TRIAL and POINT:LONG_FRAMES. C3D counts
-    frames from 0 on, so a take that begins before is numbered from 1.
+    A measured sample has the residual word 0. An estimated one has its predicted standard deviation in counts of 0.1 mm, clamped
+    to 1..255, and camera mask 0. A missing one has coordinates 0 and residual -1. Labels beyond 255 are stored in LABELS2 and so
+    on, and frame numbers beyond 65535 in TRIAL and POINT:LONG_FRAMES. C3D counts frames from 0 on, so a take whose frame numbers
+    are negative is numbered from 1.
 
-    Raises WriteError where the take has more or longer labels than a C3D can hold, or `target` cannot be written.
+    Raises:
+        WriteError: If the take has more or longer labels than a C3D can hold, or `target` is not writable.
     """
-    target, form = Path(target), get_file_frame(take)
+    target, frame = Path(target), get_file_frame(take)
     labels = [*take.labels, *(take.unlabelled.labels if take.unlabelled else ())]
     encoded = [label.encode("utf-8") or b" " for label in labels]
-    if long := next((label for label in encoded if len(label) > MAX_LABEL_BYTES), None):
-        raise WriteError(f"{target}: the label {long.decode()[:30]}... is longer than the 255 bytes a C3D can hold; shorten it.")
+    if too_long := next((label for label in encoded if len(label) > MAX_LABEL_BYTES), None):
+        problem = f"the label {too_long.decode()[:30]}... is longer than the {MAX_LABEL_BYTES} bytes a C3D can hold"
+        raise WriteError(f"{target}: {problem}; shorten it.")
     first = take.first_frame if take.first_frame >= 0 else 1
-    last, points = first + take.frame_count - 1, len(labels)
-    start = 2 + len(_encode_parameters(form, take, encoded, first, 0)) // BLOCK_BYTES
-    if points > MAX_C3D_POINTS or start - 2 > MAX_PARAMETER_BLOCKS:
-        raise WriteError(f"{target}: {points} points with such labels are more than a C3D can hold; write another format.")
-    scale, ends = RESIDUAL_COUNT_M / form.unit_m, (min(first, MAX_UINT16), min(last, MAX_UINT16))
-    header = struct.pack("<BBHHHHHfHHf", 2, 80, points, 0, *ends, 0, -scale, start, 0, take.rate)
+    last, point_count = first + take.frame_count - 1, len(labels)
+    data_block = 2 + len(_encode_parameters(frame, take, encoded, first, 0)) // BLOCK_BYTES
+    if point_count > MAX_C3D_POINTS or data_block - 2 > MAX_PARAMETER_BLOCKS:
+        problem = f"{point_count} points with such labels are more than a C3D can hold"
+        raise WriteError(f"{target}: {problem}; write another format.")
+    scale, ends = RESIDUAL_COUNT_M / frame.unit_m, (min(first, MAX_UINT16), min(last, MAX_UINT16))
+    header = struct.pack("<BBHHHHHfHHf", 2, 80, point_count, 0, *ends, 0, -scale, data_block, 0, take.rate)
     with replace_atomically(target) as part, part.open("wb") as file:
-        file.write(_pad_to_block(header) + _encode_parameters(form, take, encoded, first, start))
-        data = _build_words(form, take).tobytes()
-        # Where the header's last frame cannot be said, ezc3d would take what fills the last block for frames.
+        file.write(_pad_to_block(header) + _encode_parameters(frame, take, encoded, first, data_block))
+        data = _build_words(frame, take).tobytes()
+        # If the header cannot give the last frame, ezc3d reads padding in the last block as frames.
         file.write(data if last > MAX_UINT16 else _pad_to_block(data))
 
 
-def _encode_parameters(form: FileFrame, take: Take, labels: Sequence[bytes], first: int, start: int) -> bytes:
-    """-> whole blocks: the groups POINT and TRIAL, with the number of the `start` block of the samples."""
-    last, up = first + take.frame_count - 1, int(np.abs(form.rotation_y_up_file[1]).argmax())
+def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], first: int, data_block: int) -> bytes:
+    """Return the groups POINT and TRIAL in complete blocks. `data_block` is the number of the first block of samples."""
+    last, up = first + take.frame_count - 1, int(np.abs(frame.rotation_y_up_file[1]).argmax())
     point = [
         _encode_number("USED", "H", len(labels)),
         _encode_number("FRAMES", "H", min(take.frame_count, MAX_UINT16)),
         _encode_number("LONG_FRAMES", "f", take.frame_count),
-        _encode_number("DATA_START", "H", start),
-        _encode_number("SCALE", "f", -RESIDUAL_COUNT_M / form.unit_m),
+        _encode_number("DATA_START", "H", data_block),
+        _encode_number("SCALE", "f", -RESIDUAL_COUNT_M / frame.unit_m),
         _encode_number("RATE", "f", take.rate),
-        _encode_texts("UNITS", [form.unit_name.encode()]),
+        _encode_texts("UNITS", [frame.unit_name.encode()]),
         _encode_texts("X_SCREEN", [RIGHT_AXIS_NAMES[up].encode()]),
         _encode_texts("Y_SCREEN", [UP_AXIS_NAMES[up].encode()]),
         *_encode_text_series("LABELS", labels),
@@ -83,58 +94,66 @@ def _encode_parameters(form: FileFrame, take: Take, labels: Sequence[bytes], fir
         _encode_word_pair("ACTUAL_END_FIELD", last),
         _encode_number("CAMERA_RATE", "f", take.rate),
     ]
-    chain = _encode_group(1, "POINT", point) + _encode_group(2, "TRIAL", trial)
-    blocks = len(_pad_to_block(bytes(4) + chain)) // BLOCK_BYTES
-    return _pad_to_block(struct.pack("BBBB", 1, 80, min(blocks, MAX_PARAMETER_BLOCKS), INTEL_PROCESSOR_TYPE) + chain)
+    groups = _encode_group(1, "POINT", point) + _encode_group(2, "TRIAL", trial)
+    blocks = len(_pad_to_block(bytes(4) + groups)) // BLOCK_BYTES
+    return _pad_to_block(struct.pack("BBBB", 1, 80, min(blocks, MAX_PARAMETER_BLOCKS), INTEL_PROCESSOR) + groups)
 
 
 def _pad_to_block(data: bytes) -> bytes:
-    """-> with zeros up to the end of its last block."""
+    """Return the data followed by zeros up to the end of its last block."""
     return data + bytes(-len(data) % BLOCK_BYTES)
 
 
-def _encode_group(number: int, name: str, parameters: Sequence[tuple[str, bytes]]) -> bytes:
-    """-> the records of a group and of its parameters, without descriptions; a length counts itself and the description's."""
+def _encode_group(number: int, name: str, parameters: Sequence[_Parameter]) -> bytes:
+    """Return the records of a group and its parameters, without descriptions.
+
+    The length in a record includes itself and the length of the description.
+    """
     head = struct.pack("<bb", len(name), -number) + name.encode("ascii") + struct.pack("<hB", 3, 0)
     return head + b"".join(
-        struct.pack("<bb", len(each), number) + each.encode("ascii") + struct.pack("<H", len(content) + 3) + content + b"\0"
-        for each, content in parameters
+        struct.pack("<bb", len(parameter.name), number)
+        + parameter.name.encode("ascii")
+        + struct.pack("<H", len(parameter.content) + 3)
+        + parameter.content
+        + b"\0"
+        for parameter in parameters
     )
 
 
-def _encode_number(name: str, form: str, value: float) -> tuple[str, bytes]:
-    """-> an integer ("H") or a float ("f")."""
-    return name, struct.pack("<bB" + form, 4 if form == "f" else 2, 0, value)
+def _encode_number(name: str, kind: str, value: float) -> _Parameter:
+    """Return a 16-bit integer (kind "H") or a float (kind "f")."""
+    return _Parameter(name, struct.pack("<bB" + kind, 4 if kind == "f" else 2, 0, value))
 
 
-def _encode_word_pair(name: str, value: int) -> tuple[str, bytes]:
-    """-> a whole number as two 16-bit words, the low one first."""
-    return name, struct.pack("<bBBHH", 2, 1, 2, value % 2**16, value // 2**16 % 2**16)
+def _encode_word_pair(name: str, value: int) -> _Parameter:
+    """Return a whole number as two 16-bit words, the low one first."""
+    return _Parameter(name, struct.pack("<bBBHH", 2, 1, 2, value % 2**16, value // 2**16 % 2**16))
 
 
-def _encode_texts(name: str, texts: Sequence[bytes]) -> tuple[str, bytes]:
+def _encode_texts(name: str, texts: Sequence[bytes]) -> _Parameter:
     width = max(map(len, texts), default=1)
     shape = [width] if len(texts) == 1 and name != "LABELS" else [width, len(texts)]
-    return name, struct.pack("<bB", -1, len(shape)) + bytes(shape) + b"".join(text.ljust(width) for text in texts)
+    padded = b"".join(text.ljust(width) for text in texts)
+    return _Parameter(name, struct.pack("<bB", -1, len(shape)) + bytes(shape) + padded)
 
 
-def _encode_text_series(name: str, texts: Sequence[bytes]) -> list[tuple[str, bytes]]:
-    """-> one list over NAME, NAME2, NAME3 ..., each of which holds as much as a parameter can."""
-    most = min(MAX_LABELS_PER_PARAMETER, MAX_PARAMETER_BYTES // max(map(len, texts), default=1))
-    chunks = [texts[i : i + most] for i in range(0, len(texts), most)] or [texts]
+def _encode_text_series(name: str, texts: Sequence[bytes]) -> list[_Parameter]:
+    """Return a list spread over NAME, NAME2, NAME3 ..., each with as many texts as a parameter can hold."""
+    count = min(MAX_LABELS_PER_PARAMETER, MAX_PARAMETER_BYTES // max(map(len, texts), default=1))
+    chunks = [texts[i : i + count] for i in range(0, len(texts), count)] or [texts]
     return [_encode_texts(f"{name}{i + 1 if i else ''}", chunk) for i, chunk in enumerate(chunks)]
 
 
-def _build_words(form: FileFrame, take: Take) -> np.ndarray:
-    """-> (T, P, 4) x, y, z in the file's unit and axes, and the residual word; zeros and -1 where nothing is."""
-    loose = take.unlabelled.markers if take.unlabelled else np.zeros((take.frame_count, 0, 3))
-    xyz = form.compute_coordinates(np.concatenate([take.markers, loose], axis=1))
+def _build_words(frame: FileFrame, take: Take) -> Float[np.ndarray, "T P 4"]:
+    """Return X, Y, Z in the unit and axes of the file and the residual word, for markers and unlabelled trajectories."""
+    unlabelled = take.unlabelled.markers if take.unlabelled else np.zeros((take.frame_count, 0, 3))
+    xyz = frame.compute_coordinates(np.concatenate([take.markers, unlabelled], axis=1))
     words = np.zeros((*xyz.shape[:2], 4), "<f4")
     words[..., :3] = xyz
-    made = np.where(take.measured | ~take.visible, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL).astype(float)
+    residual_words = np.where(take.measured | ~take.visible, MEASURED_RESIDUAL, UNKNOWN_SD_RESIDUAL).astype(float)
     if take.sample_sd is not None:
-        residual = np.clip(np.rint(take.sample_sd / RESIDUAL_COUNT_M), 1, 255)
-        made = np.where(np.isnan(residual), made, residual)
-    words[:, : len(take.labels), 3] = made
+        residuals = np.clip(np.rint(take.sample_sd / RESIDUAL_COUNT_M), 1, MAX_RESIDUAL_COUNTS)
+        residual_words = np.where(np.isnan(residuals), residual_words, residuals)
+    words[:, : len(take.labels), 3] = residual_words
     words[np.isnan(xyz).any(-1)] = (0, 0, 0, MISSING_RESIDUAL)
     return words

@@ -1,11 +1,9 @@
 """Write a changed copy of a C3D file: the bytes of the original with only the changed samples replaced."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import C3dLayout
@@ -19,9 +17,6 @@ from mocapfix.write.source_file import (
     read_source_bytes,
 )
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int, Shaped
-
 MISSING_SAMPLE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual word
 MAX_INT16_COUNT = 32_767  # largest coordinate in an integer file, in counts
 MAX_RESIDUAL_COUNT = 255  # largest residual in the low byte of a residual word
@@ -31,9 +26,9 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
     """Write the file of `before` to `target` with the markers of `after`.
 
     A sample that comes from another label, or from an unlabelled point, keeps all of its words, bit for bit. Any other sample
-    that differs gets its new coordinates, camera mask 0, and as residual its `sample_sd` in counts, clamped to 1..255; 1 if it
-    has none. A missing sample gets coordinates 0 and residual -1, and so does one that an integer file cannot store, because files
-    are never rescaled. All other bytes are unchanged (C3D User Guide, "The 3D Data Section").
+    that differs gets its new coordinates, camera mask 0, and its `sample_sd` as residual, in counts clamped to 1..255 (1 if it
+    has none). A missing sample gets coordinates 0 and residual -1, and so does one that an integer file cannot store, because
+    files are never rescaled. All other bytes are unchanged (C3D User Guide, "The 3D Data Section").
 
     Returns:
         Frame and marker index of the samples that could not be stored.

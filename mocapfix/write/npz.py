@@ -1,20 +1,21 @@
-"""Everything solved as NumPy arrays (.npz), for one's own programs: np.load("walk.npz"), without pickle.
+"""Write all results as NumPy arrays (.npz) for other programs: `np.load("walk.npz")`, without pickle.
 
-Metres, seconds, radians, Y up, right-handed. Of T frames of the body, J joints, F frames of the take, M markers:
+Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joints, F frames of the take and M markers:
 
     format          "mocapfix 1"
-    units           a sentence that says so
-    rate, first_frame   frames a second of the body; the file's own number of its first frame
+    units           a sentence that states the units
+    rate, first_frame   frames per second of the body; the file's number of its first frame
     names (J,)      joints, parents before children;  parents (J,), -1 for the root
-    offsets (J, 3)  each joint in its parent's axes;  ends (J, 3) a last bone's end in its joint's, NaN for the others
-    root (T, 3)     the root's place in the world
-    rotations (T, J, 4)  each joint's axes in its parent's (the root's in the world) as quaternions x, y, z, w, without flips
-    joints (T, J, 3)     their places in the world;  joint_sd (T, J) predicted standard deviation along each axis
-    status (T,)     an index into status_texts (S,), which say how sure each frame's pose is
-    labels (M,)     markers as the file names them
-    markers (F, M, 3)    as they were mended, NaN where there is none
-    marker_sd (F, M)     predicted standard deviation along each axis of the samples that mocapfix put there, NaN elsewhere
-    marker_rate     frames a second of the markers, which stay at the take's own
+    offsets (J, 3)  position of each joint in its parent's axes
+    ends (J, 3)     end of a last bone in its joint's axes, NaN for other joints
+    root (T, 3)     position of the root in the world
+    rotations (T, J, 4)  axes of each joint in its parent's (of the root in the world) as quaternions x, y, z, w, without flips
+    joints (T, J, 3)     positions of the joints in the world;  joint_sd (T, J) their predicted standard deviation per axis
+    status (T,)     an index into status_texts (S,), which describe the confidence in the pose of each frame
+    labels (M,)     marker names as in the file
+    markers (F, M, 3)    cleaned markers, NaN where missing
+    marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
+    marker_rate     frames per second of the markers, always that of the take
 
 A take without a body has no names, parents, offsets, ends, root, rotations, joints, joint_sd, status and status_texts.
 """
@@ -30,16 +31,24 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.take import Take
 
-NPZ_FORMAT, NPZ_UNITS = "mocapfix 1", "metres, seconds, radians; Y up, right-handed; quaternions x, y, z, w"
+NPZ_FORMAT = "mocapfix 1"
+NPZ_UNITS = "metres, seconds, radians; Y up, right-handed; quaternions x, y, z, w"
 
 
 def write_npz(
     target: Path, take: Take, skeleton: Skeleton | None = None, motion: Motion | None = None, rate: float | None = None
 ) -> None:
-    """Write the mended markers of `take` and, where it has a body, its `motion` at `rate` frames a second (by default the
-    take's); whole or not at all.
+    """Write the markers of a take and, if there is a body, its motion.
 
-    Raises WriteError where the folder cannot be written.
+    Args:
+        target: The file.
+        take: The cleaned take.
+        skeleton: The skeleton of the body.
+        motion: Its motion.
+        rate: Frames per second of the motion; by default those of the take.
+
+    Raises:
+        WriteError: If `target` is not writable.
     """
     arrays = {
         "format": np.array(NPZ_FORMAT),
@@ -58,15 +67,16 @@ def write_npz(
 
 
 def _build_body_arrays(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarray]:
-    known = np.ones(motion.frame_count, bool)
-    turns = [quaternions.extract_joint_quaternions(motion.local_rotations, joint, known) for joint in range(len(skeleton.names))]
+    is_known = np.ones(motion.frame_count, bool)
+    joints = range(len(skeleton.names))
+    rotations = [quaternions.extract_joint_quaternions(motion.local_rotations, joint, is_known) for joint in joints]
     return {
         "names": np.array(skeleton.names),
         "parents": skeleton.parents,
         "offsets": skeleton.offsets,
         "ends": skeleton.ends,
         "root": motion.root_position,
-        "rotations": np.stack(turns, axis=1),
+        "rotations": np.stack(rotations, axis=1),
         "joints": kinematics.compute_world_poses(skeleton, motion)[0],
         "joint_sd": motion.joint_sd,
         "status": motion.status,

@@ -1,46 +1,51 @@
-"""Rows of numbers as text, as "%.6f" writes them and many times as fast.
+"""Format rows of numbers as "%.6f" does, many times as fast.
 
-A number times a power of ten is told as the nearest double and what that leaves out (Dekker 1971, "A floating-point technique
-for extending the available precision"), so that the last decimal is rounded as the exact product says, halves to even.
+The product of a number and a power of ten is computed as the nearest double and its rounding error (Dekker 1971, "A
+floating-point technique for extending the available precision"), so that the last decimal is that of the exact product, with
+halves rounded to even.
 """
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
-MAX_EXACT_PRODUCT = 2.0**52  # of a number times its power of ten: from here on doubles have no fraction to round
+MAX_EXACT_PRODUCT = 2.0**52  # of a number and its power of ten; larger doubles have no fraction to round
 DEKKER_SPLITTER = 134217729.0  # 2^27 + 1
-INTEGER_PART_BYTES = 18  # bytes for sign, point and the digits before it
-MAX_WRITTEN_DECIMALS = 15  # decimals
+INTEGER_PART_BYTES = 18  # for the sign, the point and the digits before it
+MAX_WRITTEN_DECIMALS = 15
 
 
-def format_rows(values: np.ndarray, decimals: int, separator: str = " ", line_end: str = "\n") -> bytes:
-    """-> a line for each row of values (T, C), every number with as many decimals (0 to 15) as said, exactly as Python's
-    f"{value:.6f}" has it, the sign of -0.0 too.
+def format_rows(values: Float[np.ndarray, "T C"], decimals: int, separator: str = " ", line_end: str = "\n") -> bytes:
+    """Return one line of text for each row.
 
-    Raises ValueError where a number is not finite.
+    Numbers are exactly those of f"{value:.6f}" with `decimals` (0 to 15) decimals, including the sign of -0.0.
+
+    Raises:
+        ValueError: If a number is not finite.
     """
     values = np.ascontiguousarray(values, float)
     if not np.isfinite(values).all():
         raise ValueError("a number that is not finite cannot be written")
     power = 10.0**decimals
     if values.size == 0 or decimals > MAX_WRITTEN_DECIMALS or np.abs(values).max() >= MAX_EXACT_PRODUCT / power:
-        row = separator.join([f"%.{decimals}f"] * values.shape[1]) + line_end
-        return "".join([row % tuple(each) for each in values.tolist()]).encode()
-    signs = np.frombuffer(separator.encode(), np.uint8), np.frombuffer(line_end.encode(), np.uint8)
-    size = values.size * (INTEGER_PART_BYTES + decimals + len(signs[0])) + len(values) * len(signs[1])
+        template = separator.join([f"%.{decimals}f"] * values.shape[1]) + line_end
+        return "".join([template % tuple(row) for row in values.tolist()]).encode()
+    separator_bytes = np.frombuffer(separator.encode(), np.uint8)
+    line_end_bytes = np.frombuffer(line_end.encode(), np.uint8)
+    size = values.size * (INTEGER_PART_BYTES + decimals + len(separator_bytes)) + len(values) * len(line_end_bytes)
     out = np.empty(size, np.uint8)
-    return out[: _write_rows(values, decimals, power, *signs, out)].tobytes()
+    return out[: _write_rows(values, decimals, power, separator_bytes, line_end_bytes, out)].tobytes()
 
 
 @njit(cache=True)
-def _write_rows(values, decimals, power, between, end, out):
+def _write_rows(values, decimals, power, separator, line_end, out):
     at = 0
     for t in range(values.shape[0]):
         for c in range(values.shape[1]):
             if c:
-                at = _copy_bytes(between, out, at)
+                at = _copy_bytes(separator, out, at)
             at = write_number(values[t, c], decimals, power, out, at)
-        at = _copy_bytes(end, out, at)
+        at = _copy_bytes(line_end, out, at)
     return at
 
 
@@ -53,8 +58,10 @@ def _copy_bytes(source, out, at):
 
 @njit(cache=True)
 def write_number(value, decimals, power, out, at):
-    """Write a number into the bytes `out` from `at` on; -> the byte after it. power = 10^decimals; the product of the two is
-    less than LARGEST."""
+    """Write a number into the bytes `out` from `at` on, and return the byte after it.
+
+    power is 10^decimals, and abs(value) * power must be less than MAX_EXACT_PRODUCT.
+    """
     if np.signbit(value):
         out[at] = 45
         at += 1
@@ -77,13 +84,13 @@ def write_number(value, decimals, power, out, at):
 
 @njit(cache=True)
 def round_product(value, power):
-    """-> the whole number nearest to value * power, exactly, halves to even; value >= 0."""
+    """Return the whole number nearest to value * power, exactly, with halves rounded to even; value >= 0."""
     product = value * power
-    big, other = value * DEKKER_SPLITTER, power * DEKKER_SPLITTER
-    high, top = big - (big - value), other - (other - power)
-    low, bottom = value - high, power - top
-    left = ((high * top - product) + high * bottom + low * top) + low * bottom  # of the exact product
+    value_split, power_split = value * DEKKER_SPLITTER, power * DEKKER_SPLITTER
+    value_high, power_high = value_split - (value_split - value), power_split - (power_split - power)
+    value_low, power_low = value - value_high, power - power_high
+    error = ((value_high * power_high - product) + value_high * power_low + value_low * power_high) + value_low * power_low
     whole = np.floor(product)
-    beyond = (product - whole) - 0.5
-    up = beyond > 0 or (beyond == 0 and (left > 0 or (left == 0 and whole % 2 == 1)))
-    return np.int64(whole) + up
+    above_half = (product - whole) - 0.5
+    is_up = above_half > 0 or (above_half == 0 and (error > 0 or (error == 0 and whole % 2 == 1)))
+    return np.int64(whole) + is_up

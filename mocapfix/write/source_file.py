@@ -1,18 +1,13 @@
 """What an output takes from the file that its take was read from: bytes, changed samples, unit and axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import WriteError
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 MAX_STORED_COORDINATE = 8_999_999  # file units; larger ones read as missing, as Cortex's 9999999 does
 C3D_UNIT_NAMES = {0.001: "mm", 0.01: "cm", 1.0: "m"}

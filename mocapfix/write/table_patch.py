@@ -1,13 +1,11 @@
 """Write a changed copy of a text table: the text of the original with only the fields of the changed samples replaced."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
@@ -21,9 +19,6 @@ from mocapfix.write.source_file import (
     find_relabelled_samples,
     read_source_bytes,
 )
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 FIELD_PADDING = ' "'  # characters around the text of a field
 LineEdits = dict[int, dict[int, str]]  # new texts, by line index and then by field index

@@ -1,6 +1,7 @@
-"""A take's markers as a TRC, the text file that OpenSim, Cortex, MotionBuilder and Mokka read."""
+"""Write a take as a new text table: TRC or plain CSV."""
 
-import csv as rows
+import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,7 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.take import Take
 from mocapfix.write.source_file import DECIMALS_BY_UNIT, get_file_frame
 
-# MERGED: mocapfix.write.trc
-HEADER_KEYS = [
+TRC_HEADER_KEYS = (
     "DataRate",
     "CameraRate",
     "NumFrames",
@@ -19,62 +19,66 @@ HEADER_KEYS = [
     "OrigDataRate",
     "OrigDataStartFrame",
     "OrigNumFrames",
-]
+)
 
 
 def write_trc(target: str | Path, take: Take) -> None:
-    """Write the labelled markers, in the unit and axes that the take's own file had, tabs between fields, blanks for what is
-    missing. Frames keep the file's numbers, and times count from frame 1 (from frame 0, where the file does).
+    """Write the labelled markers as TRC, which OpenSim, Cortex, MotionBuilder and Mokka read.
 
-    Raises WriteError where `target` cannot be written.
+    The file has the unit and axes of the source file, tabs between fields, and blanks for missing samples. Frames keep their
+    numbers. Times count from frame 1, or from frame 0 if the take begins there.
+
+    Raises:
+        WriteError: If `target` is not writable.
     """
-    target, form = Path(target), get_file_frame(take)
-    rate, first, frames = _format_rate(take.rate), take.first_frame, take.frame_count
+    target, frame = Path(target), get_file_frame(take)
+    rate, first = _format_rate(take.rate), take.first_frame
     labels = [" ".join(label.split()) for label in take.labels]
-    facts = [rate, rate, str(frames), str(len(labels)), form.unit_name, rate, str(first), str(frames)]
-    numbers = range(1, len(labels) + 1)
-    head = [
+    count, marker_count = str(take.frame_count), str(len(labels))
+    header = [
         ["PathFileType", "4", "(X/Y/Z)", target.name],
-        HEADER_KEYS,
-        facts,
+        TRC_HEADER_KEYS,
+        [rate, rate, count, marker_count, frame.unit_name, rate, str(first), count],
         ["Frame#", "Time", *(cell for label in labels for cell in (label, "", ""))],
-        ["", "", *(f"{axis}{i}" for i in numbers for axis in "XYZ")],
+        ["", "", *(f"{axis}{i}" for i in range(1, len(labels) + 1) for axis in "XYZ")],
         [""],
     ]
+    coordinates = frame.compute_coordinates(take.markers).reshape(take.frame_count, -1)
     with replace_atomically(target) as part, part.open("w", encoding="utf-8", newline="") as file:
-        file.writelines("\t".join(row) + "\r\n" for row in head)
-        for t, row in enumerate(form.compute_coordinates(take.markers).reshape(frames, -1).tolist()):
+        file.writelines("\t".join(row) + "\r\n" for row in header)
+        for t, row in enumerate(coordinates.tolist()):
             number = first + t
-            cells = format_cells(row, DECIMALS_BY_UNIT[form.unit_name])
-            file.write("\t".join([str(number), f"{(number - min(1, first)) / take.rate:.6f}", *cells]) + "\r\n")
+            time_s = (number - min(1, first)) / take.rate
+            cells = format_cells(row, DECIMALS_BY_UNIT[frame.unit_name])
+            file.write("\t".join([str(number), f"{time_s:.6f}", *cells]) + "\r\n")
 
 
-def format_cells(row: list[float], decimals: int) -> list[str]:
-    """-> numbers as text, blank where NaN."""
+def write_csv(target: str | Path, take: Take) -> None:
+    """Write the labelled markers as plain CSV: a line of column names, then one line per frame.
+
+    Columns are frame, time_s, and LABEL_X_mm, LABEL_Y_mm, LABEL_Z_mm of each marker, in the unit (mm, cm or m) and axes of the
+    source file. Missing samples are blank. Frames keep their numbers, and the time of the first one is 0. The file is UTF-8 with
+    commas and decimal points.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    frame = get_file_frame(take)
+    labels = [" ".join(label.split()) for label in take.labels]  # a label must not contain a line end
+    coordinates = frame.compute_coordinates(take.markers).reshape(take.frame_count, -1)
+    with replace_atomically(Path(target)) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{frame.unit_name}" for label in labels for axis in "XYZ")])
+        for t, row in enumerate(coordinates.tolist()):
+            cells = format_cells(row, DECIMALS_BY_UNIT[frame.unit_name])
+            writer.writerow([take.get_frame_number(t), f"{t / take.rate:.6f}", *cells])
+
+
+def format_cells(row: Sequence[float], decimals: int) -> list[str]:
+    """Return numbers as text, "" for NaN."""
     return ["" if x != x else f"{x:.{decimals}f}" for x in row]
 
 
 def _format_rate(rate: float) -> str:
-    """-> with two decimals, as everybody writes it, where those are enough."""
+    """Return a rate with two decimals, as is usual, if these suffice, else with six."""
     return f"{rate:.2f}" if np.isclose(rate, round(rate, 2), rtol=1e-9) else f"{rate:.6f}"
-
-
-# MERGED: mocapfix.write.csv
-# A take's markers as a plain CSV: what spreadsheets, pandas, MATLAB and R read without being told anything.
-def write_csv(target: str | Path, take: Take) -> None:
-    """Write one line of column names, then a line a frame: frame, time_s, and LABEL_X_mm, LABEL_Y_mm, LABEL_Z_mm for every
-    labelled marker, in the unit (mm, cm or m) and axes that the take's own file had; blank where missing.
-
-    Frames keep the file's numbers, and the time of the first one is 0. UTF-8, commas, decimal points.
-
-    Raises WriteError where `target` cannot be written.
-    """
-    form = get_file_frame(take)
-    with replace_atomically(Path(target)) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = rows.writer(file, lineterminator="\n")
-        labels = (" ".join(label.split()) for label in take.labels)  # one that holds a line's end would end the line of names
-        writer.writerow(["frame", "time_s", *(f"{label}_{axis}_{form.unit_name}" for label in labels for axis in "XYZ")])
-        for t, row in enumerate(form.compute_coordinates(take.markers).reshape(take.frame_count, -1).tolist()):
-            writer.writerow(
-                [take.get_frame_number(t), f"{t / take.rate:.6f}", *format_cells(row, DECIMALS_BY_UNIT[form.unit_name])]
-            )
