@@ -227,16 +227,16 @@ def test_decisions_are_given_back_in_a_file_for_each(files, two, tmp_path):
     assert text.count("decision: accept") == 2
     edited = tmp_path / "mine.yaml"
     edited.write_text(text.replace("decision: accept", "decision: reject", 1))
-    bodies = [each.before for each in result.subject_results]
+    bodies = [each.input_take for each in result.subject_results]
     of_jim, of_ann, of_others = read_review_files([edited, outputs["Jim.changes.yaml"]], bodies)
     assert (len(of_jim), len(of_ann), len(of_others)) == (0, 1, 0)
     assert bodies[1].labels[of_ann[0].markers[0]] in ("Ann:LFIN", "Ann:RSHN")
-    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), as .*mine\.yaml is"):
+    with pytest.raises(SceneError, match=r"mine\.yaml is for two\.c3d \(Ann\) as well; give one of them"):
         read_review_files([edited, outputs["Ann.changes.yaml"]], bodies)
-    with pytest.raises(SceneError, match=r"is about two\.c3d \(Ann\), not two\.c3d \(Jim\); .* cleaning wrote\."):
+    with pytest.raises(SceneError, match=r"is for two\.c3d \(Ann\), not for two\.c3d \(Jim\); use the review file of this take\."):
         read_review_files([edited], bodies[:1])
-    with pytest.raises(SceneError, match=r"\(Ann\), not two\.c3d; .*, or say with --subject-prefix whose it is\."):
-        read_review_files([edited], [result.before])
+    with pytest.raises(SceneError, match=r"\(Ann\), not for two\.c3d; .*, or select the subject with --subject-prefix\."):
+        read_review_files([edited], [result.input_take])
 
 
 def test_a_subject_is_one_persons(files, two):
@@ -270,7 +270,7 @@ def test_what_else_is_asked_for_is_everybodys_own_but_the_c3d_which_is_one(files
 def test_people_whose_files_would_have_one_name_are_a_sentence(files, two, tmp_path):
     jim = two[0].subject_results[0]
     both = replace(two[0], subject_results=(jim, replace(jim, before=replace(jim.before, subject_name="JIM"))))
-    with pytest.raises(WriteError, match="would be called the same"):
+    with pytest.raises(WriteError, match="would have the same name"):
         both.write(tmp_path)
     assert not list(tmp_path.iterdir())
 
