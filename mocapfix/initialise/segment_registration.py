@@ -1,10 +1,7 @@
 """Closed-form initial poses by rigid registration of the body's segments to their visible markers."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.joint_registration import register_limb_frames
 from mocapfix.motion import Motion
@@ -13,9 +10,6 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
 from mocapfix.subject import Subject
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 PELVIS_MARKER_WEIGHT = 3.0  # of a pelvis marker relative to a chest marker, as the chest moves relative to the root
 MIN_TRUNK_MARKERS = 3  # in a frame that determines the root, and on the joint of the chest

@@ -5,16 +5,11 @@ As a pose can lean towards the camera or away from it until it fits nearly any s
 slowly. Its fixed point, the scale that reproduces itself, is found by the secant method instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from jaxtyping import Float
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
 MAX_SCALE_STEP = 0.2  # of the scale's logarithm

@@ -1,20 +1,15 @@
 """The keypoints of each detector, in its order, and their positions on the body: scenes/keypoints/NAME.yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 from pydantic import PositiveFloat
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,9 @@
 """Synthetic keypoints with known truth: the shipped scene keypoints-2d was made by `compose_example_film`."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
@@ -12,9 +11,6 @@ from mocapfix.keypoints.camera_scale import KeypointCamera, build_camera_rotatio
 from mocapfix.keypoints.detectors import load_detector
 from mocapfix.motion import Motion
 from mocapfix.solve.kinematics import compute_world_poses
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 IMAGE_WIDTH_PX = 1280
 IMAGE_HEIGHT_PX = 720

@@ -6,12 +6,10 @@ is solved from several headings, the most likely sequence of the solutions is fo
 again, tracking that sequence made smooth.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
@@ -27,9 +25,6 @@ from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.solve.pose_solver import PoseSolution
 from mocapfix.solve.smoothing import smooth_poses
 from mocapfix.stats.viterbi import find_cheapest_states
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 HEADING_COUNT = 6  # start headings of each frame, in equal steps
 JOINT_SPEED_SD_M_S = 1.0  # per axis, of a joint relative to the root

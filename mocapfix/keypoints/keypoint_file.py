@@ -8,21 +8,17 @@ x and y in pixels, to the right and down, c the confidence from 0 (not found) to
 file for each frame, ordered by name, or one such file. A frame is the same in both. With COCO's points the key is "keypoints".
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.keypoints.detectors import KeypointDetector, list_detectors, load_detector
 from mocapfix.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 FRAME_FILE_DETECTOR = "openpose"  # the detector that writes a file for each frame
 MIN_SHARED_CONFIDENCE = 1e-9  # sum of two people's confidences, by which a distance is divided

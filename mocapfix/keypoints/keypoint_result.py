@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_atomically
 from mocapfix.keypoints.camera_scale import KeypointCamera
@@ -20,8 +21,6 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.solve.kinematics import compute_world_poses
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
-
     from mocapfix.report.keypoint_report import KeypointReport
 
 KEYPOINT_OUTPUT_KINDS = ("bvh", "report.html", "report.json", "rrd")

@@ -1,11 +1,9 @@
 """The pose problem of a film: keypoints in the images of an orthographic camera, and a pose prior."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import ReprojectionTerm, TrackingTerm
@@ -14,9 +12,6 @@ from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.solve.pose_solver import PoseSolution, solve_poses
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 ROOT_POSITION_SD_M = 10.0  # of the root about its start, as an orthographic camera does not determine its distance
 WIDE_ROBUST_SCALE_SD = 10.0  # Geman-McClure scale, in standard deviations: the weight of a keypoint farther away tends to zero

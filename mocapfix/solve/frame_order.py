@@ -1,13 +1,9 @@
 """The order in which frames are solved, and the pose from which each starts."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int
 
 
 class SolveOrder(NamedTuple):

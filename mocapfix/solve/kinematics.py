@@ -1,19 +1,13 @@
 """Forward kinematics of motions: world positions of joints and markers."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_marker_frames, compute_world_frames
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.subject import Subject
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 def build_kinematic_tree(skeleton: Skeleton) -> KinematicTree:

@@ -1,12 +1,11 @@
 """The pose problem of a whole take: a body, its measured markers, and the prior on its poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
@@ -17,9 +16,6 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve.frame_order import SolveOrder, order_from_gap_ends, order_sequentially
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.stats.runs import find_runs
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
 

@@ -6,18 +6,14 @@ and (cos, sin) of half the angle where it has two. A position has an offset vect
 signal smoothest is a linear least squares problem.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
 from mocapfix.stats.gaussian_process import compute_matern_52
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 OFFSET_TIME_SCALE_S = 0.3  # of the signal's correlation
 OFFSET_NOISE_VARIANCE_RATIO = 1e-4  # variance of a sample's noise, relative to the signal's power

@@ -7,16 +7,12 @@ gap, a regression on the take's own motion across a long one, and a weighted com
 Gaussian over all measurements, in its dual form.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.stats.runs import find_runs
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
 
 DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense
 TRAINING_STEP_S = 1 / 30  # between training frames within the margin

@@ -6,17 +6,13 @@ of which a part is rough (Matern-1/2), as the residual itself shows. Given the s
 them smoothly and decays towards zero in the middle of a long gap; its variance is the uncertainty.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.stats.gaussian_process import evaluate_matern
 from mocapfix.stats.runs import find_runs
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
 ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness

@@ -1,10 +1,7 @@
 """Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.rigid_registration import (
@@ -13,12 +10,9 @@ from mocapfix.kernels.rigid_registration import (
     transform_point_frames,
 )
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
-
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation
-ALIGNMENT_ROUNDS = 6  # of shape and poses in turn
+ALIGNMENT_ROUNDS = 6  # in which poses and shape are estimated in turn
 
 
 def compute_cross_covariance(
@@ -82,17 +76,28 @@ def align_to_common_shape(
     is_visible = ~np.isnan(markers[..., 0])
     shape, variance = markers[np.argmax(is_visible.sum(1))], np.ones(markers.shape[1])
     shape = shape - np.nanmean(shape, 0)
-    for _ in range(ALIGNMENT_ROUNDS):
-        weight = is_visible * ~np.isnan(shape[:, 0]) / (MIN_MARKER_SD_M**2 + variance)
-        is_aligned = (weight > 0).sum(1) >= MIN_ALIGNMENT_MARKERS
-        cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape), weight)
-        rotation = fit_rotations(cross)
-        origin = mean_markers - np.einsum("tab,tb->ta", rotation, mean_shape)
+    rotation, origin, is_aligned = _align_to_shape(markers, is_visible, shape, variance)
+    for _ in range(ALIGNMENT_ROUNDS - 1):
         if not is_aligned.any():
             break
         shape, variance = compute_common_shape(markers, is_visible & is_aligned[:, None], rotation, origin)
         shape -= np.nanmean(shape, 0)
+        rotation, origin, is_aligned = _align_to_shape(markers, is_visible, shape, variance)
     return rotation, origin, is_aligned
+
+
+def _align_to_shape(
+    markers: Float[np.ndarray, "T M 3"],
+    is_visible: Bool[np.ndarray, "T M"],
+    shape: Float[np.ndarray, "M 3"],
+    variance: Float[np.ndarray, " M"],
+) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
+    """Return rotations and origins that align a shape with the markers, and whether a frame has enough markers."""
+    weight = is_visible * ~np.isnan(shape[:, 0]) / (MIN_MARKER_SD_M**2 + variance)
+    is_aligned = (weight > 0).sum(1) >= MIN_ALIGNMENT_MARKERS
+    cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape), weight)
+    rotation = fit_rotations(cross)
+    return rotation, mean_markers - np.einsum("tab,tb->ta", rotation, mean_shape), is_aligned
 
 
 def compute_common_shape(

@@ -1,13 +1,7 @@
 """Runs of consecutive frames in a mask."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool
+from jaxtyping import Bool
 
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:

@@ -1,15 +1,9 @@
 """Damage to synthetic markers: short and long gaps, an arm lost as a whole, a late start, and spikes."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.stats.runs import find_runs
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 DAMAGED_ARM_JOINTS = ("LeftArm", "LeftForeArm", "LeftHand")
 ARM_GAP_S = (1.0, 2.5)  # while the arm swings

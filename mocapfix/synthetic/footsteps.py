@@ -4,17 +4,13 @@ Everything is planned from the floor up: a foot in stance does not move, and the
 Left is index 0, right is 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 CYCLE_DURATION_S = 10.0  # walk, reach, crouch, turn by half a circle; then the same back again
 ANKLE_HEIGHT_M = 0.075  # from the sole

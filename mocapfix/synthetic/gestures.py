@@ -4,16 +4,10 @@ Angles are anatomical: about the axes of a person standing with hanging arms, X 
 about X lifts an arm or leans back, positive about Y turns to the left.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.synthetic.footsteps import CYCLE_DURATION_S, compute_ramp
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 # Times into the cycle: a gesture begins, is complete, begins to end, has ended.
 REACH_LEFT_TIMES_S = (3.8, 4.5, 4.8, 5.5)

@@ -4,11 +4,8 @@ A joint's "posture" is its world rotation relative to standing with hanging arms
 times standing rotation, for any rest axes.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from jaxtyping import Float
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -17,9 +14,6 @@ from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
 from mocapfix.synthetic.footsteps import FootMotion, compute_axis_rotation, plan_footsteps
 from mocapfix.synthetic.gestures import CROUCH_TIMES_S, compute_gesture_angles, compute_plateau
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 STRIDE_TO_LEG_RATIO = 0.68  # distance from one foot's place to the other's, over the leg's length
 MAX_LEG_EXTENSION_RATIO = 0.992  # hip to ankle over the leg's length: a standing person's knees are not locked

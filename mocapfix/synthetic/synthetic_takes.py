@@ -1,12 +1,10 @@
 """Synthetic takes: a person, their motion and their markers, with the truth that a real take does not contain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -19,9 +17,6 @@ from mocapfix.synthetic.damage import DAMAGED_ARM_JOINTS, draw_gaps, draw_spikes
 from mocapfix.synthetic.motions import compose_motion
 from mocapfix.take import Take
 from mocapfix.write.c3d import write_c3d
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
 
 BONE_GROUP_LENGTH_SD = 0.04  # of a bone group's length, relative
 BONE_LENGTH_SD = 0.03  # of a single bone's length beside its group's, relative (about that of CMU's subjects)
