@@ -175,7 +175,7 @@ def two(files):
 
 def test_everybody_is_cleaned_and_written_by_name(files, two):
     result, outputs = two
-    assert [each.before.subject_name for each in result.subject_results] == ["Jim", "Ann", "others"]
+    assert [each.input_take.subject_name for each in result.subject_results] == ["Jim", "Ann", "others"]
     everyones = ("changes.yaml", "report.json", "report.html", "rrd")
     kinds = {f"{name}.{kind}" for name in ("Jim", "Ann", "others") for kind in everyones}
     kinds |= {f"{name}.{kind}" for name in ("Jim", "Ann") for kind in ("bvh", "subject.yaml")} | {"c3d"}
@@ -269,7 +269,7 @@ def test_what_else_is_asked_for_is_everybodys_own_but_the_c3d_which_is_one(files
 
 def test_people_whose_files_would_have_one_name_are_a_sentence(files, two, tmp_path):
     jim = two[0].subject_results[0]
-    both = replace(two[0], subject_results=(jim, replace(jim, before=replace(jim.before, subject_name="JIM"))))
+    both = replace(two[0], subject_results=(jim, replace(jim, input_take=replace(jim.input_take, subject_name="JIM"))))
     with pytest.raises(WriteError, match="would have the same name"):
         both.write(tmp_path)
     assert not list(tmp_path.iterdir())
@@ -279,12 +279,12 @@ def test_what_a_file_cannot_hold_is_left_empty_in_the_report_of_whose_it_is(file
     jim, ann, others = two[0].subject_results
     markers = ann.take.markers.copy()
     markers[5, 3] = 1e4  # metres: read back, it would be what Cortex writes for a marker that is not there
-    far = replace(ann, take=ann.take.replace_markers(markers, np.where(markers[..., 0] == 1e4, 0.01, ann.take.deviation)))
-    outputs = multi_subject.merge_results(two[0].before, (jim, far, others)).write(tmp_path)
+    far = replace(ann, take=ann.take.replace_markers(markers, np.where(markers[..., 0] == 1e4, 0.01, ann.take.sample_sd)))
+    outputs = multi_subject.merge_results(two[0].input_take, (jim, far, others)).write(tmp_path)
     fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
     assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
     (left,) = fills["Ann"]["left"]
-    assert (left["marker"], left["first"], left["last"]) == (ann.before.labels[3], FIRST + 5, FIRST + 5)
+    assert (left["marker"], left["first"], left["last"]) == (ann.input_take.labels[3], FIRST + 5, FIRST + 5)
 
 
 def test_the_command_line_tells_of_each(files, two, mocapfix, tmp_path):
