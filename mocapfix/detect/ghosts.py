@@ -11,9 +11,10 @@ import numpy as np
 from mocapfix.detect import continuity, marker_distances
 from mocapfix.detect.continuity import compute_own_leaps
 from mocapfix.detect.marker_distances import MarkerDistances, compute_own_contradictions
-from mocapfix.detect.swap_viterbi import CONTRADICTION_S_PER_LEAP, MAX_SMOOTH_LEAP, SMOOTH_CHANGE_COST, find_cheapest_states
+from mocapfix.detect.swap_viterbi import CONTRADICTION_S_PER_LEAP, MAX_SMOOTH_LEAP, SMOOTH_CHANGE_COST
 from mocapfix.faults import Fault
 from mocapfix.stats.runs import find_runs
+from mocapfix.stats.viterbi import find_cheapest_states
 from mocapfix.take import Take
 
 GHOST_CORRECT_FRACTION = (
@@ -38,7 +39,7 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
     for m in range(len(take.labels)):
         seen = np.flatnonzero(take.visible[:, m])
         step, stay = _compute_ghost_costs(leaps[seen, m], off[seen, m], np.diff(seen, prepend=-1) == 1, take.rate)
-        course = find_cheapest_states(step, stay) if len(seen) else np.zeros(0, int)
+        course = find_cheapest_states(step[1:], stay) if len(seen) else np.zeros(0, int)
         for a, b in find_runs(course == 1):
             frames = seen[a : b + 1]
             error, sway = _measure_displacement(take.markers[frames], known, m)

@@ -15,6 +15,7 @@ from numba import njit
 from mocapfix.detect.continuity import MarkerTrajectories, compute_leap
 from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction
 from mocapfix.stats.runs import find_runs
+from mocapfix.stats.viterbi import find_cheapest_states
 
 LABEL_CHANGE_COST = 0.5  # leaps: the price of a label's change from one marker to another
 MAX_SMOOTH_LEAP = 0.25  # of a leap: a label that goes on so well from one frame to the next has not changed its marker
@@ -45,7 +46,7 @@ def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, dis
     states = np.array(list(permutations(range(len(group)))))  # marker i rides on label states[s, i]; in the first on its own
     step, stay = _compute_exchange_costs(states, np.array(group), trajectories, distances)
     doubt = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
-    course = find_cheapest_states(step, stay + doubt)
+    course = find_cheapest_states(step[1:], stay + doubt)
     seen, found = ~np.isnan(trajectories.markers[:, group, 0]), []
     for s in range(1, len(states)):
         extra = stay[:, s] - stay[:, 0]
@@ -115,23 +116,3 @@ def _compute_exchange_costs(states, group, trajectories, distances):
                         LABEL_CHANGE_COST + SMOOTH_CHANGE_COST * fixed[before]
                     )
     return step, stay
-
-
-@njit(cache=True)
-def find_cheapest_states(step_cost, state_cost):
-    """-> (T,) the state in each frame of the cheapest course."""
-    frames, n = state_cost.shape
-    cost, came = state_cost[0].copy(), np.zeros((frames, n), np.int64)
-    total = cost.copy()
-    for t in range(1, frames):
-        for s in range(n):
-            for r in range(n):
-                if cost[r] + step_cost[t, r, s] < cost[came[t, s]] + step_cost[t, came[t, s], s]:
-                    came[t, s] = r
-            total[s] = cost[came[t, s]] + step_cost[t, came[t, s], s] + state_cost[t, s]
-        cost[:] = total
-    course = np.zeros(frames, np.int64)
-    course[-1] = np.argmin(cost)
-    for t in range(frames - 1, 0, -1):
-        course[t - 1] = came[t, course[t]]
-    return course

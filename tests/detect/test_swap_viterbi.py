@@ -1,12 +1,8 @@
-from itertools import product
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from mocapfix.detect import continuity, marker_distances
-from mocapfix.detect.swap_viterbi import find_cheapest_states, find_exchanges
+from mocapfix.detect.swap_viterbi import find_exchanges
 from tests.detect.bodies import exchanged, hidden, turning
 
 
@@ -14,26 +10,6 @@ def among(take, group):
     return find_exchanges(
         group, continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     )
-
-
-def cost(course, step, stay):
-    moves = sum(step[t, course[t - 1], course[t]] for t in range(1, len(course)))
-    return moves + sum(stay[t, s] for t, s in enumerate(course))
-
-
-@given(seed=st.integers(0, 10_000), frames=st.integers(1, 5), states=st.integers(1, 3))
-def test_the_cheapest_course_is_cheaper_than_every_other(seed, frames, states):
-    rng = np.random.default_rng(seed)
-    step, stay = rng.uniform(0, 1, (frames, states, states)), rng.uniform(0, 1, (frames, states))
-    best = min(cost(course, step, stay) for course in product(range(states), repeat=frames))
-    assert cost(find_cheapest_states(step, stay), step, stay) == pytest.approx(best)
-
-
-def test_a_course_changes_where_that_is_paid_back():
-    stay = np.tile([0.0, 1.0], (10, 1))
-    stay[3:7] = [1.0, 0.0]  # a change there and back saves 4
-    for price, course in ((1.9, [0, 0, 0, 1, 1, 1, 1, 0, 0, 0]), (2.1, [0] * 10)):
-        assert find_cheapest_states(np.tile(price * (1 - np.eye(2)), (10, 1, 1)), stay).tolist() == course
 
 
 def test_right_labels_are_left_alone():
