@@ -1,11 +1,13 @@
-"""The common task: a take with known truth, on which solvers of poses are timed and compared.
+"""The common task: a take with known truth, on which pose solvers are timed and compared.
 
-scenes/bench/common-task.yaml says all of it; the random numbers are NumPy's of a fixed seed, so it is the same everywhere.
+It is defined by scenes/bench/common-task.yaml and a fixed seed of NumPy's random numbers, and so the same on every machine.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.motion import Motion
@@ -16,15 +18,14 @@ from mocapfix.subject import Subject
 
 @dataclass(frozen=True)
 class CommonTask:
-    """What a solver is given, and the truth.
+    """The input of a solver and the truth.
 
-    subject    the body, its joints and M markers as they truly are
-    rate       Hz
-    mean       (J, 3) radians: the mean pose, each joint's angles about z, y, x
-    pull       metres per radian: what straying from the mean pose costs, beside a marker's metre
-    takes      name: markers (T, M, 3) in metres, NaN = not seen; "clean" and "noisy"
-    starts     name: (T, 3) metres: where a frame that starts from the mean pose, not from its neighbour, has its root
-    positions  (T, J, 3) metres: where the joints truly are
+    subject           the true body and its M markers
+    mean_angles       (J, 3) radians: Euler angles z, y, x of the mean pose
+    mean_pose_weight  metres per radian: a deviation from the mean pose costs as much as this marker residual
+    takes             "clean" and "noisy": markers (T, M, 3) in metres, NaN where missing
+    root_starts       by take: (T, 3) metres, root position of a frame that is started from the mean pose, not from its neighbour
+    joint_positions   (T, J, 3) metres: the truth
     """
 
     subject: Subject
@@ -35,69 +36,78 @@ class CommonTask:
     root_starts: dict[str, np.ndarray]
     joint_positions: np.ndarray
 
-    def compute_joint_error(self, root: np.ndarray, rotations: np.ndarray) -> float:
-        """-> mean distance of the joints from the truth, metres, over the frames solved: root (T, 3), rotations (T, J, 3, 3)."""
-        found = kinematics.compute_world_poses(self.subject.skeleton, build_pose_motion(root, rotations))[0]
-        return float(np.linalg.norm(found - self.joint_positions[: len(root)], axis=-1).mean())
+    def compute_joint_error(self, root: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> float:
+        """Return the mean distance of the joints from the truth in metres over the first T frames."""
+        positions = kinematics.compute_world_poses(self.subject.skeleton, build_known_motion(root, rotations))[0]
+        return float(np.linalg.norm(positions - self.joint_positions[: len(root)], axis=-1).mean())
 
 
 def build_common_task() -> CommonTask:
-    """-> the task as its scene says."""
+    """Return the task that the scene file defines."""
     scene = read_shipped_yaml("bench/common-task.yaml")
     rng = np.random.default_rng(scene["seed"])
-    subject, mean = build_task_subject(scene), np.array([joint.get("mean", [0.0] * 3) for joint in scene["joints"]])
-    seconds = np.arange(scene["frames"]) / scene["rate"]
-    root = np.stack([about + swing * np.sin(2 * np.pi * hz * seconds) for about, swing, hz in scene["way"]], axis=1)
-    truth = build_pose_motion(root, compute_zyx_rotations(generate_joint_angles(scene, mean, seconds, rng)))
-    positions, clean = kinematics.compute_joint_and_marker_positions(subject, truth)
+    subject = build_task_subject(scene)
+    mean_angles = np.array([joint.get("mean", [0.0] * 3) for joint in scene["joints"]])
+    times_s = np.arange(scene["frames"]) / scene["rate"]
+    root = np.stack([mean + swing * np.sin(2 * np.pi * hz * times_s) for mean, swing, hz in scene["root"]], axis=1)
+    truth = build_known_motion(root, compute_zyx_rotations(generate_joint_angles(scene, mean_angles, times_s, rng)))
+    joint_positions, clean = kinematics.compute_joint_and_marker_positions(subject, truth)
     takes = {"clean": clean, "noisy": corrupt_markers(scene, clean, rng)}
-    rest = compute_zyx_rotations(mean)[None]
-    placed = kinematics.compute_joint_and_marker_positions(subject, build_pose_motion(np.zeros((1, 3)), rest))[1][0]
+    mean_pose = build_known_motion(np.zeros((1, 3)), compute_zyx_rotations(mean_angles)[None])
+    mean_markers = kinematics.compute_joint_and_marker_positions(subject, mean_pose)[1][0]
     pelvis = [subject.labels.index(label) for label in scene["start"]]
-    starts = {name: np.nanmean(markers[:, pelvis] - placed[pelvis], axis=1) for name, markers in takes.items()}
-    return CommonTask(subject, scene["rate"], mean, scene["pull"], takes, starts, positions)
+    starts = {name: np.nanmean(markers[:, pelvis] - mean_markers[pelvis], axis=1) for name, markers in takes.items()}
+    return CommonTask(subject, scene["rate"], mean_angles, scene["mean_pose_weight"], takes, starts, joint_positions)
 
 
-def build_task_subject(scene: dict) -> Subject:
-    """-> the scene's joints and markers."""
+def build_task_subject(scene: dict[str, Any]) -> Subject:
+    """Return the scene's joints and markers."""
     joints, markers = scene["joints"], scene["markers"]
     names = tuple(joint["name"] for joint in joints)
     parents = np.array([names.index(joint["parent"]) if joint["parent"] else -1 for joint in joints])
     offsets = np.array([joint["offset"] for joint in joints])
-    places = np.array([marker["place"] for marker in markers])
-    on = np.array([names.index(marker["joint"]) for marker in markers])
+    marker_offsets = np.array([marker["offset"] for marker in markers])
+    marker_joints = np.array([names.index(marker["joint"]) for marker in markers])
     skeleton = Skeleton(names, parents, offsets, np.full_like(offsets, np.nan))
-    return Subject(skeleton, "", tuple(marker["label"] for marker in markers), on, places, np.zeros(len(on)))
+    labels = tuple(marker["label"] for marker in markers)
+    return Subject(skeleton, "", labels, marker_joints, marker_offsets, np.zeros(len(marker_joints)))
 
 
-def generate_joint_angles(scene: dict, mean_angles: np.ndarray, times_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """-> (T, J, 3) radians: every joint's angles about z, y, x at every moment."""
-    swing, angles = np.array([joint["swing"] for joint in scene["joints"]]), np.zeros((len(times_s), *mean_angles.shape))
+def generate_joint_angles(
+    scene: dict[str, Any], mean_angles: Float[np.ndarray, "J 3"], times_s: Float[np.ndarray, " T"], rng: np.random.Generator
+) -> Float[np.ndarray, "T J 3"]:
+    """Return the Euler angles z, y, x of every joint in radians: sums of sines of random frequency and phase."""
+    swing = np.array([joint["swing"] for joint in scene["joints"]])
+    angles = np.zeros((len(times_s), *mean_angles.shape))
     for band in scene["bands"]:
-        hertz, phase = rng.uniform(band["from"], band["to"], swing.shape), rng.uniform(0, 2 * np.pi, swing.shape)
-        angles += band["part"] * swing * np.sin(2 * np.pi * hertz * times_s[:, None, None] + phase)
+        frequency_hz = rng.uniform(band["from"], band["to"], swing.shape)
+        phase = rng.uniform(0, 2 * np.pi, swing.shape)
+        angles += band["share"] * swing * np.sin(2 * np.pi * frequency_hz * times_s[:, None, None] + phase)
     angles += mean_angles
-    knees = [j for j, joint in enumerate(scene["joints"]) if joint["name"] in scene["unbending"]]
+    knees = [j for j, joint in enumerate(scene["joints"]) if joint["name"] in scene["knees"]]
     angles[:, knees, 2] = np.maximum(angles[:, knees, 2], 0.0)
     return angles
 
 
-def corrupt_markers(scene: dict, clean: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """-> the clean take (T, M, 3) with noise, and a part of its samples lost in runs."""
-    frames, count = clean.shape[:2]
-    lost, run = np.zeros((frames, count), bool), round(scene["missing"]["seconds"] * scene["rate"])
-    while lost.sum() < int(scene["missing"]["part"] * lost.size):
-        marker, first = rng.integers(count), rng.integers(frames - run)
-        lost[first : first + run, marker] = True
+def corrupt_markers(
+    scene: dict[str, Any], clean: Float[np.ndarray, "T M 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "T M 3"]:
+    """Return the clean take with noise and gaps."""
+    frame_count, marker_count = clean.shape[:2]
+    is_missing = np.zeros((frame_count, marker_count), bool)
+    gap_length = round(scene["missing"]["seconds"] * scene["rate"])
+    while is_missing.sum() < int(scene["missing"]["share"] * is_missing.size):
+        marker, first = rng.integers(marker_count), rng.integers(frame_count - gap_length)
+        is_missing[first : first + gap_length, marker] = True
     noisy = clean + rng.normal(0, scene["noise"], clean.shape)
-    noisy[lost] = np.nan
+    noisy[is_missing] = np.nan
     return noisy
 
 
-def compute_zyx_rotations(angles: np.ndarray) -> np.ndarray:
-    """-> rotations Rz Ry Rx (..., 3, 3) of angles (..., 3) about z, y, x.
+def compute_zyx_rotations(angles: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Return the rotations Rz Ry Rx of Euler angles z, y, x in radians.
 
-    Written out, for the peer turns 31 joints at a time: several times as fast as scipy's Rotation for so few.
+    This is several times as fast as scipy's Rotation for the 31 joints of one frame, which the scipy solver needs.
     """
     (cz, cy, cx), (sz, sy, sx) = np.moveaxis(np.cos(angles), -1, 0), np.moveaxis(np.sin(angles), -1, 0)
     rows = [
@@ -108,7 +118,8 @@ def compute_zyx_rotations(angles: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
-def build_pose_motion(root: np.ndarray, rotations: np.ndarray) -> Motion:
-    """-> poses root (T, 3), rotations (T, J, 3, 3) as a motion of which nothing else is known."""
-    nothing = np.zeros(len(root), int)
-    return Motion(root, rotations, nothing, nothing, np.zeros((len(root), 0)), np.zeros((len(root), 0)))
+def build_known_motion(root_position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Motion:
+    """Return known poses as a motion: positions in metres, local rotations, and standard deviations of zero."""
+    zeros, joint_sd = np.zeros(len(root_position), int), np.zeros(rotations.shape[:2])
+    root_position, rotations = np.ascontiguousarray(root_position), np.ascontiguousarray(rotations)
+    return Motion(root_position, rotations, zeros, zeros, joint_sd[:, :0], joint_sd)

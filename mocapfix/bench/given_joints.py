@@ -1,72 +1,93 @@
-"""MNN-IK's test (4.2): the places of a few joints, chosen at random, are given; how near comes the whole pose?
+"""Benchmark of pose priors when the positions of a few random joints are given (MNN-IK, 4.2): accuracy, convergence and speed.
 
-As there, poses stand at the origin without heading, and are solved from the mean pose. All priors are given the same joints
-of the same poses. The error of a pose is the mean over its 31 joints; the paper does not say of what its deviations are, here
-they are those of the poses' errors about their mean.
+As in the paper, poses are at the origin without heading, and every solve starts at the mean pose. All priors solve the same poses
+with the same joints. The error of a pose is the mean over its 31 joints. The paper does not define its standard deviations; here
+they are those of the errors of poses.
 """
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import compared_priors
-from mocapfix.bench.compared_priors import ComparedPrior, ComparedPriors, JointTask, PlacedPoses, build_joint_task
+from mocapfix.bench.compared_priors import (
+    ComparedPrior,
+    ComparedPriors,
+    JointTask,
+    PlacedPoses,
+    build_joint_task,
+    place_known_poses,
+    solve_joint_task,
+)
 from mocapfix.report.stage_timer import ProgressCallback
 
-# MERGED: mocapfix.bench.given_joints
 GIVEN_JOINT_COUNTS = (6, 8, 10, 15)
-GIVEN_JOINT_SD_M = 0.005  # metres: how sure a given place is said to be
+GIVEN_JOINT_SD_M = 0.005  # standard deviation of a given position that the solver assumes
+CURVE_JOINT_COUNT = 10  # given joints of the curves over iterations
+MAX_SHOWN_ITERATIONS = 25
+SPEED_JOINT_COUNT = 10  # given joints of the poses that are timed
+SPEED_ROUNDS = 3  # the fastest round counts, because other programs slow down some rounds
+START_ROTATION_SD_RAD = 0.15  # per axis: difference between a pose and its start, as a smooth motion would give it
+START_POSITION_SD_M = 0.03  # per axis: difference of the root position
+
+PoseErrorRow = dict[str, float]
+GivenJointResults = dict[str, dict[str, PoseErrorRow]]  # by number of given joints and by prior
 
 
 def measure_given_joints(
-    rotations: np.ndarray, priors: ComparedPriors, reference_rotations: np.ndarray, sets_per_pose: int, progress: ProgressCallback
-) -> dict:
-    """-> number of joints given: prior: `row`, of poses (N, J, 3, 3), each solved `sets` times, from other joints each time."""
-    said = {}
+    rotations: Float[np.ndarray, "N J 3 3"],
+    priors: ComparedPriors,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    sets_per_pose: int,
+    progress: ProgressCallback,
+) -> GivenJointResults:
+    """Return the errors of poses by number of given joints and prior; each pose is solved `sets_per_pose` times with other
+    joints."""
+    results: GivenJointResults = {}
     for count in GIVEN_JOINT_COUNTS:
-        task = build_joint_task(
-            np.concatenate([rotations] * sets_per_pose),
-            draw_given_joints(sets_per_pose * len(rotations), rotations.shape[1], count),
-            GIVEN_JOINT_SD_M,
-        )
-        said[str(count)] = {}
+        is_given = draw_given_joints(sets_per_pose * len(rotations), rotations.shape[1], count)
+        task = build_joint_task(np.concatenate([rotations] * sets_per_pose), is_given, GIVEN_JOINT_SD_M)
+        results[str(count)] = {}
         for name, model in priors.items():
             progress(f"{count} joints given, {name}")
-            said[str(count)][name] = summarise_pose_errors(
-                *compute_pose_errors(task, compared_priors.solve_joint_task(task, model, task.build_start(reference_rotations)))
-            )
-    return said
+            solution = solve_joint_task(task, model, task.build_start(reference_rotations))
+            results[str(count)][name] = summarise_pose_errors(*compute_pose_errors(task, solution))
+    return results
 
 
-def draw_given_joints(pose_count: int, joint_count: int, given_count: int) -> np.ndarray:
-    """-> (N, J) bool: `count` joints of each pose, always the same."""
+def draw_given_joints(pose_count: int, joint_count: int, given_count: int) -> Bool[np.ndarray, "N J"]:
+    """Return `given_count` random joints of each pose; the same ones in every call."""
     order = np.random.default_rng(given_count).random((pose_count, joint_count)).argsort(axis=1)
     return order < given_count
 
 
-def compute_pose_errors(task: JointTask, solution: compared_priors.PlacedPoses) -> tuple[np.ndarray, np.ndarray]:
-    """-> (N,) metres and (N,) radians: how far joints are from their places, and turns from the truth's, mean over joints."""
-    true = compared_priors.place_known_poses(task.skeleton, np.zeros((len(task.true_rotations), 3)), task.true_rotations)
-    far = np.linalg.norm(solution.joint_positions - true.joint_positions, axis=2).mean(axis=1)
-    turn = np.swapaxes(task.true_rotations, 2, 3) @ solution.rotations
-    return far, Rotation.from_matrix(turn.reshape(-1, 3, 3)).magnitude().reshape(turn.shape[:2]).mean(axis=1)
+def compute_pose_errors(task: JointTask, solution: PlacedPoses) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return the position error in metres and the rotation error in radians of each pose, as means over its joints."""
+    true = place_known_poses(task.skeleton, np.zeros((len(task.true_rotations), 3)), task.true_rotations)
+    position_error_m = np.linalg.norm(solution.joint_positions - true.joint_positions, axis=2).mean(axis=1)
+    difference = np.swapaxes(task.true_rotations, 2, 3) @ solution.rotations
+    angles = Rotation.from_matrix(difference.reshape(-1, 3, 3)).magnitude().reshape(difference.shape[:2])
+    return position_error_m, angles.mean(axis=1)
 
 
-def summarise_pose_errors(position_error_m: np.ndarray, rotation_error_rad: np.ndarray) -> dict[str, float]:
-    """-> means and deviations over poses, of errors (N,) in metres and radians."""
-    millimetres, degrees = 1e3 * position_error_m, np.degrees(rotation_error_rad)
+def summarise_pose_errors(
+    position_error_m: Float[np.ndarray, " N"], rotation_error_rad: Float[np.ndarray, " N"]
+) -> PoseErrorRow:
+    """Return means and standard deviations over poses, in mm and degrees."""
+    position_mm, rotation_deg = 1e3 * position_error_m, np.degrees(rotation_error_rad)
     return {
-        "position_mm": float(millimetres.mean()),
-        "rotation_deg": float(degrees.mean()),
-        "position_sd": float(millimetres.std()),
-        "rotation_sd": float(degrees.std()),
+        "position_mm": float(position_mm.mean()),
+        "rotation_deg": float(rotation_deg.mean()),
+        "position_sd": float(position_mm.std()),
+        "rotation_sd": float(rotation_deg.std()),
     }
 
 
-def compute_improvements(results: dict, name: str) -> dict[str, dict[str, float]]:
-    """-> other prior: by how many percent `name` is better than it."""
+def compute_improvements(results: GivenJointResults, name: str) -> dict[str, dict[str, float]]:
+    """Return by how many percent the errors of a prior are smaller than those of each other prior."""
     others = [other for other in next(iter(results.values())) if other != name]
     keys = {"position_percent": "position_mm", "rotation_percent": "rotation_deg"}
     return {
@@ -75,97 +96,87 @@ def compute_improvements(results: dict, name: str) -> dict[str, dict[str, float]
     }
 
 
-def compute_improvement_percent(results: dict, name: str, other: str, key: str) -> float:
-    """-> percent, the mean over the numbers of joints given (as MNN-IK counts its 25 and 39 %, 4.2)."""
+def compute_improvement_percent(results: GivenJointResults, name: str, other: str, key: str) -> float:
+    """Return the mean over the numbers of given joints, as MNN-IK averages its 25 and 39 % (4.2)."""
     return 100 * float(np.mean([1 - rows[name][key] / rows[other][key] for rows in results.values()]))
 
 
-# MERGED: mocapfix.bench.iterations
-# How the errors fall as the solve goes on: MNN-IK's Figure 5, and how near each prior comes after how many iterations.
-CURVE_JOINT_COUNT = 10  # joints
-MAX_SHOWN_ITERATIONS = 25  # iterations shown
-
-
 def measure_iterations(
-    rotations: np.ndarray, priors: ComparedPriors, reference_rotations: np.ndarray, name: str, progress: ProgressCallback
-) -> dict:
-    """-> the means over poses (N, J, 3, 3) as the solve goes on: it is stopped after 0, 1, ... iterations.
+    rotations: Float[np.ndarray, "N J 3 3"],
+    priors: ComparedPriors,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    name: str,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Return means over poses after 0, 1, ... iterations of the solver (MNN-IK, Figure 5).
 
-    A network is asked between rounds of several, and a later round is not stopped; hence `iterations`.
-
-    iterations   prior: how many had been spent
-    position_mm  prior: error of the joints
-    cost         of the solve under the prior `name`: the `total`, and what of it the `given` joints and the `prior` have
+    iterations   by prior: iterations used. A network is linearised between rounds of several iterations, and a later round is not
+                 interrupted, so that these may exceed the limit
+    position_mm  by prior: error of the joints
+    cost         of the solve with the prior `name`: `total`, and the parts of the `given` joints and of the `prior`
     """
-    task = build_joint_task(rotations, draw_given_joints(len(rotations), rotations.shape[1], CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M)
-    said = {"iterations": {}, "position_mm": {}}
+    is_given = draw_given_joints(len(rotations), rotations.shape[1], CURVE_JOINT_COUNT)
+    task = build_joint_task(rotations, is_given, GIVEN_JOINT_SD_M)
+    results: dict[str, Any] = {"iterations": {}, "position_mm": {}}
     for each, model in priors.items():
         progress(f"iterations, {each}")
-        way = [
-            compared_priors.solve_joint_task(task, model, task.build_start(reference_rotations), most)
-            for most in range(MAX_SHOWN_ITERATIONS + 1)
+        solutions = [
+            solve_joint_task(task, model, task.build_start(reference_rotations), limit)
+            for limit in range(MAX_SHOWN_ITERATIONS + 1)
         ]
-        said["iterations"][each] = [float(found.iterations.mean()) for found in way]
-        said["position_mm"][each] = [1e3 * float(compute_pose_errors(task, found)[0].mean()) for found in way]
+        results["iterations"][each] = [float(solution.iterations.mean()) for solution in solutions]
+        results["position_mm"][each] = [1e3 * float(compute_pose_errors(task, solution)[0].mean()) for solution in solutions]
         if each == name:
-            said["cost"] = compute_iteration_costs(task, way)
-    return said
+            results["cost"] = compute_iteration_costs(task, solutions)
+    return results
 
 
 def compute_iteration_costs(task: JointTask, solutions: list[PlacedPoses]) -> dict[str, list[float]]:
-    """-> half the sum of squares in standard deviations, of a pose after each iteration."""
-    totals = np.array([found.cost.mean() for found in solutions])
-    given = np.array([compute_fit_costs(task, found).mean() for found in solutions])
-    return {"total": totals.tolist(), "given": given.tolist(), "prior": (totals - given).tolist()}
+    """Return the mean cost of a pose after each iteration: half the sum of squares in standard deviations."""
+    total = np.array([solution.cost.mean() for solution in solutions])
+    given = np.array([compute_fit_costs(task, solution).mean() for solution in solutions])
+    return {"total": total.tolist(), "given": given.tolist(), "prior": (total - given).tolist()}
 
 
-def compute_fit_costs(task: JointTask, solution: PlacedPoses) -> np.ndarray:
-    """-> (N,) how far the given joints are from their places."""
-    away = np.where(task.is_given[..., None], solution.joint_positions - task.given_positions, 0.0) / task.sd_m
-    return 0.5 * (away**2).sum(axis=(1, 2))
-
-
-# MERGED: mocapfix.bench.speed
-# How many frames a second a prior poses on all cores, of frames that need it: GIVEN joints of 31, each frame for itself.
-SPEED_JOINT_COUNT = 10  # joints
-SPEED_ROUNDS = 3  # of which the fastest counts, for other programs slow it
-START_ROTATION_SD_RAD, START_POSITION_SD_M = (
-    0.15,
-    0.03,
-)  # radians and metres per axis: how far from a pose its course through time starts it
+def compute_fit_costs(task: JointTask, solution: PlacedPoses) -> Float[np.ndarray, " N"]:
+    """Return the cost of the distances between the given joints and their given positions."""
+    residuals = np.where(task.is_given[..., None], solution.joint_positions - task.given_positions, 0.0) / task.sd_m
+    return 0.5 * (residuals**2).sum(axis=(1, 2))
 
 
 def measure_prior_speed(
-    rotations: np.ndarray, model: ComparedPrior, reference_rotations: np.ndarray, progress: ProgressCallback
+    rotations: Float[np.ndarray, "N J 3 3"],
+    model: ComparedPrior,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    progress: ProgressCallback,
 ) -> dict[str, float]:
-    """-> `fps` of poses (N, J, 3, 3) from a start as a course through time gives it, and `fps_from_mean_pose`."""
-    progress("frames a second")
-    task, rng = (
-        build_joint_task(rotations, draw_given_joints(len(rotations), rotations.shape[1], SPEED_JOINT_COUNT), GIVEN_JOINT_SD_M),
-        np.random.default_rng(0),
-    )
-    turned = (
-        Rotation.from_rotvec(rng.normal(0, START_ROTATION_SD_RAD, (rotations[..., 0, 0].size, 3)))
-        .as_matrix()
-        .reshape(rotations.shape)
-    )
+    """Return the frames per second on all cores, each frame solved independently.
+
+    fps                 from a start close to the pose, as a smooth motion gives it
+    fps_from_mean_pose  from the mean pose
+    """
+    progress("frames per second")
+    is_given = draw_given_joints(len(rotations), rotations.shape[1], SPEED_JOINT_COUNT)
+    task, rng = build_joint_task(rotations, is_given, GIVEN_JOINT_SD_M), np.random.default_rng(0)
+    vectors = rng.normal(0, START_ROTATION_SD_RAD, (rotations[..., 0, 0].size, 3))
+    start_offsets = Rotation.from_rotvec(vectors).as_matrix().reshape(rotations.shape)
     starts = {
-        "fps": (rng.normal(0, START_POSITION_SD_M, (len(rotations), 3)), turned @ rotations),
+        "fps": (rng.normal(0, START_POSITION_SD_M, (len(rotations), 3)), start_offsets @ rotations),
         "fps_from_mean_pose": task.build_start(reference_rotations),
     }
-    spent = {
-        name: min(time_rounds(lambda s=start: compared_priors.solve_joint_task(task, model, s), SPEED_ROUNDS))
-        for name, start in starts.items()
-    }
-    return {name: len(rotations) / least for name, least in spent.items()}
+
+    def time_start(start: tuple[np.ndarray, np.ndarray]) -> float:
+        return min(time_rounds(lambda: solve_joint_task(task, model, start), SPEED_ROUNDS))
+
+    return {name: len(rotations) / time_start(start) for name, start in starts.items()}
 
 
 def time_rounds(call: Callable[[], object], rounds: int) -> list[float]:
-    """-> what it took each time; it is called once before, for what is only done the first time."""
+    """Return the seconds of each round, after one call that is not timed and may compile."""
     call()
-    spent = []
+    durations_s: list[float] = []
     for _ in range(rounds):
         started = time.perf_counter()
         call()
-        spent.append(time.perf_counter() - started)
-    return spent
+        durations_s.append(time.perf_counter() - started)
+    return durations_s

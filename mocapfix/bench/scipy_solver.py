@@ -1,90 +1,98 @@
-"""The peer: what anybody would write first, scipy's least_squares with an analytic Jacobian, frame after frame.
+"""The baseline solver: scipy's least_squares with an analytic Jacobian, frame by frame.
 
-Unknowns are a frame's root place and every joint's angles about z, y and x; method "lm" is MINPACK's.
+The unknowns of a frame are the root position and the Euler angles z, y, x of every joint; the method "lm" is MINPACK's.
 """
 
 import time
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.optimize import least_squares
 
 from mocapfix.bench.common_task import CommonTask, compute_zyx_rotations
 
 
 class TimedSolution(NamedTuple):
-    """The poses of the frames that were solved, and how long that took."""
+    """Solved poses and the time that they took."""
 
     root_position: np.ndarray  # (T, 3) metres
-    rotations: np.ndarray  # (T, J, 3, 3)
-    duration_s: float  # of the processor, so that whatever else runs on the machine does not count against it
+    rotations: np.ndarray  # (T, J, 3, 3) local
+    duration_s: float  # processor time unless several threads were used, so that other programs do not matter
 
 
 class PlacedMarkers(NamedTuple):
-    """Where one frame's unknowns put the body."""
+    """The body in one frame."""
 
     joint_positions: np.ndarray  # (J, 3) metres
     marker_positions: np.ndarray  # (M, 3) metres
-    angle_axes: np.ndarray  # (J, 3, 3): the world axes about which each joint's three angles turn it
+    angle_axes: np.ndarray  # (J, 3, 3): the world axes of each joint's three Euler angles
 
 
 def solve_with_scipy(task: CommonTask, take_name: str, frame_count: int) -> TimedSolution:
-    """-> the first frames of the take `name`, each started from the one before."""
-    joints = len(task.mean_angles)
-    x, rest = np.concatenate([task.root_starts[take_name][0], task.mean_angles.ravel()]), task.mean_angles.ravel()
-    below = find_moving_joints(task)
-    pull = np.hstack([np.zeros((3 * joints, 3)), task.mean_pose_weight * np.eye(3 * joints)])
-    found, started = np.empty((frame_count, len(x))), time.thread_time()
+    """Return the poses of the first frames of a take, each started from the previous one."""
+    joint_count = len(task.mean_angles)
+    mean = task.mean_angles.ravel()
+    x = np.concatenate([task.root_starts[take_name][0], mean])
+    moves_marker = find_moving_joints(task)
+    prior_jacobian = np.hstack([np.zeros((3 * joint_count, 3)), task.mean_pose_weight * np.eye(3 * joint_count)])
+    solution, started = np.empty((frame_count, len(x))), time.thread_time()
     for t, measured in enumerate(task.takes[take_name][:frame_count]):
-        seen = ~np.isnan(measured[:, 0])
+        is_visible = ~np.isnan(measured[:, 0])
 
-        def residual(x, measured=measured, seen=seen):
-            return np.concatenate(
-                [(place_markers(task, x).marker_positions - measured)[seen].ravel(), task.mean_pose_weight * (x[3:] - rest)]
-            )
+        def residual(x: np.ndarray, measured: np.ndarray = measured, is_visible: np.ndarray = is_visible) -> np.ndarray:
+            marker_residuals = (place_markers(task, x).marker_positions - measured)[is_visible].ravel()
+            return np.concatenate([marker_residuals, task.mean_pose_weight * (x[3:] - mean)])
 
-        def jacobian(x, seen=seen):
-            return np.concatenate([compute_marker_jacobian(place_markers(task, x), below)[seen].reshape(-1, len(x)), pull])
+        def jacobian(x: np.ndarray, is_visible: np.ndarray = is_visible) -> np.ndarray:
+            marker_jacobian = compute_marker_jacobian(place_markers(task, x), moves_marker)[is_visible]
+            return np.concatenate([marker_jacobian.reshape(-1, len(x)), prior_jacobian])
 
-        found[t] = x = least_squares(residual, x, jacobian, method="lm", xtol=1e-5, ftol=1e-6, gtol=1e-8).x  # pyright: ignore
-    seconds = time.thread_time() - started
-    return TimedSolution(found[:, :3], compute_zyx_rotations(found[:, 3:].reshape(frame_count, joints, 3)), seconds)
+        # pyright: the stubs of least_squares do not know that `jac` may be a function
+        x = least_squares(residual, x, jacobian, method="lm", xtol=1e-5, ftol=1e-6, gtol=1e-8).x  # pyright: ignore[reportArgumentType]
+        solution[t] = x
+    duration_s = time.thread_time() - started
+    rotations = compute_zyx_rotations(solution[:, 3:].reshape(frame_count, joint_count, 3))
+    return TimedSolution(solution[:, :3], rotations, duration_s)
 
 
-def place_markers(task: CommonTask, unknowns: np.ndarray) -> PlacedMarkers:
-    """-> the body at the unknowns x (3 + 3 J,)."""
+def place_markers(task: CommonTask, unknowns: Float[np.ndarray, " X"]) -> PlacedMarkers:
+    """Return the body for the unknowns (3 + 3 J,)."""
     skeleton, angles = task.subject.skeleton, unknowns[3:].reshape(-1, 3)
-    local, place, rotation = compute_zyx_rotations(angles), np.empty(angles.shape), np.empty((len(angles), 3, 3))
-    parent = np.empty_like(rotation)
+    local, position = compute_zyx_rotations(angles), np.empty(angles.shape)
+    rotation = np.empty((len(angles), 3, 3))
+    parent_rotation = np.empty_like(rotation)
     for j, p in enumerate(skeleton.parents):
-        parent[j] = rotation[p] if j else np.eye(3)
-        rotation[j] = parent[j] @ local[j]
-        place[j] = place[p] + rotation[p] @ skeleton.offsets[j] if j else unknowns[:3]
-    on = task.subject.joints
-    markers = place[on] + (rotation[on] @ task.subject.marker_offsets[:, :, None])[:, :, 0]
-    c, s = np.cos(angles[:, :1]), np.sin(angles[:, :1])  # z turns in the parent, y after z, x is the joint's own axis
-    axes = np.stack([parent[:, :, 2], c * parent[:, :, 1] - s * parent[:, :, 0], rotation[:, :, 0]], axis=1)
-    return PlacedMarkers(place, markers, axes)
+        parent_rotation[j] = rotation[p] if j else np.eye(3)
+        rotation[j] = parent_rotation[j] @ local[j]
+        position[j] = position[p] + rotation[p] @ skeleton.offsets[j] if j else unknowns[:3]
+    joints = task.subject.joints
+    markers = position[joints] + (rotation[joints] @ task.subject.marker_offsets[:, :, None])[:, :, 0]
+    # The axis of z is the parent's, that of y is rotated by z, that of x is the joint's own.
+    c, s = np.cos(angles[:, :1]), np.sin(angles[:, :1])
+    y_axis = c * parent_rotation[:, :, 1] - s * parent_rotation[:, :, 0]
+    axes = np.stack([parent_rotation[:, :, 2], y_axis, rotation[:, :, 0]], axis=1)
+    return PlacedMarkers(position, markers, axes)
 
 
-def compute_marker_jacobian(placed: PlacedMarkers, moves_marker: np.ndarray) -> np.ndarray:
-    """-> (M, 3, 3 + 3 J): how every marker moves with the root and with every angle of a joint it is below."""
+def compute_marker_jacobian(placed: PlacedMarkers, moves_marker: Bool[np.ndarray, "M J"]) -> Float[np.ndarray, "M 3 X"]:
+    """Return the derivatives (M, 3, 3 + 3 J) of every marker with respect to root position and Euler angles."""
     lever = (placed.marker_positions[:, None] - placed.joint_positions) * moves_marker[..., None]
     ax, ay, az = np.moveaxis(placed.angle_axes, -1, 0)
     x, y, z = np.moveaxis(lever[:, :, None], -1, 0)
-    out = np.empty((len(moves_marker), 3, 3 + 3 * moves_marker.shape[1]))
-    out[:, :, :3] = np.eye(3)
+    jacobian = np.empty((len(moves_marker), 3, 3 + 3 * moves_marker.shape[1]))
+    jacobian[:, :, :3] = np.eye(3)
     for row, part in enumerate((ay * z - az * y, az * x - ax * z, ax * y - ay * x)):
-        out[:, row, 3:] = part.reshape(len(moves_marker), -1)
-    return out
+        jacobian[:, row, 3:] = part.reshape(len(moves_marker), -1)
+    return jacobian
 
 
-def find_moving_joints(task: CommonTask) -> np.ndarray:
-    """-> (M, J) bool: the marker moves when the joint turns."""
-    parents, on = task.subject.skeleton.parents, task.subject.joints
-    below = np.zeros((len(on), len(parents)), bool)
-    for marker, joint in enumerate(on):
+def find_moving_joints(task: CommonTask) -> Bool[np.ndarray, "M J"]:
+    """Return which joints move each marker: the joint that it is attached to, and all ancestors."""
+    parents, marker_joints = task.subject.skeleton.parents, task.subject.joints
+    moves_marker = np.zeros((len(marker_joints), len(parents)), bool)
+    for marker, joint in enumerate(marker_joints):
         while joint >= 0:
-            below[marker, joint] = True
+            moves_marker[marker, joint] = True
             joint = parents[joint]
-    return below
+    return moves_marker

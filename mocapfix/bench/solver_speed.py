@@ -1,44 +1,45 @@
-"""How fast the solver is: on the common task beside scipy, and SCOPE's experiments beside the dense direction.
+"""The benchmark of the solver's speed: the common task in comparison with scipy, and SCOPE's experiments with a dense direction.
 
-Whatever runs on one thread is timed by what the processor spent on it, so that a busy machine does not slow it; only what
-runs on every core is timed by the clock.
+What runs on one thread is timed by processor time, so that other programs do not matter; only what runs on all cores is timed by
+the clock.
 """
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocapfix.bench import common_task, scipy_solver, scope_scenes
-from mocapfix.bench import mocapfix_solver as own
-from mocapfix.bench import mocapfix_solver as sparse
+from mocapfix.bench.common_task import build_common_task
 from mocapfix.bench.dense_solver import DenseSolver
-from mocapfix.bench.scope_scenes import ScopeScene
+from mocapfix.bench.mocapfix_solver import build_task_scene, build_workspace, solve_with_mocapfix, time_sparse_direction
+from mocapfix.bench.scipy_solver import solve_with_scipy
+from mocapfix.bench.scope_scenes import SCOPE_JOINT_COUNTS, ScopeScene, build_scope_experiments
 from mocapfix.solve.parallel import count_cores
 
-ONE_THREAD_ENVIRONMENT: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD_ENVIRONMENT = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TASK_TAKE_NAMES = ("clean", "noisy")
 
 
 class TimingEffort(NamedTuple):
-    """How often everything is timed."""
+    """The number of repetitions of every measurement."""
 
-    rounds: int  # of which the fastest counts
-    samples_per_round: int  # in each round, of which the median counts
-    directions_per_sample: int  # of the sweep in each sample
-    scipy_frame_count: int  # of the common task that the peer solves
-
-
-FULL_EFFORT, QUICK_EFFORT = TimingEffort(5, 9, 20, 150), TimingEffort(1, 3, 5, 8)
+    rounds: int  # the fastest round counts
+    samples_per_round: int  # the median of a round counts
+    directions_per_sample: int  # by the sweep
+    scipy_frame_count: int  # frames of the common task that scipy solves
 
 
-def measure_in_fresh_process(is_quick: bool) -> dict:
-    """-> what `measure` does, from a fresh process in which BLAS knows of one thread only.
+FULL_EFFORT = TimingEffort(rounds=5, samples_per_round=9, directions_per_sample=20, scipy_frame_count=150)
+QUICK_EFFORT = TimingEffort(rounds=1, samples_per_round=3, directions_per_sample=5, scipy_frame_count=8)
 
-    BLAS reads that when it is loaded, which here it already has been.
+
+def measure_in_fresh_process(is_quick: bool) -> dict[str, Any]:
+    """Return the results of `measure_solver_speed`, run in a new process in which BLAS uses one thread.
+
+    BLAS reads its number of threads when it is loaded, which has already happened in this process.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD_ENVIRONMENT}
     os.environ.update(ONE_THREAD_ENVIRONMENT)
@@ -53,14 +54,16 @@ def measure_in_fresh_process(is_quick: bool) -> dict:
                 os.environ[name] = value
 
 
-def measure_solver_speed(effort: TimingEffort) -> dict:
-    """-> every figure of the benchmark, ready for JSON."""
-    rows, scenes = (list(each) for each in zip(*scope_scenes.build_scope_experiments(), strict=True))
-    *times, here = time_directions([*scenes, own.build_task_scene(common_task.build_common_task())], effort)
-    rows = [row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(rows, times, strict=True)]
-    alike = {(row["joints"], row["shapes"]): row for row in rows if row["experiment"] == 3}
-    small, large = (alike[joints, 0] for joints in scope_scenes.SCOPE_JOINT_COUNTS)  # as many measurements a joint in both
-    columns = {"23": small, "31": here, "51": large}
+def measure_solver_speed(effort: TimingEffort) -> dict[str, Any]:
+    """Return all results of the benchmark, ready for JSON."""
+    settings, scenes = (list(each) for each in zip(*build_scope_experiments(), strict=True))
+    *times, task_times = time_directions([*scenes, build_task_scene(build_common_task())], effort)
+    rows = [
+        row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(settings, times, strict=True)
+    ]
+    by_size = {(row["joints"], row["shapes"]): row for row in rows if row["experiment"] == 3}
+    small, large = (by_size[joints, 0] for joints in SCOPE_JOINT_COUNTS)  # both have the same measurements per joint
+    columns = {"23": small, "31": task_times, "51": large}
     return measure_common_task(effort) | {
         "direction_us": {joints: row["sparse_us"] for joints, row in columns.items()},
         "dense_direction_us": {joints: row["dense_us"] for joints, row in columns.items()},
@@ -74,50 +77,56 @@ def measure_solver_speed(effort: TimingEffort) -> dict:
     }
 
 
-def measure_common_task(effort: TimingEffort) -> dict:
-    """-> frames a second and joint errors of mocapfix and of scipy."""
-    task, one, every, errors, theirs, their_errors = common_task.build_common_task(), {}, {}, {}, {}, {}
+def measure_common_task(effort: TimingEffort) -> dict[str, Any]:
+    """Return frames per second and joint errors of mocapfix and of scipy."""
+    task = build_common_task()
+    one_thread_fps, all_threads_fps, scipy_fps = dict[str, float](), dict[str, float](), dict[str, float]()
+    joint_error_mm, scipy_joint_error_mm = dict[str, float](), dict[str, float]()
     for name in TASK_TAKE_NAMES:
-        frames, solved = len(task.takes[name]), own.solve_with_mocapfix(task, name, False)
-        alone, together = time_samples(
-            [lambda n=name, e=each: own.solve_with_mocapfix(task, n, e).duration_s for each in (False, True)], effort
-        )
-        one[name], every[name] = frames / alone, frames / together
-        errors[name] = 1e3 * task.compute_joint_error(solved.root_position, solved.rotations)
-        plain = scipy_solver.solve_with_scipy(task, name, effort.scipy_frame_count)
-        theirs[name] = effort.scipy_frame_count / plain.duration_s
-        their_errors[name] = 1e3 * task.compute_joint_error(plain.root_position, plain.rotations)
+
+        def time_solve(use_all_cores: bool, name: str = name) -> float:
+            return solve_with_mocapfix(task, name, use_all_cores=use_all_cores).duration_s
+
+        frame_count, solution = len(task.takes[name]), solve_with_mocapfix(task, name, use_all_cores=False)
+        samples = [lambda use_all_cores=use_all_cores: time_solve(use_all_cores) for use_all_cores in (False, True)]
+        one_thread_s, all_threads_s = time_samples(samples, effort)
+        one_thread_fps[name], all_threads_fps[name] = frame_count / one_thread_s, frame_count / all_threads_s
+        joint_error_mm[name] = 1e3 * task.compute_joint_error(solution.root_position, solution.rotations)
+        baseline = solve_with_scipy(task, name, effort.scipy_frame_count)
+        scipy_fps[name] = effort.scipy_frame_count / baseline.duration_s
+        scipy_joint_error_mm[name] = 1e3 * task.compute_joint_error(baseline.root_position, baseline.rotations)
     return {
         "threads": count_cores(),
-        "fps_one_thread": one,
-        "fps_all_threads": every,
-        "joint_error_mm": errors,
-        "over_scipy": {name: one[name] / theirs[name] for name in TASK_TAKE_NAMES},
-        "scipy_fps": theirs,
+        "fps_one_thread": one_thread_fps,
+        "fps_all_threads": all_threads_fps,
+        "joint_error_mm": joint_error_mm,
+        "over_scipy": {name: one_thread_fps[name] / scipy_fps[name] for name in TASK_TAKE_NAMES},
+        "scipy_fps": scipy_fps,
         "scipy_frames": effort.scipy_frame_count,
-        "scipy_joint_error_mm": their_errors,
+        "scipy_joint_error_mm": scipy_joint_error_mm,
     }
 
 
 def time_directions(scenes: list[ScopeScene], effort: TimingEffort) -> list[dict[str, float]]:
-    """-> microseconds of one direction of each scene, by the sweep and dense."""
-    samples = []
+    """Return the microseconds of one direction of each scene, by the sweep and dense."""
+    samples: list[Callable[[], float]] = []
     for scene in scenes:
-        work, dense = sparse.build_workspace(scene), DenseSolver(scene)
-        sparse.time_sparse_direction(scene, work, 1)
+        workspace, dense = build_workspace(scene), DenseSolver(scene)
+
+        def time_sweep(scene: ScopeScene = scene, workspace: Any = workspace) -> float:
+            return time_sparse_direction(scene, workspace, effort.directions_per_sample)
+
+        time_sparse_direction(scene, workspace, 1)  # compiles
         dense.compute_direction()
-        samples += [
-            lambda s=scene, w=work: sparse.time_sparse_direction(s, w, effort.directions_per_sample),
-            dense.time_direction,
-        ]
+        samples += [time_sweep, dense.time_direction]
     us = [1e6 * seconds for seconds in time_samples(samples, effort)]
-    return [{"sparse_us": sweeping, "dense_us": densely} for sweeping, densely in zip(us[::2], us[1::2], strict=True)]
+    return [{"sparse_us": sparse, "dense_us": dense} for sparse, dense in zip(us[::2], us[1::2], strict=True)]
 
 
 def time_samples(samples: list[Callable[[], float]], effort: TimingEffort) -> list[float]:
-    """-> seconds of each: the least of the medians, so that neither a lucky moment nor a busy machine counts.
+    """Return the seconds of each sample: the minimum over rounds of the median of a round.
 
-    All of them have their turn in every round, so that a busy while is no one's alone.
+    All samples are measured in every round, so that a period of other load does not affect only one of them.
     """
     rounds = [
         [np.median([sample() for _ in range(effort.samples_per_round)]) for sample in samples] for _ in range(effort.rounds)
@@ -125,7 +134,7 @@ def time_samples(samples: list[Callable[[], float]], effort: TimingEffort) -> li
     return [float(each) for each in np.min(rounds, axis=0)]
 
 
-def compute_speedup(rows: list[dict], experiment: int, joints: int) -> float:
-    """-> dense over sparse, the geometric mean over an experiment's course."""
-    ratios = [row["speedup"] for row in rows if (row["experiment"], row["joints"]) == (experiment, joints)]
+def compute_speedup(rows: list[dict[str, Any]], experiment: int, joint_count: int) -> float:
+    """Return the ratio of dense to sparse time, as the geometric mean over an experiment."""
+    ratios = [row["speedup"] for row in rows if (row["experiment"], row["joints"]) == (experiment, joint_count)]
     return float(np.exp(np.mean(np.log(ratios))))

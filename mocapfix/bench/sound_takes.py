@@ -1,83 +1,126 @@
-"""Sound takes whose truth is known, for faults to be put into.
+"""Takes without faults whose truth is known, for the injection of faults; and recorded motion of test subjects.
 
-Composed ones need nothing but mocapfix. Performed ones are recordings of people whom no model was trained on, at the rate at
-which stages record. Either way somebody is drawn whose bones are crooked, whose skin slides and whom cameras see noisily.
+Composed takes need no data. Performed takes are recordings of subjects that no model was trained on, at the rate of a capture
+system. In both cases the body is drawn with asymmetric bones, sliding skin and camera noise.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix import synthetic
-from mocapfix.bench.lost_limbs import PerformedMotion, build_known_motion, read_performed_motions
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.motion import Motion
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
+from mocapfix.train.shard_recordings import read_shard_recordings
+from mocapfix.train.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 
-SOUND_TAKE_RATE_HZ, SOUND_TAKE_DURATION_S = 120.0, 20.0  # of a take; of a recording that is longer, the beginning
-MIN_RECORDING_S = 8.0  # seconds: of what is shorter no take is made
+CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases
+SOUND_TAKE_RATE_HZ = 120.0
+SOUND_TAKE_DURATION_S = 20.0  # of a longer recording the beginning is used
+MIN_RECORDING_S = 8.0  # shorter recordings are not used
+
+
+class PerformedMotion(NamedTuple):
+    """A recording without jumps, as motion of the average body."""
+
+    motion: Motion
+    rate_hz: float
+    name: str
 
 
 def iterate_sound_takes(motion_folder: Path | None, take_count: int) -> Iterator[tuple[str, SyntheticTake]]:
-    """Yield `count` takes by name: composed, or performed where `data` holds the motion, as many as there are.
+    """Yield the names of takes and the takes: `take_count` composed ones, or as many as the motion folder's recordings allow.
 
-    Raises SceneError where less than one is asked for, ReadError where `data` holds no test.npz of motion long enough.
+    Raises SceneError if `take_count` is less than one, ReadError if the folder has no test.npz or its recordings are too short.
     """
     if take_count < 1:
-        raise SceneError(f"There must be at least one take to put faults into, not {take_count}.")
+        raise SceneError(f"The number of takes must be at least 1, not {take_count}.")
     if motion_folder is None:
         for seed in range(take_count):
-            yield (
-                f"seed {seed}",
-                remove_damage(synthetic.compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)),
-            )
+            take = synthetic.compose_take(seed, SOUND_TAKE_DURATION_S, SOUND_TAKE_RATE_HZ, asymmetric=True)
+            yield f"seed {seed}", remove_damage(take)
         return
-    chosen = choose_performances(list(read_performed_motions(motion_folder / "test.npz")), take_count)
-    if not chosen:
+    performances = choose_performances(list(read_performed_motions(motion_folder / "test.npz")), take_count)
+    if not performances:
         raise ReadError(f"{motion_folder / 'test.npz'}: holds no recording of {MIN_RECORDING_S:g} s or longer.")
-    for number, performance in enumerate(chosen):
+    for number, performance in enumerate(performances):
         yield performance.name, perform_take(performance, np.random.default_rng(number))
 
 
+def read_performed_motions(path: Path) -> Iterator[PerformedMotion]:
+    """Yield the recordings of a shard without jumps, with root positions. Raises ReadError if the file is not a shard."""
+    joint_names = load_cmu31_body().skeleton.names
+    try:
+        with np.load(path) as shard:
+            root_positions = np.split(CMU_UNIT_M * shard["root"].astype(float), shard["start"][1:])
+        json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError) as error:
+        raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
+    is_observed = ~find_weakly_observed_joints(joint_names)
+    for recording, root_position in zip(read_shard_recordings(path), root_positions, strict=True):
+        kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
+        motion = build_known_motion(root_position[kept], recording.rotations[kept])
+        yield PerformedMotion(motion, recording.rate_hz, recording.name)
+
+
 def remove_damage(truth: SyntheticTake) -> SyntheticTake:
-    """-> the take as it would be had nothing gone wrong."""
-    nothing = np.zeros_like(truth.missing_mask)
-    return replace(truth, damaged_positions=truth.marker_positions, missing_mask=nothing, spike_mask=nothing)
+    """Return the take without missing samples and spikes."""
+    empty = np.zeros_like(truth.missing_mask)
+    return replace(truth, damaged_positions=truth.marker_positions, missing_mask=empty, spike_mask=empty)
 
 
 def choose_performances(performances: list[PerformedMotion], take_count: int) -> list[PerformedMotion]:
-    """-> `count` recordings that are long enough: everybody's longest first, then everybody's second."""
+    """Return at most `take_count` recordings that are long enough: first the longest of every subject, then the second
+    longest."""
     ranked: list[tuple[int, PerformedMotion]] = []
-    for _, each in groupby(performances, lambda performance: performance.name.split("_")[0]):
-        theirs = sorted(each, key=lambda performance: -_compute_duration_s(performance))
-        ranked += [(rank, one) for rank, one in enumerate(theirs) if _compute_duration_s(one) >= MIN_RECORDING_S]
-    return [one for _, one in sorted(ranked, key=lambda pair: pair[0])][:take_count]
+    for _, group in groupby(performances, lambda performance: performance.name.split("_")[0]):
+        by_duration = sorted(group, key=lambda performance: -_compute_duration_s(performance))
+        ranked += [(rank, each) for rank, each in enumerate(by_duration) if _compute_duration_s(each) >= MIN_RECORDING_S]
+    return [performance for _, performance in sorted(ranked, key=lambda pair: pair[0])][:take_count]
 
 
 def perform_take(performance: PerformedMotion, rng: np.random.Generator) -> SyntheticTake:
-    """-> the recording as a take of a drawn person who does the same."""
-    subject, moves = draw_subject(rng, asymmetric=True), resample_performance(performance)
-    joints, markers = simulate_markers(rng, subject, moves, SOUND_TAKE_RATE_HZ)
-    nothing = np.zeros(markers.shape[:2], bool)
-    return SyntheticTake(moves, subject, joints, markers, markers, nothing, nothing, subject.labels, SOUND_TAKE_RATE_HZ)
+    """Return the recording as a take of a random subject with the same joint rotations."""
+    subject, motion = draw_subject(rng, asymmetric=True), resample_performance(performance)
+    joint_positions, marker_positions = simulate_markers(rng, subject, motion, SOUND_TAKE_RATE_HZ)
+    empty = np.zeros(marker_positions.shape[:2], bool)
+    return SyntheticTake(
+        motion,
+        subject,
+        joint_positions,
+        marker_positions,
+        damaged_positions=marker_positions,
+        missing_mask=empty,
+        spike_mask=empty,
+        labels=subject.labels,
+        rate=SOUND_TAKE_RATE_HZ,
+    )
 
 
 def resample_performance(performance: PerformedMotion) -> Motion:
-    """-> the first SECONDS of its motion at RATE: splines through its frames, of rotations as of places, with no kinks."""
-    count = min(performance.motion.frame_count, round(SOUND_TAKE_DURATION_S * performance.rate_hz))
-    was = np.arange(count) / performance.rate_hz
-    now = np.arange(round(was[-1] * SOUND_TAKE_RATE_HZ) + 1) / SOUND_TAKE_RATE_HZ
-    turns = performance.motion.local_rotations[:count]
-    between = [RotationSpline(was, Rotation.from_matrix(turns[:, j]))(now).as_matrix() for j in range(turns.shape[1])]
-    return build_known_motion(
-        make_interp_spline(was, performance.motion.root_position[:count])(now), np.ascontiguousarray(np.stack(between, 1))
-    )
+    """Return the first SOUND_TAKE_DURATION_S of the motion at SOUND_TAKE_RATE_HZ, by smooth splines of rotations and
+    positions."""
+    frame_count = min(performance.motion.frame_count, round(SOUND_TAKE_DURATION_S * performance.rate_hz))
+    old_times_s = np.arange(frame_count) / performance.rate_hz
+    new_times_s = np.arange(round(old_times_s[-1] * SOUND_TAKE_RATE_HZ) + 1) / SOUND_TAKE_RATE_HZ
+    rotations = performance.motion.local_rotations[:frame_count]
+    resampled = [
+        RotationSpline(old_times_s, Rotation.from_matrix(rotations[:, j]))(new_times_s).as_matrix()
+        for j in range(rotations.shape[1])
+    ]
+    root_position = make_interp_spline(old_times_s, performance.motion.root_position[:frame_count])(new_times_s)
+    return build_known_motion(root_position, np.ascontiguousarray(np.stack(resampled, 1)))
 
 
 def _compute_duration_s(performance: PerformedMotion) -> float:

@@ -5,7 +5,7 @@ its cost is half its sum of squares. The residuals of decoded poses are correlat
 network was not trained on; further code dimensions are amplitudes along the directions of these residuals.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -199,7 +199,7 @@ class NaturalnessModel:
 
 
 @contextmanager
-def use_one_torch_thread() -> Iterator[None]:
+def use_one_torch_thread() -> Generator[None]:
     """Limit torch to one thread inside the context."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)

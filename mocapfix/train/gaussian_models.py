@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -106,7 +107,7 @@ def compute_principal_axes(rows: Float[np.ndarray, "N F"], variance_share: float
     return axes.T[::-1][: int(np.searchsorted(kept_share, variance_share)) + 1]
 
 
-def build_gaussian_mixture(settings: MixtureSettings, **initial_values: object) -> GaussianMixture:
+def build_gaussian_mixture(settings: MixtureSettings, **initial_values: Any) -> GaussianMixture:
     """Return a mixture that is yet to be fitted, with initial values by scikit-learn's names."""
     return GaussianMixture(
         settings.components,
