@@ -43,9 +43,7 @@ def measure_all_joints(
     without_prior = None
     for name, model in priors.items():
         progress(f"all joints given, {name}")
-        exact, noisy = (
-            solve_joint_task(task, model, task.build_start(reference_rotations)) for task in (exact_task, noisy_task)
-        )
+        exact, noisy = (solve_joint_task(task, model, task.build_start(reference_rotations)) for task in (exact_task, noisy_task))
         without_prior = without_prior or exact  # the first of the compared priors is no prior
         results[name] = {
             "bias_mm": compute_joint_distance_mm(exact, without_prior),

@@ -19,7 +19,7 @@ from mocapfix.bench.injected_animation_faults import (
     InjectedAnimationFault,
     inject_animation_faults,
 )
-from mocapfix.bench.lost_limbs import PerformedMotion, read_performed_motions
+from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.errors import SceneError
 from mocapfix.faults import Fault, FaultKind
 from mocapfix.motion import Motion

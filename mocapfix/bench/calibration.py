@@ -70,9 +70,7 @@ def compute_mean_joint_errors(
 ) -> np.ndarray:
     """-> (J,) metres: how far the joints of poses solved on a subject are off, on average."""
     start = initial_motion.initialise_motion(take, subject, body, mean_pose)
-    motion = motion_solver.solve_motion(
-        take, subject, body, mean_pose, load_joint_limits(body.skeleton), start, SolveOptions()
-    )
+    motion = motion_solver.solve_motion(take, subject, body, mean_pose, load_joint_limits(body.skeleton), start, SolveOptions())
     joints, _ = kinematics.compute_world_poses(subject.skeleton, motion)
     return np.linalg.norm(joints - truth.joint_positions, axis=2).mean(0)
 

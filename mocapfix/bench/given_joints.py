@@ -73,9 +73,7 @@ def compute_pose_errors(task: JointTask, solution: PlacedPoses) -> tuple[Float[n
     return position_error_m, angles.mean(axis=1)
 
 
-def summarise_pose_errors(
-    position_error_m: Float[np.ndarray, " N"], rotation_error_rad: Float[np.ndarray, " N"]
-) -> PoseErrorRow:
+def summarise_pose_errors(position_error_m: Float[np.ndarray, " N"], rotation_error_rad: Float[np.ndarray, " N"]) -> PoseErrorRow:
     """Return means and standard deviations over poses, in mm and degrees."""
     position_mm, rotation_deg = 1e3 * position_error_m, np.degrees(rotation_error_rad)
     return {

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocapfix.bench import initialisation, joint_noise, twists, unseen_poses
 from mocapfix.bench.given_joints import time_rounds
-from mocapfix.bench.lost_limbs import build_known_motion
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.initialise import initial_motion
 from mocapfix.initialise.hybrik import HybrikVariant
 from mocapfix.initialise.initial_motion import solve_hybrik

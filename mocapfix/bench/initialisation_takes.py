@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix import marker_sets, pipeline, synthetic
-from mocapfix.bench.lost_limbs import PerformedMotion, read_performed_motions
+from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.calibrate import calibration
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.errors import ReadError
@@ -122,7 +122,9 @@ def add_ghosts(cases: Iterable[InitialisationTake]) -> Iterator[InitialisationTa
 def draw_group_losses(case: InitialisationTake, choose_markers: Callable[[], np.ndarray]) -> np.ndarray:
     """-> (T, K) bool: `which` (K,) markers are lost FOR seconds of EVERY so many, in the middle of these."""
     gone, rate = np.zeros_like(case.take.visible), case.take.rate
-    for begin in np.arange((GROUP_LOSS_INTERVAL_S - GROUP_LOSS_DURATION_S) / 2, case.take.frame_count / rate, GROUP_LOSS_INTERVAL_S):
+    for begin in np.arange(
+        (GROUP_LOSS_INTERVAL_S - GROUP_LOSS_DURATION_S) / 2, case.take.frame_count / rate, GROUP_LOSS_INTERVAL_S
+    ):
         gone[round(begin * rate) : round((begin + GROUP_LOSS_DURATION_S) * rate), choose_markers()] = True
     return gone
 

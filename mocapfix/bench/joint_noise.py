@@ -11,7 +11,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from mocapfix import marker_sets
-from mocapfix.bench.lost_limbs import build_known_motion
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M, HybrikVariant
 from mocapfix.initialise.initial_motion import solve_hybrik
 from mocapfix.report.stage_timer import ProgressCallback

@@ -19,13 +19,13 @@ from mocapfix import marker_sets
 from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
+from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.joint_limits import load_joint_limits
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.options import SolveOptions
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take

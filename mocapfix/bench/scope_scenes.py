@@ -127,9 +127,7 @@ def draw_direction_term(rng: np.random.Generator, pose: FramePose, joints: Int[n
     return DirectionTerm(joints, bone_axes, measured, np.full((1, len(joints)), MEASUREMENT_SD**-2))
 
 
-def place_points(
-    pose: FramePose, joints: Int[np.ndarray, " N"], offsets: Float[np.ndarray, "N 3"]
-) -> Float[np.ndarray, "N 3"]:
+def place_points(pose: FramePose, joints: Int[np.ndarray, " N"], offsets: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     """Return the world positions in metres of points at these offsets from joints."""
     return pose.position[joints] + np.einsum("nab,nb->na", pose.rotation[joints], offsets)
 

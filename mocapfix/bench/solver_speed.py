@@ -58,9 +58,7 @@ def measure_solver_speed(effort: TimingEffort) -> dict[str, Any]:
     """Return all results of the benchmark, ready for JSON."""
     settings, scenes = (list(each) for each in zip(*build_scope_experiments(), strict=True))
     *times, task_times = time_directions([*scenes, build_task_scene(build_common_task())], effort)
-    rows = [
-        row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(settings, times, strict=True)
-    ]
+    rows = [row | each | {"speedup": each["dense_us"] / each["sparse_us"]} for row, each in zip(settings, times, strict=True)]
     by_size = {(row["joints"], row["shapes"]): row for row in rows if row["experiment"] == 3}
     small, large = (by_size[joints, 0] for joints in SCOPE_JOINT_COUNTS)  # both have the same measurements per joint
     columns = {"23": small, "31": task_times, "51": large}

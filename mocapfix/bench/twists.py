@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench.lost_limbs import build_known_motion
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.initialise.bones import find_separate_joints
 from mocapfix.initialise.initial_motion import solve_hybrik
 from mocapfix.initialise.twist_regressor import compute_bone_vectors, compute_twists
