@@ -1,144 +1,224 @@
-"""Several people in one take: whose whole bodies it shows, each one's markers as a take of their own, and all together again.
+"""Several subjects in one file: split into one take for each, and their results merged again.
 
-Labels say whose they are ("Jim:LFHD"). Of a take that shows one whole body, or none, everything stays together: what is not
-the body's (a prop, a part of somebody) is filled from how markers move together. Of a take that shows several, each is cleaned
-by themselves, and what is nobody's of them, together, as if it were one more.
+Labels name the subject ("Jim:LFHD"). A file with one whole body, or with none, is cleaned as one take: markers that are not the body's (a
+prop, a part of another person) are filled from markers that move with them. Of a file with several whole bodies each is cleaned
+separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Int
 
+from mocapfix.calibrate import subject_file
 from mocapfix.errors import TakeError
 from mocapfix.faults import Fault, Faults, Fragment
-from mocapfix.marker_sets import MarkerSet, choose_marker_set
+from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_sets.library import build_subject_marker_set, load_marker_set
+from mocapfix.marker_sets.matching import choose_marker_set
+from mocapfix.options import SubjectOptions
 from mocapfix.result import CleaningResult
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-UNASSIGNED_SUBJECT = "others"  # what is no whole body's, where there are several
-MIN_UNASSIGNED_MARKERS = 3  # markers in a frame, or nothing can be placed
+UNASSIGNED_SUBJECT = "others"
+"""the name of the take of the markers that belong to no whole body"""
+MIN_UNASSIGNED_MARKERS = 3
+"""the number of unassigned markers visible in one frame that is needed to fill them from each other"""
+
+
+@dataclass(frozen=True)
+class SubjectChoice:
+    """The subject and the marker set of a take.
+
+    Attributes:
+        subject: the subject that the options name, None if it is to be calibrated.
+        marker_set: the marker set, None where no set fits: there is no body then.
+        notes: sentences for the report.
+    """
+
+    subject: Subject | None
+    marker_set: MarkerSet | None
+    notes: tuple[str, ...] = ()
+
+
+def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
+    """Return the subject and the marker set that the options name, None for each that they do not name."""
+    subject = options.subject
+    if subject is not None:
+        if isinstance(subject, str | Path):
+            subject = subject_file.read_subject(subject)
+        return SubjectChoice(subject, build_subject_marker_set(subject))
+    return SubjectChoice(None, None if options.marker_set is None else load_marker_set(options.marker_set))
+
+
+def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
+    """Return the subject and the marker set of one subject's take: those that the options name, or the set that its labels match.
+
+    Raises TakeError where the named set or subject does not fit the take.
+    """
+    if take.subject_name == UNASSIGNED_SUBJECT:
+        return SubjectChoice(None, None, ("Markers that do not form a full body are cleaned without a skeleton.",))
+    requested = load_requested_subject(options)
+    marker_set = requested.marker_set
+    if marker_set is None:
+        match = choose_marker_set(take.labels)
+        notes = () if match.marker_set else (match.reason, "The take was cleaned without a skeleton: there is no BVH.")
+        return SubjectChoice(None, match.marker_set, notes)
+    found = marker_set.match_labels(take.labels)
+    if missing := marker_set.describe_missing_body(found):
+        count = f"{len(found)} of its {len(marker_set.labels)} markers"
+        raise TakeError(f"{take.name}: {marker_set.name} does not fit: {count}, {missing}.")
+    return requested
+
+
+def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...]:
+    """Split a take as `split_subjects`, with the marker set and the name that the options give.
+
+    Raises TakeError where the options give one subject for a take of several.
+    """
+    takes = split_subjects(take, load_requested_subject(options).marker_set, options.subject_prefix)
+    if options.subject is not None and len(takes) > 1:
+        names = format_subject_names(takes)
+        raise TakeError(
+            f"{take.name}: shows {names}, but --subject describes one person; name that person with --subject-prefix."
+        )
+    return takes
 
 
 def find_whole_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:
-    """-> whose whole bodies a take shows, in the order of its labels; "" for the one whose labels have no name.
+    """Return the names of the subjects whose whole bodies a take shows, in the order of its labels.
 
-    worn_set  what they must wear; None: any of the shipped sets
+    Args:
+        take: the take. The name is "" for labels without a subject name.
+        marker_set: the marker set that they must match; None: any of the shipped sets.
     """
-    owners, seen = np.array(take.marker_subjects, object), take.visible.any(0)
-    worn = {
-        owner: [take.labels[m] for m in np.flatnonzero((owners == owner) & seen)] for owner in dict.fromkeys(take.marker_subjects)
+    subject_of_marker, is_visible = np.array(take.marker_subjects, object), take.visible.any(0)
+    labels_of_subject = {
+        name: [take.labels[m] for m in np.flatnonzero((subject_of_marker == name) & is_visible)]
+        for name in dict.fromkeys(take.marker_subjects)
     }
     if marker_set is None:
-        return tuple(owner for owner, labels in worn.items() if choose_marker_set(labels).marker_set)
-    return tuple(owner for owner, labels in worn.items() if not marker_set.describe_missing_body(marker_set.match_labels(labels)))
-
-
-def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_prefix: str | None = None) -> tuple[Take, ...]:
-    """-> the takes that are to be cleaned, one after the other: the take as it is, unless it shows several whole bodies.
-
-    prefix  the only one whose markers are wanted; whatever else is marked is in no take then
-
-    Raises TakeError where nobody has that name.
-    """
-    if subject_prefix is not None:
-        return (_select_subject(take, subject_prefix.strip().removesuffix(":")),)
-    people = find_whole_bodies(take, marker_set)
-    if len(people) < 2:
-        return (take,)
-    owners = np.array(take.marker_subjects, object)
-    each = [take.extract_markers(np.flatnonzero(owners == person), person or "unnamed") for person in people]
-    rest = np.flatnonzero(~np.isin(owners, people))
-    if take.visible[:, rest].sum(1).max(initial=0) >= MIN_UNASSIGNED_MARKERS:
-        return (*each, take.extract_markers(rest, UNASSIGNED_SUBJECT))
-    alone = ", ".join(take.labels[m] for m in rest)
-    note = f"Nobody's, and never three of them seen at a time, so left as they are: {alone}."
-    return tuple(replace(part, notes=(*part.notes, note)) if alone else part for part in each)
-
-
-def format_subject_names(bodies: Iterable[Take]) -> str:
-    """-> the people's names, as one reads them in a sentence."""
-    return " and ".join(body.subject_name for body in bodies if body.subject_name != UNASSIGNED_SUBJECT)
-
-
-def _select_subject(take: Take, subject_prefix: str) -> Take:
-    owners = np.array([owner.casefold() for owner in take.marker_subjects], object)
-    which = np.flatnonzero(owners == subject_prefix.casefold())
-    if not subject_prefix or not len(which):
-        there = ", ".join(dict.fromkeys(owner for owner in take.marker_subjects if owner))
-        whose = f"its markers are those of {there}" if there else "its labels carry no names"
-        raise TakeError(f"{take.name}: nobody in it is called {subject_prefix!r}; {whose}.")
-    if len(which) == len(owners):
-        return take
-    part = take.extract_markers(which, take.marker_subjects[which[0]])
-    return replace(
-        part, notes=(*part.notes, f"Only {part.subject_name}'s markers were looked at: the rest of the file is as it was.")
+        return tuple(name for name, labels in labels_of_subject.items() if choose_marker_set(labels).marker_set)
+    return tuple(
+        name
+        for name, labels in labels_of_subject.items()
+        if not marker_set.describe_missing_body(marker_set.match_labels(labels))
     )
 
 
-def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
-    """-> the result of a whole take, from the results of its parts, which it holds; it has no subject or motion of its own.
+def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_prefix: str | None = None) -> tuple[Take, ...]:
+    """Return the takes to clean one after the other: the take itself, unless it shows several whole bodies.
 
-    What was taken over from a trajectory that nobody named is the first one's who took it.
+    Args:
+        take: the take.
+        marker_set: as for `find_whole_bodies`.
+        subject_prefix: the only subject to clean; all other markers are left out.
+
+    Raises:
+        TakeError: where no subject has that name.
     """
-    mended, labelled, error = take, take, np.full(take.visible.shape, np.nan)
-    faults, left, donors = [], [], []
+    if subject_prefix is not None:
+        return (_select_subject(take, subject_prefix.strip().removesuffix(":")),)
+    names = find_whole_bodies(take, marker_set)
+    if len(names) < 2:
+        return (take,)
+    subject_of_marker = np.array(take.marker_subjects, object)
+    takes = [take.extract_markers(np.flatnonzero(subject_of_marker == name), name or "unnamed") for name in names]
+    unassigned = np.flatnonzero(~np.isin(subject_of_marker, names))
+    if take.visible[:, unassigned].sum(1).max(initial=0) >= MIN_UNASSIGNED_MARKERS:
+        return (*takes, take.extract_markers(unassigned, UNASSIGNED_SUBJECT))
+    labels = ", ".join(take.labels[m] for m in unassigned)
+    note = f"Unassigned markers, never {MIN_UNASSIGNED_MARKERS} of them visible at once: left unchanged: {labels}."
+    return tuple(replace(each, notes=(*each.notes, note)) if labels else each for each in takes)
+
+
+def format_subject_names(takes: Iterable[Take]) -> str:
+    """Return the names of the subjects for a sentence: "Jim and Ann"."""
+    return " and ".join(take.subject_name for take in takes if take.subject_name != UNASSIGNED_SUBJECT)
+
+
+def _select_subject(take: Take, subject_prefix: str) -> Take:
+    names = np.array([name.casefold() for name in take.marker_subjects], object)
+    selected = np.flatnonzero(names == subject_prefix.casefold())
+    if not subject_prefix or not len(selected):
+        known = ", ".join(dict.fromkeys(name for name in take.marker_subjects if name))
+        hint = f"its subjects are {known}" if known else "its labels name no subjects"
+        raise TakeError(f"{take.name}: has no subject {subject_prefix!r}; {hint}.")
+    if len(selected) == len(names):
+        return take
+    part = take.extract_markers(selected, take.marker_subjects[selected[0]])
+    note = f"Only the markers of {part.subject_name} were cleaned: the rest of the file is unchanged."
+    return replace(part, notes=(*part.notes, note))
+
+
+def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
+    """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
+
+    Where two subjects took samples from the same unlabelled trajectory, the first one keeps them.
+    """
+    cleaned, relabelled, residual_m = take, take, np.full(take.visible.shape, np.nan)
+    faults, unfilled, donors = list[Fault](), [], list[int]()
     for each in subject_results:
-        which = take.find_marker_indices(each.input_take)
-        mended, labelled = _insert_part(mended, which, each.take), _insert_part(labelled, which, each.relabelled_take)
-        index = [*which.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
-        faults += [_map_fault_indices(fault, index) for fault in each.faults.items]
-        left += [replace(one, marker=index[one.marker]) for one in each.unfilled_runs]
-        donors += [index[donor] for donor in each.fragment_donors]
+        markers = take.find_marker_indices(each.input_take)
+        cleaned = _insert_part(cleaned, markers, each.take)
+        relabelled = _insert_part(relabelled, markers, each.relabelled_take)
+        trajectories = [*markers.tolist(), *range(len(take.labels), len(take.labels) + _count_unlabelled(take))]
+        faults += [_map_fault_indices(fault, trajectories) for fault in each.faults.items]
+        unfilled += [replace(run, marker=trajectories[run.marker]) for run in each.unfilled_runs]
+        donors += [trajectories[donor] for donor in each.fragment_donors]
         if each.residual_m is not None:
-            error[:, which] = each.residual_m
-    changes = tuple(change for each in subject_results for change in each.changes)
-    report = {"people": {each.input_take.subject_name: each.report for each in subject_results}}
-    found = Faults().add_faults(faults)
-    gone = tuple(sorted(left, key=lambda one: (one.marker, one.first)))
+            residual_m[:, markers] = each.residual_m
     return CleaningResult(
-        take,
-        labelled,
-        mended,
-        found,
-        changes,
-        gone,
-        tuple(sorted(donors)),
-        None,
-        None,
-        None,
-        error,
-        report,
+        input_take=take,
+        relabelled_take=relabelled,
+        take=cleaned,
+        faults=Faults().add_faults(faults),
+        changes=tuple(change for each in subject_results for change in each.changes),
+        unfilled_runs=tuple(sorted(unfilled, key=lambda run: (run.marker, run.first))),
+        fragment_donors=tuple(sorted(donors)),
+        subject=None,
+        motion=None,
+        joint_position_world=None,
+        residual_m=residual_m,
+        report={"people": {each.input_take.subject_name: each.report for each in subject_results}},
         subject_results=subject_results,
     )
 
 
-def _insert_part(whole: Take, marker_indices: np.ndarray, part: Take) -> Take:
-    """-> the whole take with its markers `which` as they are in a part of it, and the part's unlabelled trajectories."""
-    given = {
-        "markers": (whole.markers, part.markers),
-        "source": (whole.source_points, part.source_points),
-        "deviation": (_get_sd(whole.sample_sd, whole), _get_sd(part.sample_sd, part)),
-        "computed": (whole.visible & ~whole.measured, part.visible & ~part.measured),
-    }
-    changed = {}
-    for name, (old, new) in given.items():
-        changed[name] = old.copy()
-        changed[name][:, marker_indices] = new
-    return replace(whole, **changed, unlabelled=part.unlabelled)
+def _insert_part(whole: Take, marker_indices: Int[np.ndarray, "M"], part: Take) -> Take:
+    """Return the whole take with some markers, and the unlabelled trajectories, as they are in a part of it."""
+
+    def insert(values: np.ndarray, part_values: np.ndarray) -> np.ndarray:
+        merged = values.copy()
+        merged[:, marker_indices] = part_values
+        return merged
+
+    return replace(
+        whole,
+        markers=insert(whole.markers, part.markers),
+        relabelled_points=insert(whole.source_points, part.source_points),
+        sample_sd=insert(_get_sample_sd(whole), _get_sample_sd(part)),
+        computed=insert(whole.visible & ~whole.measured, part.visible & ~part.measured),
+        unlabelled=part.unlabelled,
+    )
 
 
-def _get_sd(deviation: np.ndarray | None, take: Take) -> np.ndarray:
-    return np.full(take.visible.shape, np.nan) if deviation is None else deviation
+def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:
+    return np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd
 
 
 def _count_unlabelled(take: Take) -> int:
     return len(take.unlabelled.labels) if take.unlabelled else 0
 
 
-def _map_fault_indices(fault: Fault, trajectory_indices: list[int]) -> Fault:
-    """-> a part's fault as one of the whole take, where the part's trajectories are those at `index`."""
-    moved = {"marker": trajectory_indices[fault.marker], "others": tuple(trajectory_indices[m] for m in fault.other_markers)}
-    if isinstance(fault, Fragment) and fault.donor >= 0:
-        moved["donor"] = trajectory_indices[fault.donor]
-    return replace(fault, **moved)
+def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:
+    """Return a fault of a part as one of the whole take; `trajectories` are the whole take's indices of the part's trajectories."""
+    mapped = replace(
+        fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers)
+    )
+    if isinstance(mapped, Fragment) and isinstance(fault, Fragment) and fault.donor >= 0:
+        return replace(mapped, donor=trajectories[fault.donor])
+    return mapped

@@ -1,131 +1,165 @@
-"""The fill: every missing or doubted sample gets the surest estimate there is, or stays empty and is named."""
+"""The fill: every missing or faulty sample gets its most precise estimate, or stays empty with a reason."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
 
-from mocapfix.changes import UnfilledRun
+from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
 from mocapfix.fill.marker_estimates import (
     BODY_METHOD,
+    FILL_METHODS,
     MarkerEstimate,
     build_marker_estimate,
     estimate_missing_samples,
 )
-from mocapfix.motion import Motion
-from mocapfix.options import FillOptions
-from mocapfix.report.terms import get_point_terms
+from mocapfix.options import CleanOptions, FillOptions
+from mocapfix.state import BodyFit, CleaningState, FillProposal
 from mocapfix.stats.runs import find_runs
-from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 
 class FilledTake(NamedTuple):
-    """A filled take, what of it stays empty, and by which of WAYS each sample (T, M) was found, -1 where it was not filled."""
+    """A filled take.
+
+    Attributes:
+        take: the take with its missing and faulty samples filled or emptied.
+        unfilled: the runs of samples that stay empty.
+        method: for each sample the index of its fill method in FILL_METHODS, -1 where it was not filled.
+    """
 
     take: Take
     unfilled: tuple[UnfilledRun, ...]
-    method: np.ndarray
+    method: Int[np.ndarray, "T M"]
+
+
+def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Fill the take's missing and faulty samples. Fills `fill`.
+
+    Fills of other programs stay as they are (unless they were detected as faulty), and labels that only name fragments of other
+    markers are not filled.
+    """
+    detection, body = state.detection, state.body
+    take, inliers, epochs = detection.take, detection.inlier_mask, detection.epochs
+    gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
+    filled = fill_take(epochs.take, epochs.split_mask(inliers), gap_durations_s, body, options.fill)
+    is_kept = take.visible & ~take.measured
+    is_kept[:, list(detection.donor_markers)] = True
+    is_kept |= inliers  # needed while a marker slides between two places: it is in no epoch column then
+    sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
+    markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
+    proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))
+    reasons = epochs.merge_columns(expand_unfilled_reasons(filled.unfilled, filled.take.visible.shape))
+    methods = np.where(is_kept, "", epochs.merge_columns(np.array([*FILL_METHODS, ""], object)[filled.method]))
+    body_markers = body.expand_to_take(epochs) if body else None
+    return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers))
 
 
 def fill_take(
-    take: Take,
-    is_inlier: np.ndarray,
-    gap_durations_s: np.ndarray,
-    columns: np.ndarray,
-    subject: Subject | None,
-    motion: Motion | None,
-    options: FillOptions,
+    take: Take, is_inlier: Bool[np.ndarray, "T M"], gap_durations_s: Float[np.ndarray, "T M"], body: BodyFit | None, options: FillOptions
 ) -> FilledTake:
-    """-> the take with every sample that was missing or not believed filled or emptied.
+    """Fill or empty every sample that is not an inlier.
 
-    believed  (T, M) bool: samples that are kept bit for bit
-    seconds   (T, M) how long the gap of each sample lasts, as `lasting` says of the whole take
-    columns   (K,) the take's column of each of the subject's markers, -1 where it has none; empty without a subject
+    Args:
+        take: the take; its M columns are those that `body.marker_columns` points to.
+        is_inlier: samples that are kept bit for bit.
+        gap_durations_s: the duration of the gap of each sample, as `compute_gap_durations` returns it for the whole take.
+        body: the solved body, None without one.
+        options: what may be edited and how certain an estimate must be.
     """
-    touch = compute_editable_mask(take, options)
-    wanted = ~is_inlier & touch
-    said = estimate_from_body(take, is_inlier, columns, subject, motion) if subject and motion else None
-    filled, deviation, way = estimate_missing_samples(take, is_inlier, said)
-    reasons = explain_rejections(take, wanted, gap_durations_s, deviation, options)
-    give = wanted & (reasons == "")
-    markers = np.where(give[..., None], filled, np.where((wanted & ~give)[..., None], np.nan, take.markers))
-    after = take.replace_markers(markers, np.where(give, deviation, np.nan))
-    return FilledTake(after, list_unfilled_runs(after, take, touch, reasons), np.where(give, way, -1))
+    is_editable = compute_editable_mask(take, options)
+    is_wanted = ~is_inlier & is_editable
+    body_estimate = estimate_from_body(take, is_inlier, body) if body else None
+    markers, sd, method = estimate_missing_samples(take, is_inlier, body_estimate)
+    reasons = explain_rejections(take, is_wanted, gap_durations_s, sd, options)
+    is_filled = is_wanted & (reasons == "")
+    filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
+    after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
+    return FilledTake(after, list_unfilled_runs(after, take, is_editable, reasons), np.where(is_filled, method, -1))
 
 
-def estimate_from_body(
-    take: Take, is_inlier: np.ndarray, columns: np.ndarray, subject: Subject, motion: Motion
-) -> MarkerEstimate:
-    """-> what the solved body says of the take's missing samples."""
-    place, deviation = np.full(take.markers.shape, np.nan), np.full(take.visible.shape, np.nan)
-    there = columns >= 0
-    arranged = take.select(columns, is_inlier)
-    missing = ~is_inlier[:, columns] & there
-    placed, sure = body_fill.fill_from_body(arranged.markers, missing, subject, motion, take.rate)
-    place[:, columns[there]], deviation[:, columns[there]] = placed[:, there], sure[:, there]
-    return build_marker_estimate(place, deviation, BODY_METHOD)
+def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: BodyFit) -> MarkerEstimate:
+    """Estimate the take's missing samples from the solved body."""
+    columns = body.marker_columns
+    positions, sd = np.full(take.markers.shape, np.nan), np.full(take.visible.shape, np.nan)
+    has_column = columns >= 0
+    subject_take = take.select(columns, is_inlier)
+    is_missing = ~is_inlier[:, columns] & has_column
+    filled, filled_sd = body_fill.fill_from_body(subject_take.markers, is_missing, body.extended_subject, body.motion, take.rate)
+    positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
+    return build_marker_estimate(positions, sd, BODY_METHOD)
 
 
-def compute_editable_mask(take: Take, options: FillOptions) -> np.ndarray:
-    """-> (T, M) bool: what the options allow to change."""
-    touch = np.ones(take.visible.shape, bool)
-    for m, (label, bare) in enumerate(zip(take.labels, take.bare_labels, strict=True)):
-        touch[:, m] = label not in options.keep and bare not in options.keep
+def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, "T M"]:
+    """Return which samples the options `keep` and `frames` allow to change."""
+    is_editable = np.ones(take.visible.shape, bool)
+    for m, (label, bare_label) in enumerate(zip(take.labels, take.bare_labels, strict=True)):
+        is_editable[:, m] = label not in options.keep and bare_label not in options.keep
     if options.frames:
         numbers = take.first_frame + np.arange(take.frame_count)
-        touch &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
-    return touch
+        is_editable &= ((numbers >= options.frames[0]) & (numbers <= options.frames[1]))[:, None]
+    return is_editable
 
 
-def check_fill_options(take: Take, options: FillOptions) -> None:
-    """Raise TakeError where --keep or --frames name what the take does not have."""
+def check_fill_options(take: Take, options: FillOptions, noun: str = "marker") -> None:
+    """Raise TakeError if `keep` or `frames` name what the take does not have.
+
+    Args:
+        take: the take.
+        options: the options to check.
+        noun: "marker", or "joint" for an animation.
+    """
     known = set(take.labels) | set(take.bare_labels)
-    if strange := [label for label in options.keep if label not in known]:
-        terms = get_point_terms(take)
-        labels = ", ".join(take.labels)
-        raise TakeError(f"{take.name}: has no {terms.point} {', '.join(strange)} to keep; its {terms.points} are {labels}.")
+    if unknown := [label for label in options.keep if label not in known]:
+        raise TakeError(f"{take.name}: has no {noun} {', '.join(unknown)} to keep; its {noun}s are {', '.join(take.labels)}.")
     if options.frames:
         first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
-        a, b = options.frames
-        if a > b:
-            raise TakeError(f"{take.name}: frames {a} to {b}: the first must not come after the last.")
-        if b < first or a > last:
-            raise TakeError(f"{take.name}: frames {a} to {b} are not in the take, which has {first} to {last}.")
+        start, stop = options.frames
+        if start > stop:
+            raise TakeError(f"{take.name}: frames {start} to {stop}: the first must not come after the last.")
+        if stop < first or start > last:
+            raise TakeError(f"{take.name}: frames {start} to {stop} are not in the take, which has {first} to {last}.")
 
 
-def compute_gap_durations(is_inlier: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, M) seconds: how long the gap lasts in which a sample is not `believed` (T, M), 0 where it is."""
-    seconds = np.zeros(is_inlier.shape)
+def compute_gap_durations(is_inlier: Bool[np.ndarray, "T M"], rate: float) -> Float[np.ndarray, "T M"]:
+    """Return the duration in seconds of the gap that each sample lies in, 0 for inliers. `rate` is in hertz."""
+    durations_s = np.zeros(is_inlier.shape)
     for m in np.flatnonzero(~is_inlier.all(0)):
         for first, last in find_runs(~is_inlier[:, m]):
-            seconds[first : last + 1, m] = (last - first + 1) / rate
-    return seconds
+            durations_s[first : last + 1, m] = (last - first + 1) / rate
+    return durations_s
 
 
 def explain_rejections(
-    take: Take, is_wanted: np.ndarray, gap_durations_s: np.ndarray, sd: np.ndarray, options: FillOptions
-) -> np.ndarray:
-    """-> (T, M) object: why a wanted sample is not filled, "" where it is."""
+    take: Take,
+    is_wanted: Bool[np.ndarray, "T M"],
+    gap_durations_s: Float[np.ndarray, "T M"],
+    sd_m: Float[np.ndarray, "T M"],
+    options: FillOptions,
+) -> Shaped[np.ndarray, "T M"]:
+    """Return for each wanted sample the sentence that says why it is not filled, "" where it is (object array)."""
     reasons = np.full(is_wanted.shape, "", object)
-    unknown = is_wanted & np.isnan(sd)
-    reasons[unknown] = "nothing that moves with it was seen well enough to place it"
-    unsure = is_wanted & (sd > options.max_sd_m)
-    reasons[unsure] = f"its place could only be guessed to worse than {options.max_sd_m * 1e3:.0f} mm"
+    reasons[is_wanted & np.isnan(sd_m)] = "no marker that moves with it is visible for long enough to estimate it"
+    is_uncertain = is_wanted & (sd_m > options.max_sd_m)
+    reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:.0f} mm"
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
-    reasons[is_wanted & ~take.visible.any(0)] = "the marker is never seen in this take"
+    reasons[is_wanted & ~take.visible.any(0)] = "the marker is never visible in this take"
     return reasons
 
 
-def list_unfilled_runs(after: Take, before: Take, is_editable: np.ndarray, reasons: np.ndarray) -> tuple[UnfilledRun, ...]:
-    """-> the runs of samples that are still missing, each with one reason."""
-    found = []
+def list_unfilled_runs(
+    after: Take, before: Take, is_editable: Bool[np.ndarray, "T M"], reasons: Shaped[np.ndarray, "T M"]
+) -> tuple[UnfilledRun, ...]:
+    """Return the runs of samples that are still missing, each with one reason."""
+    unfilled: list[UnfilledRun] = []
     for m in range(len(after.labels)):
         for first, last in find_runs(~after.visible[:, m]):
-            given = [r for r in dict.fromkeys(reasons[first : last + 1, m]) if r]
-            reason = "; ".join(given) or "it was not to be touched (--keep, --frames)"
+            given = [reason for reason in dict.fromkeys(reasons[first : last + 1, m]) if reason]
+            reason = "; ".join(given) or "it was not to be edited (--keep, --frames)"
             if not before.visible[:, m].any():
-                reason = "the marker is never seen in this take"
-            found.append(UnfilledRun(m, first, last, reason))
-    return tuple(found)
+                reason = "the marker is never visible in this take"
+            unfilled.append(UnfilledRun(m, first, last, reason))
+    return tuple(unfilled)

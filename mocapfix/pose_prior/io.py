@@ -1,6 +1,8 @@
 """Weights files of trained pose models: NAME.safetensors, whose header holds the kind of the model and its joints."""
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from mocapfix.errors import SceneError
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior.model import PoseModel
-from mocapfix.skeleton import Skeleton
+from mocapfix.skeleton import Skeleton, load_cmu31_body
 
 OTHER_WEIGHT_FILES = ("twist",)  # weights in priors/ that are not pose models
 MNN_IK = "mnn-ik"  # enters the solver as one scalar, unlike the other models; used by the benchmarks only
@@ -77,3 +79,14 @@ def get_model_class(kind: str) -> type[PoseModel]:
 
         return AutoencoderModel
     raise ValueError(f"the kind {kind!r} is unknown")
+
+
+def build_pose_model_loader(name: str) -> Callable[[], PoseModel] | None:
+    """Return a function that loads a trained prior once, when it is first needed; None for the name "none".
+
+    Raises SceneError where there is no such prior.
+    """
+    if name == "none":
+        return None
+    find_pose_model(name)
+    return cache(lambda: load_pose_model(name, load_cmu31_body().skeleton))

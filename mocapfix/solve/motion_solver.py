@@ -65,7 +65,7 @@ def solve_motion(
     root, local = course.root.copy(), course.rotations.copy()
     status, together = problem.solve(root, local, course, (narrow,))
     certain = unsure / np.maximum(np.where(gone, known.rotation_variance, left_open), MIN_TRACKING_SD_RAD**2)
-    course = course._replace(scale=certain)
+    course = course._replace(weight=certain)
     root = smoothing.remove_pose_jitter(root, local, body.free_joints, rate, options)
     solved = Motion(root, local, status, alone + together, known.marker_sd, known.joint_sd)
     markers, joints = compute_pose_sd(problem, solved, subject, prior, known.marker_sd, course, narrow)
@@ -119,7 +119,7 @@ def solve_frames_independently(
         np.minimum(known.rotation_variance, left_open + options.rotation_tracking_sd_rad**2),
         known.rotation_variance,
     )
-    return iterations, known._replace(turns=told), left_open
+    return iterations, known._replace(rotation_variance=told), left_open
 
 
 def classify_frames(motion: Motion, subject: Subject, markers: np.ndarray) -> np.ndarray:
