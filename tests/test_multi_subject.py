@@ -283,7 +283,7 @@ def test_what_a_file_cannot_hold_is_left_empty_in_the_report_of_whose_it_is(file
     outputs = multi_subject.merge_results(two[0].input_take, (jim, far, others)).write(tmp_path)
     fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
     assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
-    (left,) = fills["Ann"]["left"]
+    (left,) = fills["Ann"]["unfilled"]
     assert (left["marker"], left["first"], left["last"]) == (ann.input_take.labels[3], FIRST + 5, FIRST + 5)
 
 

@@ -68,10 +68,10 @@ def test_errors_fall_by_this_factor(cleaned, damage, against_linear, against_cub
 def test_everything_missing_is_filled_and_every_spike_found(cleaned):
     fill = cleaned.result.report["fill"]
     assert fill["missing_before"] == fill["filled"] == cleaned.truth.missing_mask.sum()
-    assert (fill["left_empty"], fill["left"]) == (0, [])
+    assert (fill["left_empty"], fill["unfilled"]) == (0, [])
     believed = cleaned.result.faults.believed(cleaned.result.before)
     np.testing.assert_array_equal(believed, ~cleaned.truth.missing_mask & ~cleaned.truth.moved)
-    assert fill["mended"] == cleaned.truth.moved.sum()
+    assert fill["replaced"] == cleaned.truth.moved.sum()
 
 
 def test_samples_that_nothing_struck_are_returned_bit_for_bit(cleaned):
@@ -188,7 +188,7 @@ def test_faults_and_gaps_left_carry_the_files_own_frame_numbers(brief, known):
     assert report["take"]["first_frame"] == FIRST
     faults = {(each["kind"], each["marker"], each["first"], each["last"]) for each in report["faults"]}
     assert {("gap", "RELB", 341, 360), ("gap", "LKNE", 371, 390), ("spike", "STRN", 321, 321)} <= faults
-    left = {(each["marker"], each["first"], each["last"], each["reason"]) for each in report["fill"]["left"]}
+    left = {(each["marker"], each["first"], each["last"], each["reason"]) for each in report["fill"]["unfilled"]}
     reason = "the gap is longer than 0.1 s"
     assert left == {("RELB", 341, 360, reason), ("LKNE", 371, 390, reason)}
 
@@ -321,9 +321,9 @@ def test_options_say_what_is_touched_and_nothing_else_is(brief, known, options, 
     assert changed(result) == touched
     fill = result.report["fill"]
     assert fill["filled"] == sum(len(touched.get(label, ())) for label in ("RELB", "LKNE"))
-    assert fill["mended"] == len(touched.get("STRN", ()))
+    assert fill["replaced"] == len(touched.get("STRN", ()))
     assert fill["left_empty"] == fill["missing_before"] - fill["filled"]
-    assert sum(each["last"] - each["first"] + 1 for each in fill["left"]) == fill["left_empty"]
+    assert sum(each["last"] - each["first"] + 1 for each in fill["unfilled"]) == fill["left_empty"]
 
 
 @pytest.mark.parametrize(
@@ -409,8 +409,8 @@ def test_legs_alone_are_cleaned_without_a_body(cleaned, tmp_path):
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     fill = result.report["fill"]
     assert fill["filled"] > 0.8 * fill["missing_before"] > 0
-    assert sum(each["last"] - each["first"] + 1 for each in fill["left"]) == fill["left_empty"]
-    assert all(each["reason"] for each in fill["left"])
+    assert sum(each["last"] - each["first"] + 1 for each in fill["unfilled"]) == fill["left_empty"]
+    assert all(each["reason"] for each in fill["unfilled"])
 
 
 def test_a_set_that_was_named_must_fit(brief):

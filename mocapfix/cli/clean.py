@@ -123,7 +123,7 @@ def print_summary(report: Mapping[str, Any], outputs: Mapping[str, Path], subjec
     relabelled = f", {fill['relabelled']} relabelled" if fill["relabelled"] else ""
     print_line(
         f"[bold]{escape(format_take_name(take))}[/]: {fill['missing_before']} samples were missing, {fill['filled']} filled; "
-        f"{fill['mended']} faulty ones replaced{relabelled}; {fill['left_empty']} left empty. "
+        f"{fill['replaced']} faulty ones replaced{relabelled}; {fill['left_empty']} left empty. "
         f"{report['seconds']['total']:.1f} s."
     )
     if report["solve"]:
@@ -132,10 +132,10 @@ def print_summary(report: Mapping[str, Any], outputs: Mapping[str, Path], subjec
     if accepted := [change["kind"] for change in changes if change["decision"] == "accept"]:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
-    for run in fill["left"][:MAX_LISTED_RUNS]:
+    for run in fill["unfilled"][:MAX_LISTED_RUNS]:
         print_line(f"  left empty: {escape(run['marker'])}, frames {run['first']}-{run['last']}: {run['reason']}.")
-    if len(fill["left"]) > MAX_LISTED_RUNS:
-        print_line(f"  ... and {len(fill['left']) - MAX_LISTED_RUNS} more, listed in the report.")
+    if len(fill["unfilled"]) > MAX_LISTED_RUNS:
+        print_line(f"  ... and {len(fill['unfilled']) - MAX_LISTED_RUNS} more, listed in the report.")
     for note in report["notes"]:
         print_line(f"  {escape(note)}")
     print_output_files(outputs)

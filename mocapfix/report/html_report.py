@@ -173,7 +173,7 @@ def build_report_page(report: Report, comparison: CleaningComparison) -> ReportP
         time_ticks=build_time_ticks(comparison.input_take),
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         residual_curve_legend=RESIDUAL_CURVE_LEGEND,
-        unfilled=build_unfilled_list(report["fill"]["left"], comparison),
+        unfilled=build_unfilled_list(report["fill"]["unfilled"], comparison),
         unchanged=build_unchanged_list(comparison),
         changes=build_change_list(comparison),
         review=_build_review_part(comparison),
@@ -197,7 +197,7 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
     facts = [
         (f"{fill['missing_before'] / max(1, comparison.input_take.visible.size):.1%}", f"of the {samples} missing before"),
         (f"{fill['filled']:,}", f"{samples} filled"),
-        (f"{fill['mended']:,}", f"faulty {samples} replaced"),
+        (f"{fill['replaced']:,}", f"faulty {samples} replaced"),
         (f"{fill['left_empty']:,}", f"{samples} left empty"),
     ]
     if fill["relabelled"]:

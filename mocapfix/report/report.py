@@ -131,18 +131,18 @@ class FillSection(TypedDict):
 
     missing_before  missing in the input
     filled          estimated where the correctly labelled input has no sample
-    mended          faulty and replaced by an estimate
+    replaced        faulty and replaced by an estimate
     relabelled      measured, but under another label in the input
     left_empty      missing in the output
-    left            the empty intervals
+    unfilled        the empty intervals
     """
 
     missing_before: int
     filled: int
-    mended: int
+    replaced: int
     relabelled: int
     left_empty: int
-    left: list[UnfilledEntry]
+    unfilled: list[UnfilledEntry]
 
 
 class InspectionReport(TypedDict):

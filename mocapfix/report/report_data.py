@@ -155,10 +155,10 @@ def build_fill_section(
     return {
         "missing_before": int((~input_take.visible & counts).sum()),
         "filled": int((estimated & ~visible & counts).sum()),
-        "mended": int((estimated & visible & counts).sum()),
+        "replaced": int((estimated & visible & counts).sum()),
         "relabelled": int((relabelled & counts).sum()),
         "left_empty": int((~cleaned_take.visible & counts).sum()),
-        "left": [
+        "unfilled": [
             {
                 "marker": input_take.labels[run.marker],
                 "first": input_take.get_frame_number(run.first),

@@ -53,7 +53,7 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
     fill, terms = report["fill"], comparison.terms
     counts = (
         (fill["relabelled"], "was relabelled", "were relabelled"),
-        (fill["mended"], "was replaced as faulty", "were replaced as faulty"),
+        (fill["replaced"], "was replaced as faulty", "were replaced as faulty"),
         (fill["filled"], "was missing and is filled", "were missing and are filled"),
     )
     parts = [
@@ -65,7 +65,7 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
     if not parts:
         return f"No changes: all {terms.samples} are as {terms.measured}.{declined}"
     text = f"{join_words(parts)}; every other {terms.sample} is as {terms.measured}.{declined}"
-    if not fill["filled"] and not fill["mended"]:
+    if not fill["filled"] and not fill["replaced"]:
         return text
     if terms is JOINT_TERMS:
         return f"{text} The method is listed with each change below."
@@ -91,7 +91,7 @@ def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
     missing = fill["left_empty"]
     text = f"No missing {terms.samples}."
     if missing:
-        labels = list(dict.fromkeys(item["marker"] for item in fill["left"]))
+        labels = list(dict.fromkeys(item["marker"] for item in fill["unfilled"]))
         more = [f"{len(labels) - MAX_SENTENCE_MARKERS} more"] if len(labels) > MAX_SENTENCE_MARKERS else []
         text = f"{missing:,} {terms.sample if missing == 1 else terms.samples} still missing"
         text += f": {join_words([*labels[:MAX_SENTENCE_MARKERS], *more])}. The reasons are listed below." if labels else "."

@@ -128,9 +128,9 @@ def test_what_may_be_touched_is_taken_from_the_options(mocapfix, brief, tmp_path
     )
     fill = json.loads(out)["fill"]
     assert status == 0
-    assert (fill["missing_before"], fill["filled"], fill["mended"], fill["left_empty"]) == (40, 20, 0, 20)
-    assert [(each["marker"], each["first"], each["last"]) for each in fill["left"]] == [("RELB", 341, 360)]
-    assert "it was not to be touched (--keep, --frames)" in fill["left"][0]["reason"]
+    assert (fill["missing_before"], fill["filled"], fill["replaced"], fill["left_empty"]) == (40, 20, 0, 20)
+    assert [(each["marker"], each["first"], each["last"]) for each in fill["unfilled"]] == [("RELB", 341, 360)]
+    assert "it was not to be touched (--keep, --frames)" in fill["unfilled"][0]["reason"]
 
 
 def test_one_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):

@@ -116,10 +116,10 @@ def build_scene_report(comparison: CleaningComparison) -> Report:
         "fill": {
             "missing_before": int((~before.visible).sum()),
             "filled": 60,
-            "mended": 1,
+            "replaced": 1,
             "relabelled": 60,
             "left_empty": int((~after.visible).sum()),
-            "left": [{"marker": LABELS[29], "first": 171, "last": 180, "reason": "The <hand> was hidden."}],
+            "unfilled": [{"marker": LABELS[29], "first": 171, "last": 180, "reason": "The <hand> was hidden."}],
         },
         "seconds": {"read": 0.03, "total": 2.5},
         "notes": ["Look at M07 & its neighbours."],

@@ -226,7 +226,7 @@ def test_a_take_without_a_body(scene, tmp_path):
 
 
 def test_a_take_without_faults(scene, tmp_path):
-    fill = {"missing_before": 0, "filled": 0, "mended": 0, "relabelled": 0, "left_empty": 0, "left": []}
+    fill = {"missing_before": 0, "filled": 0, "replaced": 0, "relabelled": 0, "left_empty": 0, "unfilled": []}
     complete = scene.comparison.input_take.replace_markers(scene.comparison.joint_position_world)
     takes = {"input_take": complete, "relabelled_take": complete, "cleaned_take": complete}
     report = scene.report | {"fill": fill, "changes": []}

@@ -147,10 +147,10 @@ def test_fill_section_counts_filled_replaced_relabelled_and_empty_samples():
     assert encode(build_fill_section(before, before, after, unfilled_runs)) == {
         "missing_before": 8,
         "filled": 1,
-        "mended": 1,
+        "replaced": 1,
         "relabelled": 1,
         "left_empty": 8,
-        "left": [
+        "unfilled": [
             {"marker": "Jim:LFHD", "first": 103, "last": 103, "reason": "gap"},
             {"marker": "Jim:RFHD", "first": 106, "last": 106, "reason": "uncertain"},
             {"marker": "C7", "first": 101, "last": 106, "reason": "never visible"},
