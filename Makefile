@@ -1,29 +1,34 @@
-# On a fresh machine with Python and pip: `make demo` shows what mocapfix does, `make test` proves it.
+# On a fresh machine with Python and pip: `make demo` cleans a synthetic take, `make test` runs the tests, `make docs` builds the site.
 
 PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test blender lint clean
+.PHONY: demo test docs blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
 test: $(VENV)/installed-dev
-	$(VENV)/bin/python -m pytest --numprocesses 2 # in two processes, for most of the time one of them compiles
+	$(VENV)/bin/python -m pytest --numprocesses 2
 
-# Blender as a Python module, for tests/blender; apart, for it wants a NumPy of its own. It needs the very Python 3.11.
+# The documentation as a site, in site/index.html. Any warning is an error.
+docs: $(VENV)/installed-docs
+	$(VENV)/bin/mkdocs build --strict --quiet
+
+# Blender as a Python module, for tests/blender. It has its own environment, since it needs Python 3.11 and its own version of NumPy.
 blender: .blender/installed
 
 lint: $(VENV)/installed-dev
 	$(VENV)/bin/ruff check
+	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/pyright
 
 clean:
-	rm -rf $(VENV) .blender dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .blender dist site .pytest_cache .ruff_cache .hypothesis
 	find mocapfix tests -name __pycache__ -prune -exec rm -rf {} +
 
-# Stamps: a second call installs nothing unless what is to be installed has changed.
+# These files are stamps: a second call installs nothing unless the requirements have changed.
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) --editable .
@@ -31,6 +36,10 @@ $(VENV)/installed: pyproject.toml constraints.txt
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(PIP_INSTALL) --editable ".[dev]"
+	touch $@
+
+$(VENV)/installed-docs: $(VENV)/installed
+	$(PIP_INSTALL) --editable ".[docs]"
 	touch $@
 
 .blender/installed: Makefile
