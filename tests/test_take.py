@@ -40,7 +40,9 @@ def test_names_and_labels(take):
 def test_extracted_markers_keep_their_points_in_the_file(take):
     """The markers are points 4 and 6 of the file, and the part has the second of them."""
     visible = take.visible
-    whole = replace(take, point_columns=np.array([4, 6]), computed=~visible, uncaptured=visible, sample_sd=np.where(visible, 0.1, np.nan))
+    whole = replace(
+        take, point_columns=np.array([4, 6]), computed=~visible, uncaptured=visible, sample_sd=np.where(visible, 0.1, np.nan)
+    )
     part = whole.extract_markers(np.array([1]), "A/B")
     assert (part.labels, part.marker_subjects, part.subject_name, part.name, part.output_stem) == (
         ("A:B:RANK",), ("A:B",), "A/B", "walk.c3d (A/B)", "walk.A_B"

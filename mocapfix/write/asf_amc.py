@@ -91,7 +91,7 @@ def write_asf_amc(
 
 def get_cmu_bone_names(skeleton: Skeleton) -> list[str]:
     """Return CMU's name of the bone that begins at each joint."""
-    acclaim = joint_mapping.load_naming_convention("acclaim").names
+    acclaim = joint_mapping.load_naming_convention("acclaim").candidate_names
     return [acclaim[name][0] for name in skeleton.names]
 
 

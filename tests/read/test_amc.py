@@ -41,7 +41,9 @@ def test_bones_rotate_about_their_own_axes(tmp_path):
     c = rotate_zyx(0, 0, 20)
     np.testing.assert_allclose(rotations[2], c @ rotate_zyx(15, -5, 25) @ c.T, atol=1e-12)
     c = rotate_zyx(10, 20, 30)
-    np.testing.assert_allclose(rotations[3], c @ rotate_zyx(8, 0, 0) @ rotate_zyx(0, 7, 0) @ c.T, atol=1e-12)  # ry is the innermost rotation
+    np.testing.assert_allclose(
+        rotations[3], c @ rotate_zyx(8, 0, 0) @ rotate_zyx(0, 7, 0) @ c.T, atol=1e-12
+    )  # ry is the innermost rotation
     c = rotate_zyx(0, 0, 90)  # the order is ZXY, so 90 is about Z
     np.testing.assert_allclose(rotations[4], c @ rotate_zyx(0, 0, 40) @ c.T, atol=1e-12)
 

@@ -209,7 +209,9 @@ def test_points_after_the_last_captured_one_are_computed(tmp_path):
     assert write_and_read(tmp_path, xyz, labels).labels == tuple(labels)  # no residuals: all are measured
     assert write_and_read(tmp_path, xyz[:, :6], labels[:6], words[:, :6]).labels == tuple(labels[:6])  # two may be edited markers
     words[0, [0, 3]] = 0x0005
-    assert write_and_read(tmp_path, xyz, labels, words).labels == tuple(labels)  # residuals without cameras, as Qualisys and a fill
+    assert write_and_read(tmp_path, xyz, labels, words).labels == tuple(
+        labels
+    )  # residuals without cameras, as Qualisys and a fill
 
 
 def test_duplicate_labels_and_invisible_markers_are_kept(tmp_path):

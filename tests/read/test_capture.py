@@ -103,7 +103,9 @@ def test_damaged_texts_are_read_or_refused(tmp_path_factory, name, data):
     assert take.markers.shape == (take.frame_count, len(take.labels), 3)
 
 
-@pytest.mark.parametrize("name", [name for name in COMPLETE_FILES if name not in ("C3D", "TRC in UTF-16", "Motive CSV 1.1", "plain CSV")])
+@pytest.mark.parametrize(
+    "name", [name for name in COMPLETE_FILES if name not in ("C3D", "TRC in UTF-16", "Motive CSV 1.1", "plain CSV")]
+)
 @given(kept=st.integers(0, 100))
 def test_texts_cut_off_within_their_last_line_are_refused(tmp_path_factory, name, kept):
     complete = COMPLETE_FILES[name].rstrip(b"\r\n\0")

@@ -22,7 +22,9 @@ def test_the_number_format_has_the_decimals_of_the_file(present, unit, number_fo
     assert infer_number_format(present, [], METRES_PER_UNIT[unit])[0] == number_format
 
 
-@pytest.mark.parametrize(("missing", "missing_text"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")])
+@pytest.mark.parametrize(
+    ("missing", "missing_text"), [([], ""), (["", ""], ""), (["NaN", "", "NaN"], "NaN"), (["0.000"], "0.000")]
+)
 def test_the_missing_text_is_the_most_frequent_one(missing, missing_text):
     assert infer_number_format(["1.0"], missing, 0.001)[1] == missing_text
 

@@ -1,4 +1,4 @@
-"""Motions to be written, and a reader of BVH that shares nothing with what wrote it."""
+"""Motions for tests of the writers, and a BVH reader that is independent of the package."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,7 +10,7 @@ SKELETON = load_cmu31_body().skeleton
 
 
 class Bvh:
-    """What a reader finds in a BVH, in the file's units and order."""
+    """The content of a BVH in file units and order."""
 
     def __init__(self, text):
         self.names, self.parents, self.offsets, self.channels, self.ends = [], [], [], [], {}
@@ -40,25 +40,25 @@ class Bvh:
         self.frames, self.frame_time = int(frames.removeprefix("Frames: ")), frame_time.removeprefix("Frame Time: ")
         self.rows = np.array([row.split() for row in rows], float)
 
-    def world(self):
-        """-> (T, J, 3) joint positions as in the file."""
+    def compute_world_positions(self):
+        """Return joint positions (T, J, 3) in file units."""
         position, rotation, column = [], [], 0
         for joint, (parent, names) in enumerate(zip(self.parents, self.channels, strict=True)):
             values = self.rows[:, column : column + len(names)]
             column += len(names)
-            turns = Rotation.from_euler("".join(name[0] for name in names[-3:]), values[:, -3:], degrees=True).as_matrix()
+            rotations = Rotation.from_euler("".join(name[0] for name in names[-3:]), values[:, -3:], degrees=True).as_matrix()
             if parent < 0:
                 position.append(values[:, :3] + self.offsets[joint])
-                rotation.append(turns)
+                rotation.append(rotations)
             else:
                 position.append(position[parent] + rotation[parent] @ np.array(self.offsets[joint]))
-                rotation.append(rotation[parent] @ turns)
+                rotation.append(rotation[parent] @ rotations)
         assert column == self.rows.shape[1]
         return np.stack(position, axis=1)
 
 
 def smooth_rotations(seed, frames, joints, swing):
-    """-> (frames, joints, 3, 3): each joint swings about moving axes, up to `swing` radians away from rest."""
+    """Return rotations (frames, joints, 3, 3) about moving axes, up to `swing` radians from rest."""
     rng = np.random.default_rng(seed)
     time = np.linspace(0, 1, frames)[:, None, None]
     waves = sum(rng.normal(size=(joints, 3)) * np.sin(2 * np.pi * k * time + rng.uniform(0, 7, (joints, 3))) for k in (1, 2, 3))

@@ -19,7 +19,7 @@ def figure(tmp_path):
     return bvh.read_bvh(tmp_path / "in.bvh")
 
 
-def test_changed_numbers_alone_are_spelled_anew(figure, tmp_path):
+def test_only_changed_numbers_are_replaced(figure, tmp_path):
     values = figure.values.copy()
     values[1, 6], values[2, 15], values[0, 0] = -7.25, 1234.56785001, -0.0
     patch_animation(tmp_path / "out.bvh", figure, values)
@@ -27,7 +27,7 @@ def test_changed_numbers_alone_are_spelled_anew(figure, tmp_path):
     assert (tmp_path / "out.bvh").read_bytes() == expected.replace("\n", "\r\n").encode()
 
 
-def test_new_numbers_have_as_many_decimals_as_most(tmp_path):
+def test_new_numbers_have_the_most_frequent_decimals(tmp_path):
     text = TEXT.replace("0000 ", "0 ").replace("0000\n", "0\n").replace("10.50 ", "10 ").replace("11.0 ", "1.1e1 ")
     (tmp_path / "in.bvh").write_text(text)
     figure = bvh.read_bvh(tmp_path / "in.bvh")
@@ -37,7 +37,7 @@ def test_new_numbers_have_as_many_decimals_as_most(tmp_path):
     assert (tmp_path / "out.bvh").read_text() == text.replace(" 15.0 ", " 0.3 ", 1)
 
 
-def test_whole_numbers_get_decimals_where_they_must(tmp_path):
+def test_an_unchanged_copy_of_whole_numbers_is_byte_identical(tmp_path):
     (tmp_path / "in.bvh").write_text(TEXT.replace(".0000", "").replace("000", ""))
     figure = bvh.read_bvh(tmp_path / "in.bvh")
     figure = replace(figure, values=np.round(figure.values))
@@ -45,7 +45,7 @@ def test_whole_numbers_get_decimals_where_they_must(tmp_path):
     assert (tmp_path / "out.bvh").read_bytes() == (tmp_path / "in.bvh").read_bytes()
 
 
-def test_a_number_that_was_not_there_is_put_in(figure, tmp_path):
+def test_missing_numbers_can_be_filled(figure, tmp_path):
     text = TEXT.replace("16.0000", "nan")
     (tmp_path / "in.bvh").write_text(text)
     figure = bvh.read_bvh(tmp_path / "in.bvh")
@@ -55,12 +55,12 @@ def test_a_number_that_was_not_there_is_put_in(figure, tmp_path):
     assert (tmp_path / "out.bvh").read_text() == TEXT.replace("16.0000", "2.5000")
 
 
-def test_an_amc_in_radians_gets_radians_back(tmp_path):
+def test_an_amc_in_radians_is_patched_in_radians(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
     text = AMC.replace(":DEGREES", ":RADIANS").replace("lfoot 7.5 8.5", "lfoot 0.5 0.25")
     (tmp_path / "09_01.amc").write_text(text)
     before = amc.read_amc(tmp_path / "09_01.amc")
-    foot = before.turning(before.names.index("lfoot"))[0]
+    foot = before.get_rotation_channels(before.names.index("lfoot"))[0]
     values = before.values.copy()
     values[1, foot] *= 2
     patch_animation(tmp_path / "out.amc", before, values)
@@ -68,9 +68,9 @@ def test_an_amc_in_radians_gets_radians_back(tmp_path):
     assert written == text.replace("lfoot 0.5 0.25", "lfoot 1.0 0.5")
 
 
-@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/02_01.bvh", "bvh-other/louise.bvh", "bvh-other/02_01_daz-friendly.bvh"])
-def test_nothing_changed_is_the_file_byte_for_byte_and_what_is_changed_comes_back(name, tmp_path):
+def test_captures_change_only_where_values_changed(name, tmp_path):
     before = bvh.read_bvh(CAPTURES / name)
     patch_animation(tmp_path / "same.bvh", before, before.values)
     assert (tmp_path / "same.bvh").read_bytes() == (CAPTURES / name).read_bytes()
@@ -85,15 +85,15 @@ def test_nothing_changed_is_the_file_byte_for_byte_and_what_is_changed_comes_bac
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
-def test_what_no_file_can_hold_is_refused_and_nothing_is_left(figure, tmp_path, bad):
+def test_values_without_a_spelling_are_refused(figure, tmp_path, bad):
     values = figure.values.copy()
     values[1, 6] = bad
-    with pytest.raises(WriteError, match="in frame 2 Left Knee would be"):
+    with pytest.raises(WriteError, match="in frame 2 a value of Left Knee is"):
         patch_animation(tmp_path / "out.bvh", figure, values)
     assert [each.name for each in tmp_path.iterdir()] == ["in.bvh"]
 
 
-def test_the_input_is_never_written_and_must_be_as_it_was(figure, tmp_path):
+def test_the_input_is_never_overwritten_and_must_be_unchanged(figure, tmp_path):
     with pytest.raises(WriteError, match="is the input itself"):
         patch_animation(tmp_path / "in.bvh", figure, figure.values)
     (tmp_path / "in.bvh").write_text("HIERARCHY")
@@ -102,7 +102,7 @@ def test_the_input_is_never_written_and_must_be_as_it_was(figure, tmp_path):
     (tmp_path / "in.bvh").unlink()
     with pytest.raises(WriteError, match="can no longer be read"):
         patch_animation(tmp_path / "out.bvh", figure, figure.values)
-    with pytest.raises(WriteError, match="was not read from a file"):
+    with pytest.raises(WriteError, match="there is no source file"):
         patch_animation(tmp_path / "out.bvh", replace(figure, path=None), figure.values)
-    with pytest.raises(WriteError, match="no file holds just these numbers"):
-        patch_animation(tmp_path / "out.bvh", replace(figure, starts=None), figure.values)
+    with pytest.raises(WriteError, match="there is no file with these numbers"):
+        patch_animation(tmp_path / "out.bvh", replace(figure, value_byte_offsets=None), figure.values)

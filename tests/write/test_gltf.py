@@ -1,4 +1,4 @@
-"""The file is read back by its specification (Khronos, glTF 2.0), from the bytes up, not by what wrote it."""
+"""The bytes of the file are parsed by the specification (Khronos, glTF 2.0), independently of the writer."""
 
 import json
 import struct
@@ -10,31 +10,34 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
 from mocapfix.solve import kinematics
-from mocapfix.write import gltf
+from mocapfix.write.gltf import write_gltf
 from tests.write.read_back import SKELETON, motion_of, smooth_rotations
 
 FLOAT, SHORT = 5126, 5123
 WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MOTION = motion_of(smooth_rotations(2, 240, 31, swing=4), np.random.default_rng(1).normal(size=(240, 3)))
-PLACES, TURNS = kinematics.compute_world_poses(SKELETON, MOTION)
+POSITIONS, ROTATIONS = kinematics.compute_world_poses(SKELETON, MOTION)
 
 
 @dataclass(frozen=True)
 class Glb:
-    """A .glb's JSON and its binary chunk."""
+    """The JSON and the binary chunk of a .glb."""
 
     json: dict
     data: bytes
 
     def array(self, accessor: int) -> np.ndarray:
-        told = self.json["accessors"][accessor]
-        view = self.json["bufferViews"][told["bufferView"]]
-        kind = {FLOAT: "<f4", SHORT: "<u2"}[told["componentType"]]
-        start, count = view.get("byteOffset", 0) + told.get("byteOffset", 0), told["count"] * WIDTH[told["type"]]
-        return np.frombuffer(self.data, kind, count, start).reshape(told["count"], -1)
+        accessor_json = self.json["accessors"][accessor]
+        view = self.json["bufferViews"][accessor_json["bufferView"]]
+        kind = {FLOAT: "<f4", SHORT: "<u2"}[accessor_json["componentType"]]
+        start, count = (
+            view.get("byteOffset", 0) + accessor_json.get("byteOffset", 0),
+            accessor_json["count"] * WIDTH[accessor_json["type"]],
+        )
+        return np.frombuffer(self.data, kind, count, start).reshape(accessor_json["count"], -1)
 
-    def course(self, node: int, path: str) -> np.ndarray:
-        """-> the numbers of the sampler that moves a node's `path`"""
+    def read_channel(self, node: int, path: str) -> np.ndarray:
+        """Return the values of the sampler that drives `path` of a node."""
         animation = self.json["animations"][0]
         samplers = [each["sampler"] for each in animation["channels"] if each["target"] == {"node": node, "path": path}]
         assert len(samplers) == 1
@@ -58,41 +61,41 @@ def read(path) -> Glb:
 @pytest.fixture(scope="module")
 def glb(tmp_path_factory) -> Glb:
     path = tmp_path_factory.mktemp("gltf") / "walk.glb"
-    gltf(path, SKELETON, MOTION, 120.0)
+    write_gltf(path, SKELETON, MOTION, 120.0)
     return read(path)
 
 
-def test_nodes_are_the_joints_in_their_tree(glb):
+def test_nodes_are_the_joints_with_their_tree(glb):
     nodes = glb.json["nodes"]
     assert tuple(node["name"] for node in nodes[:31]) == SKELETON.names
     assert glb.json["asset"]["version"] == "2.0"
-    parents = {child: node for node, told in enumerate(nodes) for child in told.get("children", [])}
+    parents = {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
     assert [parents.get(j, -1) for j in range(31)] == SKELETON.parents.tolist()
     assert set(glb.json["scenes"][glb.json["scene"]]["nodes"]) == {0, 31}
 
 
-def test_joints_come_back_where_they_were(glb):
-    places, turns = [], []
+def test_joints_read_back_at_their_positions(glb):
+    positions, rotations = [], []
     for j, (node, parent) in enumerate(zip(glb.json["nodes"], SKELETON.parents, strict=False)):
-        local = Rotation.from_quat(glb.course(j, "rotation")).as_matrix()
+        local = Rotation.from_quat(glb.read_channel(j, "rotation")).as_matrix()
         if parent < 0:
-            places.append(glb.course(j, "translation").astype(float))
-            turns.append(local)
+            positions.append(glb.read_channel(j, "translation").astype(float))
+            rotations.append(local)
         else:
-            places.append(places[parent] + turns[parent] @ np.array(node["translation"]))
-            turns.append(turns[parent] @ local)
-    np.testing.assert_allclose(np.stack(places, 1), PLACES, atol=2e-6)
-    np.testing.assert_allclose(np.stack(turns, 1), TURNS, atol=2e-6)
+            positions.append(positions[parent] + rotations[parent] @ np.array(node["translation"]))
+            rotations.append(rotations[parent] @ local)
+    np.testing.assert_allclose(np.stack(positions, 1), POSITIONS, atol=2e-6)
+    np.testing.assert_allclose(np.stack(rotations, 1), ROTATIONS, atol=2e-6)
 
 
-def test_quaternions_are_of_unit_length_and_never_flip(glb):
+def test_quaternions_have_unit_length_and_no_sign_flips(glb):
     for j in range(31):
-        course = glb.course(j, "rotation").astype(float)
-        np.testing.assert_allclose(np.linalg.norm(course, axis=1), 1, atol=1e-6)
-        assert ((course[1:] * course[:-1]).sum(1) > 0).all()
+        values = glb.read_channel(j, "rotation").astype(float)
+        np.testing.assert_allclose(np.linalg.norm(values, axis=1), 1, atol=1e-6)
+        assert ((values[1:] * values[:-1]).sum(1) > 0).all()
 
 
-def test_times_begin_at_zero_and_rise_by_the_rate(glb):
+def test_times_begin_at_zero_and_follow_the_rate(glb):
     animation = glb.json["animations"][0]
     assert {sampler["interpolation"] for sampler in animation["samplers"]} == {"LINEAR"}
     inputs = {sampler["input"] for sampler in animation["samplers"]}
@@ -102,43 +105,43 @@ def test_times_begin_at_zero_and_rise_by_the_rate(glb):
     assert (np.diff(times) > 0).all()
 
 
-def test_accessors_lie_within_their_views_aligned_and_with_true_bounds(glb):
+def test_accessors_are_aligned_within_their_views_and_have_true_bounds(glb):
     needed = {glb.json["animations"][0]["samplers"][0]["input"], glb.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"]}
-    for index, told in enumerate(glb.json["accessors"]):
-        view, size = glb.json["bufferViews"][told["bufferView"]], {FLOAT: 4, SHORT: 2}[told["componentType"]]
+    for index, accessor_json in enumerate(glb.json["accessors"]):
+        view, size = glb.json["bufferViews"][accessor_json["bufferView"]], {FLOAT: 4, SHORT: 2}[accessor_json["componentType"]]
         assert view.get("byteOffset", 0) % 4 == 0
-        assert told["count"] * WIDTH[told["type"]] * size == view["byteLength"]
+        assert accessor_json["count"] * WIDTH[accessor_json["type"]] * size == view["byteLength"]
         assert view.get("byteOffset", 0) + view["byteLength"] <= glb.json["buffers"][0]["byteLength"] <= len(glb.data)
-        assert (index in needed) == ("min" in told)
-        if "min" in told:
-            np.testing.assert_array_equal(np.float32(told["min"]), glb.array(index).min(0))
-            np.testing.assert_array_equal(np.float32(told["max"]), glb.array(index).max(0))
+        assert (index in needed) == ("min" in accessor_json)
+        if "min" in accessor_json:
+            np.testing.assert_array_equal(np.float32(accessor_json["min"]), glb.array(index).min(0))
+            np.testing.assert_array_equal(np.float32(accessor_json["max"]), glb.array(index).max(0))
 
 
-def test_the_skin_takes_back_the_rest_pose(glb):
+def test_the_skin_inverts_the_rest_pose(glb):
     skin = glb.json["skins"][0]
     assert skin["joints"] == list(range(31))
     assert glb.json["nodes"][31]["skin"] == glb.json["nodes"][31]["mesh"] == 0
     rest = kinematics.compute_world_poses(SKELETON, motion_of(np.tile(np.eye(3), (1, 31, 1, 1))))[0][0]
-    inverse = glb.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)  # written column by column
+    inverse = glb.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).swapaxes(1, 2)  # stored by columns
     at_rest = inverse @ np.concatenate([rest, np.ones((31, 1))], axis=1)[..., None]
     np.testing.assert_allclose(at_rest[..., 0], np.tile([0, 0, 0, 1], (31, 1)), atol=1e-6)
 
 
-def test_the_mesh_rides_on_the_joints_and_faces_outwards(glb):
+def test_the_mesh_follows_the_joints_and_faces_outwards(glb):
     attributes = {name: glb.array(accessor) for name, accessor in glb.json["meshes"][0]["primitives"][0]["attributes"].items()}
     joints, weights, corners = attributes["JOINTS_0"], attributes["WEIGHTS_0"], attributes["POSITION"].reshape(-1, 24, 3)
     assert joints.max() < 31
     np.testing.assert_array_equal(weights.sum(1), 1)
     np.testing.assert_allclose(np.linalg.norm(attributes["NORMAL"], axis=1), 1, atol=1e-6)
-    bones = 30 - (SKELETON.offsets[1:] == 0).all(1).sum() + np.isfinite(SKELETON.ends).all(1).sum()  # that have a length
+    bones = 30 - (SKELETON.offsets[1:] == 0).all(1).sum() + np.isfinite(SKELETON.ends).all(1).sum()  # those with a length
     assert len(corners) == bones
     middle = (corners.max(1) + corners.min(1))[:, None] / 2
     normals = attributes["NORMAL"].reshape(-1, 8, 3, 3)[:, :, 0]
     assert (((corners.reshape(-1, 8, 3, 3).mean(2) - middle) * normals).sum(-1) > 0).all()
 
 
-def test_nothing_is_left_where_the_folder_is_not_there(tmp_path):
+def test_a_missing_folder_is_refused_and_no_file_remains(tmp_path):
     with pytest.raises(WriteError, match="nowhere"):
-        gltf(tmp_path / "nowhere" / "walk.glb", SKELETON, MOTION, 120.0)
+        write_gltf(tmp_path / "nowhere" / "walk.glb", SKELETON, MOTION, 120.0)
     assert not list(tmp_path.iterdir())

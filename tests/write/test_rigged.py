@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import WriteError
-from mocapfix.options import RIG_NAMES
 from mocapfix.motion import Motion
+from mocapfix.options import RIG_NAMES
 from mocapfix.read.bvh import read_bvh
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
@@ -45,7 +45,7 @@ def test_every_joint_that_is_kept_is_where_the_solve_has_it(tmp_path_factory, na
     told, read = written(tmp_path_factory.mktemp("rig"), name, skeleton, motion)
     places, _ = kinematics.compute_world_poses(skeleton, motion)
     found = (
-        read.world_rotations()[int(told.starts_with_t_pose) :, [read.names.index(joint.name) for joint in told.joints]]
+        read.compute_world_positions()[int(told.starts_with_t_pose) :, [read.names.index(joint.name) for joint in told.joints]]
         * told.unit_m
     )
     assert read.names[0] == "Hips"
@@ -105,7 +105,7 @@ def test_the_first_frame_is_a_t_pose_on_the_floor_where_the_motion_begins(tmp_pa
     motion = moving()
     told, read = written(tmp_path, name, SKELETON, motion)
     assert read.frames == motion.frame_count + 1
-    place = read.world_rotations()[0] * told.unit_m
+    place = read.compute_world_positions()[0] * told.unit_m
     at = {joint.joint: place[read.names.index(joint.name)] for joint in told.joints}
     np.testing.assert_allclose(at["Hips"][[0, 2]], motion.root[0, [0, 2]], atol=1e-6)
     np.testing.assert_allclose(at["LeftFoot"][[0, 2]], at["LeftUpLeg"][[0, 2]], atol=1e-4)
