@@ -1,12 +1,20 @@
-"""Constraints as the kernels' terms, and whether each says what it must."""
+"""Constraints as terms of the kernels, with the validation of their values."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypeVar, cast
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.errors import ConstraintError
-from mocapfix.kernels.terms import DirectionTerm, DistanceTerm, OrientationTerm, PointTerm, ReprojectionTerm, normalise_pixels
+from mocapfix.kernels.terms import (
+    DirectionTerm,
+    DistanceTerm,
+    OrientationTerm,
+    PointTerm,
+    ReprojectionTerm,
+    normalise_pixels,
+)
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.constraints import (
     Constraint,
@@ -19,80 +27,81 @@ from mocapfix.solve.constraints import (
 )
 
 CONSTRAINT_TYPES = (PositionConstraint, DirectionConstraint, OrientationConstraint, DistanceConstraint, PixelConstraint)
-ROTATION_TOLERANCE = 1e-3  # how far the entries of a rotation may be off: somebody wrote it down to a few digits
+"""The types of constraints, in the order of their terms."""
+ROTATION_TOLERANCE = 1e-3
+"""Error of the entries of a rotation matrix that is accepted, since people write a few digits."""
+
+ConstraintTerms = tuple[PointTerm, DirectionTerm, OrientationTerm, DistanceTerm, ReprojectionTerm]
+JointConstraint = TypeVar("JointConstraint", PositionConstraint, DirectionConstraint, OrientationConstraint, PixelConstraint)
+AnyConstraint = TypeVar("AnyConstraint", bound=Constraint)
 
 
-def build_constraint_terms(constraints: Sequence[Constraint], skeleton: Skeleton, frame_count: int) -> tuple:
-    """-> the terms that hold `frames` poses alike, always of the same kinds.
+def build_constraint_terms(constraints: Sequence[Constraint], skeleton: Skeleton, frame_count: int) -> ConstraintTerms:
+    """Return the terms that constrain `frame_count` poses alike, one of each type.
 
-    Raises ConstraintError, saying which constraint does not say what it must.
+    Raises ConstraintError, naming the constraint, for an invalid value.
     """
     if not constraints:
-        raise ConstraintError("There is no constraint; say at least where one joint is.")
-    of: dict[type, list] = {kind: [] for kind in CONSTRAINT_TYPES}
-    for each in constraints:
-        if type(each) not in of:
-            raise ConstraintError(
-                f"{each!r} is no constraint; choose of: {', '.join(kind.__name__ for kind in CONSTRAINT_TYPES)}."
-            )
-        of[type(each)].append(each)
+        raise ConstraintError("There is no constraint; give at least the position of one joint.")
+    for constraint in constraints:
+        if type(constraint) not in CONSTRAINT_TYPES:
+            names = ", ".join(kind.__name__ for kind in CONSTRAINT_TYPES)
+            raise ConstraintError(f"{constraint!r} is not a constraint; choose from: {names}.")
     return (
-        build_point_term(of[PositionConstraint], skeleton, frame_count), build_direction_term(of[DirectionConstraint], skeleton, frame_count),
-        build_orientation_term(of[OrientationConstraint], skeleton, frame_count), build_distance_term(of[DistanceConstraint], skeleton), build_reprojection_term(of[PixelConstraint], skeleton, frame_count),
-    )  # fmt: skip
-
-
-def build_point_term(constraints: list[PositionConstraint], skeleton: Skeleton, frame_count: int) -> PointTerm:
-    seen = gather_values(constraints, lambda c: check_numbers(c, "at", c.position, 3), 3)
-    places = gather_values(constraints, lambda c: check_numbers(c, "place", c.offset, 3), 3)
-    return PointTerm(
-        find_constrained_joints(constraints, skeleton),
-        places,
-        repeat_rows(seen, frame_count),
-        repeat_rows(compute_constraint_weights(constraints), frame_count),
+        build_point_term([c for c in constraints if isinstance(c, PositionConstraint)], skeleton, frame_count),
+        build_direction_term([c for c in constraints if isinstance(c, DirectionConstraint)], skeleton, frame_count),
+        build_orientation_term([c for c in constraints if isinstance(c, OrientationConstraint)], skeleton, frame_count),
+        build_distance_term([c for c in constraints if isinstance(c, DistanceConstraint)], skeleton),
+        build_reprojection_term([c for c in constraints if isinstance(c, PixelConstraint)], skeleton, frame_count),
     )
 
 
-def build_direction_term(constraints: list[DirectionConstraint], skeleton: Skeleton, frame_count: int) -> DirectionTerm:
-    along = gather_values(
+def build_point_term(constraints: Sequence[PositionConstraint], skeleton: Skeleton, frame_count: int) -> PointTerm:
+    """Return position constraints as a term."""
+    positions = gather_values(constraints, lambda c: check_numbers(c, "position", c.position, 3), 3)
+    offsets = gather_values(constraints, lambda c: check_numbers(c, "offset", c.offset, 3), 3)
+    weights = repeat_rows(compute_constraint_weights(constraints), frame_count)
+    return PointTerm(find_constrained_joints(constraints, skeleton), offsets, repeat_rows(positions, frame_count), weights)
+
+
+def build_direction_term(constraints: Sequence[DirectionConstraint], skeleton: Skeleton, frame_count: int) -> DirectionTerm:
+    """Return direction constraints as a term."""
+    bones = gather_values(
         constraints, lambda c: normalise_direction(c, f"the bone to {c.child}", find_bone_vector(c, skeleton)), 3
     )
-    seen = gather_values(constraints, lambda c: normalise_direction(c, "seen", check_numbers(c, "seen", c.direction, 3)), 3)
-    return DirectionTerm(
-        find_constrained_joints(constraints, skeleton),
-        along,
-        repeat_rows(seen, frame_count),
-        repeat_rows(compute_constraint_weights(constraints), frame_count),
+    directions = gather_values(
+        constraints, lambda c: normalise_direction(c, "direction", check_numbers(c, "direction", c.direction, 3)), 3
     )
+    weights = repeat_rows(compute_constraint_weights(constraints), frame_count)
+    return DirectionTerm(find_constrained_joints(constraints, skeleton), bones, repeat_rows(directions, frame_count), weights)
 
 
-def build_orientation_term(constraints: list[OrientationConstraint], skeleton: Skeleton, frame_count: int) -> OrientationTerm:
-    seen = gather_values(constraints, lambda c: check_rotation(c, c.rotation), 3, 3)
-    return OrientationTerm(
-        find_constrained_joints(constraints, skeleton),
-        repeat_rows(seen, frame_count),
-        repeat_rows(compute_constraint_weights(constraints), frame_count),
-    )
+def build_orientation_term(constraints: Sequence[OrientationConstraint], skeleton: Skeleton, frame_count: int) -> OrientationTerm:
+    """Return orientation constraints as a term."""
+    rotations = gather_values(constraints, lambda c: check_rotation(c, c.rotation), 3, 3)
+    weights = repeat_rows(compute_constraint_weights(constraints), frame_count)
+    return OrientationTerm(find_constrained_joints(constraints, skeleton), repeat_rows(rotations, frame_count), weights)
 
 
-def build_distance_term(constraints: list[DistanceConstraint], skeleton: Skeleton) -> DistanceTerm:
-    joints = np.array([[find_joint(c, name, skeleton) for name in check_joint_pair(c)] for c in constraints], int).reshape(-1, 2)
-    places = gather_values(constraints, lambda c: check_numbers(c, "places", c.offsets, 2, 3), 2, 3)
-    length = np.array([float(check_numbers(c, "length", c.distance)) for c in constraints])
-    return DistanceTerm(joints, places, length[None], compute_constraint_weights(constraints)[None])
+def build_distance_term(constraints: Sequence[DistanceConstraint], skeleton: Skeleton) -> DistanceTerm:
+    """Return distance constraints as a term."""
+    joints = np.array([[find_joint(c, name, skeleton) for name in check_joint_pair(c)] for c in constraints], int)
+    offsets = gather_values(constraints, lambda c: check_numbers(c, "offsets", c.offsets, 2, 3), 2, 3)
+    distances = np.array([float(check_numbers(c, "distance", c.distance)) for c in constraints])
+    return DistanceTerm(joints.reshape(-1, 2), offsets, distances[None], compute_constraint_weights(constraints)[None])
 
 
-def build_reprojection_term(constraints: list[PixelConstraint], skeleton: Skeleton, frame_count: int) -> ReprojectionTerm:
-    """Every point brings its own camera along: they are few."""
+def build_reprojection_term(constraints: Sequence[PixelConstraint], skeleton: Skeleton, frame_count: int) -> ReprojectionTerm:
+    """Return pixel constraints as a term, with one camera for each of them."""
     for c in constraints:
-        if not isinstance(c.camera, ConstraintCamera):
-            raise build_constraint_error(c, f"camera must be a solve.Camera, and is {c.camera!r}")
+        if not isinstance(c.camera, ConstraintCamera):  # pyright: ignore[reportUnnecessaryIsInstance]  # given by users
+            raise build_constraint_error(c, f"camera must be a ConstraintCamera, not {c.camera!r}")
     pixels = gather_values(constraints, lambda c: check_numbers(c, "pixel", c.pixel, 2), 2)
     centres = gather_values(constraints, lambda c: check_numbers(c, "camera.centre", c.camera.centre, 2), 2)
     scales = np.array([check_positive(c, "camera.scale", c.camera.scale) for c in constraints]).reshape(-1, 1)
     return ReprojectionTerm(
         find_constrained_joints(constraints, skeleton),
-        gather_values(constraints, lambda c: check_numbers(c, "place", c.offset, 3), 3),
+        gather_values(constraints, lambda c: check_numbers(c, "offset", c.offset, 3), 3),
         np.arange(len(constraints)),
         gather_values(constraints, lambda c: check_rotation(c, c.camera.rotation), 3, 3),
         gather_values(constraints, lambda c: check_numbers(c, "camera.translation", c.camera.translation, 3), 3),
@@ -102,91 +111,95 @@ def build_reprojection_term(constraints: list[PixelConstraint], skeleton: Skelet
     )
 
 
-def gather_values(constraints: Sequence[Any], get_value: Callable[[Any], np.ndarray], *shape: int) -> np.ndarray:
-    """-> (K, *shape) what each constraint says."""
-    return np.array([get_value(each) for each in constraints], float).reshape(-1, *shape)
+def gather_values(
+    constraints: Sequence[AnyConstraint], get_value: Callable[[AnyConstraint], np.ndarray], *shape: int
+) -> np.ndarray:
+    """Return a value of each of K constraints as an array (K, *shape)."""
+    return np.array([get_value(constraint) for constraint in constraints], float).reshape(-1, *shape)
 
 
 def repeat_rows(rows: np.ndarray, frame_count: int) -> np.ndarray:
-    """-> (frames, ...) the same in every frame."""
+    """Return the same rows for every frame, (frame_count, ...)."""
     return np.repeat(rows[None], frame_count, axis=0)
 
 
-def find_constrained_joints(constraints: Sequence[Any], skeleton: Skeleton) -> np.ndarray:
-    return np.array([find_joint(each, each.joint, skeleton) for each in constraints], int)
+def find_constrained_joints(constraints: Sequence[JointConstraint], skeleton: Skeleton) -> Int[np.ndarray, " K"]:
+    """Return the index of each constraint's joint."""
+    return np.array([find_joint(constraint, constraint.joint, skeleton) for constraint in constraints], int)
 
 
 def find_joint(constraint: Constraint, joint: str, skeleton: Skeleton) -> int:
+    """Return the index of a joint named by a constraint. Raises ConstraintError for an unknown name."""
     if joint not in skeleton.names:
         raise build_constraint_error(constraint, f"there is no joint {joint!r}; the skeleton has: {', '.join(skeleton.names)}")
     return skeleton.find_joint(joint)
 
 
 def check_joint_pair(constraint: DistanceConstraint) -> tuple[str, str]:
-    if not isinstance(constraint.joints, tuple | list) or len(constraint.joints) != 2:
-        raise build_constraint_error(constraint, "joints must be the names of two")
+    """Return the two joints of a constraint. Raises ConstraintError unless there are two."""
+    joints: object = constraint.joints
+    if not isinstance(joints, tuple | list) or len(constraint.joints) != 2:
+        raise build_constraint_error(constraint, "joints must be the names of two joints")
     return constraint.joints
 
 
-def compute_constraint_weights(constraints: Sequence[Any]) -> np.ndarray:
-    """-> (K,) one over the squares of the standard deviations."""
-    return np.array([check_positive(each, "sd", each.sd) ** -2.0 for each in constraints])
+def compute_constraint_weights(constraints: Sequence[AnyConstraint]) -> Float[np.ndarray, " K"]:
+    """Return the inverse squares of the standard deviations."""
+    return np.array([check_positive(constraint, "sd", constraint.sd) ** -2.0 for constraint in constraints])
 
 
-def check_numbers(constraint: Constraint, name: str, value: Any, *shape: int) -> np.ndarray:
-    """-> a field as finite numbers of a shape."""
+def check_numbers(constraint: Constraint, name: str, value: object, *shape: int) -> np.ndarray:
+    """Return a field of a constraint as finite numbers of a given shape. Raises ConstraintError if it is something else."""
     try:
-        found = np.asarray(value, float)
+        numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        found = np.full(0, np.nan)
-    if found.shape != shape or not np.isfinite(found).all():
-        much = " x ".join(map(str, shape)) or "one"
-        raise build_constraint_error(constraint, f"{name} must be {much} finite number{'s' * bool(shape)}, and is {value!r}")
-    return found
+        numbers = np.full(0, np.nan)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        count = " x ".join(map(str, shape)) or "one"
+        raise build_constraint_error(constraint, f"{name} must be {count} finite number{'s' * bool(shape)}, not {value!r}")
+    return numbers
 
 
-def check_positive(constraint: Constraint, name: str, value: Any) -> float:
+def check_positive(constraint: Constraint, name: str, value: object) -> float:
+    """Return a field of a constraint as a positive number. Raises ConstraintError if it is something else."""
     number = float(check_numbers(constraint, name, value))
     if number <= 0:
-        raise build_constraint_error(constraint, f"{name} must be more than 0, and is {value!r}")
+        raise build_constraint_error(constraint, f"{name} must be greater than 0, not {value!r}")
     return number
 
 
-def check_rotation(constraint: Constraint, value: Any) -> np.ndarray:
-    """-> (3, 3) a rotation."""
+def check_rotation(constraint: Constraint, value: object) -> Float[np.ndarray, "3 3"]:
+    """Return a field of a constraint as a rotation matrix. Raises ConstraintError if it is something else."""
     matrix = check_numbers(constraint, "rotation", value, 3, 3)
     if not is_rotation(matrix):
-        raise build_constraint_error(constraint, "rotation must have rows of length one at right angles, right-handed")
+        raise build_constraint_error(constraint, "rotation must be a right-handed matrix with orthonormal rows")
     return matrix
 
 
-def is_rotation(matrix: np.ndarray) -> bool:
-    """-> whether (3, 3) is a rotation."""
+def is_rotation(matrix: Float[np.ndarray, "3 3"]) -> bool:
+    """Return whether a matrix is a rotation, within ROTATION_TOLERANCE."""
     return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < ROTATION_TOLERANCE and np.linalg.det(matrix) > 0)
 
 
-def normalise_direction(constraint: Constraint, name: str, vector: np.ndarray) -> np.ndarray:
+def normalise_direction(constraint: Constraint, name: str, vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return a vector at unit length. Raises ConstraintError if it has length zero."""
     length = np.linalg.norm(vector)
     if length == 0:
-        raise build_constraint_error(constraint, f"{name} has no length, and so no direction")
+        raise build_constraint_error(constraint, f"{name} has length zero and therefore no direction")
     return vector / length
 
 
-def find_bone_vector(constraint: DirectionConstraint, skeleton: Skeleton) -> np.ndarray:
-    """-> (3,) metres, from a joint to its child in its own axes."""
+def find_bone_vector(constraint: DirectionConstraint, skeleton: Skeleton) -> Float[np.ndarray, "3"]:
+    """Return the bone from a joint to its child, in metres in the joint's axes. Raises ConstraintError if there is none."""
     child, parent = find_joint(constraint, constraint.child, skeleton), find_joint(constraint, constraint.joint, skeleton)
     if skeleton.parents[child] != parent:
-        raise build_constraint_error(
-            constraint, f"{constraint.child} is no child of {constraint.joint}; its parent is {get_parent_name(child, skeleton)}"
-        )
+        actual = skeleton.names[skeleton.parents[child]] if child else "none"
+        raise build_constraint_error(constraint, f"{constraint.child} is no child of {constraint.joint}; its parent is {actual}")
     return skeleton.offsets[child]
 
 
-def get_parent_name(child: int, skeleton: Skeleton) -> str:
-    return skeleton.names[skeleton.parents[child]] if child else "none"
-
-
 def build_constraint_error(constraint: Constraint, problem: str) -> ConstraintError:
-    where = constraint.joints if isinstance(constraint, DistanceConstraint) else constraint.joint
-    where = " and ".join(map(str, where)) if isinstance(where, tuple | list) else where
-    return ConstraintError(f"{type(constraint).__name__} of {where}: {problem}.")
+    """Return the error for a problem with a constraint."""
+    joints: object = constraint.joints if isinstance(constraint, DistanceConstraint) else constraint.joint
+    names = " and ".join(map(str, cast("Sequence[object]", joints))) if isinstance(joints, tuple | list) else joints
+    return ConstraintError(f"{type(constraint).__name__} of {names}: {problem}.")

@@ -1,7 +1,7 @@
-"""What may be said of a single pose, each with its standard deviation.
+"""Constraints on a single pose, each with its standard deviation.
 
-Metres and radians, Y up. A joint is named as the skeleton names it; a place is a point in the joint's axes, which in the rest
-pose (a T-pose facing +Z) are the world's: the joint itself where it is left out.
+Lengths are in metres, angles in radians, Y is up. Joints are named as in the skeleton. An offset is a point in the joint's axes,
+which in the rest pose (a T-pose facing +Z) are parallel to the world axes; by default it is the joint itself.
 """
 
 from collections.abc import Sequence
@@ -11,12 +11,14 @@ from typing import TypeAlias
 import numpy as np
 
 ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
+
 JOINT_ORIGIN = (0.0, 0.0, 0.0)
+"""The offset of the joint itself, in metres."""
 
 
 @dataclass(frozen=True)
 class PositionConstraint:
-    """A point of a joint's body is `at` (3,) metres in the world; sd metres per axis."""
+    """A point fixed to a joint is at `position` (3,) m in the world; sd in metres per axis."""
 
     joint: str
     position: ConstraintVector
@@ -26,7 +28,7 @@ class PositionConstraint:
 
 @dataclass(frozen=True)
 class DirectionConstraint:
-    """The bone from a joint to its child `to` points along `seen` (3,), of whatever length; sd radians."""
+    """The bone from a joint to its child points along `direction` (3,), a vector of any length; sd in radians."""
 
     joint: str
     child: str
@@ -36,7 +38,7 @@ class DirectionConstraint:
 
 @dataclass(frozen=True)
 class OrientationConstraint:
-    """A joint's axes in the world are `rotation` (3, 3): it carries the joint's axes into the world's; sd radians per axis."""
+    """The world rotation of a joint is `rotation` (3, 3), joint axes to world axes; sd in radians per axis."""
 
     joint: str
     rotation: np.ndarray
@@ -45,7 +47,7 @@ class OrientationConstraint:
 
 @dataclass(frozen=True)
 class DistanceConstraint:
-    """Points of two joints' bodies are `length` metres apart; sd metres."""
+    """The distance in metres between points fixed to two joints; sd in metres."""
 
     joints: tuple[str, str]
     distance: float
@@ -55,12 +57,12 @@ class DistanceConstraint:
 
 @dataclass(frozen=True)
 class ConstraintCamera:
-    """A camera whose axes are x to the right, y down, z ahead: camera = rotation @ world + translation.
+    """A camera with axes x to the right, y down, z ahead: camera = rotation @ world + translation.
 
     rotation     (3, 3)
-    translation  (3,) metres
-    scale        focal length in pixels; of one that is not perspective (scaled orthographic): pixels per metre
-    centre       (2,) pixels, the principal point
+    translation  (3,) m
+    scale        focal length in pixels; for a scaled orthographic camera pixels per metre
+    centre       (2,) pixels: the principal point
     """
 
     rotation: np.ndarray
@@ -72,7 +74,7 @@ class ConstraintCamera:
 
 @dataclass(frozen=True)
 class PixelConstraint:
-    """A point of a joint's body as a camera sees it, at `pixel` (2,); sd pixels per axis."""
+    """A camera images a point fixed to a joint at `pixel` (2,); sd in pixels per axis."""
 
     joint: str
     camera: ConstraintCamera

@@ -1,12 +1,18 @@
-"""The solve: the pose of every frame that agrees best with markers, prior and time; and single poses, of whatever is known."""
+"""The motion solver: the pose of every frame that best agrees with markers, a prior on poses, and the frames around it.
+
+Each frame is solved on its own first. The joints' smooth trajectories through these solutions, weighted by their uncertainty,
+then enter a second solve as tracking terms, which couple the frames.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.motion import Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.joint_limits import JointLimits
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
@@ -26,9 +32,25 @@ from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-FAR_OFF_STATUS, GUESSED_STATUS = 2, 3  # indices into motion.STATUS
-MAX_MEAN_MARKER_DISTANCE_M = 0.03  # metres: a frame whose markers lie farther from the body on average is a poor one
-MIN_TRACKING_SD_RAD = 0.01  # radians: no course is surer
+MAX_MEAN_MARKER_DISTANCE_M = 0.03
+"""Mean distance of a frame's markers from the body above which the frame's status is POOR_FIT."""
+MIN_FRAME_MARKERS = 3
+"""Visible markers below which the status of a frame is GUESSED."""
+MIN_TRACKING_SD_RAD = 0.01
+"""Smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result."""
+
+
+class IndependentSolution(NamedTuple):
+    """What remains of the independent solves of T frames besides their poses.
+
+    iterations    (T,) iterations of each frame
+    uncertainty   uncertainty of the poses
+    gap_variance  (T, J) rad^2: variance of the interpolated rotations of uncertain joints
+    """
+
+    iterations: np.ndarray
+    uncertainty: PoseUncertainty
+    gap_variance: np.ndarray
 
 
 def solve_motion(
@@ -41,94 +63,99 @@ def solve_motion(
     options: SolveOptions,
     load_pose_model: Callable[[], PoseModel] | None = None,
 ) -> Motion:
-    """-> poses, and the standard deviations of every joint and of every marker the body places.
+    """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
 
-    Each frame is solved alone first; the joints' smooth courses through what that says, and how surely, then pull the
-    frames to each other in a second solve.
-
-    worn   the take's markers in the subject's order, NaN where not seen or not believed
-    prior  the independent joints' mean pose, which breaks ties in every frame
-    start  where each frame is first solved from; NaN where it goes on from the one before it
-    model  gives a trained model of poses, and is called where a limb is lost for so long that the take and time cannot tell;
-           None asks them alone
+    take             the markers in the subject's order, NaN if not visible or an outlier
+    prior            the mean pose of independent joints, which makes every frame determinate
+    initial_motion   the start of each frame's first solve; NaN where it starts from the frame before
+    load_pose_model  returns a trained pose model; called only if a limb is occluded for so long that the take itself does not
+                     determine it. None: no model is used.
     """
-    rate, narrow = take.rate, options.robust_scales_m[-1]
+    rate, robust_scale_m = take.rate, options.robust_scales_m[-1]
     problem = build_pose_problem(take, subject, body, prior, limits, options)
-    gone = observability.find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
-    unsure = (observability.find_partly_observed_joints(problem.solver_mask, subject) | gone) & body.free_joints
+    is_unobserved = observability.find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
+    is_uncertain = (observability.find_partly_observed_joints(problem.solver_mask, subject) | is_unobserved) & body.free_joints
 
-    root, local = initial_motion.root_position.copy(), initial_motion.local_rotations.copy()
-    alone, known, left_open = solve_frames_independently(problem, root, local, unsure, gone, rate, options)
-    people = PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
-    occluded_joints.infer_occluded_joints(root, local, known.rotation_variance, gone, body.free_joints, rate, people)
-    course = smoothing.smooth_poses(root, local, known, body.free_joints, rate, options)
-    root, local = course.root.copy(), course.rotations.copy()
-    status, together = problem.solve(root, local, course, (narrow,))
-    certain = unsure / np.maximum(np.where(gone, known.rotation_variance, left_open), MIN_TRACKING_SD_RAD**2)
-    course = course._replace(weight=certain)
-    root = smoothing.remove_pose_jitter(root, local, body.free_joints, rate, options)
-    solved = Motion(root, local, status, alone + together, known.marker_sd, known.joint_sd)
-    markers, joints = compute_pose_sd(problem, solved, subject, prior, known.marker_sd, course, narrow)
-    solved = replace(solved, marker_sd=markers, joint_sd=joints)
-    return replace(solved, status=classify_frames(solved, subject, take.markers))
+    root_position, local_rotations = initial_motion.root_position.copy(), initial_motion.local_rotations.copy()
+    alone = solve_frames_independently(problem, root_position, local_rotations, is_uncertain, is_unobserved, rate, options)
+    known = alone.uncertainty
+    conditioner = PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
+    occluded_joints.infer_occluded_joints(
+        root_position,
+        local_rotations,
+        known.rotation_variance,
+        is_unobserved,
+        body.free_joints,
+        rate,
+        conditioner=conditioner,
+    )
+    tracking = smoothing.smooth_poses(root_position, local_rotations, known, body.free_joints, rate, options)
+    root_position, local_rotations = tracking.root.copy(), tracking.rotations.copy()
+    status, iterations = problem.solve(root_position, local_rotations, tracking, (robust_scale_m,))
+    gap_variance = np.where(is_unobserved, known.rotation_variance, alone.gap_variance)
+    tracking = tracking._replace(weight=is_uncertain / np.maximum(gap_variance, MIN_TRACKING_SD_RAD**2))
+    root_position = smoothing.remove_pose_jitter(root_position, local_rotations, body.free_joints, rate, options)
+    motion = Motion(root_position, local_rotations, status, alone.iterations + iterations, known.marker_sd, known.joint_sd)
+    marker_sd, joint_sd = compute_pose_sd(problem, motion, subject, prior, known.marker_sd, tracking, robust_scale_m)
+    motion = replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
+    return replace(motion, status=classify_frames(motion, subject, take.markers))
 
 
 def build_pose_problem(
     take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, limits: JointLimits, options: SolveOptions
 ) -> PoseProblem:
-    """-> the pose problem of the take, as `motion` is given it: markers, people's habits and how far joints turn."""
-    gone = observability.find_unobserved_joints(take.visible, subject, body.free_joints)
-    listened = take.visible & ~observability.find_gap_borders(
-        take.visible, gone[:, subject.joints], take.rate, options.gap_border_s
-    )
-    said_once = build_pose_prior_term(prior.scale_information(1 / (options.pose_persistence_s * take.rate)))
-    walls = build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(options.pose_persistence_s * take.rate))
-    tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints)
+    """Return the pose problem of a take: markers, prior and joint limits, with the arguments of `solve_motion`."""
+    is_unobserved = observability.find_unobserved_joints(take.visible, subject, body.free_joints)
+    is_border = observability.find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, options.gap_border_s)
+    # neighbouring frames show the same pose, so the prior applies once in `pose_persistence_s`, not in every frame
+    frames_per_pose = options.pose_persistence_s * take.rate
     return PoseProblem(
-        tree,
+        KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
         MarkerAttachment(subject.joints, subject.marker_offsets),
         take.markers,
-        listened,
+        take.visible & ~is_border,
         options.marker_sd_m,
-        said_once,
-        walls,
+        build_pose_prior_term(prior.scale_information(1 / frames_per_pose)),
+        build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
     )
 
 
 def solve_frames_independently(
     problem: PoseProblem,
-    root: np.ndarray,
+    root_position: np.ndarray,
     local_rotations: np.ndarray,
     is_uncertain: np.ndarray,
     is_unobserved: np.ndarray,
     rate: float,
     options: SolveOptions,
-) -> tuple[np.ndarray, PoseUncertainty, np.ndarray]:
-    """Solve each frame alone, or as its start says, then those with joints that are unsure or gone (T, J) from their neighbours
-    and as far as the course through the others says; root (T, 3) and local (T, J, 3, 3) in place. -> (T,) iterations, how far
-    poses are known, and the variance (T, J) of the courses of unsure joints, rad^2
+) -> IndependentSolution:
+    """Solve each frame on its own, then frames with uncertain joints again from their neighbours, tracking an interpolation.
+
+    root_position (T, 3) in metres and local_rotations (T, J, 3, 3) are overwritten with the solution; is_uncertain and
+    is_unobserved are (T, J).
     """
-    none, narrow = build_no_tracking(local_rotations.shape[1]), options.robust_scales_m[-1]
-    _, iterations = problem.solve(root, local_rotations, none, options.robust_scales_m)
-    variance = problem.compute_uncertainty(root, local_rotations, none, narrow).rotation_variance
-    bridges, left_open = smoothing.track_across_gaps(local_rotations, variance, is_uncertain, rate, options)
-    problem.solve_from_neighbours(root, local_rotations, bridges, is_uncertain, narrow)
-    known = problem.compute_uncertainty(root, local_rotations, none, narrow)
-    told = np.where(
-        is_unobserved,
-        np.minimum(known.rotation_variance, left_open + options.rotation_tracking_sd_rad**2),
-        known.rotation_variance,
+    no_tracking, robust_scale_m = build_no_tracking(local_rotations.shape[1]), options.robust_scales_m[-1]
+    _, iterations = problem.solve(root_position, local_rotations, no_tracking, options.robust_scales_m)
+    variance = problem.compute_uncertainty(root_position, local_rotations, no_tracking, robust_scale_m).rotation_variance
+    tracking, gap_variance = smoothing.track_across_gaps(local_rotations, variance, is_uncertain, rate, options)
+    problem.solve_from_neighbours(root_position, local_rotations, tracking, is_uncertain, robust_scale_m)
+    uncertainty = problem.compute_uncertainty(root_position, local_rotations, no_tracking, robust_scale_m)
+    tracked_variance = gap_variance + options.rotation_tracking_sd_rad**2
+    rotation_variance = np.where(
+        is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
     )
-    return iterations, known._replace(rotation_variance=told), left_open
+    return IndependentSolution(iterations, uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
 
 
-def classify_frames(motion: Motion, subject: Subject, markers: np.ndarray) -> np.ndarray:
-    """-> (T,) the status of every frame, as motion.STATUS words it.
+def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray, "T K 3"]) -> Int[np.ndarray, " T"]:
+    """Return the FrameStatus of every frame: that of the solve, unless too few markers are visible or they lie off the body.
 
-    markers  (T, K, 3) metres, the subject's markers, NaN where not believed
+    markers  in metres in the subject's order, NaN if not visible or an outlier
     """
-    _, placed = kinematics.compute_joint_and_marker_positions(subject, motion)
-    distance = np.linalg.norm(markers - placed, axis=-1)
-    seen = (~np.isnan(distance)).sum(1)
-    mean = np.nansum(distance, axis=1) / np.maximum(seen, 1)
-    return np.where(seen < 3, GUESSED_STATUS, np.where(mean > MAX_MEAN_MARKER_DISTANCE_M, FAR_OFF_STATUS, motion.status))
+    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
+    distance = np.linalg.norm(markers - predicted, axis=-1)
+    visible_count = (~np.isnan(distance)).sum(1)
+    mean_distance = np.nansum(distance, axis=1) / np.maximum(visible_count, 1)
+    is_guessed: Bool[np.ndarray, " T"] = visible_count < MIN_FRAME_MARKERS
+    is_poor = mean_distance > MAX_MEAN_MARKER_DISTANCE_M
+    return np.where(is_guessed, int(FrameStatus.GUESSED), np.where(is_poor, int(FrameStatus.POOR_FIT), motion.status))

@@ -1,53 +1,62 @@
-"""What the solve listens to: samples that do not lie beside a gap; and the joints of which none of them tells."""
+"""Observability: which marker samples the solver uses, and which joints these samples determine."""
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
 
-MIN_GAP_DURATION_S = 0.025  # seconds
+MIN_GAP_DURATION_S = 0.025
+"""Gaps up to this duration are flicker and have no borders."""
 
 
-def find_gap_borders(is_inlier: np.ndarray, is_unobserved: np.ndarray, rate: float, max_border_s: float) -> np.ndarray:
-    """-> (T, K) bool: the samples on either side of a marker's gaps, for up to `longest` seconds.
+def find_gap_borders(
+    is_inlier: Bool[np.ndarray, "T K"], is_unobserved: Bool[np.ndarray, "T K"], rate: float, max_border_s: float
+) -> Bool[np.ndarray, "T K"]:
+    """Find the samples on either side of each marker's gaps, for up to `max_border_s` seconds, with the gaps themselves.
 
-    The pose shall not listen to them: a marker pulls the body to itself, so a body that lets go of it where its gap
-    begins would jump, and the residual carried across the gap would be the residual of another pose. The last samples
-    before a marker is lost are its worst, too. Flicker loses none, and neither does a gap in which the marker's joint is
-    `gone` (T, K) from end to end: there is no other pose then, for the course of a lost joint leads on from its last one.
+    The solver must not use them. A marker attracts the body, so the pose would jump where a gap begins, and the residual that is
+    interpolated across the gap would be that of another pose. Samples next to a gap are also the least accurate. Flicker has no
+    borders, and neither has a gap in which the marker's joint is unobserved throughout: the pose does not change there, since
+    the trajectory of an unobserved joint continues from its last pose.
+
+    is_inlier      samples that are visible and no outliers
+    is_unobserved  whether the joint of the marker is unobserved
     """
     mask = np.zeros_like(is_inlier)
     for k in range(is_inlier.shape[1]):
         for first, last in find_runs(~is_inlier[:, k]):
-            span = round(rate * min(max_border_s, (last - first + 1) / rate - MIN_GAP_DURATION_S))
-            if span > 0 and not is_unobserved[first : last + 1, k].all():
-                mask[max(0, first - span) : last + 1 + span, k] = True
+            border = round(rate * min(max_border_s, (last - first + 1) / rate - MIN_GAP_DURATION_S))
+            if border > 0 and not is_unobserved[first : last + 1, k].all():
+                mask[max(0, first - border) : last + 1 + border, k] = True
     return mask
 
 
-def find_partly_observed_joints(is_used: np.ndarray, subject: Subject) -> np.ndarray:
-    """-> (T, J) bool: joints that miss a marker, their own or a child's, that the take shows at other times.
+def find_partly_observed_joints(is_used: Bool[np.ndarray, "T K"], subject: Subject) -> Bool[np.ndarray, "T J"]:
+    """Find the joints that lack a marker of their own or of a child which other frames show.
 
-    listened  (T, K): the subject's markers that the solve listens to
+    is_used  samples of the subject's markers that the solver uses
     """
-    lacking = np.zeros((len(is_used), len(subject.skeleton.names)), bool)
+    is_partly_observed = np.zeros((len(is_used), len(subject.skeleton.names)), bool)
     for k in np.flatnonzero(is_used.any(0)):
         joint = subject.joints[k]
-        lacking[:, joint] |= ~is_used[:, k]
-        lacking[:, max(subject.skeleton.parents[joint], 0)] |= ~is_used[:, k]
-    lacking[:, 0] = False
-    return lacking
+        is_partly_observed[:, joint] |= ~is_used[:, k]
+        is_partly_observed[:, max(subject.skeleton.parents[joint], 0)] |= ~is_used[:, k]
+    is_partly_observed[:, 0] = False
+    return is_partly_observed
 
 
-def find_unobserved_joints(is_used: np.ndarray, subject: Subject, free_joints: np.ndarray) -> np.ndarray:
-    """-> (T, J) bool: free joints below the root that no marker tells of: none on them or farther out is there.
+def find_unobserved_joints(
+    is_used: Bool[np.ndarray, "T K"], subject: Subject, free_joints: Bool[np.ndarray, " J"]
+) -> Bool[np.ndarray, "T J"]:
+    """Find the free joints below the root without any used marker on them or on their descendants, if other frames have one.
 
-    listened  (T, K): the subject's markers that the solve listens to
+    is_used  samples of the subject's markers that the solver uses
     """
-    told = np.zeros((len(is_used), len(free_joints)), bool)
+    is_observed = np.zeros((len(is_used), len(free_joints)), bool)
     for k, joint in enumerate(subject.joints):
-        told[:, joint] |= is_used[:, k]
+        is_observed[:, joint] |= is_used[:, k]
     for j in range(len(free_joints) - 1, 0, -1):
-        told[:, subject.skeleton.parents[j]] |= told[:, j]
-    carrying = told.any(0)
-    return ~told & free_joints & carrying & (np.arange(len(free_joints)) > 0)
+        is_observed[:, subject.skeleton.parents[j]] |= is_observed[:, j]
+    is_ever_observed = is_observed.any(0)
+    return ~is_observed & free_joints & is_ever_observed & (np.arange(len(free_joints)) > 0)

@@ -1,72 +1,89 @@
-"""What a take itself says of a limb it lost: how its joints went at moments alike, and at the moments around.
+"""Occluded joints: the rotations of a limb without markers, inferred from the rest of the take.
 
-A Gaussian process over the take (see `kernels.process`) is told the joints' rotations where they are known, densely beside
-the gap and sparsely farther off, and asked for those in it. It is as sure as the moments it knows are near or like. Where that
-is not very sure, it is asked for a model's answers too, as if they were not known in the gap: by how much the model answers
-otherwise there, counts as the take's own expectation is unsure (kriging with an external drift). Asked so, a model gains on
-gaps of seconds, and spoils no other; as one more pull on the poses, it made every gap's error greater.
+A Gaussian process over the take (`stats.gaussian_process`) is given the joints' rotations in frames where they are known, densely
+near the gap and sparsely farther away, and predicts those in the gap. Its variance depends on how near or similar the known
+frames are. If this variance is large, the predictions of a pose model are used too, as an external drift (kriging): they are
+treated as if the model's predictions for known frames were measurements, and the innovation of the model in the gap is added in
+proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
+another tracking term of the poses it increased the error of every gap.
 """
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.kernels import quaternions
 from mocapfix.solve import state_features
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process, group_gaps, select_training_frames
 
-MAX_UNOBSERVED_SHARE = 0.5  # share of the joints: with more of them lost, there is no body left to recall the rest from
-MIN_TRAINING_FRAMES = 3  # frames, without which there is nothing to go by
-DEFAULT_ROTATION_POWER_RAD2, DEFAULT_POWER_FRAMES = (
-    0.02,
-    10,
-)  # rad^2: the power of an unknown joint's course, believed as much as so many frames
-VARIANCE_INFLATION = 1.5  # by how much what is expected errs more, in rad^2, than the process says of itself
-MIN_QUERY_SD_RAD = 0.1  # radians: what the take knows so well of all that a gap lost, no model knows better
-PRIOR_INNOVATION_SD_RAD = 0.3  # radians per axis: how far people's limbs are from what is new in a model's answer
+MAX_UNOBSERVED_SHARE = 0.5
+"""Share of the joints that may be unobserved; with more, too little of the body is left to infer the rest from."""
+MIN_TRAINING_FRAMES = 3
+"""Frames with known rotations that a gap requires."""
+DEFAULT_ROTATION_POWER_RAD2 = 0.02
+"""Signal power of a joint rotation for which there are no data."""
+DEFAULT_POWER_FRAMES = 10
+"""Number of frames that this default power is worth in the estimate of the power."""
+VARIANCE_INFLATION = 1.5
+"""Actual squared error of the prediction over the variance that the process predicts."""
+MIN_QUERY_SD_RAD = 0.1
+"""Standard deviation of the prediction above which the pose model is used; below, no model improves it."""
+PRIOR_INNOVATION_SD_RAD = 0.3
+"""Standard deviation per axis of people's limbs about the innovation of the pose model."""
 
 
 def infer_occluded_joints(
-    root: np.ndarray,
-    local_rotations: np.ndarray,
-    variance: np.ndarray,
-    is_unobserved: np.ndarray,
-    free_joints: np.ndarray,
+    root_position: Float[np.ndarray, "T 3"],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    variance: Float[np.ndarray, "T J"],
+    is_unobserved: Bool[np.ndarray, "T J"],
+    free_joints: Bool[np.ndarray, " J"],
     rate: float,
+    *,
     conditioner: PriorConditioner | None = None,
     kernel: StateCovariance = state_features.ESTIMATED_ROTATION_KERNEL,
 ) -> None:
-    """Write what the take tells of lost joints into `local` (T, J, 3, 3) and `variance` (T, J), rad^2.
+    """Overwrite the rotations of unobserved joints, and their variance in rad^2, with predictions.
 
-    root (T, 3) metres, local and variance: each frame's own solve; gone (T, J) as `listening.lost` says; likeness: how far
-    moments tell of each other.
+    root_position, local_rotations, variance  the solution of each frame on its own, in metres and rad^2
+    is_unobserved                             as from `observability.find_unobserved_joints`
+    kernel                                    covariance of the rotations between frames
     """
     joints = np.flatnonzero(free_joints)[1:]
-    body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
+    has_body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
     solved = local_rotations.copy() if is_unobserved.any() else local_rotations
-    for (first, last), lost in group_gaps(is_unobserved & body[:, None]).items():
-        told = joints[~is_unobserved[first : last + 1, joints].any(axis=0)]
-        learn = select_training_frames(body & ~is_unobserved[:, np.r_[told, lost]].any(axis=1), first, last, rate)
-        if len(learn) < MIN_TRAINING_FRAMES:
+    for (first, last), occluded in group_gaps(is_unobserved & has_body[:, None]).items():
+        observed = joints[~is_unobserved[first : last + 1, joints].any(axis=0)]
+        is_known = has_body & ~is_unobserved[:, np.r_[observed, occluded]].any(axis=1)
+        training = select_training_frames(is_known, first, last, rate)
+        if len(training) < MIN_TRAINING_FRAMES:
             continue
-        gap, doubt = np.arange(first, last + 1), variance[learn][:, lost].max(axis=1)
-        known, asked = (state_features.compute_joint_state_features(root, solved, told, frames, rate) for frames in (learn, gap))
-        given = known, learn / rate, np.maximum(doubt - np.median(doubt), 0.0), kernel
-        turns = np.concatenate(
-            [2 * quaternions.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[learn] for j in lost], axis=1
+        gap, training_variance = np.arange(first, last + 1), variance[training][:, occluded].max(axis=1)
+        training_states, gap_states = (
+            state_features.compute_joint_state_features(root_position, solved, observed, frames, rate)
+            for frames in (training, gap)
         )
-        course = fit_gaussian_process(turns, *given)
-        expected, left = course.predict(asked, gap / rate)
-        power = np.fmax(course.cross_validate_gaps((last - first + 1) / rate), course.signal_power).reshape(-1, 4).sum(axis=1) / 3
-        lively = (len(learn) * power + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2) / (len(learn) + DEFAULT_POWER_FRAMES)
-        leaves_open = VARIANCE_INFLATION * left[:, None] * lively
-        if conditioner and leaves_open.max() > MIN_QUERY_SD_RAD**2:
-            said = conditioner.predict_rotations(solved, told, lost, np.r_[learn, gap], np.concatenate([turns, expected]))
-            new = said[len(learn) :] - fit_gaussian_process(said[: len(learn)], *given).predict(asked, gap / rate)[0]
-            expected += (
-                np.repeat(leaves_open / (leaves_open + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2), 4, axis=1) * new
-            )
-        for i, j in enumerate(lost):
-            quaternions.store_joint_quaternions(
-                np.ascontiguousarray(expected[:, 4 * i : 4 * i + 4]), j, local_rotations[first : last + 1]
-            )
-            variance[gap, j] = leaves_open[:, i]
+        noise = np.maximum(training_variance - np.median(training_variance), 0.0)
+        data = training_states, training / rate, noise, kernel
+        rotations = np.concatenate(
+            [2 * quaternions.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded], axis=1
+        )
+        process = fit_gaussian_process(rotations, *data)
+        predicted, relative_variance = process.predict(gap_states, gap / rate)
+        power = np.fmax(process.cross_validate_gaps((last - first + 1) / rate), process.signal_power)
+        power = power.reshape(-1, 4).sum(axis=1) / 3
+        power = (len(training) * power + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2) / (
+            len(training) + DEFAULT_POWER_FRAMES
+        )
+        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
+        if conditioner and gap_variance.max() > MIN_QUERY_SD_RAD**2:
+            frames, reference = np.r_[training, gap], np.concatenate([rotations, predicted])
+            drift = conditioner.predict_rotations(solved, observed, occluded, frames, reference)
+            drift_process = fit_gaussian_process(drift[: len(training)], *data)
+            innovation = drift[len(training) :] - drift_process.predict(gap_states, gap / rate)[0]
+            gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
+            predicted += np.repeat(gain, 4, axis=1) * innovation
+        for i, j in enumerate(occluded):
+            predicted_joint = np.ascontiguousarray(predicted[:, 4 * i : 4 * i + 4])
+            quaternions.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
+            variance[gap, j] = gap_variance[:, i]

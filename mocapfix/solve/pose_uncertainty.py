@@ -1,34 +1,35 @@
-"""How far the solved joints and markers lie from the truth: the posterior covariance of the poses, root to leaves.
+"""Uncertainty of the solved motion: the posterior covariance of the poses, computed from the root to the leaves.
 
-The solve weighs its terms so that it withstands what may be wrong with a take: it takes a marker to lie 10 mm from its place,
-and asks people's habits once in a while, for a take's frames are alike. How wrong its result is, is another question. It
-is asked anew, of the same curvature and factorisation, with each term as uncertain as it really is:
+The solver weights its terms for robustness: it assumes a large marker error, and applies the prior only once in a while, since
+neighbouring frames are correlated. The error of its result is a different question. It is computed from the same curvature and
+factorisation, with the actual uncertainty of each term:
 
-- markers, as the distances show that they keep from the solved body: what the poses took up of them is made good for, as
-  in the a posteriori variance of least squares;
-- people's poses, in every frame: of one frame's pose they say no less for being said of its neighbours, too (limits
-  stay as the solve has them: between their walls they say nothing);
-- joints that lost a marker, by how far their course can be known that long after a gap's edge;
-- calibration's own error, which no frame tells and the subject carries, beside all that.
+- markers: estimated from their distances to the solved body, corrected for the part of the error that the poses absorbed, as in
+  the a posteriori variance of least squares;
+- the pose prior: applied in every frame, since it constrains one frame's pose no less if it is applied to its neighbours too
+  (joint limits stay as in the solve; inside them they have no effect);
+- joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
+- the calibration error, which no frame shows: taken from the subject.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import PoseProblem, build_pose_prior_term
-from mocapfix.subject import Subject
+from mocapfix.subject import CALIBRATION_SD_RATIO, Subject
 
-MIN_ESTIMATED_MARKER_SD_M = 0.001  # metres: no marker keeps its place better
-CHI2_MEDIAN_3_DOF = 2.366  # the median of a chi-squared of three degrees of freedom
-MAX_ABSORBED_SHARE = 0.9  # a marker whose error the pose takes up almost whole tells nothing of its size
-CALIBRATION_SD_RATIO = (
-    0.75  # of the calibration's own deviation: people's marker places and bones stray less from the average than it allows
-)
+MIN_ESTIMATED_MARKER_SD_M = 0.001
+"""Smallest estimate of the marker error per axis."""
+CHI2_MEDIAN_3_DOF = 2.366
+"""Median of the chi-squared distribution with three degrees of freedom."""
+MAX_ABSORBED_SHARE = 0.9
+"""Share of its squared error that the pose absorbs above which a marker does not enter the estimate."""
 
 
 def compute_pose_sd(
@@ -36,37 +37,42 @@ def compute_pose_sd(
     motion: Motion,
     subject: Subject,
     prior: MeanPosePrior,
-    nominal_marker_sd: np.ndarray,
+    nominal_marker_sd: Float[np.ndarray, "T K"],
     tracking: TrackingTerm,
     robust_scale_m: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> standard deviations per axis, metres, of the markers (T, K) as the body places them and of the joints (T, J).
+) -> tuple[Float[np.ndarray, "T K"], Float[np.ndarray, "T J"]]:
+    """Return the standard deviations per axis, in metres, of the markers as the body places them, and of the joints.
 
-    problem  as it was solved
-    alone    (T, K) metres: the deviation of the markers that its own weights foretold
-    time     what the moments around say of the joints that miss a marker and of the root, as surely as they do
-    robust   metres: the scale beyond which the solve no longer believed a marker
+    problem            as it was solved
+    nominal_marker_sd  standard deviation of the markers predicted with the weights of the solve, in metres
+    tracking           the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
+    robust_scale_m     the last robust scale of the solve
     """
-    _, markers = kinematics.compute_joint_and_marker_positions(subject, motion)
-    taken_up = (nominal_marker_sd / problem.marker_sd) ** 2
-    distance = np.linalg.norm(problem.marker_positions - markers, axis=-1)
-    marker_sd = estimate_marker_sd(distance, taken_up, problem.solver_mask & (taken_up < MAX_ABSORBED_SHARE), problem.marker_sd)
-    honest = replace(problem, marker_sd=marker_sd, pose_prior=build_pose_prior_term(prior))
-    posed = honest.compute_uncertainty(motion.root_position, motion.local_rotations, tracking, robust_scale_m)
-    return np.hypot(posed.marker_sd, CALIBRATION_SD_RATIO * subject.marker_sd), np.hypot(
-        posed.joint_sd, CALIBRATION_SD_RATIO * subject.joint_sd
+    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
+    absorbed_share = (nominal_marker_sd / problem.marker_sd) ** 2
+    distance = np.linalg.norm(problem.marker_positions - predicted, axis=-1)
+    is_usable = problem.solver_mask & (absorbed_share < MAX_ABSORBED_SHARE)
+    marker_sd = estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
+    actual = replace(problem, marker_sd=marker_sd, pose_prior=build_pose_prior_term(prior))
+    uncertainty = actual.compute_uncertainty(motion.root_position, motion.local_rotations, tracking, robust_scale_m)
+    return (
+        np.hypot(uncertainty.marker_sd, CALIBRATION_SD_RATIO * subject.marker_sd),
+        np.hypot(uncertainty.joint_sd, CALIBRATION_SD_RATIO * subject.joint_sd),
     )
 
 
-def estimate_marker_sd(distance: np.ndarray, absorbed_share: np.ndarray, is_usable: np.ndarray, default_sd: float) -> float:
-    """-> metres per axis: by how much markers stray from their places, from their distances (T, K) to the body fitted to them.
+def estimate_marker_sd(
+    distance: Float[np.ndarray, "T K"],
+    absorbed_share: Float[np.ndarray, "T K"],
+    is_usable: Bool[np.ndarray, "T K"],
+    default_sd: float,
+) -> float:
+    """Return the error of markers in metres per axis, from their distances to the body that was fitted to them.
 
-    taken_up  (T, K) the part of a marker's error, squared, that the pose took up: 0 none, 1 all
-    tell      (T, K) bool: the samples that are asked; where there are none, the answer is `otherwise`
+    absorbed_share  part of a marker's squared error that the pose absorbed: 0 none, 1 all
+    is_usable       samples that enter the estimate; without any, `default_sd` is returned
     """
     if not is_usable.any():
         return default_sd
-    return max(
-        float(np.sqrt(np.median(distance[is_usable] ** 2 / (1 - absorbed_share[is_usable])) / CHI2_MEDIAN_3_DOF)),
-        MIN_ESTIMATED_MARKER_SD_M,
-    )
+    corrected = distance[is_usable] ** 2 / (1 - absorbed_share[is_usable])
+    return max(float(np.sqrt(np.median(corrected) / CHI2_MEDIAN_3_DOF)), MIN_ESTIMATED_MARKER_SD_M)

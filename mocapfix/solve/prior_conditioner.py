@@ -1,65 +1,84 @@
-"""What people's poses say of a limb that the take itself can only guess at.
+"""Conditioning a trained pose model on the observed joints, to predict those that are not observed.
 
-A trained model is told the joints that are seen, each as surely as it is known, and asked for those that are not; so it is in
-the gap, and at the moments that the gap is learnt from, as though the limb were lost there too. What it misses there it will
-miss in the gap. Only what is new in the gap, which the take could not have foretold of the model's own answers, tells of it.
+The model predicts the occluded joints from the visible ones in the gap, and also in the frames from which the gap is learned, as
+if the limb were occluded there too. Its errors in those frames are expected in the gap as well. Only the innovation in the gap,
+which the take's own motion does not predict from the model's other predictions, is used.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 
-OBSERVED_JOINT_SD_RAD = 0.05  # radians: how far a joint with markers is known
-CODE_ITERATIONS = 4  # of asking a network: its decoder is nearly linear among people's poses
-MAX_CONDITIONING_FRAMES = 512  # frames at once, for every one's derivative is some 40 kB
+OBSERVED_JOINT_SD_RAD = 0.05
+"""Standard deviation of the rotation of a joint with markers."""
+CODE_ITERATIONS = 4
+"""Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
+MAX_CONDITIONING_FRAMES = 512
+"""Frames per batch; the derivatives of one frame take about 40 kB."""
 
 
 @dataclass(frozen=True)
 class PriorConditioner:
-    """A trained model of poses, as a solve asks it.
+    """A trained pose model as the solver uses it.
 
-    model  gives the model; called only where there is something to ask, for a network brings torch with it
-    scale  times the model's standard deviations: with 2 it is believed half as much
+    load_pose_model  returns the model; called only when it is needed, since a network imports torch
+    prior_scale      factor of the model's standard deviations (2: weaker prior)
     """
 
     load_pose_model: Callable[[], PoseModel]
     prior_scale: float
 
     def predict_rotations(
-        self, local: np.ndarray, told: np.ndarray, lost: np.ndarray, frames: np.ndarray, near: np.ndarray
-    ) -> np.ndarray:
-        """-> (N, 4 L) the quaternions, each times two, that L `lost` joints should have in N `frames`, given those `told`.
+        self,
+        local_rotations: Float[np.ndarray, "T J 3 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+        frames: Int[np.ndarray, " N"],
+        reference: Float[np.ndarray, "N Q"],
+    ) -> Float[np.ndarray, "N Q"]:
+        """Return predicted quaternions of L occluded joints, multiplied by 2, as rows of Q = 4 L numbers.
 
-        local (T, J, 3, 3): what is known
-        near (N, 4 L): of the two quaternions that mean the same turn, those that are nearer to these
+        reference  quaternions that determine the sign: of two for the same rotation, the nearer one is returned
         """
         model = self.load_pose_model()
-        parts = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES) or 1)
-        vectors = np.concatenate([self.estimate_rotation_vectors(model, local[part], told, lost) for part in parts])
-        found = np.empty((len(frames), len(lost), 4))
-        for i, j in enumerate(lost):
-            found[:, i] = 2 * (Rotation.from_rotvec(vectors[:, i]) * Rotation.from_matrix(model.reference_rotations[j])).as_quat()
-        other = (found * near.reshape(found.shape)).sum(axis=2) < 0
-        return np.where(other[..., None], -found, found).reshape(near.shape)
+        batches = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES) or 1)
+        vectors = np.concatenate(
+            [self.estimate_rotation_vectors(model, local_rotations[batch], observed_joints, occluded_joints) for batch in batches]
+        )
+        predicted = np.empty((len(frames), len(occluded_joints), 4))
+        for i, j in enumerate(occluded_joints):
+            rotation = Rotation.from_rotvec(vectors[:, i]) * Rotation.from_matrix(model.reference_rotations[j])
+            predicted[:, i] = 2 * rotation.as_quat()
+        is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
+        return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
 
-    def estimate_rotation_vectors(self, model: PoseModel, local: np.ndarray, told: np.ndarray, lost: np.ndarray) -> np.ndarray:
-        """-> (N, L, 3) radians, the decoded vectors of the `lost` joints at the likeliest codes given the root's tilt and those
-        `told` of poses (N, J, 3, 3): least squares of the code alone, for a joint without markers is where it is decoded.
+    def estimate_rotation_vectors(
+        self,
+        model: PoseModel,
+        local_rotations: Float[np.ndarray, "N J 3 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+    ) -> Float[np.ndarray, "N L 3"]:
+        """Return the decoded rotation vectors, in radians, of the occluded joints at the most likely code.
+
+        The code is estimated by least squares from the tilt of the root and the observed joints.
         """
-        heard = np.r_[0, told]
-        deviation = np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[heard])[:, None]
-        vectors = compute_pose_vectors(local, model.reference_rotations)
-        vectors[:, lost], codes = 0.0, np.zeros((len(local), model.code_size))
+        observed = np.r_[0, observed_joints]
+        sd = np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[observed])[:, None]
+        vectors = compute_pose_vectors(local_rotations, model.reference_rotations)
+        vectors[:, occluded_joints], codes = 0.0, np.zeros((len(local_rotations), model.code_size))
         for _ in range(CODE_ITERATIONS):
-            asked = model.select_components(vectors)
-            decoded, slopes = asked.linearise(codes)
-            weights = (slopes[:, heard] / deviation[..., None]).reshape(len(slopes), -1, model.code_size)
-            away = ((vectors - decoded)[:, heard] / deviation).reshape(len(local), -1, 1) + weights @ codes[..., None]
-            across = np.swapaxes(weights, 1, 2)
-            codes = np.linalg.solve(across @ weights + np.eye(model.code_size) / self.prior_scale**2, across @ away)[..., 0]
-            vectors[:, lost] = asked.decode(codes)[:, lost]
-        return vectors[:, lost]
+            selected = model.select_components(vectors)
+            decoded, jacobian = selected.linearise(codes)
+            weighted = (jacobian[:, observed] / sd[..., None]).reshape(len(jacobian), -1, model.code_size)
+            residual = ((vectors - decoded)[:, observed] / sd).reshape(len(local_rotations), -1, 1) + weighted @ codes[..., None]
+            transposed = np.swapaxes(weighted, 1, 2)
+            curvature = transposed @ weighted + np.eye(model.code_size) / self.prior_scale**2
+            codes = np.linalg.solve(curvature, transposed @ residual)[..., 0]
+            vectors[:, occluded_joints] = selected.decode(codes)[:, occluded_joints]
+        return vectors[:, occluded_joints]
