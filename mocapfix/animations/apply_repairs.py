@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix import changes
 from mocapfix.animation import Animation
 from mocapfix.animations import joint_points
-from mocapfix.animations.repair import REPAIR_METHODS, UNCHANGED, AnimationRepair
+from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
 from mocapfix.faults import Fault, Faults, build_fault_mask
 from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_rejections
@@ -52,7 +52,11 @@ def apply_repairs(
     lost = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
     before = tips.masked(~lost)
     made = [f for f in faults if (not kinds or f.kind in kinds) and not any(each.rejects(f) for each in reviewed)]
-    touch = build_fault_mask(made, lost.shape) & _compute_editable_mask(before, fill_options) & (repair.method != UNCHANGED)
+    touch = (
+        build_fault_mask(made, lost.shape)
+        & _compute_editable_mask(before, fill_options)
+        & (repair.method != RepairMethod.UNCHANGED)
+    )
     refused = _find_rejection_reasons(before, repair, faults, touch, fill_options)
     touched = touch & (refused == "")
     now = insert_repairs(joint_points.get_animation(tips), repair, touched)
@@ -93,8 +97,12 @@ def _find_rejection_reasons(
     sample of it is refused, all are."""
     lost = [fault for fault in faults if fault.kind in LOST_KINDS]
     gone = build_fault_mask(lost, editable.shape)
-    whole = joint_points.build_tip_take(insert_repairs(joint_points.get_animation(before), repair, repair.method != UNCHANGED))
-    unsure = np.where(repair.method == UNCHANGED, np.nan, joint_points.compute_point_deviation(whole, repair.variance))
+    whole = joint_points.build_tip_take(
+        insert_repairs(joint_points.get_animation(before), repair, repair.method != RepairMethod.UNCHANGED)
+    )
+    unsure = np.where(
+        repair.method == RepairMethod.UNCHANGED, np.nan, joint_points.compute_point_deviation(whole, repair.variance)
+    )
     reasons = explain_rejections(before, gone & editable, compute_gap_durations(~gone, before.rate), unsure, fill_options)
     for fault in lost:
         if why := [reason for reason in reasons[fault.frame_slice][:, list(fault.markers)].ravel() if reason]:
@@ -115,5 +123,5 @@ def _list_changes(
     """-> an entry for every fault of which something was put in: of its own joints, not of what hangs on them."""
     mine = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
     about = [fault for fault in repaired_faults if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
-    ways = np.where(is_repaired, np.array(REPAIR_METHODS, object)[repair.method], "")
+    ways = np.where(is_repaired, np.array([method.description for method in RepairMethod], object)[repair.method], "")
     return [change for change, _ in changes.build_changes(before, before, mine, about, None, ways)]

@@ -141,7 +141,7 @@ def _score_trial(trial: PerformedMotion, kind: str, length: str, rng: np.random.
         )
         for way, found in places.items():
             scores.errors_m[way].append(float(np.linalg.norm(found[span] - true[span], axis=-1).mean()))
-    return float((mended.method != solved.UNCHANGED)[sound].mean())
+    return float((mended.method != solved.RepairMethod.UNCHANGED)[sound].mean())
 
 
 def build_expected_faults(injected: InjectedAnimationFault, joint_count: int) -> list[Fault]:

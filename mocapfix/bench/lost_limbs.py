@@ -97,7 +97,7 @@ def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator
     take = remove_limb_markers(gap, limb, subject)
     start = initial_motion.initialise_motion(take, subject, body, prior)
     load_model = (lambda: model) if model else None
-    solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), load_model)
+    solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), load_pose_model=load_model)
     yield "mocapfix", solution
     lost_joints = np.array([body.skeleton.find_joint(gap.side + name) for name in LIMB_JOINTS[limb][0]])
     yield from fill_limb_gap(solution, lost_joints, gap, model)

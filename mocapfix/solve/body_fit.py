@@ -63,7 +63,14 @@ def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
     prior = mean_pose.load_mean_pose_prior("mean-pose", body.skeleton)
     limits = load_joint_limits(body.skeleton)
     motion = motion_solver.solve_motion(
-        take, extended_subject, body, prior, limits, state.initial_motion, options.solve, state.load_pose_model
+        take,
+        extended_subject,
+        body,
+        prior,
+        limits,
+        state.initial_motion,
+        options.solve,
+        load_pose_model=state.load_pose_model,
     )
     joints, markers = kinematics.compute_joint_and_marker_positions(extended_subject, motion)
     return replace(state, body=BodyFit(state.subject, extended_subject, motion, state.marker_columns, joints, markers))

@@ -61,6 +61,7 @@ def solve_motion(
     limits: JointLimits,
     initial_motion: Motion,
     options: SolveOptions,
+    *,
     load_pose_model: Callable[[], PoseModel] | None = None,
 ) -> Motion:
     """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
