@@ -1,7 +1,5 @@
 """The result of cleaning a take, and the files that are written of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,6 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.animation import Animation
 from mocapfix.animations import joint_points
@@ -28,8 +27,6 @@ from mocapfix.write.output_formats import OutputFormat, get_source_suffixes, wri
 from mocapfix.write.output_options import build_exported_motion, build_output_notes, list_output_formats
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
-
     from mocapfix.report.comparison import CleaningComparison
 
 DEFAULT_OUTPUT_OPTIONS = OutputOptions()
@@ -68,7 +65,7 @@ class CleaningResult:
     joint_position_world: Float[np.ndarray, "T J 3"] | None
     residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
-    subject_results: tuple[CleaningResult, ...] = ()
+    subject_results: tuple["CleaningResult", ...] = ()
     joint_centres: Take | None = None
 
     def write(
@@ -107,7 +104,9 @@ class CleaningResult:
 
     def get_output_paths(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> dict[str, Path]:
         """Return the paths that `write` writes for a take of at most one subject, by suffix."""
-        unavailable = {suffix for each in list_output_formats(options) if not self._can_write(each) for suffix in each.all_suffixes}
+        unavailable = {
+            suffix for each in list_output_formats(options) if not self._can_write(each) for suffix in each.all_suffixes
+        }
         unavailable -= set(get_source_suffixes(self.input_take.path))
         paths = build_output_paths(folder, self._stem, self.input_take.path, options, self.input_take.output_stem)
         return {suffix: path for suffix, path in paths.items() if suffix not in unavailable}
@@ -160,7 +159,7 @@ class CleaningResult:
                 with timer(each.timer_stage):
                     each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", final, exported_motion)
 
-    def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> CleaningResult:
+    def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> "CleaningResult":
         """Return the result without the samples (frame, marker) that the cleaned file cannot store."""
         if not unstorable_samples:
             return self
@@ -175,7 +174,7 @@ class CleaningResult:
         return replace(self, take=take, unfilled_runs=runs, report=report)
 
     @cached_property
-    def comparison(self) -> CleaningComparison:
+    def comparison(self) -> "CleaningComparison":
         """The take before and after cleaning, as the HTML report and the recording show it."""
         from mocapfix.report.comparison import CleaningComparison
         from mocapfix.report.terms import get_point_terms

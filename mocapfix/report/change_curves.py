@@ -5,22 +5,17 @@ by its distances from the markers that reveal the shift best; distances do not d
 joint is shown relative to the tip of its parent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.faults import LABEL_KINDS, Fault, MarkerShift
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
-
 
 CURVE_MARGIN_S = 0.5  # shown before and after the change
 MAX_CURVE_POINTS = 150  # per curve over the whole figure, and as many again over the change

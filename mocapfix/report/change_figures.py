@@ -1,21 +1,15 @@
 """SVG figure of a change: one strip per axis on a common scale, input in red, result in green."""
 
-from __future__ import annotations
-
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 from markupsafe import Markup
 
 from mocapfix.report.change_curves import ChangeCurves, MarkerCurve
 from mocapfix.report.terms import format_frame_range
 from mocapfix.report.timeline import compute_round_step
 from mocapfix.stats.runs import find_runs
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
-
 
 # Sizes in units of the SVG.
 CHANGE_FIGURE_WIDTH = 300  # of the curves

@@ -112,7 +112,7 @@ def build_change_list(comparison: CleaningComparison) -> TableList | None:
     return _build_list("change", len(comparison.changes), header, rows)
 
 
-def _format_before_after(before: float | None, after: float | None, digits: int) -> str:
+def _format_before_after(before: int | float | None, after: int | float | None, digits: int) -> str:
     """Return "before → after", empty if both are zero or unknown."""
     if (before, after) in ((0, 0), (None, None)):
         return ""

@@ -1,13 +1,11 @@
 """A take before and after cleaning, with its faults and changes: the data that the HTML report and the recording show."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.changes import Change, list_affected_markers
 from mocapfix.faults import Fault, Faults, Fragment
@@ -15,9 +13,6 @@ from mocapfix.report.sample_states import classify_samples
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,12 @@
 """The HTML report: a self-contained page on the faults of a take, the changes, and what remains."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.report.change_list import (
     Figure,
@@ -34,10 +32,6 @@ from mocapfix.report.timeline import (
     build_time_ticks,
 )
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool
-
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption
 MIN_BAR_SCALE = 1e-9  # mm or m; avoids a division by zero if all values are zero

@@ -9,23 +9,18 @@ Entities of the recording:
       skeleton     one line from each joint to its parent
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TypedDict
 
 import numpy as np
+from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.report.change_list import Figure
 from mocapfix.report.html_page import write_page
 from mocapfix.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
-
 
 KEYPOINT_FIGURE_COUNT = 4  # frames on the page, evenly spaced
 KEYPOINT_FIGURE_MARGIN = 0.12  # around the body, relative to its height
@@ -148,7 +143,7 @@ def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport
         title=film.title,
         subtitle=f"{frame_count} frames at {film.rate_hz:g} Hz, keypoint order {report['order']}",
         facts=_build_facts(report),
-        figures=[figure for frame in frames for figure in _draw_frame(film, frame)],
+        figures=[figure for frame in frames for figure in _draw_frame(film, int(frame))],
     )
 
 

@@ -1,11 +1,9 @@
 """Notes of a report: sentences on unobserved joints, unassigned markers, large residuals and uncertain fills."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.detect.loop import DetectionState
 from mocapfix.faults import EXTERNAL_FILL_KINDS, REPLACED_SAMPLE_KINDS
@@ -15,10 +13,6 @@ from mocapfix.solve.body_fit import BodyFit
 from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
-
 
 MAX_RELIABLE_FILL_SD_M = 0.06  # per axis; fills with a larger predicted standard deviation are listed
 MIN_STRAY_DISTANCE_M = 0.1  # from the body; a marker this far for MIN_STRAY_DURATION_S is reported with its frames

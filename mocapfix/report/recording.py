@@ -15,13 +15,12 @@ All data are sent as whole columns: strips in lists, or one call per frame, take
 markers is a row without points; without such a row rerun keeps showing the previous frame.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float, Int, UInt32
 
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.report.comparison import CleaningComparison
@@ -40,8 +39,6 @@ from mocapfix.take import Take
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
-    from jaxtyping import Bool, Float, Int, UInt32
-
 MAX_STATE_LANES = 20  # markers in the time line of sample states
 
 # Colours on the dark background of rerun; input markers are darker than cleaned ones.
@@ -92,7 +89,7 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
 class _RecordingWriter:
     """A recording with the time columns of a take and unique names of its trajectories."""
 
-    def __init__(self, recording: rr.RecordingStream, take: Take):
+    def __init__(self, recording: "rr.RecordingStream", take: Take):
         import rerun as rr
 
         self.recording = recording
@@ -104,7 +101,7 @@ class _RecordingWriter:
         recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
         recording.log("world", rr.AnnotationContext(list(enumerate(self.point_names))), static=True)
 
-    def send_columns(self, path: str, columns: rr.ComponentColumnList, frames: slice | np.ndarray = slice(None)) -> None:
+    def send_columns(self, path: str, columns: "rr.ComponentColumnList", frames: slice | np.ndarray = slice(None)) -> None:
         """Send columns with one row for each of `frames`."""
         import rerun as rr
 
@@ -192,7 +189,7 @@ class _RecordingWriter:
             self.send_columns(path, rr.Scalars.columns(scalars=residual_m[:, m] * 1e3))
 
 
-def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
+def build_blueprint(comparison: CleaningComparison) -> "rrb.Blueprint":
     """Return the blueprint of the recording: a 3-D view of the whole take beside plots of its markers."""
     import rerun.blueprint as rrb
 
@@ -221,7 +218,7 @@ def build_blueprint(comparison: CleaningComparison) -> rrb.Blueprint:
 
 def _compute_eye_position(
     position_world: Float[np.ndarray, "T N 3"],
-) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """Return the eye and its target in metres such that all points are in a picture at least as wide as high.
 
     The view is perpendicular to the main direction of travel and slightly from above.

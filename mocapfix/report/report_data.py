@@ -1,12 +1,10 @@
 """Builders of the sections of the JSON report; see mocapfix.report.report for their contents."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.animation import Animation
 from mocapfix.changes import UnfilledRun
@@ -23,9 +21,6 @@ from mocapfix.report.report import (
 )
 from mocapfix.subject import Subject
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 
 def build_take_section(take: Take, marker_set: str | None) -> TakeSection:

@@ -1,17 +1,12 @@
 """State of every sample after cleaning: measured, filled, replaced, relabelled, reassigned, suspect or empty."""
 
-from __future__ import annotations
-
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from mocapfix.faults import Faults
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Int
 
 
 class SampleOutcome(IntEnum):

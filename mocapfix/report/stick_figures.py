@@ -1,12 +1,10 @@
 """SVG stick figures of one frame, before and after cleaning, in front of the body, from one side and slightly above."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.report.comparison import CleaningComparison
@@ -16,10 +14,6 @@ from mocapfix.report.sample_states import (
     find_estimated_samples,
 )
 from mocapfix.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
-
 
 VIEW_YAW_RAD = np.radians(25)
 VIEW_PITCH_RAD = np.radians(8)
@@ -79,7 +73,7 @@ class _FigureView:
     """
 
     rotation_view_world: Float[np.ndarray, "3 3"]
-    ground_position_world: Float[np.ndarray, 3]
+    ground_position_world: Float[np.ndarray, " 3"]
     box_cm: tuple[float, float, float, float]
 
     def project_points(self, position_world: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
@@ -127,7 +121,7 @@ def _fit_view(
     input_position: Float[np.ndarray, "M 3"],
     cleaned_position: Float[np.ndarray, "M 3"],
     joint_position: Float[np.ndarray, "J 3"],
-    left_direction: Float[np.ndarray, 3],
+    left_direction: Float[np.ndarray, " 3"],
 ) -> _FigureView:
     """Return the view that contains all markers and joints.
 
@@ -147,20 +141,20 @@ def _fit_view(
     ground = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
     stray = input_position[np.isfinite(input_position).all(axis=1)]
     stray = np.clip(stray, low - MAX_DRAWN_STRAY_DISTANCE_M, high + MAX_DRAWN_STRAY_DISTANCE_M)
-    view = _FigureView(axes, ground, (0, 0, 0, 0))
+    view = _FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0))
     projected = view.project_points(np.concatenate([points, stray]))[:, :2]
     left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
     width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
-    return _FigureView(axes, ground, (left, top, width, height))
+    return _FigureView(axes, ground, (float(left), float(top), float(width), float(height)))
 
 
-def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, 3]:
+def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
     """Return the level direction to the body's left, +X in the rest pose, from the regression of the joints on the rest pose."""
     lateral = skeleton.rest_positions[:, 0]
     return _project_to_floor((lateral - lateral.mean()) @ joint_position)
 
 
-def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, 3]:
+def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
     """Return the level direction of the largest spread of points; NaN points are ignored."""
     level = position[np.isfinite(position).all(axis=1)][:, [0, 2]]
     if len(level) < 2:
@@ -169,7 +163,7 @@ def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarr
     return _project_to_floor(np.array([x, 0.0, z]))
 
 
-def _project_to_floor(direction: Float[np.ndarray, 3]) -> Float[np.ndarray, 3]:
+def _project_to_floor(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     """Return the level unit vector of a direction, the world's X axis for vertical ones."""
     direction = direction * [1, 0, 1]
     length = np.linalg.norm(direction)

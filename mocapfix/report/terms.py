@@ -82,6 +82,6 @@ def format_frame_range(first: int, last: int) -> str:
     return f"{first}–{last}" if last > first else f"{first}"
 
 
-def format_number(value: float | None, digits: int = 1) -> str:
+def format_number(value: int | float | None, digits: int = 1) -> str:
     """Return a number with thousands separators, or a dash if it is unknown (None, NaN or infinite)."""
     return "–" if value is None or value != value or abs(value) == float("inf") else f"{value:,.{digits}f}"

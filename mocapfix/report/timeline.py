@@ -3,14 +3,12 @@
 Positions and widths are shares of the take's length, so that they scale with the page.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.faults import Fault
 from mocapfix.report.comparison import CleaningComparison
@@ -18,10 +16,6 @@ from mocapfix.report.sample_states import SampleOutcome
 from mocapfix.report.terms import get_fault_group
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
-
-if TYPE_CHECKING:
-    from jaxtyping import Float, Int
-
 
 MAX_TIME_TICKS = 6
 MAX_RESIDUAL_BINS = 500

@@ -30,7 +30,7 @@ def film() -> KeypointFilm:
     return KeypointFilm(
         title="A <film>",
         rate_hz=25.0,
-        image_size_px=(640, 480),
+        image_size_px=(640.0, 480.0),
         keypoint_px=keypoint_px,
         confidence=confidence,
         skeleton=skeleton,
