@@ -6,10 +6,11 @@ slowly. Its fixed point, the scale that reproduces itself, is found by the secan
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from mocapfix.solve.constraints import Camera
 
 SCALE_TOLERANCE = 2e-3  # of the scale's logarithm: a smaller step ends the search
 MAX_SCALE_STEP = 0.2  # of the scale's logarithm
@@ -18,22 +19,14 @@ MIN_DAMPING_SLOPE = 0.05  # least slope of the secant method, for scales that ne
 MIN_WEIGHT = 1e-300  # of a frame, by which a mean is divided
 
 
-@dataclass(frozen=True)
-class KeypointCamera:
-    """pixels = offset + scale * (the first two of rotation @ world): Eq. 5.2, with axes as an image's, y down.
+def build_camera(rotation: Float[np.ndarray, "3 3"], scale_px_m: float, origin_px: Float[np.ndarray, "2"]) -> Camera:
+    """Return a scaled orthographic camera.
 
     rotation    world to camera: x right, y down, z ahead
     scale_px_m  pixels per metre
-    offset_px   the image of the world's origin
+    origin_px   the image of the world's origin
     """
-
-    rotation: Float[np.ndarray, "3 3"]
-    scale_px_m: float
-    offset_px: Float[np.ndarray, "2"]
-
-    def project(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
-        """Return the pixels of world positions in metres."""
-        return self.offset_px + self.scale_px_m * (positions @ self.rotation[:2].T)
+    return Camera(rotation, (0.0, 0.0, 0.0), scale_px_m, origin_px, perspective=False)
 
 
 def build_camera_rotation(pitch_down_rad: float) -> Float[np.ndarray, "3 3"]:

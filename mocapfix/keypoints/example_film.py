@@ -7,9 +7,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
-from mocapfix.keypoints.camera_scale import KeypointCamera, build_camera_rotation
+from mocapfix.keypoints.camera_scale import build_camera, build_camera_rotation
 from mocapfix.keypoints.detectors import load_detector
 from mocapfix.motion import Motion
+from mocapfix.solve.constraints import Camera
 from mocapfix.solve.kinematics import compute_world_poses
 
 IMAGE_WIDTH_PX = 1280
@@ -23,7 +24,7 @@ MISSING_KEYPOINT_SHARE = 0.05  # of the keypoints
 
 def compose_example_film(
     detector_name: str, seconds: float, rate: float, seed: int = 0
-) -> tuple[dict[str, Any], Float[np.ndarray, "T J 3"], KeypointCamera]:
+) -> tuple[dict[str, Any], Float[np.ndarray, "T J 3"], Camera]:
     """Return the contents of a JSON file for `keypoint_file.read_keypoints`, the true joints in metres and the true camera."""
     rng, take = np.random.default_rng(seed), synthetic.compose_take(seed=seed, seconds=seconds, rate=rate)
     skeleton = take.subject.skeleton
@@ -31,9 +32,7 @@ def compose_example_film(
     joints, rotations = compute_world_poses(skeleton, _rotate_heading(take.motion))
     positions = detector.compute_point_positions(joints, rotations)
     middle = CAMERA_SCALE_PX_M * (joints[:, 0, 0].min() + joints[:, 0, 0].max()) / 2
-    camera = KeypointCamera(
-        build_camera_rotation(0.0), CAMERA_SCALE_PX_M, np.array([IMAGE_WIDTH_PX / 2 - middle, FLOOR_HEIGHT_PX])
-    )
+    camera = build_camera(build_camera_rotation(0.0), CAMERA_SCALE_PX_M, np.array([IMAGE_WIDTH_PX / 2 - middle, FLOOR_HEIGHT_PX]))
     confidence = rng.uniform(0.5, 1.0, positions.shape[:2])
     noise = rng.normal(size=positions.shape[:2] + (2,))
     pixels = camera.project(positions) + CAMERA_SCALE_PX_M * KEYPOINT_NOISE_SD_M / confidence[..., None] * noise

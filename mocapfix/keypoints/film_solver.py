@@ -14,13 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.keypoints.camera_scale import KeypointCamera, fit_camera_scale, solve_camera_scale, subtract_weighted_mean
+from mocapfix.keypoints.camera_scale import build_camera, fit_camera_scale, solve_camera_scale, subtract_weighted_mean
 from mocapfix.keypoints.keypoint_file import Keypoints
 from mocapfix.keypoints.reprojection_problem import MIN_KEYPOINT_CONFIDENCE, WIDE_ROBUST_SCALE_SD, ReprojectionProblem
 from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton
+from mocapfix.solve.constraints import Camera
 from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.solve.pose_solver import PoseSolution
 from mocapfix.solve.smoothing import smooth_poses
@@ -43,7 +44,7 @@ def solve_film(
     model: PoseModel,
     rotation: Float[np.ndarray, "3 3"],
     prior_scale: float = 1.0,
-) -> tuple[Motion, KeypointCamera]:
+) -> tuple[Motion, Camera]:
     """Return the motion, with the floor at height zero and the first frame's root above the origin, and the camera.
 
     rotation     world to camera, see `build_camera_rotation`
@@ -162,7 +163,7 @@ def smooth_film_poses(
     return smooth_poses(root, local.copy(), uncertainty, np.ones(joints, bool), rate, SolveOptions())
 
 
-def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, KeypointCamera]:
+def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, Camera]:
     """Return the motion, moved so that the lowest joint is at height zero and the first root above the origin, and its camera."""
     joints, _ = problem.compute_positions(solution.root_position, solution.local_rotations)
     origin = np.array([solution.root_position[0, 0], joints[..., 1].min(), solution.root_position[0, 2]])
@@ -170,4 +171,4 @@ def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px
     root = solution.root_position - origin
     motion = Motion(root, solution.local_rotations, solution.status, solution.iterations, no_markers, unknown_sd)
     offset_px = scale_px_m * problem.project_to_image_plane(origin)
-    return motion, KeypointCamera(problem.rotation, scale_px_m, offset_px)
+    return motion, build_camera(problem.rotation, scale_px_m, offset_px)

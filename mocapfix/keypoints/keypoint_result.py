@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_atomically
-from mocapfix.keypoints.camera_scale import KeypointCamera
 from mocapfix.keypoints.keypoint_file import Keypoints
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.skeleton import Skeleton
+from mocapfix.solve.constraints import Camera
 from mocapfix.solve.kinematics import compute_world_poses
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class KeypointResult:
     rate_hz: float
     skeleton: Skeleton
     motion: Motion
-    camera: KeypointCamera
+    camera: Camera
     prior_name: str
     timer: StageTimer
 
@@ -69,8 +69,8 @@ class KeypointResult:
             "order": detector.name,
             "prior": self.prior_name,
             "camera": {
-                "pixels_per_metre": round(self.camera.scale_px_m, 3),
-                "origin_px": [round(float(x), 2) for x in self.camera.offset_px],
+                "pixels_per_metre": round(self.camera.scale, 3),
+                "origin_px": [round(float(x), 2) for x in self.camera.centre],
                 "looks_down_deg": round(float(np.degrees(np.arcsin(-self.camera.rotation[2, 1]))), 3),
             },
             "reprojection_px": {

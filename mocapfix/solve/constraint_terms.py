@@ -17,8 +17,8 @@ from mocapfix.kernels.terms import (
 )
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.constraints import (
+    Camera,
     Constraint,
-    ConstraintCamera,
     DirectionConstraint,
     DistanceConstraint,
     OrientationConstraint,
@@ -94,8 +94,8 @@ def build_distance_term(constraints: Sequence[DistanceConstraint], skeleton: Ske
 def build_reprojection_term(constraints: Sequence[PixelConstraint], skeleton: Skeleton, frame_count: int) -> ReprojectionTerm:
     """Return pixel constraints as a term, with one camera for each of them."""
     for c in constraints:
-        if not isinstance(c.camera, ConstraintCamera):  # pyright: ignore[reportUnnecessaryIsInstance]  # given by users
-            raise build_constraint_error(c, f"camera must be a ConstraintCamera, not {c.camera!r}")
+        if not isinstance(c.camera, Camera):  # pyright: ignore[reportUnnecessaryIsInstance]  # given by users
+            raise build_constraint_error(c, f"camera must be a Camera, not {c.camera!r}")
     pixels = gather_values(constraints, lambda c: check_numbers(c, "pixel", c.pixel, 2), 2)
     centres = gather_values(constraints, lambda c: check_numbers(c, "camera.centre", c.camera.centre, 2), 2)
     scales = np.array([check_positive(c, "camera.scale", c.camera.scale) for c in constraints]).reshape(-1, 1)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 ConstraintVector: TypeAlias = Sequence[float] | np.ndarray
 
@@ -56,7 +57,7 @@ class DistanceConstraint:
 
 
 @dataclass(frozen=True)
-class ConstraintCamera:
+class Camera:
     """A camera with axes x to the right, y down, z ahead: camera = rotation @ world + translation.
 
     rotation     (3, 3)
@@ -65,11 +66,19 @@ class ConstraintCamera:
     centre       (2,) pixels: the principal point
     """
 
-    rotation: np.ndarray
+    rotation: Float[np.ndarray, "3 3"]
     translation: ConstraintVector
     scale: float
     centre: ConstraintVector = (0.0, 0.0)
     perspective: bool = True
+
+    def project(self, positions: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 2"]:
+        """Return the pixels of world positions in metres; of a perspective camera only for positions in front of it."""
+        translation = np.asarray(self.translation, float)
+        flat = positions @ self.rotation[:2].T + translation[:2]
+        if self.perspective:
+            flat = flat / (positions @ self.rotation[2] + translation[2])[..., None]
+        return np.asarray(self.centre, float) + self.scale * flat
 
 
 @dataclass(frozen=True)
@@ -77,7 +86,7 @@ class PixelConstraint:
     """A camera images a point fixed to a joint at `pixel` (2,); sd in pixels per axis."""
 
     joint: str
-    camera: ConstraintCamera
+    camera: Camera
     pixel: ConstraintVector
     sd: float = 3.0
     offset: ConstraintVector = JOINT_ORIGIN

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.keypoints.camera_scale import (
-    KeypointCamera,
+    build_camera,
     build_camera_rotation,
     fit_camera_scale,
     solve_camera_scale,
@@ -13,7 +13,7 @@ from mocapfix.keypoints.camera_scale import (
 
 
 def test_level_camera_image_axes():
-    camera = KeypointCamera(build_camera_rotation(0.0), 100.0, np.array([640.0, 360.0]))
+    camera = build_camera(build_camera_rotation(0.0), 100.0, np.array([640.0, 360.0]))
     np.testing.assert_allclose(camera.project(np.array([[0.5, 1.0, -3.0]])), [[690.0, 260.0]])
 
 
@@ -25,7 +25,7 @@ def test_camera_axes_are_right_handed(pitch_rad):
 
 
 def test_camera_facing_down_images_nearer_points_below():
-    camera = KeypointCamera(build_camera_rotation(np.pi / 2), 10.0, np.zeros(2))
+    camera = build_camera(build_camera_rotation(np.pi / 2), 10.0, np.zeros(2))
     np.testing.assert_allclose(camera.project(np.array([[0.0, 5.0, 0.0], [0.0, 0.0, 1.0]])), [[0, 0], [0, 10]], atol=1e-12)
 
 

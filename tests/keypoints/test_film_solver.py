@@ -51,7 +51,7 @@ def test_motion_and_camera_are_estimated_together(composed, solved):
     keypoints, joints, camera = composed
     motion, found = solved
     at, points = compute_positions(keypoints, motion)
-    assert found.scale_px_m == pytest.approx(camera.scale_px_m, rel=0.03)
+    assert found.scale == pytest.approx(camera.scale, rel=0.03)
     assert compute_error_m(at, joints).mean() < 0.08
     distance = np.linalg.norm(found.project(points) - keypoints.position_px, axis=-1)[keypoints.confidence > 0]
     assert distance.mean() < 5.0
@@ -66,7 +66,7 @@ def test_body_stands_on_the_floor_above_the_origin(composed, solved):
 def test_image_size_does_not_change_the_motion(composed, solved):
     keypoints = replace(composed[0], position_px=3 * composed[0].position_px + [50.0, -20.0])
     motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
-    assert camera.scale_px_m == pytest.approx(3 * solved[1].scale_px_m, rel=0.01)
+    assert camera.scale == pytest.approx(3 * solved[1].scale, rel=0.01)
     np.testing.assert_allclose(compute_positions(keypoints, motion)[0], compute_positions(keypoints, solved[0])[0], atol=0.02)
 
 
@@ -84,7 +84,7 @@ def test_single_image_is_solved(composed):
     one = replace(composed[0], position_px=composed[0].position_px[:1], confidence=composed[0].confidence[:1])
     motion, camera = film_solver.solve_film(one, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
     assert motion.frame_count == 1
-    assert camera.scale_px_m == pytest.approx(composed[2].scale_px_m, rel=0.15)
+    assert camera.scale == pytest.approx(composed[2].scale, rel=0.15)
     assert compute_error_m(compute_positions(one, motion)[0], composed[1][:1])[0] < 0.15
 
 
@@ -93,7 +93,7 @@ def test_outlier_keypoints_hardly_change_the_motion(composed, solved):
     position_px[::4, 4] += [150.0, 60.0]  # right wrists
     keypoints = replace(composed[0], position_px=position_px)
     motion, camera = film_solver.solve_film(keypoints, RATE, SKELETON, MODEL, build_camera_rotation(0.0))
-    assert camera.scale_px_m == pytest.approx(solved[1].scale_px_m, rel=0.03)
+    assert camera.scale == pytest.approx(solved[1].scale, rel=0.03)
     assert compute_error_m(compute_positions(keypoints, motion)[0], composed[1]).mean() < 0.09
 
 

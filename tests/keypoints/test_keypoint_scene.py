@@ -100,7 +100,7 @@ def test_result_writes_motion_page_report_and_recording(result, tmp_path):
     assert "&lt;Mine&gt;" in page
     assert "<Mine>" not in page
     report = json.loads(outputs["report.json"].read_text(encoding="utf-8"))
-    assert report["camera"]["pixels_per_metre"] == round(result.camera.scale_px_m, 3)
+    assert report["camera"]["pixels_per_metre"] == round(result.camera.scale, 3)
     assert sum(report["status"].values()) == report["frames"] == 5
     assert outputs["rrd"].stat().st_size > 1000
     with pytest.raises(WriteError, match=r"mine\.bvh: already exists"):

@@ -7,12 +7,11 @@ from mocapfix import marker_sets, repair
 from mocapfix.calibrate import subject_file
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import MarkerShift
-from mocapfix.options import DEFAULT_INIT_METHOD
+from mocapfix.options import DEFAULT_INIT_METHOD, SolveOptions
 from mocapfix.read import capture
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import body_fit, kinematics
 from mocapfix.solve.body_fit import BodyFit, FitSettings, select_subject
-from mocapfix.options import SolveOptions
 from mocapfix.take import Take
 
 CMU41 = marker_sets.load_marker_set("cmu41")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from tests.prior.test_autoencoder import MIDDLE, SKELETON, drawn
 from tests.prior.test_naturalness import people
+from tests.solve.test_poses import given
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
 from mocapfix.pose_prior.autoencoder import NaturalnessModel
 from mocapfix.solve import pose_solver
 from tests.kernels import dense_oracle
-from tests.solve.test_poses import given
 
 TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
 ROOT = np.zeros((4, 3))

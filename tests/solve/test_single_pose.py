@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from mocapfix.errors import ConstraintError, SceneError
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.motion_solver import (
-    ConstraintCamera,
+from mocapfix.solve import kinematics, single_pose
+from mocapfix.solve.constraints import (
+    Camera,
     DirectionConstraint,
     DistanceConstraint,
     OrientationConstraint,
@@ -44,7 +44,7 @@ def at(found, joint):
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
 def test_all_joints_tell_the_pose_whichever_way_it_faces(heading):
     joints, _ = somebody(1, heading)
-    found = motion_solver.solve_pose(
+    found = single_pose.solve_pose(
         [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian"
     )
     np.testing.assert_allclose(found.joint_positions, joints, atol=0.01)
@@ -60,7 +60,7 @@ def test_a_prior_tells_what_is_not_given_better_than_none():
         for name in ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot", "Hips")
     ]
     off = [
-        np.linalg.norm(motion_solver.solve_pose(given, prior).joint_positions - joints, axis=1).mean()
+        np.linalg.norm(single_pose.solve_pose(given, prior).joint_positions - joints, axis=1).mean()
         for prior in ("gaussian", "none")
     ]
     assert off[0] < 0.6 * off[1]
@@ -69,7 +69,7 @@ def test_a_prior_tells_what_is_not_given_better_than_none():
 def test_the_deviation_is_small_where_something_is_said():
     joints, _ = somebody(3)
     names = ("Head", "LeftHand", "LeftFoot", "RightFoot", "Hips")
-    found = motion_solver.solve_pose([PositionConstraint(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
+    found = single_pose.solve_pose([PositionConstraint(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
     assert all(found.joint_sd[INDEX(name)] < 0.0045 for name in names)
     assert found.joint_sd[INDEX("RightHand")] > 0.05
 
@@ -81,7 +81,7 @@ def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded(
         joints[INDEX("LeftHand")] + rotation[INDEX("LeftHand")] @ thumb,
         joints[INDEX("RightLeg")] - joints[INDEX("RightUpLeg")],
     )
-    found = motion_solver.solve_pose(
+    found = single_pose.solve_pose(
         [
             PositionConstraint("Hips", joints[0], 0.001), PositionConstraint("LeftHand", tip, 0.001, thumb),
             DirectionConstraint("RightUpLeg", "RightLeg", 3 * bone, 0.002), OrientationConstraint("Head", rotation[INDEX("Head")], 0.002),
@@ -98,7 +98,7 @@ def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded(
 
 
 def test_hands_are_as_far_apart_as_said():
-    found = motion_solver.solve_pose(
+    found = single_pose.solve_pose(
         [PositionConstraint("Hips", (0, 1, 0)), DistanceConstraint(("LeftHand", "RightHand"), 0.1, 0.001)], GAUSSIAN
     )
     assert np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")) == pytest.approx(0.1, abs=0.005)
@@ -110,20 +110,20 @@ def test_two_cameras_see_the_pose_where_it_is(perspective):
     said, views = [], []
     for turn in (0.3, 1.7):
         rotation = Rotation.from_euler("xy", [np.pi, turn]).as_matrix()
-        camera = ConstraintCamera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
+        camera = Camera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
         before = joints @ rotation.T + camera.translation
         pixels = 800.0 * before[:, :2] / (before[:, 2:] if perspective else 1.0) + [640.0, 360.0]
         views.append(pixels)
         said += [PixelConstraint(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
-    found = motion_solver.solve_pose(said, GAUSSIAN)
+    found = single_pose.solve_pose(said, GAUSSIAN)
     np.testing.assert_allclose(found.joint_positions, joints, atol=0.03)
 
 
 def test_a_start_is_where_it_begins():
     joints, _ = somebody(6)
     given = [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
-    first = motion_solver.solve_pose(given, GAUSSIAN)
-    again = motion_solver.solve_pose(given, GAUSSIAN, start=(first.root_position, first.local_rotations))
+    first = single_pose.solve_pose(given, GAUSSIAN)
+    again = single_pose.solve_pose(given, GAUSSIAN, start=(first.root_position, first.local_rotations))
     assert again.iterations <= first.iterations
     np.testing.assert_allclose(again.joint_positions, first.joint_positions, atol=1e-3)
 
@@ -134,7 +134,7 @@ def test_a_scale_lets_the_given_win():
         [],
     )
     for scale in (0.2, 5.0):
-        found = motion_solver.solve_pose(given, GAUSSIAN, prior_scale=scale)
+        found = single_pose.solve_pose(given, GAUSSIAN, prior_scale=scale)
         span.append(np.linalg.norm(at(found, "LeftHand") - at(found, "RightHand")))
     assert span[1] > 1.5 * span[0]
 
@@ -174,36 +174,36 @@ HAND = PositionConstraint("LeftHand", (0.5, 1.4, 0.3))
         ([DistanceConstraint("Head", 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
         ([PixelConstraint("Head", None, (1, 2))], "Seen of Head: camera must be a solve.Camera, and is None."),  # type: ignore[arg-type]
         (
-            [PixelConstraint("Head", ConstraintCamera(np.eye(3), (0, 0, 4), 0.0), (1, 2))],
+            [PixelConstraint("Head", Camera(np.eye(3), (0, 0, 4), 0.0), (1, 2))],
             "Seen of Head: camera.scale must be more than 0",
         ),
     ],
 )
 def test_what_cannot_be_meant_is_said(wrong, why):
     with pytest.raises(ConstraintError, match=why):
-        motion_solver.solve_pose(wrong, GAUSSIAN)
+        single_pose.solve_pose(wrong, GAUSSIAN)
 
 
 def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
     with pytest.raises(SceneError, match="There is no trained prior 'gauss'"):
-        motion_solver.solve_pose([HAND], "gauss")
+        single_pose.solve_pose([HAND], "gauss")
     with pytest.raises(ConstraintError, match=re.escape("A start is a root (3,) and rotations (31, 3, 3)")):
-        motion_solver.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
+        single_pose.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
     with pytest.raises(ConstraintError, match="A start's rotations must have rows of length one"):
-        motion_solver.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
+        single_pose.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_a_scale_that_is_none_is_said(scale):
     with pytest.raises(ConstraintError, match=f"scale must be more than 0 and finite, and is {scale!r}"):
-        motion_solver.solve_pose([HAND], GAUSSIAN, prior_scale=scale)
+        single_pose.solve_pose([HAND], GAUSSIAN, prior_scale=scale)
 
 
 def test_the_papers_network_is_refused_by_its_name():
     with pytest.raises(
         SceneError, match=r"Only mocapfix bench prior asks 'mnn-ik', .* choose one of: autoencoder, gaussian, mixture, pca\."
     ):
-        motion_solver.solve_pose([HAND], "mnn-ik")
+        single_pose.solve_pose([HAND], "mnn-ik")
 
 
 def test_the_readmes_example_runs():
