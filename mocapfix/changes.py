@@ -1,4 +1,4 @@
-"""Changes: what was done to a take, interval by interval, and what somebody decides of it."""
+"""Changes to a take, interval by interval, and the runs of samples that a cleaning leaves unfilled."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -7,18 +7,23 @@ from itertools import groupby
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Bool, Float, Shaped
 
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
 from mocapfix.take import Take
 
-# MERGED: mocapfix.changes
+# What a reviewer decides about a change (see `Change.decision`).
 Decision = Literal["accept", "reject", "keep"]
 
 
 @dataclass(frozen=True)
 class SampleState:
-    """An interval's samples at one time: how many are missing, and how far, by the median, the others lie from where the solved
-    body has the marker, in millimetres (None where nobody knows)."""
+    """The samples of an interval at one stage.
+
+    Attributes:
+        missing: Number of missing samples.
+        off_body_mm: Median distance in millimetres of the other samples from the solved body's markers. None if unknown.
+    """
 
     missing: int
     off_body_mm: float | None
@@ -26,16 +31,22 @@ class SampleState:
 
 @dataclass(frozen=True)
 class Change:
-    """One interval of one marker, or of several whose labels it is about, and what was done there.
+    """A change to an interval of one marker, or of several markers whose labels are changed.
 
-    id         names it in the record, the same whenever the take is cleaned
-    markers    labels: the marker's, then the others' concerned, and the donor's of a fragment
-    first, last  the file's own frame numbers, inclusive
-    why        what was wrong, one sentence
-    samples    how many samples are other than they were
-    method     how it was mended
-    predicted_mm  root mean square of the predicted error, a distance; None where nothing was estimated
-    decision   "accept": it is made; "reject": it is not; "keep": it is not, and what was measured is believed
+    Attributes:
+        id: Name of the change in the report. Cleaning the same take again gives the same name.
+        kind: The kind of fault that it repairs.
+        markers: Labels of the marker, of the other markers concerned, and of a fragment's donor.
+        first: First frame, in the file's own numbers.
+        last: Last frame, in the file's own numbers, inclusive.
+        samples: Number of samples that differ from the file.
+        why: What is wrong, in one sentence.
+        method: How it is repaired.
+        before: The samples as they were.
+        after: The samples as they are now.
+        predicted_mm: Root mean square of the predicted distance error, in millimetres. None if nothing was estimated.
+        decision: "accept": the change is made. "reject": it is not made. "keep": it is not made, and the solve uses the
+            samples as measured.
     """
 
     id: str
@@ -53,23 +64,24 @@ class Change:
 
 
 def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:
-    """-> of a take's `count` markers those whose samples a fault is about."""
-    donor = (fault.donor,) if isinstance(fault, Fragment) else ()
-    return list(dict.fromkeys(m for m in (*fault.markers, *donor) if m < marker_count))
+    """Return the indices, below `marker_count`, of the markers whose samples a fault concerns."""
+    return [m for m in _list_named_markers(fault) if m < marker_count]
 
 
-def build_affected_mask(fault: Fault, relabelled: Take) -> np.ndarray:
-    """-> (T, M) bool: the samples that a fault is about, in a take whose labels are right; what is missing among samples that
-    are judged faulty is a gap's matter."""
+def build_affected_mask(fault: Fault, relabelled: Take) -> Bool[np.ndarray, "T M"]:
+    """Return the mask of the samples that a fault concerns, in a take with correct labels.
+
+    A fault of visible samples does not concern the missing samples among them: those belong to a gap.
+    """
     mask = np.zeros(relabelled.visible.shape, bool)
     mask[fault.frame_slice, list_affected_markers(fault, len(relabelled.labels))] = True
     return mask & relabelled.visible if fault.kind in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS) else mask
 
 
-def compare_samples(before: Take, after: Take) -> np.ndarray:
-    """-> (T, M) bool: is the sample another one, or gone, or there, or did it come from elsewhere?"""
-    same = (before.markers == after.markers).all(-1) | ~before.visible & ~after.visible
-    return ~same | (before.source_points != after.source_points) & (before.visible | after.visible)
+def compare_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
+    """Return the mask of the samples that changed, appeared, vanished or come from another point of the file."""
+    is_same = (before.markers == after.markers).all(-1) | ~before.visible & ~after.visible
+    return ~is_same | (before.source_points != after.source_points) & (before.visible | after.visible)
 
 
 def build_changes(
@@ -77,79 +89,97 @@ def build_changes(
     relabelled: Take,
     after: Take,
     faults: Iterable[Fault],
-    body_markers: np.ndarray | None,
-    fill_methods: np.ndarray,
+    body_markers: Float[np.ndarray, "T M 3"] | None,
+    fill_methods: Shaped[np.ndarray, "T M"],
 ) -> list[tuple[Change, Fault]]:
-    """-> an entry for every fault of which something was made, in the order of the faults.
+    """Build an entry for every fault that led to a change.
 
-    before, labelled, after  the take as it was read, with its labels right, and as it was mended
-    body  (T, M, 3) metres: where the solved body has the markers, NaN where it has none; None without one
-    ways  (T, M) how each sample was found that was filled, "" for others
+    Args:
+        before: The take as read.
+        relabelled: The take with correct labels.
+        after: The repaired take.
+        faults: The faults that were repaired.
+        body_markers: World positions of the solved body's markers in metres, NaN for markers that it lacks. None without
+            a solved body.
+        fill_methods: The method by which each sample was filled, "" for samples that were not filled.
+
+    Returns:
+        The changes and their faults, in the order of the faults.
     """
-    changed, found, names = compare_samples(before, after), [], {}
+    is_changed = compare_samples(before, after)
+    changes: list[tuple[Change, Fault]] = []
+    id_counts: Counter[str] = Counter()
     for fault in faults:
-        where = build_affected_mask(fault, relabelled)
-        count = 0 if isinstance(fault, MarkerShift) else int(changed[where].sum())
-        if not count and not isinstance(fault, MarkerShift):
+        mask = build_affected_mask(fault, relabelled)
+        is_shift = isinstance(fault, MarkerShift)
+        sample_count = 0 if is_shift else int(is_changed[mask].sum())
+        if not sample_count and not is_shift:
             continue
         label, first = before.get_label(fault.marker), before.get_frame_number(fault.first)
         name = f"{fault.kind}-{label}-{first}".replace(" ", "-")
-        names[name] = names.get(name, 0) + 1
+        id_counts[name] += 1
         change = Change(
-            id=name if names[name] == 1 else f"{name}-{names[name]}",
+            id=name if id_counts[name] == 1 else f"{name}-{id_counts[name]}",
             kind=fault.kind,
             markers=tuple(before.get_label(m) for m in _list_named_markers(fault)),
             first=first,
             last=before.get_frame_number(fault.last),
-            samples=count,
+            samples=sample_count,
             why=fault.reason,
-            method=_describe_method(fault, before, fill_methods[where]),
-            before=_measure_state(before if affects_labels(fault) else relabelled, where, body_markers),
-            after=_measure_state(after, where, body_markers),
-            predicted_mm=_compute_predicted_error_mm(after, where),
+            method=_describe_method(fault, before, fill_methods[mask]),
+            before=_measure_state(before if affects_labels(fault) else relabelled, mask, body_markers),
+            after=_measure_state(after, mask, body_markers),
+            predicted_mm=_compute_predicted_error_mm(after, mask),
         )
-        found.append((change, fault))
-    return found
-
-
-def _list_named_markers(fault: Fault) -> tuple[int, ...]:
-    donor = (fault.donor,) if isinstance(fault, Fragment) else ()
-    return tuple(dict.fromkeys((*fault.markers, *donor)))
+        changes.append((change, fault))
+    return changes
 
 
 def affects_labels(fault: Fault) -> bool:
-    """Is it about whose the samples are?"""
+    """Return whether the fault is about which marker the samples belong to."""
     return fault.kind in LABEL_KINDS or isinstance(fault, Fragment)
+
+
+def _list_named_markers(fault: Fault) -> tuple[int, ...]:
+    """Return the indices of the fault's markers and of a fragment's donor, without repetitions."""
+    donor = (fault.donor,) if isinstance(fault, Fragment) else ()
+    return tuple(dict.fromkeys((*fault.markers, *donor)))
 
 
 def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
     if fault.kind in LABEL_KINDS:
         return "labels exchanged back"
     if isinstance(fault, Fragment):
-        return f"samples of {take.get_label(fault.donor)} taken over"
+        return f"samples of {take.get_label(fault.donor)} joined to the marker"
     if isinstance(fault, MarkerShift):
-        return "given its new place on the body; its samples stay as measured"
-    found = Counter(way for way in fill_methods.ravel() if way)
-    return f"estimated, mostly from {found.most_common(1)[0][0]}" if found else "taken out"
+        return "new marker position on the body; the samples are unchanged"
+    methods = Counter(str(method) for method in fill_methods.ravel() if method)
+    return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
 
 
 def _measure_state(take: Take, mask: np.ndarray, body_markers: np.ndarray | None) -> SampleState:
-    off = np.full(1, np.nan) if body_markers is None else np.linalg.norm(take.markers[mask] - body_markers[mask], axis=-1)
-    known = off[~np.isnan(off)]
+    offset = np.full((1, 3), np.nan) if body_markers is None else take.markers[mask] - body_markers[mask]
+    distance_m = np.linalg.norm(offset, axis=-1)
+    known = distance_m[~np.isnan(distance_m)]
     return SampleState(int((~take.visible[mask]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
 
 
 def _compute_predicted_error_mm(take: Take, mask: np.ndarray) -> float | None:
-    deviation = np.zeros(0) if take.sample_sd is None else take.sample_sd[mask]
-    known = deviation[~np.isnan(deviation)]
+    sample_sd = np.zeros(0) if take.sample_sd is None else take.sample_sd[mask]
+    known = sample_sd[~np.isnan(sample_sd)]
     return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None
 
 
-# MERGED: mocapfix.left
-# What a cleaning leaves empty.
 @dataclass(frozen=True)
 class UnfilledRun:
-    """Samples that stay missing: a marker over first..last (indices into the take, inclusive), and why."""
+    """A run of samples that stay missing.
+
+    Attributes:
+        marker: Index of the marker.
+        first: Index of the first frame.
+        last: Index of the last frame, inclusive.
+        reason: Why the samples are not filled.
+    """
 
     marker: int
     first: int
@@ -157,21 +187,26 @@ class UnfilledRun:
     reason: str
 
 
-def expand_unfilled_reasons(unfilled: Iterable[UnfilledRun], shape: tuple[int, int]) -> np.ndarray:
-    """-> `shape` (T, M) object: why each sample is left empty, "" where nobody said."""
-    said = np.full(shape, "", object)
-    for each in unfilled:
-        said[each.first : each.last + 1, each.marker] = each.reason
-    return said
+def expand_unfilled_reasons(unfilled: Iterable[UnfilledRun], shape: tuple[int, int]) -> Shaped[np.ndarray, "T M"]:
+    """Return an object array of `shape` (T, M) with the reason why each sample is not filled, "" without one."""
+    reasons = np.full(shape, "", object)
+    for run in unfilled:
+        reasons[run.first : run.last + 1, run.marker] = run.reason
+    return reasons
 
 
-def find_unfilled_runs(take: Take, reasons: np.ndarray) -> tuple[UnfilledRun, ...]:
-    """-> what is missing in a take, in runs of one reason each, by marker and first frame; `said` (T, M) as `reasons`."""
-    found = []
+def find_unfilled_runs(take: Take, reasons: Shaped[np.ndarray, "T M"]) -> tuple[UnfilledRun, ...]:
+    """Find the runs of missing samples with the same reason, ordered by marker and first frame.
+
+    Args:
+        take: The cleaned take.
+        reasons: The reason of each sample, as `expand_unfilled_reasons` returns them.
+    """
+    unfilled: list[UnfilledRun] = []
     for m in range(len(take.labels)):
-        for reason, frames in groupby(np.flatnonzero(~take.visible[:, m]), key=lambda t, m=m: reasons[t, m]):
-            each = list(frames)
-            breaks = np.flatnonzero(np.diff(each) > 1)
-            for a, b in zip([0, *(breaks + 1)], [*breaks, len(each) - 1], strict=True):
-                found.append(UnfilledRun(m, int(each[a]), int(each[b]), reason))
-    return tuple(sorted(found, key=lambda one: (one.marker, one.first)))
+        for reason, group in groupby(np.flatnonzero(~take.visible[:, m]), key=lambda t, m=m: reasons[t, m]):
+            frames = list(group)
+            breaks = np.flatnonzero(np.diff(frames) > 1)
+            for a, b in zip([0, *(breaks + 1)], [*breaks, len(frames) - 1], strict=True):
+                unfilled.append(UnfilledRun(m, int(frames[a]), int(frames[b]), str(reason)))
+    return tuple(sorted(unfilled, key=lambda run: (run.marker, run.first)))

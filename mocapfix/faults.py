@@ -1,11 +1,11 @@
-"""What is wrong with a take, where, and how sure."""
+"""Faults of a take: what is wrong, where, and with which confidence."""
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.take import Take
 
@@ -14,28 +14,59 @@ FaultKind = Literal[
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
     "swap", "mislabelled", "fragment", "moved", "drift",
 ]  # fmt: skip
+FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
+
+# Missing samples.
 MISSING_KINDS: tuple[FaultKind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
+# Samples that are present but wrong: the fill replaces them.
 REPLACED_SAMPLE_KINDS: tuple[FaultKind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
-EXTERNAL_FILL_KINDS: tuple[FaultKind, ...] = (
-    "straight",
-    "computed",
-)  # told; replaced, where the rest contradicts them, on request
+# Samples that another program filled: reported, and on request replaced where the other markers contradict them.
+EXTERNAL_FILL_KINDS: tuple[FaultKind, ...] = ("straight", "computed")
+# Exchanged labels.
 LABEL_KINDS: tuple[FaultKind, ...] = ("swap", "mislabelled")
+# Markers that moved on their segment.
 SHIFT_KINDS: tuple[FaultKind, ...] = ("moved", "drift")
-MIN_LABEL_CONFIDENCE = 0.6  # confidence from which on labels are changed
+# Labels are changed only by faults of at least this confidence.
+MIN_LABEL_CONFIDENCE = 0.6
+# The relations of fragments that are joined to a marker.
+JOINED_RELATIONS: tuple[FragmentRelation, ...] = ("continues", "replaces")
+
+
+class FrameInterval(Protocol):
+    """Anything over the frames first..last, inclusive."""
+
+    @property
+    def first(self) -> int:
+        """Index of the first frame."""
+        ...
+
+    @property
+    def last(self) -> int:
+        """Index of the last frame."""
+        ...
+
+
+def overlap_in_time(one: FrameInterval, other: FrameInterval) -> bool:
+    """Return whether two intervals have a frame in common."""
+    return one.first <= other.last and other.first <= one.last
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One marker's fault, or several markers', over the frames first..last (indices into the take, inclusive).
+    """A fault of one or several markers over the frames first..last (indices into the take, inclusive).
 
-    severity  for samples that are there, how far they lie from where they should; for a gap, how far the marker moved
-              between its edges (NaN where that is not known)
-    reason    one sentence for a technician
-    confidence  0..1
-    others    the other markers concerned. Of labels that are exchanged: the samples of each marker in the ring
-              (marker, *others) are under the label of the next, the last's under that of the first
-    unit    the severity's: metres, or radians of the turn of an animation's joint
+    Attributes:
+        kind: What is wrong.
+        marker: Index of the marker, or of the first one if there are several.
+        first: Index of the first frame.
+        last: Index of the last frame.
+        severity: For visible samples, their distance from where they should be. For a gap, the distance that the marker
+            travels across it. NaN if unknown.
+        reason: One sentence for a technician.
+        confidence: 0..1.
+        other_markers: Indices of the other markers. For exchanged labels, the samples of each marker in the cycle
+            (marker, *other_markers) are under the label of the next marker, and those of the last under that of the first.
+        severity_unit: Metres, or radians for a joint rotation of an animation.
     """
 
     kind: FaultKind
@@ -50,36 +81,40 @@ class Fault:
 
     @property
     def markers(self) -> tuple[int, ...]:
+        """The indices of all markers concerned."""
         return (self.marker, *self.other_markers)
 
     @property
     def frame_slice(self) -> slice:
+        """The frames first..last as a slice."""
         return slice(self.first, self.last + 1)
 
     def overlaps(self, other: "Fault") -> bool:
-        """Do the two share a sample?"""
-        return self.first <= other.last and other.first <= self.last and not set(self.markers).isdisjoint(other.markers)
+        """Return whether the two faults have a sample in common."""
+        return overlap_in_time(self, other) and not set(self.markers).isdisjoint(other.markers)
 
 
 @dataclass(frozen=True)
 class Fragment(Fault):
-    """What one piece of a trajectory is that bears no marker's name, or another's with a number added.
+    """One segment of a trajectory that has no marker's label, or a marker's label with a number appended.
 
-    marker    the marker it belongs to; the donor itself where it is none of the markers
-    donor     index into the take's labels or, from their number on, into those of its unlabelled trajectories
-    relation  "continues" a marker that is missing then; "doubles" one that is seen as well; "replaces" one, being its
-              double and the smoother of both; "other": none of the markers
+    Attributes:
+        marker: The marker that the segment belongs to, or the donor if it belongs to none.
+        donor: Index into the take's labels or, from their number on, into its unlabelled trajectories.
+        relation: "continues": the segment fills a marker that is missing then. "doubles": it repeats a visible marker.
+            "replaces": it repeats a visible marker and is the smoother of the two. "other": it belongs to no marker.
     """
 
     donor: int = -1
-    relation: Literal["continues", "replaces", "doubles", "other"] = "other"
+    relation: FragmentRelation = "other"
 
 
 @dataclass(frozen=True)
 class MarkerShift(Fault):
-    """A marker that from `first` on is elsewhere on its segment, to the end of the take.
+    """A marker that changes its position on its segment at `first` and keeps the new one to the end of the take.
 
-    settled  the frame from which it is at its new place: `first` where it was knocked, later where it slides
+    Attributes:
+        settled_frame: Index of the first frame at the new position: `first` for a knock, later for a slide.
     """
 
     settled_frame: int = 0
@@ -92,35 +127,33 @@ class Faults:
     items: tuple[Fault, ...] = ()
 
     def select_kinds(self, *kinds: FaultKind) -> list[Fault]:
-        """-> the faults of these kinds."""
+        """Return the faults of these kinds."""
         return [fault for fault in self.items if fault.kind in kinds]
 
-    def add_faults(self, more: Iterable[Fault]) -> "Faults":
-        """-> these and more, in order."""
-        return Faults(tuple(sorted((*self.items, *more), key=lambda fault: (fault.marker, fault.first))))
+    def add_faults(self, faults: Iterable[Fault]) -> "Faults":
+        """Return these faults and the given ones, in order."""
+        return Faults(tuple(sorted((*self.items, *faults), key=lambda fault: (fault.marker, fault.first))))
 
-    def compute_faulty_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
-        """-> (T, M) bool: samples that are there but judged faulty, by faults of these kinds, so neither believed nor kept."""
+    def compute_faulty_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> Bool[np.ndarray, "T M"]:
+        """Return the mask of the visible samples with a fault of these kinds."""
         return build_fault_mask(self.select_kinds(*kinds), take.visible.shape) & take.visible
 
-    def compute_inlier_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
-        """-> (T, M) bool: samples that are there and not judged faulty, by faults of these kinds."""
+    def compute_inlier_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> Bool[np.ndarray, "T M"]:
+        """Return the mask of the visible samples without a fault of these kinds."""
         return take.visible & ~self.compute_faulty_mask(take, kinds)
 
-    def compute_solver_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> np.ndarray:
-        """-> (T, M) bool: samples that the body listens to: also those that tremble, for they do so about where the marker is.
+    def compute_solver_mask(self, take: Take, kinds: Sequence[FaultKind] = REPLACED_SAMPLE_KINDS) -> Bool[np.ndarray, "T M"]:
+        """Return the mask of the samples that the body solver uses.
 
-        They are replaced all the same; but a limb whose markers all tremble is not a limb that was lost.
+        These are the inliers and the samples with jitter, which scatter about the marker's true position. Samples with
+        jitter are replaced by the fill all the same, but without them the solver would treat a limb all of whose markers
+        have jitter as missing.
         """
         return self.compute_inlier_mask(take, [kind for kind in kinds if kind != "jitter"])
 
-    def counts(self) -> dict[str, int]:
-        """-> how many faults of each kind."""
-        return dict(Counter(fault.kind for fault in self.items))
 
-
-def build_fault_mask(faults: Iterable[Fault], shape: tuple[int, ...]) -> np.ndarray:
-    """-> `shape` (T, M) bool: the samples of the faults' markers over their frames."""
+def build_fault_mask(faults: Iterable[Fault], shape: tuple[int, ...]) -> Bool[np.ndarray, "T M"]:
+    """Return the mask, of `shape` (T, M), of the samples of the faults' markers over their frames."""
     mask = np.zeros(shape, bool)
     for fault in faults:
         mask[fault.frame_slice, list(fault.markers)] = True

@@ -19,6 +19,7 @@ from mocapfix.bench.uncertainty import clean_composed_take
 from mocapfix.changes import compare_samples
 from mocapfix.faults import (
     EXTERNAL_FILL_KINDS,
+    JOINED_RELATIONS,
     LABEL_KINDS,
     MISSING_KINDS,
     REPLACED_SAMPLE_KINDS,
@@ -28,7 +29,6 @@ from mocapfix.faults import (
     build_fault_mask,
 )
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.repair.relabel import JOINED_RELATIONS
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
 from mocapfix.stats.runs import find_runs
