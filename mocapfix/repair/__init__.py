@@ -1,10 +1,10 @@
-"""Mending, before anything is filled: samples are put under the labels they belong to, and moved markers told apart.
+"""Repair before anything is filled: correct the labels, join fragments and separate the positions of moved markers.
 
-Labels first, for what bears a wrong one looks like every other fault; then moved markers; what is to be replaced and what is
-missing is left to the fill. Samples change places and nothing else.
+Relabel first: a label error mimics every other fault. Repairs move samples to other labels and change nothing else. Faulty
+and missing samples are left to the fill.
 """
 
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
-from mocapfix.repair.relabel import JOINED_RELATIONS, join_fragments, relabel_samples, undo_label_exchanges
+from mocapfix.repair.relabel import join_fragments, relabel_samples, undo_label_exchanges
 
-__all__ = ["JOINED_RELATIONS", "MarkerEpochs", "join_fragments", "relabel_samples", "split_moved_markers", "undo_label_exchanges"]
+__all__ = ["MarkerEpochs", "join_fragments", "relabel_samples", "split_moved_markers", "undo_label_exchanges"]

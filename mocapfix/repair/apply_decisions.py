@@ -15,6 +15,7 @@ from mocapfix.changes import (
 )
 from mocapfix.faults import (
     EXTERNAL_FILL_KINDS,
+    JOINED_RELATIONS,
     LABEL_KINDS,
     MIN_LABEL_CONFIDENCE,
     MISSING_KINDS,
@@ -25,7 +26,7 @@ from mocapfix.faults import (
 )
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.options import CleanOptions
-from mocapfix.repair.relabel import JOINED_RELATIONS, relabel_samples
+from mocapfix.repair.relabel import relabel_samples
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.take import Take
 
@@ -53,7 +54,8 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
         and not _matches_estimate(fault, detection, fill.take)
     ]
     decisions = {
-        id(fault): next((each.decision for each in state.reviewed_changes if each.matches(fault)), "accept") for fault in considered
+        id(fault): next((each.decision for each in state.reviewed_changes if each.matches(fault)), "accept")
+        for fault in considered
     }
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
