@@ -1,1 +1,1 @@
-"""Detection of faults in marker takes: in labels first, then in samples."""
+"""Detection of faults in marker takes, from the trajectories alone and from the solved body."""

@@ -1,16 +1,17 @@
-"""A body laid on some frames: where it would have the markers that are seen.
+"""A coarse fit of a body to single frames: where the body would have the visible markers.
 
-A person's own, where it is known, or the average body. Then nothing of the take is learnt but the size, so that a label that
-is wrong all along cannot teach the body to expect it there.
+The body is a known subject's, or the average one. Of the average body only the size is estimated from the take, so that a label
+that is wrong throughout cannot shift the expected position of its marker.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.marker_sets import MarkerSet
+from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.joint_limits import JointLimits, load_joint_limits
@@ -26,85 +27,99 @@ from mocapfix.solve.pose_problem import (
 )
 from mocapfix.subject import Subject
 
-BODY_MARKER_SD_M = 0.030  # metres per axis: a marker's place, people's proportions and skin together
-JOINT_LIMIT_SD_RAD = 0.1  # radians, beyond people's joint limits
-ROBUST_SCALES_M = (0.4, 0.2, 0.1)  # metres (Geman-McClure)
-MAX_BODY_FIT_ITERATIONS = 8  # iterations at each scale
-MIN_SIZE_DISTANCE_M = 0.12  # metres: nearer pairs say more of where markers were stuck than of the body's size
+# Standard deviation per axis of a marker: its placement, the subject's proportions and skin motion together.
+BODY_MARKER_SD_M = 0.030
+# Standard deviation of a joint angle beyond its limits.
+JOINT_LIMIT_SD_RAD = 0.1
+# Scales of the robust loss (Geman & McClure 1987), from coarse to fine.
+ROBUST_SCALES_M = (0.4, 0.2, 0.1)
+# Number of iterations at each scale.
+MAX_BODY_FIT_ITERATIONS = 8
+# The distance of a nearer pair of markers depends more on their placement than on the subject's size.
+MIN_SIZE_DISTANCE_M = 0.12
 
 
 @dataclass(frozen=True)
 class BodyFitter:
-    """A body that wears K markers, and what its poses are like."""
+    """A subject with K markers and the prior on its poses."""
 
     body: BodyModel
     subject: Subject
     prior: MeanPosePrior
     limits: JointLimits
 
-    def predict_markers(self, markers: np.ndarray) -> np.ndarray:
-        """-> (N, K, 3) metres: where the body has its K markers in N frames (N, K, 3), each laid for itself; NaN not seen."""
-        start = register_poses(self.subject, self.body.free_joints, self.prior, markers)
+    def predict_markers(self, markers: Float[np.ndarray, "N K 3"]) -> Float[np.ndarray, "N K 3"]:
+        """Fit the body to each frame separately and return the world positions of all its markers in metres.
+
+        Args:
+            markers: Measured world positions in metres, NaN where missing.
+        """
+        poses = register_poses(self.subject, self.body.free_joints, self.prior, markers)
         tree = KinematicTree(self.body.skeleton.parents, self.subject.skeleton.offsets, self.body.free_joints)
         problem = PoseProblem(
-            tree, MarkerAttachment(self.subject.joints, self.subject.marker_offsets), markers, ~np.isnan(markers[..., 0]), BODY_MARKER_SD_M,
-            build_pose_prior_term(self.prior), build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD),
-        )  # fmt: skip
-        problem.solve(
-            start.root_position,
-            start.local_rotations,
-            build_no_tracking(len(self.body.free_joints)),
-            ROBUST_SCALES_M,
-            MAX_BODY_FIT_ITERATIONS,
+            tree,
+            MarkerAttachment(self.subject.joints, self.subject.marker_offsets),
+            markers,
+            ~np.isnan(markers[..., 0]),
+            BODY_MARKER_SD_M,
+            build_pose_prior_term(self.prior),
+            build_joint_limit_term(self.limits, JOINT_LIMIT_SD_RAD),
         )
-        return kinematics.compute_joint_and_marker_positions(self.subject, start)[1]
+        no_tracking = build_no_tracking(len(self.body.free_joints))
+        problem.solve(poses.root_position, poses.local_rotations, no_tracking, ROBUST_SCALES_M, MAX_BODY_FIT_ITERATIONS)
+        return kinematics.compute_joint_and_marker_positions(self.subject, poses)[1]
 
 
 def build_body_fitter(subject: Subject) -> BodyFitter:
-    """-> the body of a subject."""
+    """Build the fitter of a known subject."""
     body = load_cmu31_body()
-    return BodyFitter(
-        body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
-    )
+    return BodyFitter(body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))
 
 
-def build_average_body_fitter(marker_set: MarkerSet, markers: np.ndarray) -> BodyFitter:
-    """-> the average body at the size that markers (N, K, 3) in metres, NaN where not seen, tell."""
+def build_average_body_fitter(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> BodyFitter:
+    """Build the fitter of the average body at the size of the measured markers.
+
+    Args:
+        marker_set: The set with K markers.
+        markers: Measured world positions in metres, NaN where missing.
+    """
     skeleton, ratio = load_cmu31_body().skeleton, estimate_size_ratio(marker_set, markers)
-    grown = replace(skeleton, offsets=skeleton.offsets * ratio, ends=skeleton.ends * ratio)
-    return build_body_fitter(build_nominal_subject(marker_set, grown, marker_set.marker_offsets * ratio))
+    scaled = replace(skeleton, offsets=skeleton.offsets * ratio, ends=skeleton.ends * ratio)
+    return build_body_fitter(build_nominal_subject(marker_set, scaled, marker_set.marker_offsets * ratio))
 
 
-def build_nominal_subject(marker_set: MarkerSet, skeleton: Skeleton, marker_offsets: np.ndarray) -> Subject:
-    """-> somebody of these bones with the set's markers at places (K, 3) in metres."""
+def build_nominal_subject(marker_set: MarkerSet, skeleton: Skeleton, marker_offsets: Float[np.ndarray, "K 3"]) -> Subject:
+    """Build a subject with this skeleton and the set's markers at these offsets in metres in their joints' axes."""
     return Subject(skeleton, marker_set.name, marker_set.labels, marker_set.joints, marker_offsets, marker_set.marker_spread)
 
 
-def estimate_size_ratio(marker_set: MarkerSet, markers: np.ndarray) -> float:
-    """-> the subject's size over the average body's: the median over the distances within segments, 1 where none is seen."""
+def estimate_size_ratio(marker_set: MarkerSet, markers: Float[np.ndarray, "N K 3"]) -> float:
+    """Estimate the subject's size relative to the average body.
+
+    This is the median ratio of the distances between markers of the same segment, 1 if none is visible.
+    """
     first, second = np.triu_indices(len(marker_set.joints), 1)
-    nominal = np.linalg.norm(marker_set.marker_offsets[first] - marker_set.marker_offsets[second], axis=1)
-    together = marker_set.joints[first] == marker_set.joints[second]
-    seen = ~np.isnan(markers[..., 0])
-    known = together & (nominal > MIN_SIZE_DISTANCE_M) & (seen[:, first] & seen[:, second]).any(0)
-    if not known.any():
+    nominal_m = np.linalg.norm(marker_set.marker_offsets[first] - marker_set.marker_offsets[second], axis=1)
+    is_same_segment = marker_set.joints[first] == marker_set.joints[second]
+    visible = ~np.isnan(markers[..., 0])
+    is_known = is_same_segment & (nominal_m > MIN_SIZE_DISTANCE_M) & (visible[:, first] & visible[:, second]).any(0)
+    if not is_known.any():
         return 1.0
-    real = np.nanmedian(np.linalg.norm(markers[:, first[known]] - markers[:, second[known]], axis=-1), axis=0)
-    return float(np.median(real / nominal[known]))
+    distance_m = np.linalg.norm(markers[:, first[is_known]] - markers[:, second[is_known]], axis=-1)
+    return float(np.median(np.nanmedian(distance_m, axis=0) / nominal_m[is_known]))
 
 
-def compute_marker_misfit(markers: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """-> half a squared distance (...,) in standard deviations, robust (Geman & McClure 1987); 0 where not seen."""
+def compute_marker_misfit(markers: Float[np.ndarray, "... 3"], predicted: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
+    """Compute half the robust squared distance in standard deviations (Geman & McClure 1987), 0 where missing."""
     square = ((markers - predicted) ** 2).sum(-1)
     return np.nan_to_num(0.5 * square / (1 + square / ROBUST_SCALES_M[-1] ** 2)) / BODY_MARKER_SD_M**2
 
 
-def compute_rest_markers(marker_set: MarkerSet) -> np.ndarray:
-    """-> (K, 3) metres: the set's markers on the average body as it rests."""
+def compute_rest_markers(marker_set: MarkerSet) -> Float[np.ndarray, "K 3"]:
+    """Compute the positions in metres of the set's markers on the average body in its rest pose."""
     skeleton = load_cmu31_body().skeleton
-    still = np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
-    nothing = np.zeros((1, 0))
-    pose = Motion(np.zeros((1, 3)), still, np.zeros(1, int), np.zeros(1, int), nothing, nothing)
-    return kinematics.compute_joint_and_marker_positions(
-        build_nominal_subject(marker_set, skeleton, marker_set.marker_offsets), pose
-    )[1][0]
+    identity = np.tile(np.eye(3), (1, len(skeleton.names), 1, 1))
+    empty = np.zeros((1, 0))
+    motion = Motion(np.zeros((1, 3)), identity, np.zeros(1, int), np.zeros(1, int), empty, empty)
+    subject = build_nominal_subject(marker_set, skeleton, marker_set.marker_offsets)
+    return kinematics.compute_joint_and_marker_positions(subject, motion)[1][0]

@@ -1,114 +1,124 @@
-"""Crossed: labels that lie where the solved body has one another's markers.
+"""Label swaps that the solved body shows: labels at one another's positions on the body.
 
-What is astray under a label and lies well where the body has another marker, which is not seen there itself meanwhile, is
-that marker. Where two labels, or three in a ring, are each other's they are exchanged, and so they are from leap to leap, for
-a label that goes on smoothly has not changed its marker, even where the exchange led the body astray and others with it.
+An outlier under a label that lies where the body has another marker, which is not visible there itself, has that marker's
+samples. Where two labels, or three in a cycle, have one another's markers, they are exchanged. The exchange extends from
+leap to leap, because a label that continues smoothly has not changed its marker, even where the exchange misled the body and
+other markers with it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect import continuity
 from mocapfix.detect.body_outliers import BodyOutlier
 from mocapfix.detect.body_residuals import BodyResiduals
+from mocapfix.detect.continuity import build_trajectories, compute_own_leaps
 from mocapfix.detect.swap_viterbi import MAX_SMOOTH_LEAP
 from mocapfix.faults import Fault
 from mocapfix.take import Take
 
-MAX_HOME_DISTANCE_SD = 4.5  # standard deviations: so near to its place is a marker at home
-MAX_RELATIVE_DISTANCE = (
-    0.4  # of its distance from its own marker's place: so near to another's it is that one, if that one is elsewhere
-)
-MAX_HOME_FRACTION = 0.2  # of the time in which the other is seen at home at most, if it is elsewhere
-MIN_OVERLAP_FRACTION = 0.5  # of the longer: for so long are two pieces astray together that are each other's
-MIN_OCCUPIED_DURATION_S = 0.1  # seconds: what lies for less in the place of a marker that is not seen may do so by chance
+# A marker within this distance, in standard deviations, is at its position.
+MAX_HOME_DISTANCE_SD = 4.5
+# Largest distance from the other marker's position, relative to that from the label's own marker's position.
+MAX_RELATIVE_DISTANCE = 0.4
+# Largest fraction of the time in which the other marker is visible at its position.
+MAX_HOME_FRACTION = 0.2
+# Smallest overlap of two outliers that are exchanged, as a fraction of the longer one.
+MIN_OVERLAP_FRACTION = 0.5
+# A shorter outlier may lie at the position of a missing marker by chance.
+MIN_OCCUPIED_DURATION_S = 0.1
 
 
 class CarriedMarker(NamedTuple):
-    """A piece that lies where the body has another marker, in standard deviations."""
+    """An outlier that lies where the body has another marker.
+
+    Attributes:
+        outlier: The outlier.
+        marker: Index of the other marker.
+        distance_sd: Median distance from the other marker's position, in standard deviations.
+    """
 
     outlier: BodyOutlier
     marker: int
     distance_sd: float
 
+    @property
+    def relative_distance(self) -> float:
+        """The distance from the other marker's position, relative to that from the label's own marker's position."""
+        return self.distance_sd / self.outlier.score_sd
+
 
 def detect_body_label_swaps(residuals: BodyResiduals, outliers: list[BodyOutlier], take: Take) -> list[Fault]:
-    """-> the exchanges of labels that explain what is `astray`, the surest first; none meets another."""
-    at_home = residuals.distance_m < MAX_HOME_DISTANCE_SD * residuals.sd_m
-    smooth = continuity.compute_own_leaps(continuity.build_trajectories(take.markers, take.rate)) < MAX_SMOOTH_LEAP
-    carried = [each for piece in outliers for each in _find_carried_markers(residuals, at_home, piece)]
-    found: list[Fault] = []
-    for ring in sorted(
-        _find_cycles_of_carried(carried, take), key=lambda ring: max(each.distance_sd / each.outlier.score_sd for each in ring)
-    ):
-        swap = _build_body_swap_fault(ring, smooth, take)
-        if not any(swap.overlaps(other) for other in found):
-            found.append(swap)
-    return found
+    """Detect the exchanges of labels that explain outliers, the most certain first; no two of them overlap."""
+    is_home = residuals.distance_m < MAX_HOME_DISTANCE_SD * residuals.sd_m
+    is_smooth = compute_own_leaps(build_trajectories(take.markers, take.rate)) < MAX_SMOOTH_LEAP
+    carried = [each for outlier in outliers for each in _find_carried_markers(residuals, is_home, outlier)]
+    cycles = sorted(_find_cycles_of_carried(carried, take), key=lambda cycle: max(each.relative_distance for each in cycle))
+    swaps: list[Fault] = []
+    for cycle in cycles:
+        swap = _build_body_swap_fault(cycle, is_smooth, take)
+        if not any(swap.overlaps(other) for other in swaps):
+            swaps.append(swap)
+    return swaps
 
 
-def _find_carried_markers(residuals: BodyResiduals, at_home: np.ndarray, outlier: BodyOutlier) -> list[CarriedMarker]:
-    """-> the markers whose places the samples of a piece fit, while they are not seen there themselves."""
-    t = outlier.frames
-    away = (
-        np.linalg.norm(residuals.measured_world[t, outlier.marker, None] - residuals.expected_world[t], axis=-1)
-        / residuals.sd_m[t]
-    )
-    fit = np.median(away, axis=0)
-    fitting = (fit < MAX_RELATIVE_DISTANCE * outlier.score_sd) & (at_home[t].mean(0) < MAX_HOME_FRACTION)
-    return [CarriedMarker(outlier, int(k), float(fit[k])) for k in np.flatnonzero(fitting)]
+def _find_carried_markers(residuals: BodyResiduals, is_home: np.ndarray, outlier: BodyOutlier) -> list[CarriedMarker]:
+    """Find the markers at whose positions the samples of an outlier lie while they are not visible there themselves."""
+    frames = outlier.frames
+    offset = residuals.measured_world[frames, outlier.marker, None] - residuals.expected_world[frames]
+    distance_sd = np.median(np.linalg.norm(offset, axis=-1) / residuals.sd_m[frames], axis=0)
+    is_near = distance_sd < MAX_RELATIVE_DISTANCE * outlier.score_sd
+    is_carried = is_near & (is_home[frames].mean(0) < MAX_HOME_FRACTION)
+    return [CarriedMarker(outlier, int(k), float(distance_sd[k])) for k in np.flatnonzero(is_carried)]
 
 
 def _find_cycles_of_carried(carried: list[CarriedMarker], take: Take) -> list[tuple[CarriedMarker, ...]]:
-    """-> the rings: each label carries the marker whose label the next piece bears, the last the first one's.
+    """Find the cycles in which each label has the samples of the marker whose label comes next, and the last of the first.
 
-    A marker that is not seen meanwhile may have been anywhere, also under the label of what lies in its place.
+    A marker that is missing meanwhile may have been anywhere, also under the label of the outlier at its position.
     """
-    closed = []
+    cycles: list[tuple[CarriedMarker, ...]] = []
     for one in carried:
-        t, other = one.outlier.frames, one.marker
-        if (
-            one.distance_sd < MAX_HOME_DISTANCE_SD
-            and len(t) >= MIN_OCCUPIED_DURATION_S * take.rate
-            and take.visible[t, other].mean() < MAX_HOME_FRACTION
-        ):
-            closed.append((one,))
+        frames, other = one.outlier.frames, one.marker
+        is_home = one.distance_sd < MAX_HOME_DISTANCE_SD
+        is_long = len(frames) >= MIN_OCCUPIED_DURATION_S * take.rate
+        if is_home and is_long and take.visible[frames, other].mean() < MAX_HOME_FRACTION:
+            cycles.append((one,))
         for two in carried:
             if two.outlier.marker != other or not _overlap_mostly(one.outlier, two.outlier):
                 continue
             if two.marker == one.outlier.marker:
-                closed.append((one, two))
-            ends = [each for each in carried if each.outlier.marker == two.marker and each.marker == one.outlier.marker]
-            closed += [(one, two, three) for three in ends if _overlap_mostly(one.outlier, three.outlier)]
-    return closed
+                cycles.append((one, two))
+            thirds = [each for each in carried if each.outlier.marker == two.marker and each.marker == one.outlier.marker]
+            cycles += [(one, two, three) for three in thirds if _overlap_mostly(one.outlier, three.outlier)]
+    return cycles
 
 
 def _overlap_mostly(one: BodyOutlier, other: BodyOutlier) -> bool:
-    both = min(one.last, other.last) - max(one.first, other.first) + 1
-    return both > MIN_OVERLAP_FRACTION * max(one.last - one.first + 1, other.last - other.first + 1)
+    common = min(one.last, other.last) - max(one.first, other.first) + 1
+    return common > MIN_OVERLAP_FRACTION * max(one.last - one.first + 1, other.last - other.first + 1)
 
 
 def _build_body_swap_fault(cycle: tuple[CarriedMarker, ...], is_smooth: np.ndarray, take: Take) -> Fault:
-    """-> the labels of a ring as exchanged, from leap to leap."""
+    """Build the fault of a cycle, extended from leap to leap."""
     markers = [cycle[0].marker, *(each.outlier.marker for each in (cycle[0], *cycle[:0:-1]))][: max(2, len(cycle))]
-    within = max(each.outlier.first for each in cycle), min(each.outlier.last for each in cycle)
-    first, last = _extend_to_leaps(*within, take.visible[:, markers], is_smooth[:, markers])
-    worst = max(cycle, key=lambda each: each.distance_sd / each.outlier.score_sd)
-    labels, times = [take.bare_labels[m] for m in markers], worst.outlier.score_sd / worst.distance_sd
-    far = float(np.mean([each.outlier.distance_m for each in cycle]))
+    common = max(each.outlier.first for each in cycle), min(each.outlier.last for each in cycle)
+    first, last = _extend_to_leaps(*common, take.visible[:, markers], is_smooth[:, markers])
+    worst = max(cycle, key=lambda each: each.relative_distance)
+    ratio = worst.outlier.score_sd / worst.distance_sd
+    distance_m = float(np.mean([each.outlier.distance_m for each in cycle]))
     time = f"for {(last - first + 1) / take.rate:.2f} s ({last - first + 1} frames)"
-    where = f"they lie {far * 1e3:.0f} mm from where the body has them, and {times:.1f} times nearer to one another's places"
-    names = f"{', '.join(labels[:-1])} and {labels[-1]}"
-    reason = f"{names} have exchanged their labels {time}: {where}."
-    return Fault("swap", markers[0], first, last, far, reason, 1 - 1 / times, tuple(markers[1:]))
+    where = f"they lie {distance_m * 1e3:.0f} mm off their positions on the body, and {ratio:.1f} times nearer to one another's"
+    labels = [take.bare_labels[m] for m in markers]
+    reason = f"{', '.join(labels[:-1])} and {labels[-1]} have exchanged their labels {time}: {where}."
+    return Fault("swap", markers[0], first, last, distance_m, reason, 1 - 1 / ratio, tuple(markers[1:]))
 
 
 def _extend_to_leaps(first: int, last: int, visible: np.ndarray, is_smooth: np.ndarray) -> tuple[int, int]:
-    """-> the frames around first..last over which none of the labels (T, N) leaps or comes out of a gap."""
-    goes_on = visible[1:] & visible[:-1] & is_smooth[1:]
-    backward = np.all(goes_on | ~visible[:-1], axis=1) & visible[:-1].any(1)
-    forward = np.all(goes_on | ~visible[1:], axis=1) & visible[1:].any(1)
+    """Extend first..last to the frames over which none of the labels (T, N) leaps or reappears after a gap."""
+    is_continued = visible[1:] & visible[:-1] & is_smooth[1:]
+    backward = np.all(is_continued | ~visible[:-1], axis=1) & visible[:-1].any(1)
+    forward = np.all(is_continued | ~visible[1:], axis=1) & visible[1:].any(1)
     while first > 0 and backward[first - 1]:
         first -= 1
     while last < len(visible) - 1 and forward[last]:

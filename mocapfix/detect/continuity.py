@@ -1,33 +1,51 @@
-"""Whether a marker's trajectory goes on from one sample to another, within one label or across two.
+"""Continuity: whether one sample, or one trajectory, continues another.
 
-Both sides are carried to the moment half way between them at their own velocity, where a constant acceleration cancels; or one
-of them all the way, for the other's velocity may be spoilt by a leap of its own. Where they meet the trajectory goes on.
-After some tenths of a second nothing can be told.
+`compute_leap` compares two samples. Both are extrapolated with their own velocities to the moment half way between them, where
+a constant acceleration cancels. As a velocity may be corrupted by a leap of its own, extrapolating one of them all the way
+is tried as well, and the smallest mismatch counts. After some tenths of a second nothing can be concluded.
+
+`compute_join_cost` compares a trajectory segment with the trajectory that precedes and follows it.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from numba import njit
 
 from mocapfix.detect.trajectory_segments import TrajectorySegment
 
-# MERGED: mocapfix.detect.continuity
-LEAP_TOLERANCE_M = 0.010  # metres: what noise and skin miss by in whatever little time
-LEAP_TOLERANCE_M_PER_S = 1.0  # m/s: by which the rest grows with the time between the samples (measured: 99 of 100 miss by less)
-UNKNOWN_SPEED_M_PER_S = 2.0  # m/s: how fast a marker may be of which only one sample is seen
-MAX_LEAP_GAP_S = 0.3  # seconds after which nothing can be told
-MAX_VELOCITY_STEPS = 2  # samples over which a velocity is taken
+# Mismatch that noise and skin cause in an arbitrarily short time.
+LEAP_TOLERANCE_M = 0.010
+# Growth of the tolerance with the time between the samples (measured: 99 of 100 mismatches are smaller).
+LEAP_TOLERANCE_M_PER_S = 1.0
+# Possible speed of a marker of which only one sample is visible.
+UNKNOWN_SPEED_M_PER_S = 2.0
+# Samples farther apart in time are not compared.
+MAX_LEAP_GAP_S = 0.3
+# Number of frame steps over which a velocity is computed, if all samples between are visible.
+MAX_VELOCITY_STEPS = 2
+
+# Two trajectories of the same marker are at most this far apart.
+MAX_DUPLICATE_DISTANCE_M = 0.010
+# Part of a trajectory, next to its end, to which the velocity is fitted.
+VELOCITY_WINDOW_S = 0.03
+# Standard deviation of the join error: a constant, and a term that grows with the square of the time across the join.
+JOIN_TOLERANCE_M = 0.002
+JOIN_TOLERANCE_M_PER_S2 = 2.5
+# The join error of one end counts no more than this, because the last sample of a label is often an outlier.
+MAX_END_DEVIATION_SD = 3.5
 
 
 class MarkerTrajectories(NamedTuple):
-    """Where each trajectory comes from and goes to, for T frames of M labels.
+    """The trajectories of M labels over T frames with their velocities.
 
-    markers    (T, M, 3) metres, NaN where not seen
-    before     (T, M, 3) m/s: the velocity with which it arrived at a sample; NaN where not known
-    after      (T, M, 3) m/s: that with which it leaves it
-    last       (T, M) int: the latest frame before this one in which the label was seen; -1 where there is none
-    rate       frames a second
+    Attributes:
+        markers: World positions (T, M, 3) in metres, NaN where missing.
+        velocity_before: Velocity (T, M, 3) in m/s on arrival at a sample, NaN where unknown.
+        velocity_after: Velocity (T, M, 3) in m/s on departure from a sample, NaN where unknown.
+        previous_frame: Index (T, M) of the latest earlier frame in which the label is visible, -1 if there is none.
+        rate: Frame rate in Hz.
     """
 
     markers: np.ndarray
@@ -37,51 +55,54 @@ class MarkerTrajectories(NamedTuple):
     rate: float
 
 
-def build_trajectories(markers: np.ndarray, rate: float) -> MarkerTrajectories:
-    """-> the courses of markers (T, M, 3) in metres, NaN where not seen, at `rate` frames a second."""
+def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerTrajectories:
+    """Compute the velocities of markers at world positions in metres (NaN where missing), at `rate` Hz."""
     markers = np.ascontiguousarray(markers, float)
-    seen = ~np.isnan(markers[..., 0])
-    before, after = np.full(markers.shape, np.nan), np.full(markers.shape, np.nan)
-    for steps in range(1, min(MAX_VELOCITY_STEPS, len(markers) - 1) + 1):  # the longer where all samples between are there
+    visible = ~np.isnan(markers[..., 0])
+    velocity_before, velocity_after = np.full(markers.shape, np.nan), np.full(markers.shape, np.nan)
+    for steps in range(1, min(MAX_VELOCITY_STEPS, len(markers) - 1) + 1):  # longer steps overwrite shorter ones
         velocity = (markers[steps:] - markers[:-steps]) * rate / steps
-        there = np.all([seen[n : len(seen) - steps + n] for n in range(steps + 1)], axis=0)
-        before[steps:][there] = velocity[there]
-        after[:-steps][there] = velocity[there]
-    latest = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], -1), axis=0)
-    last = np.full(seen.shape, -1)
-    last[1:] = latest[:-1]
-    return MarkerTrajectories(markers, before, after, last, float(rate))
+        is_complete = np.all([visible[n : len(visible) - steps + n] for n in range(steps + 1)], axis=0)
+        velocity_before[steps:][is_complete] = velocity[is_complete]
+        velocity_after[:-steps][is_complete] = velocity[is_complete]
+    latest = np.maximum.accumulate(np.where(visible, np.arange(len(visible))[:, None], -1), axis=0)
+    previous_frame = np.full(visible.shape, -1)
+    previous_frame[1:] = latest[:-1]
+    return MarkerTrajectories(markers, velocity_before, velocity_after, previous_frame, float(rate))
 
 
 @njit(cache=True)
 def compute_leap(trajectories, frame, source, target):
-    """-> 0..1: how much of a leap it is from the last sample of label `source` before `frame` to that of `target` in it.
+    """Compute how much of a leap it is from the last sample of `source` before `frame` to the sample of `target` in it.
 
-    0 where there is nothing to compare; 1 is as far as counts.
+    Returns a value in 0..1: 0 if there is nothing to compare, 1 for a mismatch of the tolerance or more.
     """
-    markers, before, after, last, rate = trajectories
-    start = last[frame, source]
+    markers, velocity_before, velocity_after, previous_frame, rate = trajectories
+    start = previous_frame[frame, source]
     if start < 0 or np.isnan(markers[frame, target, 0]):
         return 0.0
     seconds = (frame - start) / rate
     if seconds > MAX_LEAP_GAP_S:
         return 0.0
-    gone, come = not np.isnan(before[start, source, 0]), not np.isnan(after[frame, target, 0])
+    has_before = not np.isnan(velocity_before[start, source, 0])
+    has_after = not np.isnan(velocity_after[frame, target, 0])
     nearest = np.inf
     for share in (0.5, 0.0, 1.0):
         miss = 0.0
         for x in range(3):
-            on = share * seconds * before[start, source, x] if gone else 0.0
-            back = (1 - share) * seconds * after[frame, target, x] if come else 0.0
-            miss += (markers[frame, target, x] - back - markers[start, source, x] - on) ** 2
+            forward = share * seconds * velocity_before[start, source, x] if has_before else 0.0
+            backward = (1 - share) * seconds * velocity_after[frame, target, x] if has_after else 0.0
+            miss += (markers[frame, target, x] - backward - markers[start, source, x] - forward) ** 2
         nearest = min(nearest, miss)
-    tolerance = LEAP_TOLERANCE_M + seconds * (LEAP_TOLERANCE_M_PER_S + UNKNOWN_SPEED_M_PER_S / 2 * ((not gone) + (not come)))
+    tolerance = LEAP_TOLERANCE_M + seconds * (
+        LEAP_TOLERANCE_M_PER_S + UNKNOWN_SPEED_M_PER_S / 2 * ((not has_before) + (not has_after))
+    )
     return min(1.0, nearest / tolerance**2)
 
 
 @njit(cache=True)
 def compute_own_leaps(trajectories):
-    """-> (T, M) 0..1: how much each label leaps between its last sample and this one."""
+    """Compute the leap (T, M), 0..1, of each label between its previous sample and the present one."""
     frames, count = trajectories.previous_frame.shape
     own = np.zeros((frames, count))
     for t in range(frames):
@@ -90,73 +111,71 @@ def compute_own_leaps(trajectories):
     return own
 
 
-# MERGED: mocapfix.detect.courses
-# Courses: does one path lead on to another?
-MAX_DUPLICATE_DISTANCE_M = 0.010  # metres: the same marker twice lies no farther from itself
-VELOCITY_WINDOW_S = 0.03  # seconds of a course that tell its velocity
-JOIN_TOLERANCE_M, JOIN_TOLERANCE_M_PER_S2 = (
-    0.002,
-    2.5,
-)  # metres, m/s2: a course misses by the one and, after t seconds, the other times t squared besides
-MAX_END_DEVIATION_SD = 3.5  # standard deviations: an end counts for no more, for the last sample of a label is often a bad one
+def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float, max_gap_s: float) -> float:
+    """Compute the cost of joining a trajectory segment to a marker's path.
 
-
-def compute_join_cost(segment: TrajectorySegment, path: np.ndarray, rate: float, max_gap_s: float) -> float:
-    """-> the cost of going from a marker's path (T, 3) to the piece and on: the mean square of what both ends miss, in standard
-    deviations; NaN where neither is within `reach` seconds, infinite where piece and marker are seen together and apart.
+    Returns:
+        The mean square of the join errors at both ends, in standard deviations. NaN if the path has no sample within
+        `max_gap_s` of either end. Infinite if the segment and the path are visible together but apart.
     """
-    seen = ~np.isnan(path[:, 0])
-    both = seen[segment.frames]
-    if both.any():
-        apart = float(np.median(np.linalg.norm(segment.points[both] - path[segment.frames[both]], axis=1)))
-        return (2 * apart / MAX_DUPLICATE_DISTANCE_M) ** 2 if apart <= MAX_DUPLICATE_DISTANCE_M else np.inf
-    first, last, far = segment.frames[0], segment.frames[-1], round(max_gap_s * rate) + 1
-    start = max(0, first - far)
-    early, late = start + np.flatnonzero(seen[start:first]), last + 1 + np.flatnonzero(seen[last + 1 : last + 1 + far])
-    ends = []
+    visible = ~np.isnan(path[:, 0])
+    is_shared = visible[segment.frames]
+    if is_shared.any():
+        distance = float(np.median(np.linalg.norm(segment.points[is_shared] - path[segment.frames[is_shared]], axis=1)))
+        return (2 * distance / MAX_DUPLICATE_DISTANCE_M) ** 2 if distance <= MAX_DUPLICATE_DISTANCE_M else np.inf
+    first, last, reach = segment.frames[0], segment.frames[-1], round(max_gap_s * rate) + 1
+    start = max(0, first - reach)
+    early = start + np.flatnonzero(visible[start:first])
+    late = last + 1 + np.flatnonzero(visible[last + 1 : last + 1 + reach])
+    ends: list[tuple[float, float]] = []
     if len(early):
         ends.append(measure_join_error(early, path[early], segment.frames, segment.points, rate))
     if len(late):
         ends.append(measure_join_error(segment.frames, segment.points, late, path[late], rate))
-    return (
-        float(
-            np.mean(
-                [min(MAX_END_DEVIATION_SD, off / (JOIN_TOLERANCE_M + JOIN_TOLERANCE_M_PER_S2 * lag**2)) ** 2 for off, lag in ends]
-            )
+    if not ends:
+        return np.nan
+    return float(
+        np.mean(
+            [min(MAX_END_DEVIATION_SD, error / (JOIN_TOLERANCE_M + JOIN_TOLERANCE_M_PER_S2 * lag**2)) ** 2 for error, lag in ends]
         )
-        if ends
-        else np.nan
     )
 
 
 def measure_join_error(
-    early_frames: np.ndarray, early_points: np.ndarray, late_frames: np.ndarray, late_points: np.ndarray, rate: float
+    early_frames: Int[np.ndarray, " N"],
+    early_points: Float[np.ndarray, "N 3"],
+    late_frames: Int[np.ndarray, " K"],
+    late_points: Float[np.ndarray, "K 3"],
+    rate: float,
 ) -> tuple[float, float]:
-    """-> metres by which a path misses that goes on from its last point to another's first at the mean of their velocities,
-    and the seconds between.
+    """Measure how far the extrapolation of one path misses the first point of the next.
 
-    early (N,) and late (K,) frames, before (N, 3) and after (K, 3) metres
+    The extrapolation goes from the last early point at the mean of the velocities on both sides.
+
+    Returns:
+        The distance in metres and the time across the join in seconds.
     """
     lag = (late_frames[0] - early_frames[-1]) / rate
-    mean = (
+    velocity = (
         _fit_end_velocity(early_frames[::-1], early_points[::-1], rate) + _fit_end_velocity(late_frames, late_points, rate)
     ) / 2
-    return float(np.linalg.norm(late_points[0] - early_points[-1] - mean * lag)), float(lag)
+    return float(np.linalg.norm(late_points[0] - early_points[-1] - velocity * lag)), float(lag)
 
 
 def _fit_end_velocity(frames: np.ndarray, points: np.ndarray, rate: float) -> np.ndarray:
-    """-> (3,) m/s near the first of the frames (N,), by a straight line through what is listened to; 0 from one alone."""
-    near = max(2, int(np.searchsorted(np.abs(frames - frames[0]), VELOCITY_WINDOW_S * rate, side="right")))
-    time = (frames[:near] - frames[:near].mean()) / rate
-    return time @ points[:near] / max(float(time @ time), 1e-12)
+    """Fit a straight line to the points (N, 3) nearest to the first frame; return its velocity (3,) in m/s, 0 for one point."""
+    count = max(2, int(np.searchsorted(np.abs(frames - frames[0]), VELOCITY_WINDOW_S * rate, side="right")))
+    time = (frames[:count] - frames[:count].mean()) / rate
+    return time @ points[:count] / max(float(time @ time), 1e-12)
 
 
-def is_smoother(segment: TrajectorySegment, path: np.ndarray, rate: float) -> bool:
-    """Does a marker's path (T, 3) lead through the piece more smoothly, at both its ends, than through its own samples?"""
+def is_smoother(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float) -> bool:
+    """Return whether a marker's path continues more smoothly, at both ends, with the segment than with its own samples."""
     first, last = segment.frames[0], segment.frames[-1]
-    seen = np.flatnonzero(~np.isnan(path[:, 0]))
-    early, late, own = seen[seen < first], seen[seen > last], seen[(seen >= first) & (seen <= last)]
-    ends = []
+    visible = np.flatnonzero(~np.isnan(path[:, 0]))
+    early, late = visible[visible < first], visible[visible > last]
+    own = visible[(visible >= first) & (visible <= last)]
+    ends: list[tuple[float, float]] = []
     for frames, points in ((segment.frames, segment.points), (own, path[own])):
         into = measure_join_error(early, path[early], frames, points, rate)[0] if len(early) else 0.0
         out = measure_join_error(frames, points, late, path[late], rate)[0] if len(late) else 0.0

@@ -1,82 +1,106 @@
-"""Samples that follow a rule to the last digit: cameras do not measure such, other tools' fills leave them.
+"""Samples that follow a polynomial exactly, to the resolution of the file.
 
-A measured marker trembles by some tenths of a millimetre, and the number that says where it is has a last digit. Samples
-held at one value, or laid on a line or a cubic, follow these to that digit.
+A measured marker has noise of some tenths of a millimetre, and its coordinates have a last digit. Samples that are constant,
+or that lie on a line or a cubic to that digit, were not measured: another program filled them.
 """
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
 from mocapfix.stats.runs import find_runs
 
-FLOAT32_RESOLUTION = 2.0**-23  # of a coordinate: the last digit of the 32-bit floats in which files keep them
-MAX_SAMPLED_STEPS = 50_000  # steps looked at, evenly spread, to tell whether all coordinates are multiples of one number
-STEP_QUANTILES = (2e-4, 2e-3, 1e-2)  # of the steps are smaller than one that may be the number, one multiple of itself
-MIN_MULTIPLE_FRACTION, MULTIPLE_TOLERANCE = (
-    0.9,
-    0.1,
-)  # of the steps that lie so near a multiple, as a part of it, where chance would lay one in five
+# Relative resolution of the 32-bit floats in which files store coordinates.
+FLOAT32_RESOLUTION = 2.0**-23
+# Number of steps, evenly spread, from which a common divisor of the coordinates is estimated.
+MAX_SAMPLED_STEPS = 50_000
+# Quantiles of the steps that may equal the common divisor once.
+STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
+# Fraction of the steps that must lie near a multiple of the divisor, and how near, as a fraction of it (by chance: one in five).
+MIN_MULTIPLE_FRACTION = 0.9
+MULTIPLE_TOLERANCE = 0.1
 
 
-def estimate_resolution(markers: np.ndarray) -> float:
-    """-> metres: the smallest difference that the coordinates of `markers` (T, M, 3) show.
+def estimate_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Estimate the smallest difference in metres that the coordinates of the markers resolve.
 
-    A file of integers keeps multiples of its scale, and so does what was converted from one, whatever it says of itself.
+    A file of integers stores multiples of its scale, and so does a file that was converted from one, whatever its header says.
     """
-    digit = compute_float_resolution(markers)
+    resolution = compute_float_resolution(markers)
     steps = np.abs(np.diff(markers, axis=0)).ravel()
-    steps = steps[steps > digit]
+    steps = steps[steps > resolution]
     if len(steps) == 0:
-        return digit
+        return resolution
     steps = steps[np.linspace(0, len(steps) - 1, min(MAX_SAMPLED_STEPS, len(steps))).astype(int)]
-    for smallest in np.quantile(steps, STEP_QUANTILES):
-        off = np.abs(steps / smallest - np.rint(steps / smallest))
-        if (off < MULTIPLE_TOLERANCE).mean() > MIN_MULTIPLE_FRACTION:
-            return float(smallest)
-    return digit
+    for divisor in np.quantile(steps, STEP_QUANTILES):
+        remainder = np.abs(steps / divisor - np.rint(steps / divisor))
+        if (remainder < MULTIPLE_TOLERANCE).mean() > MIN_MULTIPLE_FRACTION:
+            return float(divisor)
+    return resolution
 
 
-def compute_float_resolution(markers: np.ndarray) -> float:
-    """-> metres: what the last digit of a 32-bit float is worth at the farthest of `markers` (T, M, 3)."""
+def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Compute the resolution in metres of a 32-bit float at the largest coordinate of the markers."""
     return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
 
 
-def compute_polynomial_misfits(path: np.ndarray, degree: int, length: int, starts: np.ndarray) -> np.ndarray:
-    """-> (S,) metres: by how much the nearest polynomial misses any of the `length` samples from each of `starts` (S,) on.
+def compute_polynomial_misfits(
+    path: Float[np.ndarray, "T 3"], degree: int, length: int, starts: Int[np.ndarray, " S"]
+) -> Float[np.ndarray, " S"]:
+    """Compute by how much the best polynomial misses any of the `length` samples from each start on.
 
-    path  (T, 3) metres, NaN where not seen, which makes what is missed NaN
+    Args:
+        path: World positions in metres, NaN where missing, which makes the misfit NaN.
+        degree: Degree of the polynomial.
+        length: Number of samples of a stretch.
+        starts: Index of the first sample of each stretch.
+
+    Returns:
+        The largest absolute residual of a coordinate in metres.
     """
     basis = np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
-    left = np.eye(length) - basis @ basis.T
-    return np.abs(sliding_window_view(path, length, axis=0)[starts] @ left).max((1, 2))
+    projection = np.eye(length) - basis @ basis.T
+    return np.abs(sliding_window_view(path, length, axis=0)[starts] @ projection).max((1, 2))
 
 
-def find_exact_stretches(path: np.ndarray, degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
-    """-> the longest stretches (first, last) of at least `length` samples that one polynomial hits to the last digit.
+def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
+    """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
 
-    path (T, 3) metres, NaN where not seen; digit in metres
+    Args:
+        path: World positions in metres, NaN where missing.
+        degree: Degree of the polynomial.
+        length: Smallest number of samples.
+        resolution: Resolution of the coordinates in metres.
+
+    Returns:
+        The first and the last index of each stretch.
     """
     if len(path) < length:
         return []
-    apart, order = (length - 1) // (degree + 1), degree + 1
-    contrast = path[: len(path) - length + 1].copy()  # the difference of the order that makes nothing of such a polynomial
+    # The finite difference of order degree + 1, with samples as far apart as fit, vanishes for such a polynomial.
+    # It rejects most stretches before the polynomial is fitted.
+    spacing, order = (length - 1) // (degree + 1), degree + 1
+    difference = path[: len(path) - length + 1].copy()
     weight = 1.0
     for k in range(1, order + 1):
         weight *= -(order - k + 1) / k
-        contrast += weight * path[k * apart : k * apart + len(contrast)]
-    able = np.flatnonzero(np.abs(contrast).max(1) <= 2**order * resolution)
-    hit = np.zeros(len(contrast), bool)
-    hit[able] = compute_polynomial_misfits(path, degree, length, able) <= resolution
-    long = ((first, last + length - 1) for first, last in find_runs(hit))
+        difference += weight * path[k * spacing : k * spacing + len(difference)]
+    candidates = np.flatnonzero(np.abs(difference).max(1) <= 2**order * resolution)
+    is_exact = np.zeros(len(difference), bool)
+    is_exact[candidates] = compute_polynomial_misfits(path, degree, length, candidates) <= resolution
+    stretches = ((first, last + length - 1) for first, last in find_runs(is_exact))
     return [
         (a, b)
-        for a, b in long
+        for a, b in stretches
         if compute_polynomial_misfits(path[a : b + 1], degree, b - a + 1, np.zeros(1, int))[0] <= resolution
     ]
 
 
-def trim_measured_ends(visible: np.ndarray, first: int, last: int) -> tuple[int, int]:
-    """-> first, last without the measured samples that a fill joins; beside a gap (`seen` (T,)) or the take's ends are none."""
-    joined = first > 0 and visible[first - 1]
-    joins = last + 1 < len(visible) and visible[last + 1]
-    return first + int(joined), last - int(joins)
+def trim_measured_ends(visible: Bool[np.ndarray, " T"], first: int, last: int) -> tuple[int, int]:
+    """Return first, last without the measured samples that a fill connects.
+
+    Next to a gap and at the ends of the take a fill connects to nothing, and nothing is removed there.
+    """
+    has_start = first > 0 and visible[first - 1]
+    has_end = last + 1 < len(visible) and visible[last + 1]
+    return first + int(has_start), last - int(has_end)

@@ -1,36 +1,47 @@
-"""Gaps: the stretches in which a marker is not seen.
+"""Gaps: stretches of missing samples of a marker, and of all markers of a body part.
 
-A gap of a frame or two is a flicker: a moment's doubt of the cameras or of whoever labelled, of which nobody wants to hear
-one by one. Each says how many there are of its marker, so that one can speak for all.
+A gap of one or two frames is a flicker: a momentary doubt of the cameras or of the labeller. As each one is of little interest,
+every flicker states how many there are of its marker.
+
+The markers of a body part that is lost have gaps as well. The fault of the body part adds what those do not show: that no
+neighbour on the same bone can help.
 """
 
 import numpy as np
 
 from mocapfix.faults import Fault, FaultKind
-from mocapfix.marker_sets import LIMB_JOINT_NAMES, MarkerSet
+from mocapfix.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
 
-# MERGED: mocapfix.detect.gaps
-MAX_FLICKER_DURATION_S = 0.02  # seconds: how long a flicker lasts at most, but for one frame, which is always one
+# Longest flicker. A gap of one frame is always one.
+MAX_FLICKER_DURATION_S = 0.02
+# Shorter losses of a body part are bridged by the paths of its markers.
+MIN_LOST_SEGMENT_DURATION_S = 0.1
+# A body part with a single marker is described by that marker's gap.
+MIN_MARKERS_PER_BODY_PART = 2
 
 
 def detect_gaps(take: Take) -> list[Fault]:
-    """-> every gap, flicker, leading and trailing gap, and every marker that is absent throughout, by marker and first frame."""
-    missing = ~take.visible
-    return [fault for m in range(len(take.labels)) for fault in _build_gap_faults(take, m, find_runs(missing[:, m]))]
+    """Detect gaps, flickers, leading and trailing gaps, and markers that are absent throughout.
+
+    Returns:
+        The faults, ordered by marker and first frame. Their severity is the distance in metres between the samples before
+        and after the gap, NaN at the ends of the take.
+    """
+    is_missing = ~take.visible
+    return [fault for m in range(len(take.labels)) for fault in _build_gap_faults(take, m, find_runs(is_missing[:, m]))]
 
 
 def _build_gap_faults(take: Take, marker: int, gaps: list[tuple[int, int]]) -> list[Fault]:
-    """-> the faults that the gaps of one marker are."""
     kinds: list[FaultKind] = [_classify_gap(take, first, last) for first, last in gaps]
-    label, flickers = take.bare_labels[marker], kinds.count("flicker")
-    faults = []
+    label, flicker_count = take.bare_labels[marker], kinds.count("flicker")
+    faults: list[Fault] = []
     for kind, (first, last) in zip(kinds, gaps, strict=True):
-        moved = _measure_marker_travel(take, marker, first, last)
-        reason = f"{label} {_describe_gap(kind, last - first + 1, take.rate, moved, flickers)}"
-        faults.append(Fault(kind, marker, first, last, moved, reason))
+        travel_m = _measure_marker_travel(take, marker, first, last)
+        reason = f"{label} {_describe_gap(kind, last - first + 1, take.rate, travel_m, flicker_count)}"
+        faults.append(Fault(kind, marker, first, last, travel_m, reason))
     return faults
 
 
@@ -47,75 +58,78 @@ def _classify_gap(take: Take, first: int, last: int) -> FaultKind:
 
 
 def _measure_marker_travel(take: Take, marker: int, first: int, last: int) -> float:
-    """-> metres from the sample before a gap to the one after it, NaN where the take begins or ends in it."""
+    """Measure the distance in metres between the samples before and after a gap, NaN at the ends of the take."""
     if first == 0 or last == take.frame_count - 1:
         return float("nan")
     return float(np.linalg.norm(take.markers[last + 1, marker] - take.markers[first - 1, marker]))
 
 
-def _describe_gap(kind: FaultKind, frames: int, rate: float, travel_m: float, flicker_count: int) -> str:
-    seconds = frames / rate
+def _describe_gap(kind: FaultKind, frame_count: int, rate: float, travel_m: float, flicker_count: int) -> str:
+    duration_s = frame_count / rate
     match kind:
         case "absent":
-            return "is never seen in this take."
+            return "is missing in the whole take."
         case "leading gap":
-            return f"is not seen for the take's first {seconds:.2f} s."
+            return f"is missing for the first {duration_s:.2f} s of the take."
         case "trailing gap":
-            return f"is not seen for the take's last {seconds:.2f} s."
+            return f"is missing for the last {duration_s:.2f} s of the take."
         case "flicker":
-            often = f"one of its {flicker_count} flickers" if flicker_count > 1 else "its only flicker"
-            return f"is not seen for {frames} frame{'s' * (frames > 1)} and moves {travel_m * 1e3:.0f} mm meanwhile, {often}."
+            which = f"one of its {flicker_count} flickers" if flicker_count > 1 else "its only flicker"
+            frames = f"{frame_count} frame{'s' * (frame_count > 1)}"
+            return f"is missing for {frames} and moves by {travel_m * 1e3:.0f} mm meanwhile, {which}."
         case _:
-            return f"is not seen for {seconds:.2f} s and moves {travel_m * 1e3:.0f} mm meanwhile."
-
-
-# MERGED: mocapfix.detect.segments
-# Segments lost: the stretches in which nothing of a segment, a limb or the whole body is seen.
-#
-# Their markers' gaps are all there besides; this says what the gaps do not, that no neighbour on the same bone can help.
-MIN_LOST_SEGMENT_DURATION_S = 0.1  # seconds: what is lost for less, its markers' own paths carry over
-MIN_MARKERS_PER_BODY_PART = 2  # markers of a segment; of a single one its gap says it all
+            return f"is missing for {duration_s:.2f} s and moves by {travel_m * 1e3:.0f} mm meanwhile."
 
 
 def detect_lost_segments(take: Take, marker_set: MarkerSet) -> list[Fault]:
-    """-> where all markers of a part of the body are missing that the take has at all, by first frame.
+    """Detect the stretches in which all markers of a body part are missing that the take has at all.
 
-    What is lost with a greater part is not named besides.
+    Returns:
+        The faults, ordered by first frame. Parts that are lost together with a larger part are not reported separately.
+        The severity is the median travel in metres of the part's markers, NaN at the ends of the take.
     """
     faults: list[Fault] = []
     for name, markers in list_body_parts(take, marker_set):
         for first, last in find_runs(~np.any(take.visible[:, markers], axis=1)):
-            inside = any(whole.first <= first and last <= whole.last and set(markers) <= set(whole.markers) for whole in faults)
-            if last - first + 1 >= MIN_LOST_SEGMENT_DURATION_S * take.rate and not inside:
+            is_known = any(
+                larger.first <= first and last <= larger.last and set(markers) <= set(larger.markers) for larger in faults
+            )
+            if last - first + 1 >= MIN_LOST_SEGMENT_DURATION_S * take.rate and not is_known:
                 faults.append(_build_lost_segment_fault(take, name, markers, first, last))
     return sorted(faults, key=lambda fault: (fault.first, -len(fault.other_markers)))
 
 
 def list_body_parts(take: Take, marker_set: MarkerSet) -> list[tuple[str, list[int]]]:
-    """-> the body, its limbs and its segments, greater ones first: what each is called, and its markers in the take."""
-    columns, names = marker_set.find_columns(take.labels), np.array(load_cmu31_body().skeleton.names)[marker_set.joints]
-    bones = {"the body": set(names)} | {f"the {limb}": set(joints) for limb, joints in LIMB_JOINT_NAMES.items()}
-    bones |= {name: {name} for name in dict.fromkeys(names.tolist())}
-    found = [(part, [int(c) for c in columns[np.isin(names, list(on))] if c >= 0]) for part, on in bones.items()]
-    return [(part, markers) for part, markers in found if len(markers) >= MIN_MARKERS_PER_BODY_PART]
+    """List the body, its limbs and its segments, larger ones first, with the indices of their markers in the take."""
+    columns = marker_set.find_columns(take.labels)
+    marker_joints = np.array(load_cmu31_body().skeleton.names)[marker_set.joints]
+    joints_by_part: dict[str, set[str]] = {"the body": set(marker_joints.tolist())}
+    joints_by_part |= {f"the {limb}": set(joints) for limb, joints in LIMB_JOINT_NAMES.items()}
+    joints_by_part |= {name: {name} for name in dict.fromkeys(marker_joints.tolist())}
+    parts = [
+        (part, [int(c) for c in columns[np.isin(marker_joints, list(joints))] if c >= 0])
+        for part, joints in joints_by_part.items()
+    ]
+    return [(part, markers) for part, markers in parts if len(markers) >= MIN_MARKERS_PER_BODY_PART]
 
 
 def _build_lost_segment_fault(take: Take, name: str, markers: list[int], first: int, last: int) -> Fault:
-    seconds, whole = (last - first + 1) / take.rate, last - first + 1 == take.frame_count
-    time = "in the whole take" if whole else f"for {seconds:.2f} s"
-    labels = ", ".join(take.bare_labels[m] for m in markers)
-    known = "only its neighbours and people's usual poses tell where it is"
-    reason = f"Nothing of {name} is seen {time} ({labels}): {known}."
+    is_whole_take = last - first + 1 == take.frame_count
+    time = "in the whole take" if is_whole_take else f"for {(last - first + 1) / take.rate:.2f} s"
     if name == "the body":
-        reason = f"Nothing of the body is seen {time}: where it is can only be guessed from before and after."
-    return Fault(
-        "segment lost", markers[0], first, last, _measure_part_travel(take, markers, first, last), reason, 1.0, tuple(markers[1:])
-    )
+        reason = f"All markers of the body are missing {time}: its pose is estimated from the frames before and after."
+    else:
+        labels = ", ".join(take.bare_labels[m] for m in markers)
+        reason = (
+            f"All markers of {name} are missing {time} ({labels}): its pose is estimated from its neighbours and the pose prior."
+        )
+    travel_m = _measure_part_travel(take, markers, first, last)
+    return Fault("segment lost", markers[0], first, last, travel_m, reason, 1.0, tuple(markers[1:]))
 
 
 def _measure_part_travel(take: Take, markers: list[int], first: int, last: int) -> float:
-    """-> metres: how far the part's markers that are seen on both sides move meanwhile, the median; NaN where none is."""
+    """Measure the median distance in metres between the samples before and after, NaN if no marker has both."""
     if first == 0 or last == take.frame_count - 1:
         return float("nan")
-    way = np.linalg.norm(take.markers[last + 1, markers] - take.markers[first - 1, markers], axis=-1)
-    return float(np.nanmedian(way)) if np.isfinite(way).any() else float("nan")
+    travel_m = np.linalg.norm(take.markers[last + 1, markers] - take.markers[first - 1, markers], axis=-1)
+    return float(np.nanmedian(travel_m)) if np.isfinite(travel_m).any() else float("nan")

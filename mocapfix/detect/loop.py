@@ -88,7 +88,9 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     return replace(state, detection=advanced)
 
 
-def detect_remaining_faults(take: Take, marker_set: MarkerSet | None, accepts_fault: FaultFilter, options: CleanOptions) -> Faults:
+def detect_remaining_faults(
+    take: Take, marker_set: MarkerSet | None, accepts_fault: FaultFilter, options: CleanOptions
+) -> Faults:
     """Detect the faults of the samples of a take whose labels are right.
 
     Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Without that, cleaning the

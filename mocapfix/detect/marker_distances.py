@@ -1,33 +1,50 @@
-"""What a take tells of each marker's distances to the others, and how badly a sample contradicts them.
+"""Distances between markers, learnt from the take itself, and how badly a sample contradicts them.
 
-Two markers of one segment keep their distance; which ones do, and how well, is learnt from the take itself (Ringer & Lasenby
-2004, "A procedure for automatically estimating model parameters in optical motion capture"). A sample under the wrong label
-breaks the distances to its label's partners and keeps those to another's. Each partner has one limited vote, so that one that
-is itself off, or mislabelled, cannot outvote the others.
+Two markers on the same segment keep their distance (Ringer & Lasenby 2004, "A procedure for automatically estimating model
+parameters in optical motion capture"). Which ones do, and how well, is estimated from the take. A sample under the wrong label
+breaks the distances to its label's partners and keeps those to another marker's partners. Each partner has one bounded vote, so
+that a faulty or mislabelled partner cannot outvote the others.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 from scipy.special import ndtri
 
-# MERGED: mocapfix.detect.distances
-MAX_DISTANCE_PARTNERS = 8  # of one marker, at most
-MAX_PARTNER_SD_M = 0.03  # metres: a distance that varies by more tells little of which marker is which
-MIN_DISTANCE_SD_M = 0.003  # metres: by which even a distance on one rigid segment varies
-BROKEN_DISTANCE_SD = 3.0  # standard deviations from which on a distance is wholly broken
-MAX_DISTANCE_FRAMES = 300  # frames at most, evenly spread, from which the distances are learnt
-MIN_JOINT_FRAMES = 20  # of these in which both were seen; all of fewer
-MIN_CORRECT_FRACTION = 0.55  # of these frames must be right, whatever the rest
+# Number of partners of a marker.
+MAX_DISTANCE_PARTNERS = 8
+# A distance with a larger standard deviation does not identify a marker.
+MAX_PARTNER_SD_M = 0.03
+# Standard deviation of a distance even on a rigid segment.
+MIN_DISTANCE_SD_M = 0.003
+# A distance is fully broken from this many standard deviations.
+BROKEN_DISTANCE_SD = 3.0
+# Number of frames, evenly spread, from which the distances are learnt.
+MAX_DISTANCE_FRAMES = 300
+# Number of these frames, or all of them if there are fewer, in which both markers must be visible.
+MIN_JOINT_FRAMES = 20
+# Fraction of the frames in which a distance is assumed to be correct.
+MIN_CORRECT_FRACTION = 0.55
+
+# Number of pairs of frames, evenly spread, from which the changes of distances are learnt.
+MAX_FRAME_PAIRS = 300
+# Number of these pairs in which both markers must be visible.
+MIN_VISIBLE_FRAME_PAIRS = 20
+# Time between the frames of a pair, or half the take if that is shorter.
+DISTANCE_CHANGE_INTERVAL_S = 1.0
+# Quantile of the changes that is returned: about one standard deviation of a normal distribution.
+DISTANCE_CHANGE_QUANTILE = 0.84
 
 
 class MarkerDistances(NamedTuple):
-    """The distances that each of M markers keeps to its K steadiest partners.
+    """The distances of each of M markers to its K partners with the steadiest distances.
 
-    partner    (M, K) int, steadiest first; -1 where there are fewer
-    length     (M, K) metres
-    tolerance  (M, K) metres from which on a distance is broken
+    Attributes:
+        partner: Marker indices (M, K), steadiest first, -1 where there are fewer.
+        length_m: Distances (M, K) in metres.
+        tolerance_m: Deviations (M, K) in metres from which a distance is broken.
     """
 
     partner: np.ndarray
@@ -35,45 +52,57 @@ class MarkerDistances(NamedTuple):
     tolerance_m: np.ndarray
 
 
-def estimate_distances(markers: np.ndarray, min_correct_fraction: float = MIN_CORRECT_FRACTION) -> MarkerDistances:
-    """-> the distances that markers (T, M, 3), in metres, NaN where not seen, keep over `most` (0..1) of the take."""
+def estimate_distances(
+    markers: Float[np.ndarray, "T M 3"], min_correct_fraction: float = MIN_CORRECT_FRACTION
+) -> MarkerDistances:
+    """Estimate the distances that markers keep over a fraction of the take.
+
+    Args:
+        markers: World positions in metres, NaN where missing.
+        min_correct_fraction: Fraction of the frames in which the distances are assumed to be correct.
+    """
     count = markers.shape[1]
-    middle, spread = estimate_distance_statistics(markers, min_correct_fraction)
-    order = np.argsort(spread, axis=1, kind="stable")[:, :MAX_DISTANCE_PARTNERS]
+    length_m, sd_m = estimate_distance_statistics(markers, min_correct_fraction)
+    order = np.argsort(sd_m, axis=1, kind="stable")[:, :MAX_DISTANCE_PARTNERS]
     rows = np.arange(count)[:, None]
-    steady = spread[rows, order] < MAX_PARTNER_SD_M
-    tolerance = BROKEN_DISTANCE_SD * np.hypot(np.where(steady, spread[rows, order], 0), MIN_DISTANCE_SD_M)
-    return MarkerDistances(np.where(steady, order, -1), np.where(steady, middle[rows, order], 0), tolerance)
+    is_steady = sd_m[rows, order] < MAX_PARTNER_SD_M
+    tolerance_m = BROKEN_DISTANCE_SD * np.hypot(np.where(is_steady, sd_m[rows, order], 0), MIN_DISTANCE_SD_M)
+    return MarkerDistances(np.where(is_steady, order, -1), np.where(is_steady, length_m[rows, order], 0), tolerance_m)
 
 
-def estimate_distance_statistics(markers: np.ndarray, min_correct_fraction: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> centre and robust standard deviation (M, M) of the distances of markers (T, M, 3), metres; infinite where hardly seen.
+def estimate_distance_statistics(
+    markers: Float[np.ndarray, "T M 3"], min_correct_fraction: float
+) -> tuple[Float[np.ndarray, "M M"], Float[np.ndarray, "M M"]]:
+    """Estimate the centre and the robust standard deviation of the distances between markers, in metres.
 
-    Those of the shortest interval that holds `most` of the frames, so that it does not matter how far off the others are.
+    Both are taken from the shortest interval that holds `min_correct_fraction` of the frames, so that the size of the other
+    deviations does not matter. They are infinite for markers that are hardly ever visible together, and for a marker and itself.
     """
     frames, count = markers.shape[:2]
-    centre, spread = np.full((count, count), np.inf), np.full((count, count), np.inf)
-    some = markers[np.unique(np.linspace(0, frames - 1, MAX_DISTANCE_FRAMES).astype(int))] if frames else markers
+    centre, sd = np.full((count, count), np.inf), np.full((count, count), np.inf)
+    sample = markers[np.unique(np.linspace(0, frames - 1, MAX_DISTANCE_FRAMES).astype(int))] if frames else markers
     for i in range(1, count):
-        distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, :i], axis=-1), axis=0)  # NaN comes last
-        seen = (~np.isnan(distance)).sum(0)
-        for j in np.flatnonzero(seen >= max(2, min(MIN_JOINT_FRAMES, len(some)))):
-            held = int(np.ceil(min_correct_fraction * seen[j]))
-            width = distance[held - 1 : seen[j], j] - distance[: seen[j] - held + 1, j]
+        distance = np.sort(np.linalg.norm(sample[:, i, None] - sample[:, :i], axis=-1), axis=0)  # NaN sorts last
+        visible_count = (~np.isnan(distance)).sum(0)
+        for j in np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, len(sample)))):
+            inside = int(np.ceil(min_correct_fraction * visible_count[j]))
+            width = distance[inside - 1 : visible_count[j], j] - distance[: visible_count[j] - inside + 1, j]
             start = int(np.argmin(width))
             centre[i, j] = centre[j, i] = distance[start, j] + width[start] / 2
-            spread[i, j] = spread[j, i] = width[start] / 2 / ndtri((1 + min_correct_fraction) / 2)  # as of a normal distribution
-    return centre, spread
+            # the standard deviation of a normal distribution with the same central interval
+            sd[i, j] = sd[j, i] = width[start] / 2 / ndtri((1 + min_correct_fraction) / 2)
+    return centre, sd
 
 
 @njit(cache=True)
 def compute_contradiction(markers, distances, frame, label, marker, is_excluded, unseen_vote):
-    """-> 0..1: how badly the sample under `label` fits as the `marker`, on its partners' weighted average.
+    """Compute how badly the sample under `label` fits as the `marker`: 0 (well) to 1.
 
-    `known` are the Distances. Partners that are `left_out` (M,) have no vote. Those not seen vote `chance`: 1 where labels are
-    compared, for a marker that may be anywhere explains what is seen no better than chance does.
+    The value is the weighted mean over the marker's partners. Partners with `is_excluded` (M,) have no vote. Missing partners
+    vote `unseen_vote`: 1 where labels are compared, because a marker that may be anywhere explains the samples no better than
+    chance.
     """
-    against, votes = 0.0, 0.0
+    contradiction, votes = 0.0, 0.0
     for k in range(distances.partner.shape[1]):
         p = distances.partner[marker, k]
         if p < 0 or is_excluded[p] or p == label:
@@ -83,52 +112,46 @@ def compute_contradiction(markers, distances, frame, label, marker, is_excluded,
             square += (markers[frame, label, x] - markers[frame, p, x]) ** 2
         weight = 1 / distances.tolerance_m[marker, k] ** 2
         votes += weight
-        off = (np.sqrt(square) - distances.length_m[marker, k]) / distances.tolerance_m[marker, k]
-        against += weight * (unseen_vote if np.isnan(square) else min(1.0, off * off))
-    return against / votes if votes else unseen_vote
+        deviation = (np.sqrt(square) - distances.length_m[marker, k]) / distances.tolerance_m[marker, k]
+        contradiction += weight * (unseen_vote if np.isnan(square) else min(1.0, deviation * deviation))
+    return contradiction / votes if votes else unseen_vote
 
 
 @njit(cache=True)
 def compute_own_contradictions(markers, distances, unseen_vote):
-    """-> (T, M) 0..1: how badly each sample fits under its own label."""
+    """Compute how badly each sample fits under its own label: (T, M), 0..1."""
     frames, count = markers.shape[:2]
-    nobody = np.zeros(count, np.bool_)
+    is_excluded = np.zeros(count, np.bool_)
     own = np.empty((frames, count))
     for t in range(frames):
         for m in range(count):
-            own[t, m] = compute_contradiction(markers, distances, t, m, m, nobody, unseen_vote)
+            own[t, m] = compute_contradiction(markers, distances, t, m, m, is_excluded, unseen_vote)
     return own
 
 
-# MERGED: mocapfix.detect.neighbours
-# Which markers keep their distance to which: those on one segment, learnt from the take itself.
-#
-# Two markers of one rigid thing keep their distance over the whole take (Ringer & Lasenby 2004, "A procedure for automatically
-# estimating model parameters in optical motion capture"). Asked is by how much a distance changes within a second: that is deaf
-# to a marker that moves on its segment once, and hears what joints and skin do.
-MAX_FRAME_PAIRS = 300  # pairs of frames at most, evenly spread, from which distances are learnt
-MIN_VISIBLE_FRAME_PAIRS = 20  # of these in which both markers must be seen
-DISTANCE_CHANGE_INTERVAL_S = 1.0  # seconds; half of a take that is shorter than two
-DISTANCE_CHANGE_QUANTILE = 0.84  # of the changes are smaller: a normal distribution's standard deviation, about
+def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, "M M"]:
+    """Estimate by how much the distances between markers change within a second.
 
+    Unlike the standard deviation of a distance, this ignores a marker that moves on its segment once, and responds to
+    joints and skin.
 
-def estimate_distance_changes(markers: np.ndarray, rate: float) -> np.ndarray:
-    """-> (M, M) metres: by how much the distance of two markers usually changes in a second; infinite where hardly known.
+    Args:
+        markers: World positions in metres, NaN where missing or not an inlier.
+        rate: Frame rate in Hz.
 
-    Infinite, too, for a marker and itself.
-
-    markers  (T, M, 3) metres, NaN where not believed; rate in Hz
+    Returns:
+        The usual change in metres. Infinite for markers that are hardly ever visible together, and for a marker and itself.
     """
     frames, count = markers.shape[:2]
-    loose = np.full((count, count), np.inf)
+    usual_change = np.full((count, count), np.inf)
     lag = min(round(DISTANCE_CHANGE_INTERVAL_S * rate), frames // 2)
     starts = np.unique(np.linspace(0, frames - lag - 1, MAX_FRAME_PAIRS).astype(int)) if lag else np.zeros(0, int)
     before, after = markers[starts], markers[starts + lag]
     for i in range(1, count):
-        was, is_now = (np.linalg.norm(some[:, :i] - some[:, i, None], axis=-1) for some in (before, after))
-        change = np.sort(np.abs(is_now - was), axis=0)  # NaN comes last
-        known = (~np.isnan(change)).sum(0)
-        others = np.flatnonzero(known >= min(MIN_VISIBLE_FRAME_PAIRS, max(2, len(starts))))
-        usual = np.rint(DISTANCE_CHANGE_QUANTILE * (known[others] - 1)).astype(int)
-        loose[i, others] = loose[others, i] = change[usual, others]
-    return loose
+        old, new = (np.linalg.norm(sample[:, :i] - sample[:, i, None], axis=-1) for sample in (before, after))
+        change = np.sort(np.abs(new - old), axis=0)  # NaN sorts last
+        visible_count = (~np.isnan(change)).sum(0)
+        others = np.flatnonzero(visible_count >= min(MIN_VISIBLE_FRAME_PAIRS, max(2, len(starts))))
+        row = np.rint(DISTANCE_CHANGE_QUANTILE * (visible_count[others] - 1)).astype(int)
+        usual_change[i, others] = usual_change[others, i] = change[row, others]
+    return usual_change

@@ -1,32 +1,36 @@
-"""Pieces: what one point drew without a break, of trajectories that may belong under another label.
+"""Trajectory segments: unbroken parts of trajectories that may belong to another label.
 
-These are the unlabelled trajectories, and those whose label is another's with a number added (`RBAC-1` beside RBAC) or the very
-same. Cameras lose a point and pick up another under the same label, so a trajectory is cut wherever it pauses or leaps.
+These are the unlabelled trajectories, and those whose label is another label with a number appended (`RBAC-1` beside `RBAC`) or
+a repetition of it. Cameras lose a point and pick up another one under the same label, so a trajectory is split at pauses
+and leaps.
 """
 
 import re
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.take import Take
 
+# A label with a number appended: "RBAC-1", "RBAC_12", "RBAC (2)".
 NUMBERED_LABEL = re.compile(r"(.*[^\W_])(?:[-_.#* ]+\d+|\s*\(\d+\))")
-MAX_PAUSE_S = 0.025  # seconds: a longer one ends a piece
-SEGMENT_STEP_TOLERANCE_M, SEGMENT_STEP_TOLERANCE_M_PER_S2 = (
-    0.015,
-    200.0,
-)  # metres, m/s2: a step farther off a straight course than that in its time is another point's
+# A longer pause ends a segment.
+MAX_PAUSE_S = 0.025
+# A step that deviates more from a straight path belongs to another point: a constant, and a term in the square of its time.
+SEGMENT_STEP_TOLERANCE_M = 0.015
+SEGMENT_STEP_TOLERANCE_M_PER_S2 = 200.0
 
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """What one point drew without a break.
+    """An unbroken part of one trajectory.
 
-    donor     index into the take's labels or, from their number on, into those of its unlabelled trajectories
-    namesake  the marker whose name it bears, -1 for none
-    frames    (N,) indices into the take
-    points    (N, 3) metres
+    Attributes:
+        donor: Index into the take's labels or, from their number on, into its unlabelled trajectories.
+        namesake: Index of the marker whose label it has, -1 if none.
+        frames: Frame indices (N,).
+        points: World positions (N, 3) in metres.
     """
 
     donor: int
@@ -34,11 +38,20 @@ class TrajectorySegment:
     frames: np.ndarray
     points: np.ndarray
 
+    @property
+    def first(self) -> int:
+        """Index of the first frame."""
+        return int(self.frames[0])
+
+    @property
+    def last(self) -> int:
+        """Index of the last frame."""
+        return int(self.frames[-1])
+
 
 def find_loose_segments(take: Take) -> list[TrajectorySegment]:
-    """-> the pieces of all trajectories that may belong under another label, by donor and first frame."""
-    named = find_namesakes(take)
-    loose = [(donor, marker, take.markers[:, donor]) for donor, marker in named.items()]
+    """Split the trajectories that may belong to another label into segments, ordered by donor and first frame."""
+    loose = [(donor, marker, take.markers[:, donor]) for donor, marker in find_namesakes(take).items()]
     if take.unlabelled is not None:
         loose += [(len(take.labels) + u, -1, take.unlabelled.markers[:, u]) for u in range(len(take.unlabelled.labels))]
     return [
@@ -49,16 +62,17 @@ def find_loose_segments(take: Take) -> list[TrajectorySegment]:
 
 
 def find_namesakes(take: Take) -> dict[int, int]:
-    """-> the markers that bear another marker's name: their index and the other's.
+    """Find the markers that have another marker's label; return their indices and those of the other markers.
 
-    Of several with the very same label the one seen longest is the marker. A numbered label whose marker is not in the take
-    is a name like any other.
+    If several markers have the same label, the one that is visible longest is the marker. A numbered label whose base label
+    is not in the take is a label of its own.
     """
-    seen, first = take.visible.sum(0), dict[str, int]()
-    for m in np.argsort(-seen, kind="stable"):
-        first.setdefault(take.labels[m], int(m))
-    bases = [take.labels[m] if first[take.labels[m]] != m else _strip_number(take.labels[m]) for m in range(len(take.labels))]
-    return {m: first[base] for m, base in enumerate(bases) if base in first}
+    visible_count = take.visible.sum(0)
+    first_of_label: dict[str, int] = {}
+    for m in np.argsort(-visible_count, kind="stable"):
+        first_of_label.setdefault(take.labels[m], int(m))
+    bases = [label if first_of_label[label] != m else _strip_number(label) for m, label in enumerate(take.labels)]
+    return {m: first_of_label[base] for m, base in enumerate(bases) if base in first_of_label}
 
 
 def _strip_number(label: str) -> str | None:
@@ -66,19 +80,14 @@ def _strip_number(label: str) -> str | None:
     return numbered.group(1) if numbered else None
 
 
-def split_trajectory(frames: np.ndarray, path: np.ndarray, rate: float) -> list[np.ndarray]:
-    """-> the `frames` (N,) at which a path (T, 3) is seen, cut where it pauses, and where it leaps seen from either side."""
+def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3"], rate: float) -> list[Int[np.ndarray, " _"]]:
+    """Split the frames at which a path is visible at pauses, and at steps that are leaps as seen from both sides."""
     if not len(frames):
         return []
     lag, step = np.diff(frames)[:, None] / rate, np.diff(path[frames], axis=0)
-    ahead, behind = np.full(len(step), np.inf), np.full(len(step), np.inf)
-    ahead[1:] = np.linalg.norm(step[1:] - step[:-1] / lag[:-1] * lag[1:], axis=1)
-    behind[:-1] = np.linalg.norm(step[:-1] - step[1:] / lag[1:] * lag[:-1], axis=1)
-    off, lag = np.minimum(ahead, behind), lag[:, 0]
-    leaps = np.isfinite(off) & (off > SEGMENT_STEP_TOLERANCE_M + SEGMENT_STEP_TOLERANCE_M_PER_S2 * lag**2)
-    return np.split(frames, np.flatnonzero(leaps | (lag > MAX_PAUSE_S)) + 1)
-
-
-def do_segments_overlap(one: TrajectorySegment, other: TrajectorySegment) -> bool:
-    """Are the two seen at one time?"""
-    return bool(one.frames[0] <= other.frames[-1] and other.frames[0] <= one.frames[-1])
+    error_before, error_after = np.full(len(step), np.inf), np.full(len(step), np.inf)
+    error_before[1:] = np.linalg.norm(step[1:] - step[:-1] / lag[:-1] * lag[1:], axis=1)
+    error_after[:-1] = np.linalg.norm(step[:-1] - step[1:] / lag[1:] * lag[:-1], axis=1)
+    error, lag = np.minimum(error_before, error_after), lag[:, 0]
+    is_leap = np.isfinite(error) & (error > SEGMENT_STEP_TOLERANCE_M + SEGMENT_STEP_TOLERANCE_M_PER_S2 * lag**2)
+    return np.split(frames, np.flatnonzero(is_leap | (lag > MAX_PAUSE_S)) + 1)
