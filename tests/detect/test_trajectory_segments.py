@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect.trajectory_segments import do_segments_overlap, find_loose_segments, find_namesakes, split_trajectory
+from mocapfix.faults import overlap_in_time
+from mocapfix.detect.trajectory_segments import find_loose_segments, find_namesakes, split_trajectory
 from mocapfix.take import Take
 
 RATE = 120.0
@@ -62,7 +63,7 @@ def test_unlabelled_ones_are_counted_on_from_the_labels():
 
 def test_who_is_seen_at_one_time():
     one, other = find_loose_segments(Take(MOVING[:, None], ("A",), RATE, unlabelled=take_of("*1", "*2", seen={0: 50})))
-    assert do_segments_overlap(one, other)
+    assert overlap_in_time(one, other)
     late = type(other)(other.donor, -1, other.frames[50:], other.points[50:])
-    assert not do_segments_overlap(one, late)
-    assert not do_segments_overlap(late, one)
+    assert not overlap_in_time(one, late)
+    assert not overlap_in_time(late, one)
