@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from mocapfix import multi_subject
 from mocapfix.animation import Animation
-from mocapfix.animations.clean import clean_animation, inspect_animation
+from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
 from mocapfix.calibrate.calibration import calibrate_subject
 from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
@@ -33,7 +33,7 @@ from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.body_fit import FitSettings, calibrate_body, initialise_body, place_moved_markers, solve_body
+from mocapfix.solve.body_fit import calibrate_body, initialise_body, place_moved_markers, solve_body
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -73,16 +73,8 @@ def clean(
     with timer("read"):
         capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
-        settings = FitSettings(load_pose_model, options.solve, options.initialise.method, options.prior.prior)
-        return clean_animation(
-            capture,
-            settings,
-            options.subject.hierarchy,
-            options.fill,
-            options.detect.repair_kinds,
-            options.review.review_files,
-            timer,
-        )
+        return clean_animation(capture, options, load_pose_model, timer)
+    reject_hierarchy(capture, options.subject)
     check_fill_options(capture, options.fill)
     takes = split_known_subjects(capture, options.subject)
     reviewed_changes = read_review_files(options.review.review_files, takes)
@@ -181,7 +173,8 @@ def inspect(
     load_pose_model = build_pose_model_loader(options.prior.prior)
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
-        return [inspect_animation(capture, options.subject.hierarchy)]
+        return [inspect_animation(capture, options)]
+    reject_hierarchy(capture, options.subject)
     reports: list[InspectionReport] = []
     for take in split_known_subjects(capture, options.subject):
         state = replace(start_cleaning(take, options.subject), load_pose_model=load_pose_model)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.animation import Animation
-from mocapfix.animations import joint_points
 from mocapfix.changes import Change, UnfilledRun
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
@@ -49,8 +47,6 @@ class CleaningResult:
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
     report           contents of the JSON report
     subject_results  results by subject of a take of several subjects. Their common result has no body of its own
-    joint_centres    joint positions of a cleaned animation, whose other takes contain the tips of its joints (see
-                     mocapfix.animations.joint_points); its subject and motion are those of the 31 mapped joints
     """
 
     input_take: Take
@@ -66,7 +62,6 @@ class CleaningResult:
     residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
     subject_results: tuple["CleaningResult", ...] = ()
-    joint_centres: Take | None = None
 
     def write(
         self,
@@ -111,10 +106,17 @@ class CleaningResult:
         paths = build_output_paths(folder, self._stem, self.input_take.path, options, self.input_take.output_stem)
         return {suffix: path for suffix, path in paths.items() if suffix not in unavailable}
 
+    def write_source_copy(self, target: Path) -> list[tuple[int, int]]:
+        """Write a copy of the input file with the changed samples replaced.
+
+        Returns the (frame, marker) indices of the samples that the file's format cannot store.
+        """
+        return write_cleaned_copy(target, self.input_take, self.take)
+
     @property
     def output_take(self) -> Take:
-        """The take that is written: the cleaned markers, or the joint positions of an animation."""
-        return self.joint_centres or self.take
+        """The take that is written: the cleaned markers."""
+        return self.take
 
     @property
     def subject_report(self) -> Report:
@@ -138,7 +140,7 @@ class CleaningResult:
         timers = [StageTimer(dict(result.subject_report["seconds"]), report_progress) for result in results]
         with timers[0]("write"):
             target = folder / f"{self._stem}.{get_source_suffixes(self.input_take.path)[0]}"
-            unstorable_samples = write_cleaned_copy(target, self.input_take, self.take)
+            unstorable_samples = self.write_source_copy(target)
         for result, timer in zip(results, timers, strict=True):
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
             unstorable = [(frame, index[m]) for frame, m in unstorable_samples if m in index]
@@ -180,8 +182,6 @@ class CleaningResult:
         from mocapfix.report.terms import get_point_terms
 
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world
-        if isinstance(self.take.layout, Animation):
-            skeleton, joints = joint_points.build_joint_skeleton(self.take.layout)
         return CleaningComparison(
             self.input_take,
             self.relabelled_take,

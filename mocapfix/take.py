@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -32,6 +32,7 @@ class Take:
         subject_names: Names of the subjects that the file lists, whether or not it holds their markers.
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
+        point_kind: "joint" if the points are the joints of an animation (see mocapfix.animations.joint_points).
     """
 
     markers: Float[np.ndarray, "T M 3"]
@@ -50,6 +51,7 @@ class Take:
     subject_names: tuple[str, ...] = ()
     subject_name: str = ""
     notes: tuple[str, ...] = ()
+    point_kind: Literal["marker", "joint"] = "marker"
 
     @property
     def frame_count(self) -> int:

@@ -1,9 +1,10 @@
-"""What of a mended animation is put into it: what may be touched, is sure enough, and was not decided against."""
+"""Which repairs of an animation are applied: those that the options allow, that are certain enough and were not rejected."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float, Shaped
 
 from mocapfix import changes
 from mocapfix.animation import Animation
@@ -12,19 +13,21 @@ from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
 from mocapfix.faults import Fault, Faults, build_fault_mask
 from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_rejections
-from mocapfix.options import FillOptions
+from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.take import Take
 
-LOST_KINDS = ("gap", "stuck")
+LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
+REJECTED_CHANGE_REASON = "its change was rejected"
 
 
 @dataclass(frozen=True)
 class RepairedAnimation:
-    """A cleaned animation, and what there is to tell of it.
+    """A cleaned animation, and its changes.
 
-    animation      as it is now
-    before, after  takes of the joints' tips, without what is not there; centres  the joints' places as they are now
+    animation    cleaned
+    tips_before, tips_after  takes of the joint tips of the input and of the cleaned animation, without values that are lost
+    joint_take   joint positions of the cleaned animation, with standard deviations
     """
 
     animation: Animation
@@ -37,91 +40,102 @@ class RepairedAnimation:
 
 
 def apply_repairs(
-    tips: Take,
+    animation: Animation,
     repair: AnimationRepair,
     faults: Sequence[Fault],
-    fill_options: FillOptions,
-    kinds: Sequence[str],
+    options: CleanOptions,
     reviewed: Sequence[ReviewedChange],
 ) -> RepairedAnimation:
-    """-> an animation with what is to be put into it, all else as it was.
+    """Apply repairs to an animation and leave all other values unchanged.
 
-    tips  of the animation as it was read, its layout;  mended  everything, for all `faults`
-    only  the kinds that are mended; none: all
+    repair    of all `faults`
+    options   those of detection (the kinds to repair) and of gap filling are used
+    reviewed  decisions on the changes of an earlier cleaning
     """
-    lost = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
-    before = tips.masked(~lost)
-    made = [f for f in faults if (not kinds or f.kind in kinds) and not any(each.rejects(f) for each in reviewed)]
-    touch = (
-        build_fault_mask(made, lost.shape)
-        & _compute_editable_mask(before, fill_options)
-        & (repair.method != RepairMethod.UNCHANGED)
+    tips = joint_points.build_tip_take(animation)
+    is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
+    before = tips.masked(~is_absent)
+    selected = [fault for fault in faults if _is_selected(fault, options.detect.repair_kinds, reviewed)]
+    editable = build_fault_mask(selected, is_absent.shape) & _compute_editable_tracks(before, options.fill)
+    editable &= repair.method != RepairMethod.UNCHANGED
+    rejection_reasons = _find_rejection_reasons(animation, before, repair, faults, editable, options.fill)
+    is_repaired = editable & (rejection_reasons == "")
+    repaired = insert_repairs(animation, repair, is_repaired)
+    variance = np.where(is_repaired, repair.variance, 0.0)
+    after = joint_points.build_tip_take(repaired)
+    after = _add_sd(repaired, after, variance, is_repaired | ~before.visible).masked(is_repaired | ~is_absent)
+    joint_take = joint_points.build_joint_take(repaired)
+    joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
+    applied = _list_changes(before, after, selected, repair, is_repaired)
+    unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", REJECTED_CHANGE_REASON, rejection_reasons))
+    return RepairedAnimation(
+        repaired,
+        before,
+        after,
+        joint_take,
+        Faults(tuple(faults)),
+        (*applied, *(each.to_change() for each in reviewed)),
+        unfilled,
     )
-    refused = _find_rejection_reasons(before, repair, faults, touch, fill_options)
-    touched = touch & (refused == "")
-    now = insert_repairs(joint_points.get_animation(tips), repair, touched)
-    unsure = np.where(touched, repair.variance, 0.0)
-    after = _add_deviation(joint_points.build_tip_take(now), unsure, touched | ~before.visible).masked(touched | ~lost)
-    centres = joint_points.build_joint_take(now)
-    centres = _add_deviation(centres, unsure, np.ones(centres.visible.shape, bool))
-    told = (*_list_changes(before, after, made, repair, touched), *(each.to_change() for each in reviewed))
-    left = find_unfilled_runs(after, np.where(refused == "", "its change was not to be made", refused))
-    return RepairedAnimation(now, before, after, centres, Faults(tuple(faults)), told, left)
 
 
-def insert_repairs(animation: Animation, repair: AnimationRepair, is_repaired: np.ndarray) -> Animation:
-    """-> the animation with the courses `touched` (T, J + 1) as they are mended, and all others as they were."""
-    now = animation
-    for j in np.flatnonzero(is_repaired[:, :-1].any(0)):
-        frames = np.flatnonzero(is_repaired[:, j])
-        now = now.replace_values(now.replace_rotations(np.array([j]), frames, repair.local_rotations[frames, j][:, None]))
+def insert_repairs(animation: Animation, repair: AnimationRepair, is_repaired: Bool[np.ndarray, "T N"]) -> Animation:
+    """Return the animation with the repaired values of the N = J + 1 tracks where `is_repaired`."""
+    for joint in np.flatnonzero(is_repaired[:, :-1].any(0)):
+        frames = np.flatnonzero(is_repaired[:, joint])
+        animation = animation.replace_rotations(np.array([joint]), frames, repair.local_rotations[frames, joint][:, None])
     frames = np.flatnonzero(is_repaired[:, -1])
-    return (
-        now.replace_values(now.replace_positions(np.array([0]), frames, repair.root_position[frames][:, None]))
-        if len(frames)
-        else now
-    )
+    if not len(frames):
+        return animation
+    return animation.replace_positions(np.array([0]), frames, repair.root_position[frames][:, None])
 
 
-def _compute_editable_mask(before: Take, fill_options: FillOptions) -> np.ndarray:
-    """-> (T, J + 1) bool: what the options allow to change; of the root that is kept also its place."""
-    touch = compute_editable_mask(before, fill_options)
-    touch[:, -1] &= touch[:, 0]
-    return touch
+def _is_selected(fault: Fault, kinds: Sequence[str], reviewed: Sequence[ReviewedChange]) -> bool:
+    """Return True if faults of this kind are repaired and this one's change was not rejected."""
+    return (not kinds or fault.kind in kinds) and not any(each.rejects(fault) for each in reviewed)
+
+
+def _compute_editable_tracks(before: Take, fill_options: FillOptions) -> Bool[np.ndarray, "T N"]:
+    """Return the values that the options allow to change. To keep the root joint also keeps its position."""
+    editable = compute_editable_mask(before, fill_options)
+    editable[:, -1] &= editable[:, 0]
+    return editable
 
 
 def _find_rejection_reasons(
-    before: Take, repair: AnimationRepair, faults: Sequence[Fault], editable: np.ndarray, fill_options: FillOptions
-) -> np.ndarray:
-    """-> (T, J + 1) object: why what is lost is not filled, "" elsewhere. A figure is not left half-way into a gap: where one
-    sample of it is refused, all are."""
-    lost = [fault for fault in faults if fault.kind in LOST_KINDS]
-    gone = build_fault_mask(lost, editable.shape)
-    whole = joint_points.build_tip_take(
-        insert_repairs(joint_points.get_animation(before), repair, repair.method != RepairMethod.UNCHANGED)
-    )
-    unsure = np.where(
-        repair.method == RepairMethod.UNCHANGED, np.nan, joint_points.compute_point_deviation(whole, repair.variance)
-    )
-    reasons = explain_rejections(before, gone & editable, compute_gap_durations(~gone, before.rate), unsure, fill_options)
-    for fault in lost:
-        if why := [reason for reason in reasons[fault.frame_slice][:, list(fault.markers)].ravel() if reason]:
-            reasons[fault.frame_slice, list(fault.markers)] = why[0]
+    animation: Animation,
+    before: Take,
+    repair: AnimationRepair,
+    faults: Sequence[Fault],
+    editable: Bool[np.ndarray, "T N"],
+    fill_options: FillOptions,
+) -> Shaped[np.ndarray, "T N"]:
+    """Return why lost values are not filled, "" elsewhere. If one value of a gap is rejected, the whole gap is."""
+    lost_faults = [fault for fault in faults if fault.kind in LOST_KINDS]
+    is_lost = build_fault_mask(lost_faults, editable.shape)
+    fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
+    sd = joint_points.compute_point_sd(fully_repaired, joint_points.build_tip_take(fully_repaired), repair.variance)
+    sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
+    reasons = explain_rejections(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
+    for fault in lost_faults:
+        if found := [reason for reason in reasons[fault.frame_slice][:, list(fault.markers)].ravel() if reason]:
+            reasons[fault.frame_slice, list(fault.markers)] = found[0]
     return reasons
 
 
-def _add_deviation(points: Take, variance: np.ndarray, is_estimated: np.ndarray) -> Take:
-    """-> the take with how unsure its points are, which are the tips of its joints or their places, where they are `estimated`
-    (T, M) and courses have a variance (T, J + 1)."""
-    unsure = joint_points.compute_point_deviation(points, variance)
-    return replace(points, sample_sd=np.where(is_estimated & (unsure > 0), unsure, np.nan))
+def _add_sd(
+    animation: Animation, points: Take, variance: Float[np.ndarray, "T N"], is_estimated: Bool[np.ndarray, "T M"]
+) -> Take:
+    """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
+    sd = joint_points.compute_point_sd(animation, points, variance)
+    return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
 
 
 def _list_changes(
-    before: Take, after: Take, repaired_faults: Sequence[Fault], repair: AnimationRepair, is_repaired: np.ndarray
+    before: Take, after: Take, faults: Sequence[Fault], repair: AnimationRepair, is_repaired: Bool[np.ndarray, "T N"]
 ) -> list[Change]:
-    """-> an entry for every fault of which something was put in: of its own joints, not of what hangs on them."""
-    mine = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
-    about = [fault for fault in repaired_faults if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
-    ways = np.where(is_repaired, np.array([method.description for method in RepairMethod], object)[repair.method], "")
-    return [change for change, _ in changes.build_changes(before, before, mine, about, None, ways)]
+    """Return a change for every fault that was repaired. It covers the fault's joints and not the joints below them."""
+    own_points = before.replace_markers(np.where(is_repaired[..., None], after.markers, before.markers), after.sample_sd)
+    repaired_faults = [fault for fault in faults if is_repaired[fault.frame_slice][:, list(fault.markers)].any()]
+    methods = np.where(is_repaired, np.array([method.description for method in RepairMethod], object)[repair.method], "")
+    return [change for change, _ in changes.build_changes(before, before, own_points, repaired_faults, None, methods)]

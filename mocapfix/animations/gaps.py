@@ -1,86 +1,108 @@
-"""Joints that are lost for a while: no numbers, zeros, or the last ones again and again.
+"""Detection of gaps in an animation: intervals without values, of zeros, or of one repeated value.
 
-A body at rest does not repeat itself to the last digit, and what was held while it should have moved is somewhere else when it
-goes on: a held stretch is a fault where it ends in a leap. A figure that stands still on purpose, as animated ones do, leaps
-nowhere, and a knee that is held straight by its limit gets there and away at its own speed. Into zeros, a joint leaps, and out
-of them. Zeros of the whole figure at either end of a file are its rest pose.
+A moving body does not repeat a value to the last digit, and after a gap in which the last value was held it is somewhere else:
+an interval of one value is a gap if it ends in a jump. A figure that stands still on purpose, as in keyframe animation, does not
+jump, and a knee at its joint limit arrives and leaves at its own speed. Zeros are a gap if the joint jumps to them and back.
+Zeros of the whole figure at the start or end of a file are its rest pose.
 """
 
 from collections.abc import Iterator
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from mocapfix.stats.runs import find_runs
 
-NO_VALUES, ALL_ZERO, VALUE_HELD = "has no numbers", "is at zero", "is held at one value"
-MIN_HELD_DURATION_S = 0.1  # seconds of one value; of several joints together one frame is enough
-MAX_REPEATED_DIFFERENCE = 1e-9  # radians or metres: what a value spelled once more may differ by
-MIN_JUMP_RAD = np.radians(1.0)  # or 17 mm: a smaller one does not show
-MIN_JUMP_RATIO = 2.0  # than before it or after it, a leap is
-JUMP_CONTEXT_FRAMES = 3  # frames over which that is seen
-MAX_HELD_SHARE = 0.5  # share of the frames in which a joint is held that rests
-WHOLE_FIGURE_SHARE = 0.8  # share of the courses: with more of them at once, it is the whole figure
+MIN_HELD_DURATION_S = 0.1  # of one value in one track; if several tracks are held together, one frame is enough
+MIN_HELD_FRAMES = 2
+MAX_REPEATED_DIFFERENCE = 1e-9  # radians or metres between two frames that hold the same value
+MIN_JUMP = np.radians(1.0)  # radians, or metres: a smaller jump is not visible
+MIN_JUMP_RATIO = 2.0  # of a jump to the largest step in the frames next to it
+JUMP_CONTEXT_FRAMES = 3  # frames that a jump is compared with
+MAX_HELD_SHARE = 0.5  # a track that is held in a larger share of all frames is at rest, so holding is not a fault
+WHOLE_FIGURE_SHARE = 0.8  # of the moving tracks: if more are lost at once, the whole figure is
+
+
+class GapAppearance(StrEnum):
+    """What a file holds in a gap."""
+
+    ABSENT = "no values"
+    ZERO = "all values are zero"
+    HELD = "held at one value"
 
 
 class AnimationGap(NamedTuple):
-    """Courses that are lost over first..last, inclusive, and the file's way of saying so."""
+    """Tracks that are lost in the frames first..last, inclusive."""
 
     tracks: tuple[int, ...]
     first: int
     last: int
-    appearance: str
+    appearance: GapAppearance
 
 
-def detect_animation_gaps(
-    steps: np.ndarray, rest_distances: np.ndarray, is_absent: np.ndarray, rate: float
-) -> list[AnimationGap]:
-    """-> what is lost of N courses, by first frame.
+class TrackMotion(NamedTuple):
+    """Motion of N tracks over T frames, NaN where unknown.
 
-    steps   (T - 1, N) how far each goes from frame to frame, radians or metres, NaN where not known
-    rest    (T, N) how far each is from its rest, likewise;  absent  (T, N) where there is no number
+    steps  (T - 1, N) distance from each frame to the next, radians or metres
+    rest_distances  (T, N) distance from the rest pose, likewise
     """
-    held, zero = (
-        np.vstack([np.zeros((1, steps.shape[1]), bool), steps < MAX_REPEATED_DIFFERENCE]),
-        rest_distances < MAX_REPEATED_DIFFERENCE,
-    )
-    moving = held.mean(0) < MAX_HELD_SHARE  # the others hardly ever do, so that it tells nothing where they do not
-    held, zero = held & moving, zero & moving  # (a joint that rests for a while is at its limit, and not held)
-    shortest = max(2, round(MIN_HELD_DURATION_S * rate))
-    found = [AnimationGap(courses, a, b, NO_VALUES) for (a, b), courses in _group_tracks(is_absent, np.ones_like(moving))]
-    for (a, b), courses in _group_tracks(zero, moving):
-        inner = a > 0 and b < len(rest_distances) - 1
-        if inner and (_detect_jumps(steps[a - 1 :: -1], courses) & _detect_jumps(steps[b:], courses)).any():
-            found.append(AnimationGap(courses, a, b, ALL_ZERO))
-    for (a, b), courses in _group_tracks(held & ~zero & ~_build_gap_mask(found, zero.shape), moving):
-        enough = b - a + 1 >= shortest or len(courses) > 1  # no two joints come to rest to the last digit in one frame
-        if enough and b < len(rest_distances) - 1 and _detect_jumps(steps[b:], courses).any():
-            found.append(AnimationGap(courses, a, b, VALUE_HELD))
-    return sorted(found, key=lambda each: each.first)
+
+    steps: Float[np.ndarray, "S N"]
+    rest_distances: Float[np.ndarray, "T N"]
 
 
-def _detect_jumps(steps: np.ndarray, tracks: tuple[int, ...]) -> np.ndarray:
-    """-> (n,) bool: do courses leap in the first of some `steps`, more than they move in those that come next?"""
-    usual = np.nanmax(steps[1 : 1 + JUMP_CONTEXT_FRAMES][:, tracks], axis=0, initial=0.0)
-    return steps[0, tracks] > MIN_JUMP_RAD + MIN_JUMP_RATIO * usual
+def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"], rate: float) -> list[AnimationGap]:
+    """Detect the gaps of N tracks, ordered by first frame. `is_absent` marks frames without a value."""
+    steps, last_frame = motion.steps, len(motion.rest_distances) - 1
+    is_held = np.vstack([np.zeros((1, steps.shape[1]), bool), steps < MAX_REPEATED_DIFFERENCE])
+    is_zero = motion.rest_distances < MAX_REPEATED_DIFFERENCE
+    is_moving = is_held.mean(0) < MAX_HELD_SHARE
+    is_held, is_zero = is_held & is_moving, is_zero & is_moving
+    min_held_frames = max(MIN_HELD_FRAMES, round(MIN_HELD_DURATION_S * rate))
+    gaps = [
+        AnimationGap(tracks, first, last, GapAppearance.ABSENT)
+        for (first, last), tracks in _group_tracks(is_absent, np.ones_like(is_moving))
+    ]
+    for (first, last), tracks in _group_tracks(is_zero, is_moving):
+        is_inside = first > 0 and last < last_frame
+        if is_inside and (_detect_jumps(steps[first - 1 :: -1], tracks) & _detect_jumps(steps[last:], tracks)).any():
+            gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
+    for (first, last), tracks in _group_tracks(is_held & ~is_zero & ~_build_gap_mask(gaps, is_zero.shape), is_moving):
+        # Two joints do not come to rest to the last digit in the same frame.
+        is_long_enough = last - first + 1 >= min_held_frames or len(tracks) > 1
+        if is_long_enough and last < last_frame and _detect_jumps(steps[last:], tracks).any():
+            gaps.append(AnimationGap(tracks, first, last, GapAppearance.HELD))
+    return sorted(gaps, key=lambda gap: gap.first)
 
 
-def _group_tracks(mask: np.ndarray, is_moving: np.ndarray) -> Iterator[tuple[tuple[int, int], tuple[int, ...]]]:
-    """Yield (first, last), and the courses (T, N) that are so from then till then; all of them where nearly all are that are
-    `moving` (N,)."""
-    count = mask.shape[1]
-    whole = mask.sum(1) >= max(WHOLE_FIGURE_SHARE * is_moving.sum(), 1)
-    together: dict[tuple[int, int], list[int]] = {(int(a), int(b)): list(range(count)) for a, b in find_runs(whole)}
-    for n in range(count):
-        for a, b in find_runs(mask[:, n]):
-            if not whole[a : b + 1].any():
-                together.setdefault((int(a), int(b)), []).append(n)
-    yield from ((span, tuple(courses)) for span, courses in sorted(together.items()))
+def _detect_jumps(steps: Float[np.ndarray, "S N"], tracks: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+    """Return, for each of the tracks, whether the first step is a jump compared with the steps that follow."""
+    context = np.nanmax(steps[1 : 1 + JUMP_CONTEXT_FRAMES][:, tracks], axis=0, initial=0.0)
+    return steps[0, tracks] > MIN_JUMP + MIN_JUMP_RATIO * context
 
 
-def _build_gap_mask(gaps: list[AnimationGap], shape: tuple[int, int]) -> np.ndarray:
-    """-> (T, N) bool: what is lost, and the frame after it."""
+def _group_tracks(
+    mask: Bool[np.ndarray, "T N"], is_moving: Bool[np.ndarray, " N"]
+) -> Iterator[tuple[tuple[int, int], tuple[int, ...]]]:
+    """Yield the (first, last) frames of each run of True, and the tracks that have it.
+
+    Where nearly as many tracks as are moving are True, the run is of all tracks.
+    """
+    track_count = mask.shape[1]
+    is_whole_figure = mask.sum(1) >= max(WHOLE_FIGURE_SHARE * is_moving.sum(), 1)
+    tracks_by_run: dict[tuple[int, int], list[int]] = {run: list(range(track_count)) for run in find_runs(is_whole_figure)}
+    for track in range(track_count):
+        for first, last in find_runs(mask[:, track]):
+            if not is_whole_figure[first : last + 1].any():
+                tracks_by_run.setdefault((first, last), []).append(track)
+    yield from ((run, tuple(tracks)) for run, tracks in sorted(tracks_by_run.items()))
+
+
+def _build_gap_mask(gaps: list[AnimationGap], shape: tuple[int, ...]) -> Bool[np.ndarray, "T N"]:
+    """Return a mask (T, N) of the gaps and of the frame after each."""
     mask = np.zeros(shape, bool)
-    for each in gaps:
-        mask[each.first : each.last + 2, list(each.tracks)] = True
+    for gap in gaps:
+        mask[gap.first : gap.last + 2, list(gap.tracks)] = True
     return mask

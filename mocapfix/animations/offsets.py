@@ -1,39 +1,44 @@
-"""Pops and flips: what is off from one frame to the next, and comes back by the same amount.
+"""Detection of pops and flips: a track is offset by a constant from one frame to another, and returns by the same amount.
 
-A course that bodies go has small third differences; a step makes three large ones. Two steps belong together where one and
-the same amount, undone between them, takes both away (see `kernels.offsets`). What a lively motion does on its own is told from
-the third differences of the second around.
+The third differences of a body's motion are small, and a step makes three of them large. Two steps belong to the same offset if
+removing one constant between them removes both (see `stats.constant_offsets`). The steps of lively motion are distinguished by
+comparison with the third differences in a window around them.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter
 
 from mocapfix.stats.constant_offsets import OffsetModel
 
 THIRD_DIFFERENCE_STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
-BACKGROUND_HALF_WINDOW_S = 0.5  # seconds to either side, over which it is seen how lively a course is
-MIN_STEP_RATIO = 4.0  # times what is usual, a third difference is large
-MAX_RESIDUAL_RATIO, MIN_REDUCTION_RATIO = 12.0, 15.0  # times what is usual: the mean square that may be left, and that must go
-MIN_EVIDENCE, MIN_EVIDENCE_RESIDUAL = 36.0, 0.3  # how much more must go than is left, which counts as so much at least
-LENGTH_PENALTY_S = (
-    2.0  # seconds after which that must be twice as much: two steps by chance are the likelier the longer one waits
-)
-MAX_STEP_POWER_RATIO = 16.0  # the power of two steps of one shift, at most times that of the other
-MAX_RESIDUAL_SHARE, NEGLIGIBLE_RESIDUAL_SHARE = (
-    0.05,
-    0.004,
-)  # of the squares may be left; with so few left it does not matter how much that is
-MAX_STEP_COUNT = 250  # steps of a course that are looked at, the largest
-MAX_OFFSET_DURATION_S, SHORT_OFFSET_DURATION_S = (
-    3.0,
-    0.3,
-)  # seconds: no shift is longer; from where on a longer one is the less likely
+MIN_TRACK_FRAMES = 8  # frames of a track without which no offset is detected
+MIN_DIFFERENCES = 4  # third differences without which no offset is fitted
+BACKGROUND_HALF_WINDOW_S = 0.5  # on either side of a frame, for the usual size of third differences there
+BACKGROUND_MEDIAN_FACTOR = 1.5  # from the median of third differences to their usual size
+BACKGROUND_QUANTILE = 0.75  # of all third differences: the usual size is not less, because toes and thumbs stick and slip
+MIN_STEP_RATIO = 4.0  # of a step's third difference to the usual size
+MAX_STEP_COUNT = 250  # largest steps of a track that are examined
+MAX_STEP_POWER_RATIO = 16.0  # between the powers of an offset's two steps
+MAX_RESIDUAL_RATIO = 12.0  # of the mean square that remains after removal to the usual one
+MIN_REDUCTION_RATIO = 15.0  # of the mean square that is removed to the usual one
+MAX_RESIDUAL_SHARE = 0.05  # of the squares that may remain
+NEGLIGIBLE_RESIDUAL_SHARE = 0.004  # of the squares: if less remains, MAX_RESIDUAL_RATIO does not apply
+MIN_EVIDENCE = 36.0  # ratio of the mean square that is removed to the one that remains
+MIN_EVIDENCE_RESIDUAL = 0.3  # relative to the usual mean square: the least that is counted as remaining
+EVIDENCE_DOUBLING_S = 2.0  # MIN_EVIDENCE doubles over this duration: the longer, the likelier are two steps by chance
+MAX_OFFSET_DURATION_S = 3.0
+SHORT_OFFSET_DURATION_S = 0.3  # among overlapping offsets, the evidence of those longer than this is weighted down
 
 
 class TemporaryOffset(NamedTuple):
-    """Frames first..last, inclusive, that are off by an amount, in radians or metres; plain is how plainly they are."""
+    """A constant offset in the frames first..last, inclusive.
+
+    amount    radians or metres
+    evidence  ratio of the mean squared third difference that its removal removes to the one that remains
+    """
 
     first: int
     last: int
@@ -41,106 +46,121 @@ class TemporaryOffset(NamedTuple):
     evidence: float
 
 
-def detect_offsets(
-    track: np.ndarray,
-    corrections: tuple[OffsetModel, ...],
-    is_usable: np.ndarray,
-    rate: float,
-    min_difference: float,
-    min_amount: float,
-) -> list[TemporaryOffset]:
-    """-> shifts that do not overlap in a course (T, C), where it is `usable` (T,), the plainest of each place, by first frame.
+class OffsetThresholds(NamedTuple):
+    """Thresholds in the unit of a track.
 
-    least     third difference that any course may have;  smallest  amount that counts, in the course's unit
+    min_difference  least usual size of third differences that is assumed
+    min_amount      smallest offset that counts as a fault
     """
-    if len(track) < 8:
+
+    min_difference: float
+    min_amount: float
+
+
+class _ThirdDifferences(NamedTuple):
+    """Of a track: its values, where third differences are known, and how large they usually are there."""
+
+    track: Float[np.ndarray, "T C"]
+    is_known: Bool[np.ndarray, " D"]
+    background: Float[np.ndarray, " D"]
+
+
+def detect_offsets(
+    track: Float[np.ndarray, "T C"],
+    models: tuple[OffsetModel, ...],
+    is_usable: Bool[np.ndarray, " T"],
+    rate: float,
+    thresholds: OffsetThresholds,
+) -> list[TemporaryOffset]:
+    """Detect offsets that do not overlap, ordered by first frame; of overlapping ones the one with the strongest evidence.
+
+    track   positions (T, 3), or twice the quaternions (T, 4) of a joint, without sign changes
+    models  the kinds of offset to try
+    """
+    if len(track) < MIN_TRACK_FRAMES:
         return []
-    size = np.linalg.norm(np.diff(track, 3, axis=0), axis=1)
-    whole = is_usable[3:] & is_usable[2:-1] & is_usable[1:-2] & is_usable[:-3]
-    usual = _estimate_background(np.where(whole, size, 0.0), rate, min_difference)
-    tried = []
-    starts, power = _find_steps(np.where(whole, size / usual, 0.0))
-    for i, a in enumerate(starts):
-        near = (starts[i + 1 :] - a <= MAX_OFFSET_DURATION_S * rate) & (
-            np.abs(np.log(power[i + 1 :] / power[i])) < np.log(MAX_STEP_POWER_RATIO)
+    difference = np.linalg.norm(np.diff(track, 3, axis=0), axis=1)
+    is_known = is_usable[3:] & is_usable[2:-1] & is_usable[1:-2] & is_usable[:-3]
+    background = _estimate_background(np.where(is_known, difference, 0.0), rate, thresholds.min_difference)
+    differences = _ThirdDifferences(track, is_known, background)
+    candidates: list[TemporaryOffset] = []
+    starts, power = _find_steps(np.where(is_known, difference / background, 0.0))
+    for index, start in enumerate(starts):
+        is_partner = (starts[index + 1 :] - start <= MAX_OFFSET_DURATION_S * rate) & (
+            np.abs(np.log(power[index + 1 :] / power[index])) < np.log(MAX_STEP_POWER_RATIO)
         )
-        for b in starts[i + 1 :][near]:
-            shift = _fit_offset(track, corrections, whole, usual, int(a), int(b) - 1)
-            if shift and shift.amount >= min_amount and shift.evidence >= MIN_EVIDENCE * (1 + (b - a) / rate / LENGTH_PENALTY_S):
-                tried.append(shift)
-    kept: list[TemporaryOffset] = []
-    # between two shifts of one joint lies a third that explains as much: the shorter ones are the likelier
-    for each in sorted(tried, key=lambda s: -s.evidence / (SHORT_OFFSET_DURATION_S + (s.last - s.first + 1) / rate)):
-        if not any(each.first <= k.last + 1 and k.first <= each.last + 1 for k in kept):
-            kept.append(each)
-    return sorted(kept)
+        for stop in starts[index + 1 :][is_partner]:
+            offset = _fit_offset(differences, models, int(start), int(stop) - 1)
+            min_evidence = MIN_EVIDENCE * (1 + (stop - start) / rate / EVIDENCE_DOUBLING_S)
+            if offset and offset.amount >= thresholds.min_amount and offset.evidence >= min_evidence:
+                candidates.append(offset)
+    selected: list[TemporaryOffset] = []
+    # The interval between two offsets of one joint explains as much as they do, so shorter ones are preferred.
+    for each in sorted(candidates, key=lambda o: -o.evidence / (SHORT_OFFSET_DURATION_S + (o.last - o.first + 1) / rate)):
+        if not any(each.first <= other.last + 1 and other.first <= each.last + 1 for other in selected):
+            selected.append(each)
+    return sorted(selected)
 
 
-def _find_steps(relative_difference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """-> the frames into which steps may lead, and the power of each: it shows in the three third differences (T - 3,) that
-    lead over it."""
-    starts = np.unique(np.concatenate([np.flatnonzero(relative_difference > MIN_STEP_RATIO) + k for k in (1, 2, 3)]))
-    power = np.array([(relative_difference[max(0, s - 3) : s] ** 2).sum() for s in starts])
-    kept = np.sort(np.argsort(-power)[:MAX_STEP_COUNT])
-    return starts[kept], power[kept]
+def _find_steps(relative_difference: Float[np.ndarray, " D"]) -> tuple[Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
+    """Return the frames to which a step may lead, and each step's power, summed over the three differences that span it."""
+    starts = np.unique(np.concatenate([np.flatnonzero(relative_difference > MIN_STEP_RATIO) + shift for shift in (1, 2, 3)]))
+    power = np.array([(relative_difference[max(0, start - 3) : start] ** 2).sum() for start in starts], float)
+    largest = np.sort(np.argsort(-power)[:MAX_STEP_COUNT])
+    return starts[largest], power[largest]
 
 
-def _fit_offset(
-    track: np.ndarray,
-    corrections: tuple[OffsetModel, ...],
-    is_complete: np.ndarray,
-    background: np.ndarray,
-    first: int,
-    last: int,
-) -> TemporaryOffset | None:
-    """-> the shift of first..last, where undoing one amount takes both steps away; None where none does."""
+def _fit_offset(differences: _ThirdDifferences, models: tuple[OffsetModel, ...], first: int, last: int) -> TemporaryOffset | None:
+    """Fit an offset of the frames first..last. Returns None if no constant removes both of its steps."""
+    track = differences.track
     rows = np.unique(np.r_[first - 3 : first, last - 2 : last + 1])
-    rows = rows[(rows >= 0) & (rows < len(is_complete))]
-    rows = rows[is_complete[rows]]
-    if first < 2 or last > len(track) - 3 or len(rows) < 4:
+    rows = rows[(rows >= 0) & (rows < len(differences.is_known))]
+    rows = rows[differences.is_known[rows]]
+    if first < 2 or last > len(track) - 3 or len(rows) < MIN_DIFFERENCES:
         return None
-    at = rows[:, None] + np.arange(4)
-    within = (at >= first) & (at <= last)
-    # twice a quaternion: the two sides of the span may bear opposite signs, which mean the same
-    turned = track.shape[1] == 4 and (track[first - 1] * track[last + 1]).sum() < 0
-    inside, outside = (
-        THIRD_DIFFERENCE_STENCIL * within,
-        THIRD_DIFFERENCE_STENCIL * ~within * np.where(turned & (at > last), -1.0, 1.0),
-    )
-    still = np.einsum("rk,rkc->rc", outside, track[at])
-    before = float((np.einsum("k,rkc->rc", THIRD_DIFFERENCE_STENCIL, track[at]) ** 2).sum())
-    left, amount = min(_compute_residual(way, still, inside, at) for way in corrections)
-    scale, freedom = float((background[rows] ** 2).mean()), len(rows) - 1
-    gain = (before - left) / len(rows) / scale
-    plain = gain / (MIN_EVIDENCE_RESIDUAL + left / freedom / scale)
-    if (
-        left > MAX_RESIDUAL_SHARE * before
-        or gain < MIN_REDUCTION_RATIO
-        or (left > NEGLIGIBLE_RESIDUAL_SHARE * before and left / freedom > MAX_RESIDUAL_RATIO * scale)
-    ):
+    samples = rows[:, None] + np.arange(4)
+    is_inside = (samples >= first) & (samples <= last)
+    # Of quaternions, the two sides of the interval may have opposite signs, which stand for the same rotation.
+    has_opposite_sign = track.shape[1] == 4 and (track[first - 1] * track[last + 1]).sum() < 0
+    inside = THIRD_DIFFERENCE_STENCIL * is_inside
+    outside = THIRD_DIFFERENCE_STENCIL * ~is_inside * np.where(has_opposite_sign & (samples > last), -1.0, 1.0)
+    outside_sum = np.einsum("rk,rkc->rc", outside, track[samples])
+    before = float((np.einsum("k,rkc->rc", THIRD_DIFFERENCE_STENCIL, track[samples]) ** 2).sum())
+    residual, amount = min(_fit_model(model, outside_sum, inside, samples) for model in models)
+    background_power, dof = float((differences.background[rows] ** 2).mean()), len(rows) - 1
+    reduction = (before - residual) / len(rows) / background_power
+    evidence = reduction / (MIN_EVIDENCE_RESIDUAL + residual / dof / background_power)
+    if residual > MAX_RESIDUAL_SHARE * before or reduction < MIN_REDUCTION_RATIO:
         return None
-    return TemporaryOffset(first, last, amount, plain)
+    if residual > NEGLIGIBLE_RESIDUAL_SHARE * before and residual / dof > MAX_RESIDUAL_RATIO * background_power:
+        return None
+    return TemporaryOffset(first, last, amount, evidence)
 
 
-def _compute_residual(
-    correction: OffsetModel, outside: np.ndarray, inside: np.ndarray, samples: np.ndarray
+def _fit_model(
+    model: OffsetModel,
+    outside_sum: Float[np.ndarray, "R C"],
+    inside: Float[np.ndarray, "R 4"],
+    samples: Int[np.ndarray, "R 4"],
 ) -> tuple[float, float]:
-    """-> the squares that are left when a way undoes what it can, and the amount."""
-    slopes = np.einsum("rk,rkcp->rcp", inside, correction.basis[samples]).reshape(outside.size, -1)
-    target = -(outside + np.einsum("rk,rkc->rc", inside, correction.fixed[samples])).ravel()
+    """Fit an offset of one kind by least squares. Returns the squares that remain, and the amount.
+
+    outside_sum  third differences of the samples outside the interval alone
+    inside       weights of the samples inside the interval
+    """
+    slopes = np.einsum("rk,rkcp->rcp", inside, model.basis[samples]).reshape(outside_sum.size, -1)
+    target = -(outside_sum + np.einsum("rk,rkc->rc", inside, model.fixed[samples])).ravel()
     amounts, *_ = np.linalg.lstsq(slopes, target, rcond=None)
-    if correction.basis.shape[1] == 3:
+    if model.basis.shape[1] == 3:
         amount = np.linalg.norm(amounts)
-    else:  # a quaternion: its real part is the last of four numbers, or the first of two
-        real, others = (amounts[3], amounts[:3]) if len(amounts) == 4 else (amounts[0], amounts[1:])
-        amount = 2 * np.arctan2(np.linalg.norm(others), abs(real))
+    else:  # a quaternion, whose real part is the last of four numbers, or the first of two
+        real, imaginary = (amounts[3], amounts[:3]) if len(amounts) == 4 else (amounts[0], amounts[1:])
+        amount = 2 * np.arctan2(np.linalg.norm(imaginary), abs(real))
     return float(((slopes @ amounts - target) ** 2).sum()), float(amount)
 
 
-def _estimate_background(difference: np.ndarray, rate: float, min_difference: float) -> np.ndarray:
-    """-> how large third differences (N,) usually are about each, by 1.5 times the median, and at least; at least about what
-    they are a quarter of the time, too, for toes and thumbs stick and slip."""
-    min_difference = max(min_difference, 1.5 * float(np.quantile(difference, 0.75)))
-    return np.maximum(
-        1.5 * median_filter(difference, 2 * round(BACKGROUND_HALF_WINDOW_S * rate) + 1, mode="nearest"), min_difference
-    )
+def _estimate_background(difference: Float[np.ndarray, " D"], rate: float, min_difference: float) -> Float[np.ndarray, " D"]:
+    """Estimate the usual size of third differences around each of them."""
+    least = max(min_difference, BACKGROUND_MEDIAN_FACTOR * float(np.quantile(difference, BACKGROUND_QUANTILE)))
+    window = 2 * round(BACKGROUND_HALF_WINDOW_S * rate) + 1
+    return np.maximum(BACKGROUND_MEDIAN_FACTOR * median_filter(difference, window, mode="nearest"), least)

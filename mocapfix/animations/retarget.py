@@ -1,233 +1,235 @@
-"""How the 31 joints lie in a file's body, whatever its rest pose is.
+"""Conversion of poses between an animation's joints and the 31-joint skeleton of the body model.
 
-The two rest poses differ: a file's arms may hang, its legs stand straight. In a pose in which the file's figure stands, ours
-is put likewise: hips, trunk and head turned to where it faces, each limb's bone laid along its own. There a joint of ours
-stands to its counterpart by a rotation A, and as both move with the same part of the body it does always:
-W = V A, for the world rotation W of ours and V of the file's.
+The rest poses of the two differ: a file's arms may hang, its legs may be parallel. The alignment is computed from a pose in
+which the file's figure is upright. The model is posed like it: hips, trunk and head face the same way, and each bone of the
+limbs points along the file's bone. In that pose, the axes of a model joint are rotated by A relative to those of its
+counterpart. A is constant, since both move with the same part of the body, so that W = V A for the world rotations W of the
+model's joint and V of the file's joint.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import Animation
-from mocapfix.animations.joint_mapping import JointMapping, find_ancestor, find_descendants, find_path
+from mocapfix.animations.joint_mapping import find_ancestor, find_descendants, find_path
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
-# MERGED: mocapfix.fitted
 SIDE_PREFIXES = ("Left", "Right")
-# bone of ours: the next joint, towards which it points
-LIMB_BONE_ENDS = {
-    side + a: side + b for side in SIDE_PREFIXES for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"))
-}
-LIMB_BONE_ENDS |= {side + a: side + b for side in SIDE_PREFIXES for a, b in (("Arm", "ForeArm"), ("ForeArm", "Hand"))}
-PARENT_ALIGNED_JOINTS = ("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # turned as what they hang on
-MIN_UPRIGHT_COSINE = 0.8  # cosine: a figure stands where trunk, thighs and shins are within 37 degrees of upright
-MAX_ALIGNMENT_FRAMES = 200  # frames that tell lengths and how it stands
+LIMB_BONES = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
+# By model joint: the next joint of the limb, to which its bone points.
+LIMB_BONE_ENDS = {side + start: side + end for side in SIDE_PREFIXES for start, end in LIMB_BONES}
+PARENT_ALIGNED_JOINTS = ("Hand", "FingerBase", "HandIndex1", "Thumb", "ToeBase")  # suffixes of joints with their parent's axes
+# A rotation between two of these joints is shared evenly by those on the path between them.
+TRUNK_CHAIN_JOINTS = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+MIN_UPRIGHT_COSINE = 0.8  # a figure is upright if trunk, thighs and shins are within 37 degrees of the vertical
+MIN_VECTOR_LENGTH_M = 1e-9  # below which a vector has no direction
+MAX_ALIGNMENT_FRAMES = 200  # frames from which the upright pose and the bone lengths are taken
 
 
 @dataclass(frozen=True)
 class SkeletonAlignment:
-    """How the 31 joints lie in a file's body.
+    """How the 31 joints lie in the body of a file.
 
-    joints    (31,) the file's joint for each of ours, -1 where there is none
-    turns     (31, 3, 3) A: the axes of ours in the file's joint
-    skeleton  the 31 joints with the file's lengths, in metres: it lies on the file's joints wherever these are rigid
+    file_joints  (31,) index of the file's joint for each, -1 if there is none
+    rotation_file_model  (31, 3, 3) A: the axes of each model joint in those of the file's joint
+    skeleton     the 31-joint skeleton with the file's bone lengths in metres. Its joints coincide with the file's as far as
+                 these are at a constant distance from each other
     """
 
-    file_joints: np.ndarray
-    rotation_file_model: np.ndarray
+    file_joints: Int[np.ndarray, " 31"]
+    rotation_file_model: Float[np.ndarray, "31 3 3"]
     skeleton: Skeleton
 
 
-def align_skeleton(animation: Animation, mapping: JointMapping) -> SkeletonAlignment | None:
-    """-> how the 31 joints lie in the animation's body; None where the figure stands neither in the rest pose nor ever."""
-    few = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
-    moving = few.compute_world_poses()
-    resting = animation.compute_rest_positions()[None], np.tile(np.eye(3), (1, len(animation.names), 1, 1))
-    for positions, rotations in (resting, moving):
-        straight = np.nan_to_num(_compute_uprightness(positions, mapping.file_joints), nan=-1.0)
-        best = int(np.argmax(straight))
-        if straight[best] > MIN_UPRIGHT_COSINE:
-            stands = _StandingPose(animation, positions[best], rotations[best], mapping.file_joints)
-            turns = _compute_axis_rotations(stands)
-            return SkeletonAlignment(
-                mapping.file_joints, turns, _build_aligned_skeleton(animation, *moving, mapping.file_joints, turns)
-            )
+def align_skeleton(animation: Animation, file_joints: Int[np.ndarray, " 31"]) -> SkeletonAlignment | None:
+    """Align the 31-joint skeleton with an animation. Returns None if the figure is never upright, not even in its rest pose.
+
+    file_joints  as in `JointMapping`, with the required joints
+    """
+    sampled = animation.replace_values(animation.values[:: max(1, animation.frame_count // MAX_ALIGNMENT_FRAMES)])
+    moving_poses = sampled.compute_world_poses()
+    rest_poses = animation.compute_rest_positions()[None], np.tile(np.eye(3), (1, len(animation.names), 1, 1))
+    for positions, rotations in (rest_poses, moving_poses):
+        uprightness = np.nan_to_num(_compute_uprightness(positions, file_joints), nan=-1.0)
+        frame = int(np.argmax(uprightness))
+        if uprightness[frame] > MIN_UPRIGHT_COSINE:
+            pose = _StandingPose(animation, positions[frame], rotations[frame], file_joints)
+            rotation_file_model = _compute_axis_rotations(pose)
+            skeleton = _build_aligned_skeleton(animation, *moving_poses, file_joints, rotation_file_model)
+            return SkeletonAlignment(file_joints, rotation_file_model, skeleton)
     return None
 
 
 @dataclass(frozen=True)
 class _StandingPose:
-    """A file's figure in a pose in which it stands: its joints' positions (J, 3) and rotations (J, 3, 3) in the world."""
+    """An upright pose of a file's figure: the positions (J, 3) and rotations (J, 3, 3) of its joints in the world."""
 
     animation: Animation
-    positions: np.ndarray
-    rotations: np.ndarray
-    file_joints: np.ndarray
+    positions: Float[np.ndarray, "J 3"]
+    rotations: Float[np.ndarray, "J 3 3"]
+    file_joints: Int[np.ndarray, " 31"]
 
-    def compute_vector(self, first: str, second: str) -> np.ndarray:
-        """-> (3,) metres: the way from one of the 31 joints to another, both of them known."""
+    def compute_vector(self, start: str, end: str) -> Float[np.ndarray, " 3"]:
+        """Compute the vector in metres from one model joint to another, both with counterparts."""
         names = load_cmu31_body().skeleton.names
-        return self.positions[self.file_joints[names.index(second)]] - self.positions[self.file_joints[names.index(first)]]
+        return self.positions[self.file_joints[names.index(end)]] - self.positions[self.file_joints[names.index(start)]]
 
-    def compute_bone(self, name: str) -> np.ndarray:
-        """-> (3,) the way from a joint to the next, or to its end site where the figure ends there; zero where it is unknown."""
+    def compute_bone(self, name: str) -> Float[np.ndarray, " 3"]:
+        """Compute the vector from a model joint to the end of its bone; zero if it is unknown.
+
+        The end is the next joint's counterpart, or the file's end site where the tree ends.
+        """
         names = load_cmu31_body().skeleton.names
-        own = self.file_joints[names.index(name)]
-        if own >= 0 and self.file_joints[names.index(LIMB_BONE_ENDS[name])] >= 0:
+        file_joint = self.file_joints[names.index(name)]
+        if file_joint < 0:
+            return np.zeros(3)
+        if self.file_joints[names.index(LIMB_BONE_ENDS[name])] >= 0:
             return self.compute_vector(name, LIMB_BONE_ENDS[name])
-        ends = self.animation.end_sites[own] if own >= 0 else np.empty((0, 3))
-        return self.rotations[own] @ self.animation.rotation_y_up_file @ ends[0] if len(ends) else np.zeros(3)
+        end_sites = self.animation.end_sites[file_joint]
+        if not len(end_sites):
+            return np.zeros(3)
+        return self.rotations[file_joint] @ self.animation.rotation_y_up_file @ end_sites[0]
 
 
-def _compute_uprightness(positions: np.ndarray, file_joints: np.ndarray) -> np.ndarray:
-    """-> (T,) how upright figures at places (T, J, 3) stand: the least cosine of trunk, thighs and shins with the upright."""
+def _compute_uprightness(positions: Float[np.ndarray, "T J 3"], file_joints: Int[np.ndarray, " 31"]) -> Float[np.ndarray, " T"]:
+    """Compute how upright a figure is: the least cosine of trunk, thighs and shins with the vertical."""
     names = load_cmu31_body().skeleton.names
-    at = {name: positions[:, file_joints[names.index(name)]] for name in names if file_joints[names.index(name)] >= 0}
-    arms = (at["LeftArm"] + at["RightArm"]) / 2
-    ways = [arms - at["Hips"]]
+    known = {
+        name: positions[:, file_joint] for name, file_joint in zip(names, file_joints.tolist(), strict=True) if file_joint >= 0
+    }
+    upward = [(known["LeftArm"] + known["RightArm"]) / 2 - known["Hips"]]
     for side in SIDE_PREFIXES:
-        ways.append(at[side + "UpLeg"] - at[side + "Leg"])
-        if side + "Foot" in at:
-            ways.append(at[side + "Leg"] - at[side + "Foot"])
-    upward = [way[:, 1] / np.maximum(np.linalg.norm(way, axis=1), 1e-9) for way in ways]
-    return np.min(upward, axis=0)
+        upward.append(known[side + "UpLeg"] - known[side + "Leg"])
+        if side + "Foot" in known:
+            upward.append(known[side + "Leg"] - known[side + "Foot"])
+    cosines = [each[:, 1] / np.maximum(np.linalg.norm(each, axis=1), MIN_VECTOR_LENGTH_M) for each in upward]
+    return np.min(cosines, axis=0)
 
 
-def _compute_axis_rotations(standing: _StandingPose) -> np.ndarray:
-    """-> (31, 3, 3) A, of a figure that stands."""
-    ours, joints = load_cmu31_body().skeleton, standing.file_joints
-    across = standing.compute_vector("RightUpLeg", "LeftUpLeg")
-    facing = Rotation.from_euler("y", np.arctan2(-across[2], across[0])).as_matrix()
-    world = np.tile(facing, (len(ours.names), 1, 1))
-    for joint, name in enumerate(ours.names):
+def _compute_axis_rotations(pose: _StandingPose) -> Float[np.ndarray, "31 3 3"]:
+    """Compute A from an upright pose, the identity for joints without counterparts."""
+    model = load_cmu31_body().skeleton
+    leftward = pose.compute_vector("RightUpLeg", "LeftUpLeg")
+    facing = Rotation.from_euler("y", np.arctan2(-leftward[2], leftward[0])).as_matrix()
+    rotation_world_model = np.tile(facing, (len(model.names), 1, 1))
+    for joint, name in enumerate(model.names):
         if name.endswith(PARENT_ALIGNED_JOINTS):
-            world[joint] = world[ours.parents[joint]]
-        elif name in LIMB_BONE_ENDS and (bone := standing.compute_bone(name)).any():
-            world[joint] = compute_shortest_rotation(facing @ ours.offsets[ours.find_joint(LIMB_BONE_ENDS[name])], bone) @ facing
-    known = joints >= 0
-    turns = np.tile(np.eye(3), (len(ours.names), 1, 1))
-    turns[known] = np.swapaxes(standing.rotations[joints[known]], 1, 2) @ world[known]
-    return turns
+            rotation_world_model[joint] = rotation_world_model[model.parents[joint]]
+        elif name in LIMB_BONE_ENDS and (bone := pose.compute_bone(name)).any():
+            model_bone = facing @ model.offsets[model.find_joint(LIMB_BONE_ENDS[name])]
+            rotation_world_model[joint] = compute_shortest_rotation(model_bone, bone) @ facing
+    is_known = pose.file_joints >= 0
+    rotation_file_model = np.tile(np.eye(3), (len(model.names), 1, 1))
+    rotation_world_file = pose.rotations[pose.file_joints[is_known]]
+    rotation_file_model[is_known] = np.swapaxes(rotation_world_file, 1, 2) @ rotation_world_model[is_known]
+    return rotation_file_model
 
 
 def _build_aligned_skeleton(
-    animation: Animation, positions: np.ndarray, rotations: np.ndarray, file_joints: np.ndarray, rotation_file_model: np.ndarray
+    animation: Animation,
+    positions: Float[np.ndarray, "T J 3"],
+    rotations: Float[np.ndarray, "T J 3 3"],
+    file_joints: Int[np.ndarray, " 31"],
+    rotation_file_model: Float[np.ndarray, "31 3 3"],
 ) -> Skeleton:
-    """-> the 31 joints with the lengths of the file's, whose joints are at positions (T, J, 3), turned (T, J, 3, 3).
+    """Return the 31-joint skeleton with the bone lengths of a file, whose joints have these poses in the world.
 
-    Where unknown joints lie between two known ones they are put at the lower one, so that it lies where it does however
-    they turn. What has no counterpart at the body's tips has an average body's lengths, at this one's size.
+    Joints without counterpart between two that have one coincide with the lower one, so that it is where the file has it
+    whatever their rotations. Joints without counterpart at the ends of the body have the lengths of the average body, scaled
+    to this one's size.
     """
-    ours, known = load_cmu31_body().skeleton, file_joints >= 0
-    offsets, ends, own, average = ours.offsets.copy(), ours.ends.copy(), 0.0, 0.0
+    model, is_known = load_cmu31_body().skeleton, file_joints >= 0
+    offsets, ends, file_length, model_length = model.offsets.copy(), model.ends.copy(), 0.0, 0.0
     offsets[0] = 0.0
-    for joint in np.flatnonzero(known)[1:].tolist():
-        above = find_ancestor(joint, ours.parents, known)
-        between = find_path(joint, above, ours.parents)
-        leading = rotations[:, file_joints[above]] @ rotation_file_model[above]
-        apart = positions[:, file_joints[joint]] - positions[:, file_joints[above]]
-        average += np.linalg.norm(ours.offsets[between].sum(0))
-        offsets[between] = 0.0
-        offsets[between[0]] = np.nanmean(np.einsum("tij,ti->tj", leading, apart), axis=0)
-        own += np.linalg.norm(offsets[between[0]])
+    for joint in np.flatnonzero(is_known)[1:].tolist():
+        above = find_ancestor(joint, model.parents, is_known)
+        path = find_path(joint, above, model.parents)
+        rotation_above = rotations[:, file_joints[above]] @ rotation_file_model[above]
+        vector_world = positions[:, file_joints[joint]] - positions[:, file_joints[above]]
+        model_length += np.linalg.norm(model.offsets[path].sum(0))
+        offsets[path] = 0.0
+        offsets[path[0]] = np.nanmean(np.einsum("tij,ti->tj", rotation_above, vector_world), axis=0)
+        file_length += np.linalg.norm(offsets[path[0]])
     for joint in range(len(offsets)):
-        ends[joint] *= own / average
-        if not find_descendants(joint, ours.parents, known):
-            offsets[joint] *= own / average
-    for joint in np.flatnonzero(known & ~np.isnan(ends[:, 0])):
-        if len(there := animation.end_sites[file_joints[joint]]) and there[0].any():
-            ends[joint] = animation.rotation_y_up_file @ there[0] * animation.unit_m @ rotation_file_model[joint]
-    return replace(ours, offsets=offsets, ends=ends)
+        ends[joint] *= file_length / model_length
+        if not find_descendants(joint, model.parents, is_known):
+            offsets[joint] *= file_length / model_length
+    for joint in np.flatnonzero(is_known & ~np.isnan(ends[:, 0])):
+        if len(end_sites := animation.end_sites[file_joints[joint]]) and end_sites[0].any():
+            ends[joint] = animation.rotation_y_up_file @ end_sites[0] * animation.unit_m @ rotation_file_model[joint]
+    return replace(model, offsets=offsets, ends=ends)
 
 
-# MERGED: mocapfix.retarget
-# Poses of a file's body as poses of the 31 joints, and back into the file's joints.
-TRUNK_CHAIN_JOINTS = (
-    "LowerBack",
-    "Spine",
-    "Spine1",
-    "Neck",
-    "Neck1",
-    "Head",
-)  # of a bend between two known ones each takes its part
+def convert_to_cmu31(
+    animation: Animation, alignment: SkeletonAlignment
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 31 3 3"]]:
+    """Convert an animation to root positions in metres and local rotations of the skeleton of an alignment.
 
-
-def convert_to_cmu31(animation: Animation, alignment: SkeletonAlignment) -> tuple[np.ndarray, np.ndarray]:
-    """-> root (T, 3) in metres and local rotations (T, 31, 3, 3) of `fit.skeleton`, in its axes: a T-pose facing +Z at rest.
-
-    Joints without a counterpart rest on their parent, but those of the trunk and the neck, which share evenly in the turn
-    between the two known joints they lie between.
+    The rotations are relative to its rest pose, a T-pose that faces +Z. Joints without counterpart keep their rest rotation,
+    except in the trunk and neck, where the rotation between two joints with counterparts is shared evenly.
     """
     positions, rotations = animation.compute_world_poses()
     return positions[:, alignment.file_joints[0]], convert_rotations_to_cmu31(rotations, alignment)
 
 
-def convert_rotations_to_cmu31(rotations: np.ndarray, alignment: SkeletonAlignment) -> np.ndarray:
-    """-> (T, 31, 3, 3) local rotations as `to_cmu31`, of the file's joints turned as rotations (T, J, 3, 3) in the world say."""
-    parents, known = alignment.skeleton.parents, alignment.file_joints >= 0
+def convert_rotations_to_cmu31(
+    rotations: Float[np.ndarray, "T J 3 3"], alignment: SkeletonAlignment
+) -> Float[np.ndarray, "T 31 3 3"]:
+    """Convert the world rotations of a file's joints to local rotations as in `convert_to_cmu31`."""
+    parents, is_known = alignment.skeleton.parents, alignment.file_joints >= 0
     world = np.tile(np.eye(3), (len(rotations), len(parents), 1, 1))
-    world[:, known] = rotations[:, alignment.file_joints[known]] @ alignment.rotation_file_model[known]
+    world[:, is_known] = rotations[:, alignment.file_joints[is_known]] @ alignment.rotation_file_model[is_known]
     local = np.tile(np.eye(3), (len(rotations), len(parents), 1, 1))
-    for joint in np.flatnonzero(known).tolist():
-        above = find_ancestor(joint, parents, known)
-        turn = np.swapaxes(world[:, above], 1, 2) @ world[:, joint] if above >= 0 else world[:, joint]
+    for joint in np.flatnonzero(is_known).tolist():
+        above = find_ancestor(joint, parents, is_known)
+        rotation = np.swapaxes(world[:, above], 1, 2) @ world[:, joint] if above >= 0 else world[:, joint]
         chain = _list_sharing_joints(joint, above, alignment.skeleton)
-        part = turn if len(chain) == 1 else _scale_rotations(turn, 1 / len(chain))
-        local[:, chain] = part[:, None]
+        share = rotation if len(chain) == 1 else _scale_rotations(rotation, 1 / len(chain))
+        local[:, chain] = share[:, None]
     return local
 
 
-def from_cmu31(
-    animation: Animation, fit: SkeletonAlignment, joints: Sequence[int], frames: np.ndarray, rotations: np.ndarray
-) -> np.ndarray:
-    """-> (T, C) the animation's values with some of the 31 joints (n,) in some frames (m,) turned as local rotations
-    (m, 31, 3, 3) say; the inverse of `to_cmu31` for these.
-
-    A joint without a counterpart turns the next below it that has one, if there is one. What lies between two counterparts in
-    the file's tree stays as it is, and the lower of them takes the whole turn: its orientation in the world is exact.
-    """
-    known = fit.file_joints >= 0
-    local = animation.replace_values(animation.values[frames]).compute_local_rotations()
-    turned = sorted({each for joint in joints for each in find_descendants(int(joint), fit.skeleton.parents, known)})
-    new = np.empty((len(frames), len(turned), 3, 3))
-    for at, joint in enumerate(turned):
-        new[:, at] = compute_file_rotation(animation.parents, local, fit, joint, rotations)
-    return animation.replace_rotations(fit.file_joints[turned], frames, new)
-
-
 def compute_file_rotation(
-    parents: np.ndarray, file_rotations: np.ndarray, alignment: SkeletonAlignment, joint: int, model_rotations: np.ndarray
-) -> np.ndarray:
-    """-> (m, 3, 3) the local rotation of the file's joint for one of ours, where ours turn as rotations (m, 31, 3, 3) and the
-    file's, in a tree parents (J,), as local (m, J, 3, 3) say."""
-    above, own = find_ancestor(joint, alignment.skeleton.parents, alignment.file_joints >= 0), alignment.file_joints[joint]
-    turn = _multiply_rotations(model_rotations, find_path(joint, above, alignment.skeleton.parents))
-    lead = alignment.rotation_file_model[above] if above >= 0 else np.eye(3)
-    between = find_path(int(parents[own]), alignment.file_joints[above] if above >= 0 else -1, parents)
-    return np.swapaxes(_multiply_rotations(file_rotations, between), 1, 2) @ lead @ turn @ alignment.rotation_file_model[joint].T
+    parents: Int[np.ndarray, " J"],
+    file_rotations: Float[np.ndarray, "T J 3 3"],
+    alignment: SkeletonAlignment,
+    joint: int,
+    model_rotations: Float[np.ndarray, "T 31 3 3"],
+) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the local rotation of the counterpart of a model joint in a file.
+
+    parents, file_rotations  tree and local rotations of the file's joints, of which those above the counterpart are used
+    model_rotations  local rotations of the 31 joints
+    """
+    above = find_ancestor(joint, alignment.skeleton.parents, alignment.file_joints >= 0)
+    file_joint = alignment.file_joints[joint]
+    rotation_above_joint = _multiply_rotations(model_rotations, find_path(joint, above, alignment.skeleton.parents))
+    rotation_file_above = alignment.rotation_file_model[above] if above >= 0 else np.eye(3)
+    path = find_path(int(parents[file_joint]), int(alignment.file_joints[above]) if above >= 0 else -1, parents)
+    rotation_parent = np.swapaxes(_multiply_rotations(file_rotations, path), 1, 2)
+    return rotation_parent @ rotation_file_above @ rotation_above_joint @ alignment.rotation_file_model[joint].T
 
 
-def _multiply_rotations(rotations: np.ndarray, path: list[int]) -> np.ndarray:
-    """-> (m, 3, 3) the product of local rotations (m, J, 3, 3) along a way."""
-    turn = np.tile(np.eye(3), (len(rotations), 1, 1))
+def _multiply_rotations(rotations: Float[np.ndarray, "T J 3 3"], path: list[int]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the product of the local rotations along a path of joints."""
+    product = np.tile(np.eye(3), (len(rotations), 1, 1))
     for joint in path:
-        turn = turn @ rotations[:, joint]
-    return turn
+        product = product @ rotations[:, joint]
+    return product
 
 
 def _list_sharing_joints(joint: int, ancestor: int, skeleton: Skeleton) -> list[int]:
-    """-> the joints that share in the turn from a known joint above to `joint`: those of the trunk, or it alone."""
-    between = find_path(joint, ancestor, skeleton.parents)
-    return between if all(skeleton.names[each] in TRUNK_CHAIN_JOINTS for each in between) else [joint]
+    """Return the joints that share the rotation between an ancestor and a joint: those of the trunk, or the joint alone."""
+    path = find_path(joint, ancestor, skeleton.parents)
+    return path if all(skeleton.names[each] in TRUNK_CHAIN_JOINTS for each in path) else [joint]
 
 
-def _scale_rotations(rotations: np.ndarray, fraction: float) -> np.ndarray:
-    """-> (T, 3, 3) of rotations (T, 3, 3) the part of their angle, NaN where they are."""
-    parts, there = rotations.copy(), np.isfinite(rotations).all((1, 2))
-    parts[there] = Rotation.from_rotvec(Rotation.from_matrix(rotations[there]).as_rotvec() * fraction).as_matrix()
-    return parts
+def _scale_rotations(rotations: Float[np.ndarray, "T 3 3"], fraction: float) -> Float[np.ndarray, "T 3 3"]:
+    """Return rotations about the same axes by a fraction of the angles, NaN where the rotations are."""
+    scaled, is_known = rotations.copy(), np.isfinite(rotations).all((1, 2))
+    scaled[is_known] = Rotation.from_rotvec(Rotation.from_matrix(rotations[is_known]).as_rotvec() * fraction).as_matrix()
+    return scaled

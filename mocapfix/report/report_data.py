@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.animation import Animation
 from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
 from mocapfix.motion import FrameStatus, Motion
@@ -36,7 +35,7 @@ def build_take_section(take: Take, marker_set: str | None) -> TakeSection:
     }
     if take.subject_name:
         section["person"] = take.subject_name
-    if isinstance(take.layout, Animation):
+    if take.point_kind == "joint":
         section["animation"] = True
     return section
 

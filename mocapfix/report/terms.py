@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from mocapfix.animation import Animation
 from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
 from mocapfix.take import Take
 
@@ -54,7 +53,7 @@ JOINT_TERMS = PointTerms("joint", "joints", "value", "values", "read from the fi
 
 def get_point_terms(take: Take) -> PointTerms:
     """Return the words for the points of a take, which are joints if it was made from an animation."""
-    return JOINT_TERMS if isinstance(take.layout, Animation) else MARKER_TERMS
+    return JOINT_TERMS if take.point_kind == "joint" else MARKER_TERMS
 
 
 def get_fault_group(kind: FaultKind) -> str:

@@ -43,9 +43,9 @@ def read_amc_recording(path: Path) -> Iterator[Recording]:
 def _read_recording(path: Path, read: Callable[[Path], Animation]) -> Recording:
     animation = read(path)
     result = map_joints(animation.names, animation.parents)
-    if result.mapping is None:
+    if result.file_joints is None:
         raise ReadError(f"{path}: {result.reason}")
-    alignment = align_skeleton(animation, result.mapping)
+    alignment = align_skeleton(animation, result.file_joints)
     if alignment is None:
         raise ReadError(f"{path}: the figure never stands upright, so the axes of its joints cannot be determined.")
     step = compute_frame_step(animation.rate)

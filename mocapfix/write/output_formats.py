@@ -1,14 +1,12 @@
 """The kinds of file that cleaning a take may write: a line for each."""
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mocapfix import write
-from mocapfix.animation import Animation
 from mocapfix.calibrate import subject_file
 from mocapfix.files.layouts import TableLayout
 from mocapfix.motion import Motion
@@ -160,12 +158,7 @@ OPTIONAL_FORMATS = {
 
 def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
     """Write the take's own file with only the changed samples replaced, or, where it has no place for every sample, a plain
-    table instead; beside an AMC its skeleton, as it is. -> the (frame, marker) indices that could not be stored."""
-    if isinstance(before.layout, Animation) and isinstance(after.layout, Animation):
-        write.patch_animation(target, before.layout, after.layout.values)
-        if before.layout.skeleton_path:
-            shutil.copyfile(before.layout.skeleton_path, target.with_suffix(".asf"))
-        return []
+    table instead. -> the (frame, marker) indices that could not be stored."""
     if isinstance(before.layout, TableLayout):
         if before.layout.has_field_per_sample:
             return write.patch_table(target, before, after)

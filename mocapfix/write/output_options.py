@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.motion import Motion
@@ -61,16 +60,16 @@ def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> li
         if kind not in (BVH_FORMAT, *DEFAULT_FORMATS) and kind.suffix not in get_source_suffixes(take.path)
     ]
     said = [f"{kind.suffix} {kind.usage_note}" for kind in asked if kind.usage_note and (has_body or not kind.needs_body)]
-    whose = "whose joints are whose is not known" if isinstance(take.layout, Animation) else "the take has no skeleton"
+    whose = "whose joints are whose is not known" if take.point_kind == "joint" else "the take has no skeleton"
     said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.needs_body and not has_body]
     if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
         said.append(f"{take.name} lists only what was seen, so that the mended markers are written as a plain table.")
     if has_body and options.output_rate_hz and options.output_rate_hz != take.rate:
         picked = is_frame_subset(take.rate, options.output_rate_hz)
         how = f"one of {take.rate / options.output_rate_hz:.0f}, as solved" if picked else "on splines through the solved ones"
-        rest = "what was mended keeps" if isinstance(take.layout, Animation) else "markers keep"
+        rest = "what was mended keeps" if take.point_kind == "joint" else "markers keep"
         said.append(f"What moves has {options.output_rate_hz:g} frames a second ({how}); {rest} the take's {take.rate:g}.")
     if has_body and options.floor_height_m:
-        rest = "its own file" if isinstance(take.layout, Animation) else "the markers"
+        rest = "its own file" if take.point_kind == "joint" else "the markers"
         said.append(f"What moves is written {options.floor_height_m:g} m lower than {rest}, for that high is the floor.")
     return said

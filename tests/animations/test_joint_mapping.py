@@ -1,0 +1,124 @@
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix.animations import joint_mapping
+from mocapfix.animations.joint_mapping import NamingConvention
+from mocapfix.errors import SceneError
+from mocapfix.skeleton import load_cmu31_body
+
+MODEL = load_cmu31_body().skeleton
+
+
+def build_named_tree(convention: NamingConvention) -> tuple[list[str], np.ndarray]:
+    """Return names and parents of a body with a convention's names: for each joint the most likely one that is free."""
+    names: dict[int, str] = {}
+    for joint, candidates in convention.candidate_names.items():
+        free = [name for name in candidates if name not in names.values()]
+        if free:
+            names[MODEL.find_joint(joint)] = free[0]
+    joints = sorted(names)
+    is_named = np.isin(np.arange(31), joints)
+    above = [joint_mapping.find_ancestor(joint, MODEL.parents, is_named) for joint in joints]
+    return [names[joint] for joint in joints], np.array([joints.index(joint) if joint >= 0 else -1 for joint in above])
+
+
+def map_names(names: Sequence[str], parents: Sequence[int], convention: str | Path | None = None) -> dict[str, str]:
+    """Return the names of a file's joints by model joint."""
+    mapping = joint_mapping.map_joints(names, np.asarray(parents), convention)
+    assert mapping.file_joints is not None, mapping.reason
+    return {model: names[joint] for model, joint in zip(MODEL.names, mapping.file_joints.tolist(), strict=True) if joint >= 0}
+
+
+@pytest.mark.parametrize("convention", joint_mapping.load_shipped_conventions(), ids=lambda convention: convention.name)
+def test_no_convention_matches_more_joints_of_a_body_than_its_own(convention: NamingConvention):
+    names, parents = build_named_tree(convention)
+    mapping = joint_mapping.map_joints(names, parents)
+    assert mapping.file_joints is not None, mapping.reason
+    assert (mapping.file_joints >= 0).sum() == len(names)
+    assert len(names) >= 17
+    np.testing.assert_array_equal(mapping.file_joints, convention.match_joints(names, parents))
+
+
+# fmt: off
+MIXAMO_NAMES = [
+    "Hips", "Spine", "Spine1", "Spine2", "Neck", "Head", "HeadTop_End", "LeftShoulder",
+    "LeftArm", "LeftForeArm", "LeftHand", "LeftHandThumb1", "LeftHandThumb2", "LeftHandIndex1", "RightShoulder", "RightArm",
+    "RightForeArm", "RightHand", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase", "LeftToe_End", "RightUpLeg",
+    "RightLeg", "RightFoot", "RightToeBase",
+]
+# fmt: on
+MIXAMO_PARENTS = [-1, 0, 1, 2, 3, 4, 5, 3, 7, 8, 9, 10, 11, 10, 3, 14, 15, 16, 0, 18, 19, 20, 21, 0, 23, 24, 25]
+
+
+@pytest.mark.parametrize("pattern", ["{}", "mixamorig:{}", "mixamorig_{}", "Jim:mixamorig{}", "|Armature|{}"])
+def test_common_prefix_is_ignored(pattern: str):
+    names = [pattern.format(name) for name in MIXAMO_NAMES]
+    prefix = pattern.partition("{")[0]
+    joints = {model: name.removeprefix(prefix) for model, name in map_names(names, MIXAMO_PARENTS).items()}
+    assert joints["Spine1"] == "Spine2"
+    assert joints["LowerBack"] == "Spine"
+    assert joints["Spine"] == "Spine1"
+    assert joints["LThumb"] == "LeftHandThumb1"
+    assert all(joints[name] == name for name in ("Hips", "Head", "LeftUpLeg", "RightHand"))
+    assert "Neck1" not in joints
+
+
+def test_case_and_punctuation_are_ignored():
+    names = [name.upper().replace("LEFT", "left_").replace("RIGHT", "Right ") for name in MIXAMO_NAMES]
+    assert set(map_names(names, MIXAMO_PARENTS)) == set(map_names(MIXAMO_NAMES, MIXAMO_PARENTS))
+
+
+def test_root_of_biped_is_named_by_prefix_alone():
+    names = ["Bip01", "Bip01 Pelvis", "Bip01 Spine", "Bip01 Spine1", "Bip01 Neck", "Bip01 Head"]
+    parents = [-1, 0, 1, 2, 3, 4]
+    for side in "LR":
+        first = len(names)
+        names += [f"Bip01 {side} {bone}" for bone in ("Thigh", "Calf", "Foot", "Clavicle", "UpperArm", "Forearm", "Hand")]
+        parents += [1, first, first + 1, 3, first + 3, first + 4, first + 5]
+    joints = map_names(names, parents)
+    assert joints["Hips"] == "Bip01 Pelvis"
+    assert (joints["LowerBack"], joints["Spine1"]) == ("Bip01 Spine", "Bip01 Spine1")
+    assert joints["RightForeArm"] == "Bip01 R Forearm"
+
+
+def test_joint_below_another_limb_is_discarded():
+    parents = MIXAMO_PARENTS.copy()
+    parents[MIXAMO_NAMES.index("LeftToeBase")] = MIXAMO_NAMES.index("RightFoot")
+    assert "LeftToeBase" not in map_names(MIXAMO_NAMES, parents)
+    assert "LeftToeBase" in map_names(MIXAMO_NAMES, MIXAMO_PARENTS)
+
+
+def test_body_without_a_limb_is_not_mapped():
+    names = [name.replace("RightForeArm", "Prop") for name in MIXAMO_NAMES]
+    mapping = joint_mapping.map_joints(names, np.array(MIXAMO_PARENTS))
+    assert mapping.file_joints is None
+    assert "MotionBuilder" in mapping.reason
+    assert "lacks RightForeArm" in mapping.reason
+    unknown = joint_mapping.map_joints(["a", "b"], np.array([-1, 0]))
+    assert unknown.file_joints is None
+    assert "no joint name is known" in unknown.reason
+
+
+def test_convention_from_file(tmp_path):
+    names = [f"j{index}" for index in range(len(MIXAMO_NAMES))]
+    name_by_model = {model: names[MIXAMO_NAMES.index(name)] for model, name in map_names(MIXAMO_NAMES, MIXAMO_PARENTS).items()}
+    lines = ["name: mine", "title: My own", "joints:", *(f"  {model}: [{name}]" for model, name in name_by_model.items())]
+    (tmp_path / "mine.yaml").write_text("\n".join(lines))
+    assert map_names(names, MIXAMO_PARENTS, tmp_path / "mine.yaml") == name_by_model
+    mapping = joint_mapping.map_joints(names, np.array(MIXAMO_PARENTS), tmp_path / "mine.yaml")
+    assert mapping.reason == f"My own: found {len(name_by_model)} of the 31 joints."
+    assert joint_mapping.map_joints(MIXAMO_NAMES, np.array(MIXAMO_PARENTS), "cmu").reason.startswith("CMU")
+
+
+def test_unknown_or_invalid_convention_is_refused(tmp_path):
+    with pytest.raises(SceneError, match=r"naming convention.*acclaim, biped"):
+        joint_mapping.load_naming_convention("mayan")
+    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: [a], Tail: [b]}")
+    with pytest.raises(SceneError, match=r"a\.yaml: joints\.Tail.*no joint 'Tail'"):
+        joint_mapping.load_naming_convention(tmp_path / "a.yaml")
+    (tmp_path / "a.yaml").write_text("name: a\ntitle: A\njoints: {Hips: a}")
+    with pytest.raises(SceneError, match=r"a\.yaml: joints\.Hips"):
+        joint_mapping.load_naming_convention(Path(tmp_path / "a.yaml"))
