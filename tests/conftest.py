@@ -80,7 +80,7 @@ def cleaned(tmp_path_factory) -> Cleaned:
 @pytest.fixture(scope="session")
 def brief(cleaned, tmp_path_factory) -> Brief:
     folder = tmp_path_factory.mktemp("brief")
-    markers, labels = cleaned.truth.markers[:120].copy(), cleaned.truth.labels
+    markers, labels = cleaned.truth.marker_positions[:120].copy(), cleaned.truth.labels
     markers[40:60, labels.index("RELB")] = np.nan
     markers[70:90, labels.index("LKNE")] = np.nan
     markers[20, labels.index("STRN")] += [0.2, 0.0, 0.0]

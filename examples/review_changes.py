@@ -1,0 +1,21 @@
+"""Reject one change and clean again: its samples stay as they were, everything else is the same."""
+
+from pathlib import Path
+
+import yaml
+
+import mocapfix
+from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+
+path, folder = Path("review.c3d"), Path("review.mocapfix")
+write_synthetic_take(path, compose_take(seed=5, seconds=3.0))
+outputs = mocapfix.clean(path, prior="none").write(folder, overwrite=True)
+
+review_file = outputs["changes.yaml"]
+review = yaml.safe_load(review_file.read_text())
+rejected = review["changes"][0]
+rejected["decision"] = "reject"  # or "keep": leave the samples as they are and use them in the solve
+review_file.write_text(yaml.safe_dump(review, sort_keys=False))
+
+again = mocapfix.clean(path, prior="none", review_files=[review_file])
+print(f"rejected {rejected['id']}: {[c.decision for c in again.changes if c.id == rejected['id']]}")
