@@ -10,7 +10,7 @@ range_of_motion, walk = Path("rom.c3d"), Path("walk.c3d")
 write_synthetic_take(range_of_motion, compose_take(seed=4, seconds=5.0))
 write_synthetic_take(walk, compose_take(seed=4, seconds=2.0))
 
-subject = mocapfix.calibrate([range_of_motion])
+subject = mocapfix.calibrate_takes([range_of_motion])
 write_subject("subject.yaml", subject)  # readable and editable
 
 # marker_offsets (K, 3) are in metres, in the rest axes of the joint that carries the marker.

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
     from mocapfix.options import CleanOptions, build_clean_options
-    from mocapfix.pipeline import calibrate, clean, inspect
+    from mocapfix.pipeline import calibrate_takes, clean, inspect
     from mocapfix.result import CleaningResult
     from mocapfix.take import Take
 
-__all__ = ["CleanOptions", "CleaningResult", "MocapfixError", "Take", "build_clean_options", "calibrate", "clean", "inspect"]
+__all__ = ["CleanOptions", "CleaningResult", "MocapfixError", "Take", "build_clean_options", "calibrate_takes", "clean", "inspect"]
 
 MODULE_OF_NAME = {
     "CleanOptions": "options",
@@ -27,7 +27,7 @@ MODULE_OF_NAME = {
     "MocapfixError": "errors",
     "Take": "take",
     "build_clean_options": "options",
-    "calibrate": "pipeline",
+    "calibrate_takes": "pipeline",
     "clean": "pipeline",
     "inspect": "pipeline",
 }

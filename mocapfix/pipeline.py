@@ -187,11 +187,11 @@ def inspect(
 
 
 @limit_blas_threads
-def calibrate(
+def calibrate_takes(
     paths: Sequence[str | Path],
     options: CleanOptions = DEFAULT_OPTIONS,
     *,
-    pose_prior: str = "mean-pose",
+    mean_pose_prior: str = "mean-pose",
     **changed_options: object,
 ) -> Subject:
     """Calibrate one person's bones and marker offsets from one or several takes together.
@@ -199,7 +199,7 @@ def calibrate(
     Args:
         paths: the takes.
         options: `options.read` and `options.subject`; the others are not used.
-        pose_prior: the name of the mean pose prior.
+        mean_pose_prior: the name of the mean pose prior.
 
     Raises:
         TakeError: if no marker set fits, the takes have different marker sets, or a take shows several subjects and none is named.
@@ -221,7 +221,7 @@ def calibrate(
     joined = takes[0].replace_markers(np.concatenate([take.markers for take in takes]))
     body = load_cmu31_body()
     (marker_set,) = marker_sets.values()
-    return calibrate_subject(joined, marker_set, body, load_mean_pose_prior(pose_prior, body.skeleton))
+    return calibrate_subject(joined, marker_set, body, load_mean_pose_prior(mean_pose_prior, body.skeleton))
 
 
 def _detect_for_calibration(path: str | Path, options: CleanOptions) -> CleaningState:

@@ -246,8 +246,8 @@ def test_a_subject_is_one_persons(files, two):
 
 def test_calibration_asks_whose_bones(files):
     with pytest.raises(TakeError, match="shows Jim and Ann; say whose bones are wanted"):
-        pipeline.calibrate([files / "two.c3d"])
-    assert pipeline.calibrate([files / "two.c3d"], subject_prefix="Ann").labels == CMU41
+        pipeline.calibrate_takes([files / "two.c3d"])
+    assert pipeline.calibrate_takes([files / "two.c3d"], subject_prefix="Ann").labels == CMU41
 
 
 def test_what_is_there_already_is_not_replaced_and_nothing_is_written(files, two, tmp_path):

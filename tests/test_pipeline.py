@@ -371,7 +371,7 @@ def test_an_arm_whose_markers_all_tremble_is_not_lost(tmp_path):
 
 
 def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):
-    subject = pipeline.calibrate([brief.path, cleaned.path])
+    subject = pipeline.calibrate_takes([brief.path, cleaned.path])
     assert subject.labels == marker_sets.load_marker_set("cmu41").labels
     assert np.abs(lengths(subject.skeleton) - lengths(cleaned.truth.subject.skeleton)).max() < 0.025
 

@@ -96,7 +96,7 @@ def run_calibrate(
     check_outputs_absent([subject], overwrite)
     with show_progress(", ".join(take.name for take in takes)) as progress:
         progress("calibrate")
-        calibrated = pipeline.calibrate(takes, parsed, mean_pose_prior=prior)
+        calibrated = pipeline.calibrate_takes(takes, parsed, mean_pose_prior=prior)
         subject_file.write_subject(subject, calibrated)
     size = f"{len(calibrated.labels)} markers on {len(calibrated.skeleton.names)} joints, from {calibrated.frame_count} frames"
     print_line(f"{escape(str(subject))}: {size}.")

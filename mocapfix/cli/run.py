@@ -50,7 +50,7 @@ def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
     if calibration_takes := job.list_calibration_takes():
         with show_progress(path.name) as progress:
             progress("calibrate")
-            subject = pipeline.calibrate(calibration_takes, job.options)
+            subject = pipeline.calibrate_takes(calibration_takes, job.options)
     return clean_takes(takes, output_folder, job.options.change(subject=subject), overwrite=overwrite)
 
 
