@@ -1,12 +1,10 @@
-"""mocapfix cleans optical motion capture: a take in; the same file mended, a BVH, a report and a recording out.
-
-From Python:
+"""mocapfix cleans optical motion capture: a capture file is repaired, and a body is solved from it.
 
     import mocapfix
-    result = mocapfix.pipeline.clean("walk.c3d")  # .take .faults .subject .motion .report; .people where it shows several
+    result = mocapfix.clean("walk.c3d")
     result.write("walk.mocapfix")
 
-The names are imported when they are asked for: what a take needs is half a second of libraries, what --help needs is none.
+Public names are imported on first use: the numerical libraries take half a second to import, and `--help` needs none of them.
 """
 
 from importlib import import_module
@@ -19,7 +17,16 @@ if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
     from mocapfix.take import Take
 
-__all__ = ["CleanOptions", "CleaningResult", "MocapfixError", "Take", "build_clean_options", "calibrate_takes", "clean", "inspect"]
+__all__ = [
+    "CleanOptions",
+    "CleaningResult",
+    "MocapfixError",
+    "Take",
+    "build_clean_options",
+    "calibrate_takes",
+    "clean",
+    "inspect",
+]
 
 MODULE_OF_NAME = {
     "CleanOptions": "options",

@@ -1,8 +1,8 @@
 """The pipeline: every stage of cleaning a take, in order.
 
-`clean` reads a file and cleans the take of each subject in it: detect, calibrate, initialise, solve, detect again, fill, apply decisions.
-Each stage takes a `CleaningState` and the `CleanOptions` and returns the state with more fields filled. An animation (BVH, AMC) has no
-markers and is cleaned by `mocapfix.animations`.
+`clean` reads a file and cleans the take of each subject in it: detect, calibrate, initialise, solve, detect again, fill, apply
+decisions. Each stage takes a `CleaningState` and the `CleanOptions` and returns the state with more fields filled. An animation (BVH,
+AMC) has no markers and is cleaned by `mocapfix.animations`.
 """
 
 from collections.abc import Sequence
@@ -61,8 +61,8 @@ def clean(
         changed_options: single options by name, in place of those in `options`: `clean(path, prior="none", max_gap_s=2.0)`.
 
     Returns:
-        The cleaned take with its faults, changes, subject, motion and report. With several subjects in the file, a result for the whole
-        take that holds one result for each subject.
+        The cleaned take with its faults, changes, subject, motion and report. With several subjects in the file, a result for the
+        whole take that holds one result for each subject.
 
     Raises:
         MocapfixError: with a sentence for a technician. Nothing is written.
@@ -202,7 +202,8 @@ def calibrate_takes(
         mean_pose_prior: the name of the mean pose prior.
 
     Raises:
-        TakeError: if no marker set fits, the takes have different marker sets, or a take shows several subjects and none is named.
+        TakeError: if no marker set fits, the takes have different marker sets, or a take shows several subjects and none is
+            named.
     """
     options = options.change(**changed_options)
     selected: list[tuple[Take, CleaningState]] = []
