@@ -1,153 +1,184 @@
 """Filling from the markers that move with the missing one: those on the same head, forearm, plate or prop, and its neighbours.
 
-Two markers of one rigid thing keep their distance over the whole take (Ringer & Lasenby 2004, "A procedure for automatically
-estimating model parameters in optical motion capture"). Each gap is filled from the markers seen all through it that keep
-theirs best: they make a frame of axes by weighted registration, and how their own shape changes there (a joint in between,
-skin) tells, by a regression learnt from the take, where the missing one lies in it. What that misses at the gap's edges is
-carried across. So a rigid cluster is exact, and a loose one as good as its past.
+Two markers on one rigid body keep their distance over the whole take (Ringer & Lasenby 2004, "A procedure for automatically
+estimating model parameters in optical motion capture"). Each gap is filled from the markers with the most constant distances that
+are visible throughout. They define axes by weighted registration. A regression learned from the take predicts the position of the
+missing marker in these axes from the deformation of the cluster (a joint in between, skin). The residual at the edges of the gap
+is interpolated. A rigid cluster is therefore exact, and the accuracy of a loose one is that of its past.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.stats.residual_process import interpolate_residual
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
 from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sampling import sample_evenly
 
-MAX_DISTANCE_CHANGE_M = 0.1  # metres: a distance that varies by more tells nothing
-MIN_DISTANCE_CHANGE_M = 0.003  # metres: by which even a distance on one rigid thing varies
-MAX_CLUSTER_MARKERS = 12  # markers asked for one place
-MIN_CLUSTER_FRAMES = 30  # frames in which the missing one and all that are asked were seen, without which nothing can be learnt
-MAX_CLUSTER_TRAINING_FRAMES = 300  # frames at most, evenly spread, from which distances and shapes are learnt
-SHAPE_RIDGE_M = 0.01  # metres: a change of a cluster's own shape that means nothing
-CROSS_VALIDATION_FOLDS = 4  # stretches of the take, each foretold from the others, to know how sure the regression is
-CLUSTER_RESIDUAL_FADE_S = 0.3  # seconds after which what was missed at an edge has lost most of its memory
-CLUSTER_RESIDUAL_REACH_S = 0.1  # seconds on either side of a gap that are listened to
-CLUSTER_SAMPLE_NOISE_M = 0.0005  # metres: what a single sample is off
-MIN_CLUSTER_RESIDUAL_M = 0.001  # metres: what a cluster misses at the very least
+MAX_DISTANCE_CHANGE_M = 0.1
+"""Variation of the distance of two markers above which one does not predict the other."""
+MIN_DISTANCE_CHANGE_M = 0.003
+"""Variation of a distance on one rigid body, which bounds the weight of a marker."""
+MIN_CLUSTER_MARKERS = 3
+"""Markers that define axes."""
+MAX_CLUSTER_MARKERS = 12
+"""Markers that predict one position."""
+MIN_CLUSTER_FRAMES = 30
+"""Frames in which the missing marker and its cluster must be visible."""
+MAX_CLUSTER_TRAINING_FRAMES = 300
+"""Evenly spaced frames from which distances and deformations are learned."""
+SHAPE_RIDGE_M = 0.01
+"""Ridge of the regression: deformations far below it are ignored."""
+CROSS_VALIDATION_FOLDS = 4
+"""Stretches of the take, each predicted from the others, that give the error of the regression."""
+CLUSTER_RESIDUAL_FADE_S = 0.3
+"""Time scale of the correlation of the residual."""
+CLUSTER_RESIDUAL_REACH_S = 0.1
+"""Time on either side of a gap that is used."""
+CLUSTER_SAMPLE_NOISE_M = 0.0005
+"""Noise of a sample."""
+MIN_CLUSTER_RESIDUAL_M = 0.001
+"""Smallest standard deviation of the residual."""
 
 
-def fill_from_clusters(markers: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> positions (T, M, 3) in metres at missing samples, NaN elsewhere, and their standard deviation per axis (T, M).
+class AlignedCluster(NamedTuple):
+    """A cluster in its own axes (T, K, 3), and these axes in the world: rotation (T, 3, 3) and centre (T, 3) m."""
 
-    A gap through which fewer than three markers are seen that ever kept near the missing one is left NaN.
+    markers: np.ndarray
+    rotation: np.ndarray
+    centre: np.ndarray
 
-    markers  (T, M, 3) metres, NaN where not believed; rate in Hz
+
+def fill_from_clusters(
+    markers: Float[np.ndarray, "T M 3"], rate: float
+) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
+    """Return positions of missing samples in metres, and their standard deviations per axis; NaN elsewhere.
+
+    A gap through which fewer than three suitable markers are visible is not filled.
+
+    markers  in metres, NaN if not visible or an outlier
+    rate     frame rate in Hz
     """
-    seen = ~np.isnan(markers[..., 0])
-    filled, deviation = np.full(markers.shape, np.nan), np.full(seen.shape, np.nan)
-    if seen.all() or not seen.any():
-        return filled, deviation
+    visible = ~np.isnan(markers[..., 0])
+    filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
+    if visible.all() or not visible.any():
+        return filled, sd
     change = compute_distance_changes(markers)
-    for m in np.flatnonzero(~seen.all(0) & seen.any(0)):
-        near = np.argsort(change[m], kind="stable")
-        near = near[change[m, near] < MAX_DISTANCE_CHANGE_M]
-        for first, last in find_runs(~seen[:, m]):
-            asked = near[seen[first : last + 1, near].all(0)][:MAX_CLUSTER_MARKERS]
-            learn = np.flatnonzero(seen[:, m] & seen[:, asked].all(1))
-            if len(asked) >= 3 and len(learn) >= MIN_CLUSTER_FRAMES:
+    for m in np.flatnonzero(~visible.all(0) & visible.any(0)):
+        nearest = np.argsort(change[m], kind="stable")
+        nearest = nearest[change[m, nearest] < MAX_DISTANCE_CHANGE_M]
+        for first, last in find_runs(~visible[:, m]):
+            cluster = nearest[visible[first : last + 1, nearest].all(0)][:MAX_CLUSTER_MARKERS]
+            training = np.flatnonzero(visible[:, m] & visible[:, cluster].all(1))
+            if len(cluster) >= MIN_CLUSTER_MARKERS and len(training) >= MIN_CLUSTER_FRAMES:
+                weight = 1 / (change[m, cluster] ** 2 + MIN_DISTANCE_CHANGE_M**2)
+                training = training[sample_evenly(len(training), MAX_CLUSTER_TRAINING_FRAMES)]
                 gap = slice(first, last + 1)
-                weight = 1 / (change[m, asked] ** 2 + MIN_DISTANCE_CHANGE_M**2)
-                filled[gap, m], deviation[gap, m] = fill_gap_from_cluster(
-                    markers, int(m), asked, weight, sample_evenly(learn), first, last, rate
+                filled[gap, m], sd[gap, m] = fill_gap_from_cluster(
+                    markers, int(m), cluster, weight, training, gap=(first, last), rate=rate
                 )
-    return filled, deviation
+    return filled, sd
 
 
-def sample_evenly(frames: np.ndarray) -> np.ndarray:
-    """-> at most LEARNING of the frames, evenly spread."""
-    return frames[np.unique(np.linspace(0, len(frames) - 1, MAX_CLUSTER_TRAINING_FRAMES).astype(int))]
-
-
-def compute_distance_changes(markers: np.ndarray) -> np.ndarray:
-    """-> (M, M) metres: by how much the distance of two markers varies over the take, robustly; infinite where not known."""
-    some = markers[sample_evenly(np.arange(len(markers)))]
-    enough = np.flatnonzero((~np.isnan(some[..., 0])).sum(0) >= min(MIN_CLUSTER_FRAMES, len(some) // 10 + 2))
+def compute_distance_changes(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "M M"]:
+    """Return the variation of the distance of each pair of markers in metres, robustly; infinite where unknown."""
+    sampled = markers[sample_evenly(len(markers), MAX_CLUSTER_TRAINING_FRAMES)]
+    enough = np.flatnonzero((~np.isnan(sampled[..., 0])).sum(0) >= min(MIN_CLUSTER_FRAMES, len(sampled) // 10 + 2))
     change = np.full((markers.shape[1],) * 2, np.inf)
     for n, i in enumerate(enough[1:], start=1):
-        distance = np.sort(np.linalg.norm(some[:, i, None] - some[:, enough[:n]], axis=-1), axis=0)  # NaN comes last
+        distance = np.sort(np.linalg.norm(sampled[:, i, None] - sampled[:, enough[:n]], axis=-1), axis=0)  # NaN comes last
         low, high = (compute_column_percentiles(distance, share) for share in (0.16, 0.84))
-        known = np.isfinite(high)
-        others = enough[:n][known]
-        change[i, others] = change[others, i] = (high[known] - low[known]) / 2  # a normal distribution's standard deviation
+        is_known = np.isfinite(high)
+        others = enough[:n][is_known]
+        # half this range is the standard deviation of a normal distribution
+        change[i, others] = change[others, i] = (high[is_known] - low[is_known]) / 2
     return change
 
 
-def compute_column_percentiles(ordered: np.ndarray, share: float) -> np.ndarray:
-    """-> (N,) what that share of the numbers in each column of `ordered` (T, N) lies below; infinite for fewer than two.
-
-    Each column ascends; NaN at its end does not count.
-    """
+def compute_column_percentiles(ordered: Float[np.ndarray, "T N"], share: float) -> Float[np.ndarray, " N"]:
+    """Return the quantile `share` of each column, which must ascend and end with its NaN; infinite for fewer than two values."""
     count = (~np.isnan(ordered)).sum(0)
     last, columns = np.maximum(count - 1, 0), np.arange(ordered.shape[1])
-    place = share * last
-    below = place.astype(int)
+    position = share * last
+    below = position.astype(int)
     above = np.minimum(below + 1, last)
-    between = ordered[below, columns] + (place - below) * (ordered[above, columns] - ordered[below, columns])
-    return np.where(count >= 2, between, np.inf)
+    quantile = ordered[below, columns] + (position - below) * (ordered[above, columns] - ordered[below, columns])
+    return np.where(count >= 2, quantile, np.inf)
 
 
 def fill_gap_from_cluster(
-    markers: np.ndarray,
+    markers: Float[np.ndarray, "T M 3"],
     marker: int,
-    cluster_markers: np.ndarray,
-    weight: np.ndarray,
-    training_frames: np.ndarray,
-    first: int,
-    last: int,
+    cluster_markers: Int[np.ndarray, " K"],
+    weight: Float[np.ndarray, " K"],
+    training_frames: Int[np.ndarray, " N"],
+    *,
+    gap: tuple[int, int],
     rate: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> places (G, 3) and deviation (G,) of marker m over first..last, from the markers `asked` (K,), by their weight (K,)."""
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Return the positions of a marker over the frames first..last of a gap in metres, and the standard deviation per axis.
+
+    cluster_markers  the markers that predict it, with their weights
+    training_frames  frames in which all of them are visible
+    """
+    first, last = gap
     reach = max(1, round(CLUSTER_RESIDUAL_REACH_S * rate))
     frames = np.arange(max(0, first - reach), min(len(markers), last + 1 + reach))
     frames = frames[~np.isnan(markers[np.ix_(frames, cluster_markers)][..., 0]).any(1)]
     n, rows = len(training_frames), np.r_[training_frames, frames]
-    cluster, turn, centre = align_cluster(markers[np.ix_(rows, cluster_markers)], weight)
-    own = transform_to_body_axes(markers[rows, marker][:, None], centre, turn)[:, 0]
-    told, missed = regress_positions(cluster.reshape(len(rows), -1), own[:n])
-    residual = np.full((frames[-1] - frames[0] + 1, 3), np.nan)  # the frames beside a gap need not be in a row
-    residual[frames - frames[0]] = (own - told)[n:]
-    gap = np.arange(first, last + 1)
-    wanted = np.zeros(len(residual), bool)
-    wanted[gap - frames[0]] = True
-    course, variance, _ = interpolate_residual(
+    cluster = align_cluster(markers[np.ix_(rows, cluster_markers)], weight)
+    measured = transform_to_body_axes(markers[rows, marker][:, None], cluster.centre, cluster.rotation)[:, 0]
+    predicted, error = regress_positions(cluster.markers.reshape(len(rows), -1), measured[:n])
+    residual = np.full((frames[-1] - frames[0] + 1, 3), np.nan)  # the frames beside a gap need not be consecutive
+    residual[frames - frames[0]] = (measured - predicted)[n:]
+    gap_frames = np.arange(first, last + 1)
+    is_gap = np.zeros(len(residual), bool)
+    is_gap[gap_frames - frames[0]] = True
+    interpolated, variance, _ = interpolate_residual(
         residual,
-        wanted,
+        is_gap,
         rate,
         time_scale_s=CLUSTER_RESIDUAL_FADE_S,
         margin_s=CLUSTER_RESIDUAL_REACH_S,
         noise_sd=CLUSTER_SAMPLE_NOISE_M,
-        min_sd=max(missed, MIN_CLUSTER_RESIDUAL_M),
+        min_sd=max(error, MIN_CLUSTER_RESIDUAL_M),
     )
-    rows = n + np.searchsorted(frames, gap)
-    place = np.einsum("tab,tb->ta", turn[rows], told[rows] + course[wanted]) + centre[rows]
-    return place, np.sqrt(variance[wanted] + CLUSTER_SAMPLE_NOISE_M**2)
+    rows = n + np.searchsorted(frames, gap_frames)
+    local = predicted[rows] + interpolated[is_gap]
+    positions = np.einsum("tab,tb->ta", cluster.rotation[rows], local) + cluster.centre[rows]
+    return positions, np.sqrt(variance[is_gap] + CLUSTER_SAMPLE_NOISE_M**2)
 
 
-def align_cluster(cluster: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """-> a cluster (T, K, 3) in its own axes, and these axes: turn (T, 3, 3) and centre (T, 3) in the world."""
+def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]) -> AlignedCluster:
+    """Return a cluster in axes that follow its mean shape."""
     weights = np.broadcast_to(weight, cluster.shape[:2])
     shape = cluster[0] - weight @ cluster[0] / weight.sum()
     for _ in range(2):
         cross, centre, _ = compute_cross_covariance(cluster, shape, weights)
-        turn = fit_rotations(cross)
-        own = transform_to_body_axes(cluster, centre, turn)
-        shape = own.mean(0)
-    return own, turn, centre
+        rotation = fit_rotations(cross)
+        local = transform_to_body_axes(cluster, centre, rotation)
+        shape = local.mean(0)
+    return AlignedCluster(local, rotation, centre)  # pyright: ignore[reportPossiblyUnboundVariable]  # the loop runs twice
 
 
-def regress_positions(shape: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, float]:
-    """-> expected places (T, 3) by a ridge regression on `shape` (T, F) learnt from its first rows, those of `own` (N, 3).
+def regress_positions(
+    deformation: Float[np.ndarray, "T F"], measured: Float[np.ndarray, "N 3"]
+) -> tuple[Float[np.ndarray, "T 3"], float]:
+    """Return positions in metres predicted by a ridge regression, and its cross-validated error per axis.
 
-    And the root mean square of what it misses per axis where it has not learnt, in metres.
+    deformation  positions of the cluster's markers; the first N rows are those of the measured positions, which are learned
     """
-    n, size = len(own), shape.shape[1]
-    mean, centre = shape[:n].mean(0), own.mean(0)
-    x, y = shape - mean, own - centre
+    n, size = len(measured), deformation.shape[1]
+    mean, centre = deformation[:n].mean(0), measured.mean(0)
+    x, y = deformation - mean, measured - centre
     square, moment = x[:n].T @ x[:n], x[:n].T @ y
 
-    def gain(fold: np.ndarray) -> np.ndarray:  # learnt without it
+    def fit_without(fold: np.ndarray) -> np.ndarray:
         a, b = x[fold], y[fold]
         return np.linalg.solve(square - a.T @ a + (n - len(a)) * SHAPE_RIDGE_M**2 * np.eye(size), moment - a.T @ b)
 
-    missed = np.concatenate([y[fold] - x[fold] @ gain(fold) for fold in np.array_split(np.arange(n), CROSS_VALIDATION_FOLDS)])
-    return centre + x @ gain(np.arange(0)), float(np.sqrt((missed**2).mean()))
+    folds = np.array_split(np.arange(n), CROSS_VALIDATION_FOLDS)
+    errors = np.concatenate([y[fold] - x[fold] @ fit_without(fold) for fold in folds])
+    return centre + x @ fit_without(np.arange(0)), float(np.sqrt((errors**2).mean()))

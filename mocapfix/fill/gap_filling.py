@@ -10,8 +10,7 @@ from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
 from mocapfix.fill.marker_estimates import (
-    BODY_METHOD,
-    FILL_METHODS,
+    FillMethod,
     MarkerEstimate,
     build_marker_estimate,
     estimate_missing_samples,
@@ -28,7 +27,7 @@ class FilledTake(NamedTuple):
     Attributes:
         take: the take with its missing and faulty samples filled or emptied.
         unfilled: the runs of samples that stay empty.
-        method: for each sample the index of its fill method in FILL_METHODS, -1 where it was not filled.
+        method: for each sample its FillMethod, -1 where it was not filled.
     """
 
     take: Take
@@ -53,13 +52,14 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
     proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))
     reasons = epochs.merge_columns(expand_unfilled_reasons(filled.unfilled, filled.take.visible.shape))
-    methods = np.where(is_kept, "", epochs.merge_columns(np.array([*FILL_METHODS, ""], object)[filled.method]))
+    methods = np.where(is_kept, "", epochs.merge_columns(np.array([*(each.description for each in FillMethod), ""], object)[filled.method]))
     body_markers = body.expand_to_take(epochs) if body else None
     return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers))
 
 
 def fill_take(
-    take: Take, is_inlier: Bool[np.ndarray, "T M"], gap_durations_s: Float[np.ndarray, "T M"], body: BodyFit | None, options: FillOptions
+    take: Take, is_inlier: Bool[np.ndarray, "T M"], gap_durations_s: Float[np.ndarray, "T M"], body: BodyFit | None, options:
+    FillOptions
 ) -> FilledTake:
     """Fill or empty every sample that is not an inlier.
 
@@ -90,7 +90,7 @@ def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: Bod
     is_missing = ~is_inlier[:, columns] & has_column
     filled, filled_sd = body_fill.fill_from_body(subject_take.markers, is_missing, body.extended_subject, body.motion, take.rate)
     positions[:, columns[has_column]], sd[:, columns[has_column]] = filled[:, has_column], filled_sd[:, has_column]
-    return build_marker_estimate(positions, sd, BODY_METHOD)
+    return build_marker_estimate(positions, sd, FillMethod.BODY)
 
 
 def compute_editable_mask(take: Take, options: FillOptions) -> Bool[np.ndarray, "T M"]:

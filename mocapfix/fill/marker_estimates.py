@@ -1,9 +1,11 @@
-"""Estimates of missing samples, and their mean by precision."""
+"""Estimates of missing samples from all methods, and their combination by precision."""
 
 from collections.abc import Iterable, Iterator
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int8
 from scipy.ndimage import maximum_filter1d
 
 from mocapfix.fill.cluster_fill import fill_from_clusters
@@ -12,142 +14,167 @@ from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
 
-# MERGED: mocapfix.fill.estimate
-FILL_METHODS = (
-    "its own path, by splines",
-    "the markers that move with it",
-    "the solved body",
-    "all markers, as they went at other moments",
-)
-SPLINE_METHOD, CLUSTER_METHOD, BODY_METHOD, GAUSSIAN_PROCESS_METHOD = range(len(FILL_METHODS))
-ESTIMATE_CORRELATION = 0.5  # correlation of the errors of two estimates of one sample
+ESTIMATE_CORRELATION = 0.5
+"""Correlation of the errors of two estimates of one sample."""
+GAUSSIAN_PROCESS_CORRELATION = 0.9
+"""The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
+MAX_SPLINE_GAP_S = 0.5
+"""Duration of the longest gap that is filled by splines."""
+SETTLED_SPLINE_SD_M = 0.001
+"""Standard deviation of a spline below which its samples are used as known ones by the clusters."""
+MAX_SPEED_RATIO = 3.0
+"""Speed of an estimate, relative to the fastest visible motion, above which it is rejected."""
+SPEED_PERCENTILE = 99.9
+"""Percentile of the speeds of visible markers that counts as the fastest visible motion."""
+MIN_SPEED_LIMIT_M_S = 2.0
+"""Smallest value of this fastest speed, for takes with little motion."""
+SPEED_MARGIN_S = 0.25
+"""Time around an impossible speed in which estimates are rejected."""
+
+
+class FillMethod(IntEnum):
+    """How a sample was filled."""
+
+    SPLINE = 0
+    CLUSTER = 1
+    BODY = 2
+    GAUSSIAN_PROCESS = 3
+
+    @property
+    def description(self) -> str:
+        """The source of the sample, as a phrase for reports."""
+        return _DESCRIPTIONS[self]
+
+
+_DESCRIPTIONS = {
+    FillMethod.SPLINE: "a spline through its own trajectory",
+    FillMethod.CLUSTER: "the markers that move with it",
+    FillMethod.BODY: "the solved body",
+    FillMethod.GAUSSIAN_PROCESS: "all markers, in frames with a similar body state",
+}
 
 
 class MarkerEstimate(NamedTuple):
-    """Places of missing samples (T, M, 3) in metres, their deviation per axis (T, M), NaN where there is none, and by which of
-    WAYS (T, M) they were found."""
+    """Estimates of missing samples: positions (T, M, 3) m, standard deviations per axis (T, M), NaN for none, and FillMethods."""
 
-    position: np.ndarray
-    sd: np.ndarray
-    method: np.ndarray
+    position: Float[np.ndarray, "T M 3"]
+    sd: Float[np.ndarray, "T M"]
+    method: Int8[np.ndarray, "T M"]
 
 
-def build_marker_estimate(position: np.ndarray, sd: np.ndarray, method: int) -> MarkerEstimate:
-    """-> an estimate all of which was found by one way."""
+def build_marker_estimate(
+    position: Float[np.ndarray, "T M 3"], sd: Float[np.ndarray, "T M"], method: FillMethod
+) -> MarkerEstimate:
+    """Return an estimate from one method."""
     return MarkerEstimate(position, sd, np.full(sd.shape, method, np.int8))
 
 
-def combine_estimates(estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION) -> MarkerEstimate:
-    """-> the mean of several estimates by their precision, by the way that counts most in it; NaN where none is.
+def estimate_missing_samples(
+    take: Take, is_inlier: Bool[np.ndarray, "T M"], body_estimate: MarkerEstimate | None = None
+) -> MarkerEstimate:
+    """Return the most precise estimate of all samples that are missing or no inliers.
 
-    They err together, for all go by the same neighbours and edges, so the mean is less sure than independent ones would make
-    it: `alike` is the correlation of their errors. Where they lie farther apart than they say, they say too little: the
-    deviation grows by as much (Birge 1932, "The calculation of errors by the method of least squares").
-    """
-    place = precision = root = count = square = most = way = np.zeros(())
-    for there, sure, by in estimates:
-        if not count.shape:
-            place, way = np.zeros(there.shape), np.zeros(sure.shape, np.int8)
-            precision, root, count, square, most = (np.zeros(sure.shape) for _ in range(5))
-        known = ~np.isnan(sure)
-        weight = 1 / sure[known] ** 2
-        place[known] += weight[:, None] * there[known]
-        precision[known] += weight
-        root[known] += 1 / sure[known]
-        count[known] += 1
-        square[known] += weight * (there[known] ** 2).sum(1)
-        more = known & (np.nan_to_num(1 / sure) > most)
-        most[more], way[more] = 1 / sure[more], by[more]
-        del there  # before the next one is made
-    precision[count == 0] = np.nan
-    place /= precision[..., None]
-    apart = square - precision * (place**2).sum(-1)
-    birge = np.maximum(apart / np.maximum(3 * (count - 1), 1), 1)
-    return MarkerEstimate(place, np.sqrt((correlation * root**2 + (1 - correlation) * precision) * birge) / precision, way)
-
-
-# MERGED: mocapfix.fill.trajectories
-# What the marker's own path, its cluster, the solved body and the whole marker set say of a missing sample, by precision.
-MAX_SPLINE_GAP_S = 0.5  # seconds: longer gaps are no matter for splines
-MAX_SPEED_RATIO = 3.0
-SPEED_MARGIN_S = 0.25  # seconds
-MIN_SPEED_LIMIT_M_S = 2.0  # metres a second: speeds of a take that hardly moves
-GAUSSIAN_PROCESS_CORRELATION = (
-    0.9  # likewise of the widest view and all others, for where it is asked, they guess from the same markers
-)
-SETTLED_SPLINE_SD_M = 0.001  # metres: a gap that a spline carries so surely is no matter for the others, and helps them
-
-
-def estimate_missing_samples(take: Take, is_inlier: np.ndarray, body_estimate: MarkerEstimate | None = None) -> MarkerEstimate:
-    """-> the surest estimate there is of what was missing or not believed.
-
-    believed  (T, M) bool: samples to go by
-    body      what the solved body says of the others, where one is solved
+    is_inlier      samples that are used
+    body_estimate  the estimate from the solved body, if there is one
     """
     markers = np.where(is_inlier[..., None], take.markers, np.nan)
     if is_inlier.all():
-        return build_marker_estimate(np.full(markers.shape, np.nan), np.full(is_inlier.shape, np.nan), SPLINE_METHOD)
-    near = combine_estimates(iterate_estimates(markers, take.rate, body_estimate))
-    place, sure = reject_fast_estimates(
-        fill_from_gaussian_process(markers, near.position, near.sd, take.rate), markers, take.rate
-    )
-    return combine_estimates(
-        [near, build_marker_estimate(place, sure * compute_gap_inflation(is_inlier), GAUSSIAN_PROCESS_METHOD)],
-        GAUSSIAN_PROCESS_CORRELATION,
-    )
+        nothing = np.full(is_inlier.shape, np.nan)
+        return build_marker_estimate(np.full(markers.shape, np.nan), nothing, FillMethod.SPLINE)
+    combined = combine_estimates(iterate_estimates(markers, take.rate, body_estimate))
+    filled = fill_from_gaussian_process(markers, combined.position, combined.sd, take.rate)
+    position, sd = reject_fast_estimates(*filled, markers, take.rate)
+    process = build_marker_estimate(position, sd * compute_gap_inflation(is_inlier), FillMethod.GAUSSIAN_PROCESS)
+    return combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
 
 
-def iterate_estimates(markers: np.ndarray, rate: float, body_estimate: MarkerEstimate | None) -> Iterator[MarkerEstimate]:
-    """-> one way after the other: each is large."""
-    path, sure = fill_with_splines(markers, rate, MAX_SPLINE_GAP_S)
-    whole = np.where((sure <= SETTLED_SPLINE_SD_M)[..., None], path, markers)
-    yield build_marker_estimate(path, sure, SPLINE_METHOD)
-    del path
-    place, sure = reject_fast_estimates(fill_from_clusters(whole, rate), markers, rate)
-    yield build_marker_estimate(place, sure * compute_gap_inflation(~np.isnan(markers[..., 0])), CLUSTER_METHOD)
-    del place
+def iterate_estimates(
+    markers: Float[np.ndarray, "T M 3"], rate: float, body_estimate: MarkerEstimate | None
+) -> Iterator[MarkerEstimate]:
+    """Yield the estimates of splines, clusters and the body one after the other, since each is large."""
+    position, sd = fill_with_splines(markers, rate, MAX_SPLINE_GAP_S)
+    with_splines = np.where((sd <= SETTLED_SPLINE_SD_M)[..., None], position, markers)
+    yield build_marker_estimate(position, sd, FillMethod.SPLINE)
+    del position
+    position, sd = reject_fast_estimates(*fill_from_clusters(with_splines, rate), markers, rate)
+    yield build_marker_estimate(position, sd * compute_gap_inflation(~np.isnan(markers[..., 0])), FillMethod.CLUSTER)
+    del position
     if body_estimate:
         yield body_estimate
 
 
+def combine_estimates(estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION) -> MarkerEstimate:
+    """Return the mean of several estimates weighted by precision, with the method of the largest weight; NaN without any.
+
+    The estimates rely on the same neighbours and edges, so their errors are correlated, and the variance of the mean is larger
+    than for independent estimates. Where the estimates differ by more than their standard deviations allow, the standard
+    deviation is increased accordingly (Birge 1932, "The calculation of errors by the method of least squares").
+    """
+    mean = precision = inverse_sd = count = square = largest = method = np.zeros(())
+    for position, sd, each_method in estimates:
+        if not count.shape:
+            mean, method = np.zeros(position.shape), np.zeros(sd.shape, np.int8)
+            precision, inverse_sd, count, square, largest = (np.zeros(sd.shape) for _ in range(5))
+        is_known = ~np.isnan(sd)
+        weight = 1 / sd[is_known] ** 2
+        mean[is_known] += weight[:, None] * position[is_known]
+        precision[is_known] += weight
+        inverse_sd[is_known] += 1 / sd[is_known]
+        count[is_known] += 1
+        square[is_known] += weight * (position[is_known] ** 2).sum(1)
+        is_larger = is_known & (np.nan_to_num(1 / sd) > largest)
+        largest[is_larger], method[is_larger] = 1 / sd[is_larger], each_method[is_larger]
+        del position  # before the next one is computed
+    precision[count == 0] = np.nan
+    mean /= precision[..., None]
+    spread = square - precision * (mean**2).sum(-1)
+    birge = np.maximum(spread / np.maximum(3 * (count - 1), 1), 1)
+    variance = (correlation * inverse_sd**2 + (1 - correlation) * precision) * birge
+    return MarkerEstimate(mean, np.sqrt(variance) / precision, method)
+
+
 def reject_fast_estimates(
-    estimate: tuple[np.ndarray, np.ndarray], markers: np.ndarray, rate: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> the places and deviation of an estimate without the moments at which the marker would have to fly."""
-    place, sure = estimate
-    believed = ~np.isnan(markers[..., 0])
-    fly = find_impossible_speeds(np.where(believed[..., None], markers, place), believed, rate)
-    return place, np.where(fly, np.nan, sure)
+    position: Float[np.ndarray, "T M 3"], sd: Float[np.ndarray, "T M"], markers: Float[np.ndarray, "T M 3"], rate: float
+) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
+    """Return an estimate with the standard deviation set to NaN near impossible speeds."""
+    is_inlier = ~np.isnan(markers[..., 0])
+    is_impossible = find_impossible_speeds(np.where(is_inlier[..., None], markers, position), is_inlier, rate)
+    return position, np.where(is_impossible, np.nan, sd)
 
 
-def compute_gap_inflation(is_inlier: np.ndarray) -> np.ndarray:
-    """-> (T, M) how many times less sure than it says a fill learnt from the take is: it was learnt where the marker was
-    seen, and the longer a gap beside that, the more of it is unlike what was seen.
+def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarray, "T M"]:
+    """Return the factor by which the standard deviation of a learned estimate is underestimated.
+
+    Such an estimate is learned from the frames in which the marker is visible. The longer a gap is relative to these, the more of
+    it differs from what was learned.
     """
     factor = np.ones(is_inlier.shape)
     for m in range(is_inlier.shape[1]):
-        seen = max(is_inlier[:, m].sum(), 1)
+        visible_count = max(is_inlier[:, m].sum(), 1)
         for first, last in find_runs(~is_inlier[:, m]):
-            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / seen
+            factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / visible_count
     return factor
 
 
-def find_impossible_speeds(path: np.ndarray, is_inlier: np.ndarray, rate: float) -> np.ndarray:
-    """-> (T, M) bool: samples of gaps within ABOUT of a moment at which the marker would have to fly, FASTER times as fast
-    as any marker is seen to move.
+def find_impossible_speeds(
+    path: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float
+) -> Bool[np.ndarray, "T M"]:
+    """Find samples of gaps near a time at which the marker would be MAX_SPEED_RATIO times as fast as any visible one.
 
-    Few markers seen, or in a line, turn the body they are laid on over between two frames: no deviation tells of that.
+    A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
 
-    path (T, M, 3) metres, believed (T, M) bool, rate in Hz
+    path  positions in metres with the gaps filled
+    rate  frame rate in Hz
     """
     steps = [np.linalg.norm(np.diff(path[:, m], axis=0), axis=-1) for m in range(path.shape[1])]
     speed = np.nan_to_num(np.stack(steps, axis=1)) * rate
-    both = is_inlier[1:] & is_inlier[:-1]
-    if not both.any():
+    is_visible_step = is_inlier[1:] & is_inlier[:-1]
+    if not is_visible_step.any():
         return np.zeros_like(is_inlier)
-    fast = speed > MAX_SPEED_RATIO * max(float(np.percentile(speed[both], 99.9)), MIN_SPEED_LIMIT_M_S)
-    fast &= ~both
-    at = np.zeros_like(is_inlier)
-    at[1:] |= fast
-    at[:-1] |= fast
-    return maximum_filter1d(at, 2 * round(SPEED_MARGIN_S * rate) + 1, axis=0) & ~is_inlier
+    fastest = float(np.percentile(speed[is_visible_step], SPEED_PERCENTILE))
+    is_fast = speed > MAX_SPEED_RATIO * max(fastest, MIN_SPEED_LIMIT_M_S)
+    is_fast &= ~is_visible_step
+    is_impossible = np.zeros_like(is_inlier)
+    is_impossible[1:] |= is_fast
+    is_impossible[:-1] |= is_fast
+    return maximum_filter1d(is_impossible, 2 * round(SPEED_MARGIN_S * rate) + 1, axis=0) & ~is_inlier

@@ -1,120 +1,138 @@
-"""Filling short gaps from the marker's own path beside them: a cubic Hermite from edge to edge.
+"""Filling short gaps from the marker's own trajectory: a cubic Hermite spline from edge to edge.
 
-Place and velocity at each edge come from a parabola through several samples, so that one noisy sample beside the gap does not
-throw the curve. The path across is then a fixed linear map of those samples, and the map is tried out on sound stretches of
-the same marker, struck out for the purpose: what it misses there is how sure it is here.
+Position and velocity at each edge come from a parabola through several samples, so that one noisy sample beside the gap has
+little influence. The spline is then a fixed linear map of these samples. Its error is measured by applying the map to complete
+stretches of the same marker.
 """
 
 from functools import cache
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from numba import njit
 
 from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sampling import sample_evenly
 
-SPLINE_CONTEXT_S = 0.06  # seconds on either side whose samples make the edge's place and velocity
-MAX_TRIAL_STRETCHES = 60  # sound stretches on which a gap's length is tried
-MIN_TRIAL_STRETCHES = 8  # stretches, fewer of which tell nothing of the error
-MAX_TRIAL_STARTS = 20_000  # at most, evenly spread, that are looked at to find sound stretches
-MIN_SPLINE_SD_M = 0.0003  # metres: no fill is surer than this
+SPLINE_CONTEXT_S = 0.06
+"""Time on either side of a gap whose samples determine position and velocity at the edge."""
+MIN_EDGE_SAMPLES = 3
+"""Samples that a parabola requires at each edge."""
+MAX_TRIAL_STRETCHES = 60
+"""Complete stretches on which a map is tested."""
+MIN_TRIAL_STRETCHES = 8
+"""Complete stretches that measuring the error requires."""
+MAX_TRIAL_STARTS = 20_000
+"""Evenly spaced frames that are examined to find complete stretches."""
+MIN_SPLINE_SD_M = 0.0003
+"""Smallest standard deviation of a fill."""
 
-GapPattern = tuple[
-    int, tuple[int, ...], tuple[int, ...]
-]  # a gap's length, and which samples are seen before and after it, in frames
+GapPattern = tuple[int, tuple[int, ...], tuple[int, ...]]
+"""The length of a gap in frames, and which samples before and after it are visible, as distances from its edges."""
 
 
-def fill_with_splines(markers: np.ndarray, rate: float, max_gap_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """-> positions (T, M, 3) in metres across interior gaps, NaN elsewhere, and their standard deviation per axis (T, M).
+def fill_with_splines(
+    markers: Float[np.ndarray, "T M 3"], rate: float, max_gap_s: float
+) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
+    """Return positions of samples in interior gaps in metres, and their standard deviations per axis; NaN elsewhere.
 
-    A gap beside which fewer than three samples are seen is left, as is one for whose length the marker has no
-    sound stretches to try it on.
+    Gaps with fewer than three visible samples at an edge are not filled, nor gaps for whose length the marker has too few
+    complete stretches to measure the error.
 
-    markers  (T, M, 3) metres, NaN where not believed
-    rate     Hz
-    longest  seconds: longer gaps are left
+    markers    in metres, NaN if not visible or an outlier
+    rate       frame rate in Hz
+    max_gap_s  duration of the longest gap that is filled
     """
-    seen = ~np.isnan(markers[..., 0])
-    filled, deviation = np.full(markers.shape, np.nan), np.full(seen.shape, np.nan)
-    listened = max(3, round(SPLINE_CONTEXT_S * rate))
-    for m in np.flatnonzero(~seen.all(0) & seen.any(0)):
+    visible = ~np.isnan(markers[..., 0])
+    filled, sd = np.full(markers.shape, np.nan), np.full(visible.shape, np.nan)
+    context_count = max(MIN_EDGE_SAMPLES, round(SPLINE_CONTEXT_S * rate))
+    for m in np.flatnonzero(~visible.all(0) & visible.any(0)):
         path = np.ascontiguousarray(markers[:, m])
-        for (length, before, after), firsts in group_gap_patterns(seen[:, m], listened, max_gap_s * rate).items():
-            across = build_hermite_map(length, np.array(before), np.array(after))
-            near = np.r_[-1 - np.array(before), length + np.array(after)]
-            missed = measure_spline_error(path, seen[:, m], across, near)
-            if missed is not None:
-                first = np.array(firsts)[:, None]
+        patterns = group_gap_patterns(visible[:, m], context_count, max_gap_s * rate)
+        for (length, before, after), first_frames in patterns.items():
+            spline_map = build_hermite_map(length, np.array(before), np.array(after))
+            context = np.r_[-1 - np.array(before), length + np.array(after)]
+            error = measure_spline_error(path, visible[:, m], spline_map, context)
+            if error is not None:
+                first = np.array(first_frames)[:, None]
                 gap = first + np.arange(length)
-                filled[gap, m] = across @ path[first + near]
-                deviation[gap, m] = np.maximum(missed, MIN_SPLINE_SD_M)
-    return filled, deviation
+                filled[gap, m] = spline_map @ path[first + context]
+                sd[gap, m] = np.maximum(error, MIN_SPLINE_SD_M)
+    return filled, sd
 
 
-def group_gap_patterns(is_visible: np.ndarray, context_frames: int, max_gap_frames: float) -> dict[GapPattern, list[int]]:
-    """-> the first frames of the gaps in `seen` (T,) that have samples enough beside them, by kind.
+def group_gap_patterns(
+    is_visible: Bool[np.ndarray, " T"], context_count: int, max_gap_frames: float
+) -> dict[GapPattern, list[int]]:
+    """Return the first frames of the gaps with enough samples at both edges, by pattern.
 
-    Gaps of a kind have one map in common: flicker makes thousands of gaps of a few kinds.
+    Gaps with the same pattern share a map; flicker causes thousands of gaps with few patterns.
     """
-    kinds: dict[GapPattern, list[int]] = {}
+    patterns: dict[GapPattern, list[int]] = {}
     for first, last in find_runs(~is_visible):
         if last - first + 1 > max_gap_frames:
             continue
-        before = tuple(np.flatnonzero(is_visible[max(0, first - context_frames) : first][::-1]).tolist())
-        after = tuple(np.flatnonzero(is_visible[last + 1 : last + 1 + context_frames]).tolist())
-        if min(len(before), len(after)) >= 3:
-            kinds.setdefault((last - first + 1, before, after), []).append(first)
-    return kinds
+        before = tuple(np.flatnonzero(is_visible[max(0, first - context_count) : first][::-1]).tolist())
+        after = tuple(np.flatnonzero(is_visible[last + 1 : last + 1 + context_count]).tolist())
+        if min(len(before), len(after)) >= MIN_EDGE_SAMPLES:
+            patterns.setdefault((last - first + 1, before, after), []).append(first)
+    return patterns
 
 
-def build_hermite_map(gap_frames: int, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """-> (gap, B + A): the map from samples so many frames (B,) before and (A,) after the gap's edge samples to those in it."""
+def build_hermite_map(
+    gap_frames: int, before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"]
+) -> Float[np.ndarray, "gap BA"]:
+    """Return the map from samples before and after a gap, as distances from its edge samples, to those in the gap."""
     s = np.arange(1, gap_frames + 1)[:, None] / (gap_frames + 1)
 
-    def side(steps: np.ndarray, s: np.ndarray) -> np.ndarray:
-        place, velocity = fit_edge_parabola(tuple(steps.tolist()))
-        return (1 + 2 * s) * (1 - s) ** 2 * place + (gap_frames + 1) * s * (1 - s) ** 2 * velocity
+    def map_edge(distances: np.ndarray, s: np.ndarray) -> np.ndarray:
+        position, velocity = fit_edge_parabola(tuple(distances.tolist()))
+        return (1 + 2 * s) * (1 - s) ** 2 * position + (gap_frames + 1) * s * (1 - s) ** 2 * velocity
 
-    return np.concatenate([side(before, s), side(after, 1 - s)], 1)
+    return np.concatenate([map_edge(before, s), map_edge(after, 1 - s)], 1)
 
 
 @cache
-def fit_edge_parabola(steps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """-> the maps (N,) from samples so many frames (N,) before a gap's edge to the parabola's place and velocity there.
+def fit_edge_parabola(distances: tuple[int, ...]) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return the maps from samples at N distances (frames) from a gap's edge to position and velocity of a parabola there.
 
-    The velocity is that of a frame at a time into the gap.
+    The velocity is per frame, into the gap.
     """
-    away = np.array(steps)
-    parabola = np.linalg.pinv(np.stack([np.ones(len(away)), -away, away**2], 1))
+    steps = np.array(distances)
+    parabola = np.linalg.pinv(np.stack([np.ones(len(steps)), -steps, steps**2], 1))
     return parabola[0], parabola[1]
 
 
 def measure_spline_error(
-    path: np.ndarray, is_visible: np.ndarray, spline_map: np.ndarray, context_frames: np.ndarray
-) -> np.ndarray | None:
-    """-> (gap,) metres per axis: what the map misses on sound stretches of the path (T, 3), root mean square.
+    path: Float[np.ndarray, "T 3"],
+    is_visible: Bool[np.ndarray, " T"],
+    spline_map: Float[np.ndarray, "gap N"],
+    context_frames: Int[np.ndarray, " N"],
+) -> Float[np.ndarray, " gap"] | None:
+    """Return the root mean square error of a map in metres per axis on complete stretches, None if there are too few.
 
-    None where there are too few. near: the frames that the map listens to, counted from the gap's first.
+    context_frames  frames of the map's samples, relative to the first of the gap
     """
     gap = np.arange(len(spline_map))
     starts = find_complete_stretches(is_visible, np.r_[context_frames, gap], 1 + len(path) // MAX_TRIAL_STARTS)
     if len(starts) < MIN_TRIAL_STRETCHES:
         return None
-    starts = starts[np.unique(np.linspace(0, len(starts) - 1, MAX_TRIAL_STRETCHES).astype(int))][:, None]
-    missed = path[starts + gap] - spline_map @ path[starts + context_frames]
-    return np.sqrt((missed**2).mean((0, 2)))
+    starts = starts[sample_evenly(len(starts), MAX_TRIAL_STRETCHES)][:, None]
+    errors = path[starts + gap] - spline_map @ path[starts + context_frames]
+    return np.sqrt((errors**2).mean((0, 2)))
 
 
 @njit(cache=True)
 def find_complete_stretches(is_visible, frame_offsets, step):
-    """-> the frames, of every `step`th, from which all those `used` (N,), counted from there, are in `seen` (T,)."""
-    found, count = np.empty(len(is_visible), np.int64), 0
+    """Return the frames, of every `step`th, for which all frames at the given offsets (N,) are visible (T,)."""
+    starts, count = np.empty(len(is_visible), np.int64), 0
     for start in range(-frame_offsets.min(), len(is_visible) - frame_offsets.max(), step):
-        whole = True
-        for frame in frame_offsets:
-            if not is_visible[start + frame]:
-                whole = False
+        is_complete = True
+        for offset in frame_offsets:
+            if not is_visible[start + offset]:
+                is_complete = False
                 break
-        if whole:
-            found[count] = start
+        if is_complete:
+            starts[count] = start
             count += 1
-    return found[:count]
+    return starts[:count]
