@@ -13,6 +13,7 @@ from mocapfix.options import RIG_NAMES, OutputOptions
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
 from mocapfix.write.output_formats import OPTIONAL_FORMATS
+from mocapfix.write.output_options import list_output_formats
 from tests.conftest import FIRST
 from tests.write.read_back import Bvh, smooth_rotations
 
@@ -70,7 +71,7 @@ def test_the_report_has_a_note_on_the_use_of_each_format(solved, tmp_path):
 @pytest.mark.parametrize("suffix", [*MOTION_SUFFIXES, "npz", "c3d"])
 def test_the_takes_own_rate_changes_nothing(solved, tmp_path, suffix):
     plain = solved.write(tmp_path / "plain", options=ALL_FORMATS)
-    asked = solved.write(tmp_path / "asked", options=replace(ALL_FORMATS, fps=120.0))
+    asked = solved.write(tmp_path / "asked", options=replace(ALL_FORMATS, output_rate_hz=120.0))
     if suffix != "npz":
         assert plain[suffix].read_bytes() == asked[suffix].read_bytes()
         return
@@ -82,7 +83,7 @@ def test_the_takes_own_rate_changes_nothing(solved, tmp_path, suffix):
 @pytest.mark.parametrize(("fps", "frames", "how"), [(30.0, 16, "one of 4, as solved"), (50.0, 26, "on splines through")])
 def test_another_rate_applies_to_all_motion_files_with_a_note(solved, tmp_path, fps, frames, how):
     plain = solved.write(tmp_path / "plain")
-    outputs = solved.write(tmp_path / "slow", options=replace(ALL_FORMATS, fps=fps))
+    outputs = solved.write(tmp_path / "slow", options=replace(ALL_FORMATS, output_rate_hz=fps))
     for suffix in (suffix for suffix in MOTION_SUFFIXES if suffix.endswith("bvh")):
         file = Bvh(outputs[suffix].read_text())
         has_rest_frame = suffix in ("cmu.bvh", "motionbuilder.bvh")
@@ -97,7 +98,7 @@ def test_another_rate_applies_to_all_motion_files_with_a_note(solved, tmp_path, 
 
 
 def test_formats_that_need_a_body_are_left_out_with_a_note(without_body, tmp_path):
-    outputs = without_body.write(tmp_path, options=replace(ALL_FORMATS, fps=30.0))
+    outputs = without_body.write(tmp_path, options=replace(ALL_FORMATS, output_rate_hz=30.0))
     assert set(outputs) == {"c3d", "npz", "trc", "csv", "changes.yaml", "rrd", "report.html", "report.json"}
     text = outputs["report.json"].read_text()
     assert all(
@@ -148,29 +149,19 @@ def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):
 
 def test_an_existing_output_of_any_format_is_not_replaced(solved, tmp_path):
     (tmp_path / "somebody.glb").write_text("mine")
-    with pytest.raises(WriteError, match=r"somebody\.glb: is there already"):
+    with pytest.raises(WriteError, match=r"somebody\.glb: already exists"):
         solved.write(tmp_path, options=OutputOptions(extra_formats=("gltf",)))
     assert [path.name for path in tmp_path.iterdir()] == ["somebody.glb"]
 
 
 def test_a_format_named_twice_is_written_once():
-    suffixes = [each.suffix for each in OutputOptions(extra_formats=("npz", "npz"), rigs=("cmu", "cmu")).formats]
+    suffixes = [each.suffix for each in list_output_formats(OutputOptions(extra_formats=("npz", "npz"), rigs=("cmu", "cmu")))]
     assert (suffixes.count("npz"), suffixes.count("cmu.bvh")) == (1, 1)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"also": ("fbx",)}, "no kind of file 'fbx' to write; choose of: gltf, amc, npz, c3d, trc, csv"),
-        ({"bvh_for": ("maya",)}, "no rig 'maya'"),
-        ({"fps": 0.0}, "more than 0 and at most 1000, not 0"),
-        ({"fps": float("nan")}, "more than 0 and at most 1000, not nan"),
-        ({"fps": 1e9}, "more than 0 and at most 1000"),
-    ],
-)
-def test_invalid_options_are_answered_with_the_valid_ones(options, message):
-    with pytest.raises((WriteError, SceneError), match=message):
-        OutputOptions(**options)
+def test_an_unknown_rig_is_an_error():
+    with pytest.raises(SceneError, match="no rig 'maya'"):
+        list_output_formats(OutputOptions(rigs=("maya",)))
 
 
 def test_two_rigs_of_one_name_are_an_error(tmp_path):
@@ -179,5 +170,5 @@ def test_two_rigs_of_one_name_are_an_error(tmp_path):
         "{program: p, unit_m: 1, rotations: ZYX, rest: skeleton, first_frame: motion, note: n, "
         "joints: [{name: Hips, parent: null}]}"
     )
-    with pytest.raises(WriteError, match=r"both be called \.cmu\.bvh"):
-        OutputOptions(bvh_for=("cmu", str(mine)))
+    with pytest.raises(WriteError, match=r"both have the suffix \.cmu\.bvh"):
+        list_output_formats(OutputOptions(rigs=("cmu", str(mine))))
