@@ -113,7 +113,8 @@ def _parse_header(path: Path, content: dict[str, Any]) -> tuple[str, float | Non
         raise ReadError(f"{path}: image: must be [width, height] in pixels, not {image!r}.")
     if not isinstance(content["frames"], list) or not content["frames"]:
         raise ReadError(f"{path}: frames: must be a list of at least one frame.")
-    return order, rate, (image[0], image[1]) if image else None
+    size = (float(image[0]), float(image[1])) if image else None
+    return order, None if rate is None else float(rate), size
 
 
 def _is_positive(number: object) -> bool:

@@ -81,8 +81,8 @@ def estimate_roughness(
     change = change[~np.isnan(change[:, 0])]
     if len(change) < MAX_SAMPLES_PER_SIDE:
         return 0.0
-    lag_s = np.array(step / rate)
-    smooth, rough = (float(compute_residual_correlation(lag_s, time_scale_s, part)) for part in (0.0, 1.0))
+    lag_s = np.array([step / rate])
+    smooth, rough = (float(compute_residual_correlation(lag_s, time_scale_s, part)[0]) for part in (0.0, 1.0))
     decorrelation = (NORMAL_MEDIAN_FACTOR * float(np.median(change**2)) - 2 * noise_sd**2) / (2 * power)
     return float(np.clip((decorrelation - (1 - smooth)) / (smooth - rough), 0.0, 1.0))
 

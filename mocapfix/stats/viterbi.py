@@ -2,28 +2,16 @@
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
+
+from mocapfix.kernels.viterbi import compute_cheapest_states
 
 
-@njit(cache=True)
-def find_cheapest_states(step_cost: Float[np.ndarray, "steps N N"], state_cost: Float[np.ndarray, "T N"]) -> Int[np.ndarray, " T"]:
+def find_cheapest_states(
+    step_cost: Float[np.ndarray, "steps N N"], state_cost: Float[np.ndarray, "T N"]
+) -> Int[np.ndarray, " T"]:
     """Return the state of each frame in the sequence of least total cost (Viterbi 1967).
 
     step_cost   (T - 1, N, N) cost of the step from each state of a frame to each state of the next
     state_cost  (T, N) cost of each state in each frame
     """
-    frames, states = state_cost.shape
-    cost, predecessor = state_cost[0].copy(), np.zeros((frames, states), np.int64)
-    total = cost.copy()
-    for t in range(1, frames):
-        for s in range(states):
-            for r in range(states):
-                if cost[r] + step_cost[t - 1, r, s] < cost[predecessor[t, s]] + step_cost[t - 1, predecessor[t, s], s]:
-                    predecessor[t, s] = r
-            total[s] = cost[predecessor[t, s]] + step_cost[t - 1, predecessor[t, s], s] + state_cost[t, s]
-        cost[:] = total
-    state = np.zeros(frames, np.int64)
-    state[-1] = np.argmin(cost)
-    for t in range(frames - 1, 0, -1):
-        state[t - 1] = predecessor[t, state[t]]
-    return state
+    return compute_cheapest_states(step_cost, state_cost)

@@ -173,4 +173,4 @@ def test_correlation_is_symmetric_and_decreases_from_one():
     assert (np.diff(correlation) < 0).all()
     assert correlation[-1] < 1e-6
     np.testing.assert_array_equal(compute_residual_correlation(-seconds, FADE, 0.0), correlation)
-    assert compute_residual_correlation(np.array(FADE), FADE, 0.0) == pytest.approx((1 + np.sqrt(3)) * np.exp(-np.sqrt(3)))
+    assert compute_residual_correlation(np.array([FADE]), FADE, 0.0)[0] == pytest.approx((1 + np.sqrt(3)) * np.exp(-np.sqrt(3)))
