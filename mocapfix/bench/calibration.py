@@ -1,20 +1,26 @@
-"""Calibration against truth: people composed with bones and marker places that nobody tells it.
+"""Benchmark of calibration: the errors of bones, marker offsets and joints on composed takes of known bodies.
 
-Beside the joint error that it reaches stands the one that it cannot but leave: everything that it weighs, markers, priors and
-poses, linearised at the truth, gives the posterior covariance of bones and marker places (the poses eliminated by a Schur
-complement), and that displaces the joints by so much on average; and skin does, even on the true body.
+Some of the joint error is unavoidable. The markers, priors and poses that calibration uses, linearised at the truth, give the
+posterior covariance of bones and marker offsets (with the poses eliminated by a Schur complement), and so a mean displacement of
+the joints; and skin motion displaces them even on the true body.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix import marker_sets, synthetic
-from mocapfix.calibrate import calibration as calibrate
-from mocapfix.calibrate import calibration as frames
-from mocapfix.calibrate import parameters, refinement
+from mocapfix.calibrate.calibration import (
+    calibrate_subject,
+    scale_average_subject,
+    select_candidate_frames,
+    select_varied_poses,
+)
+from mocapfix.calibrate.parameters import CalibratedBody, build_calibration_parameters
+from mocapfix.calibrate.refinement import build_calibration_problem, compute_calibration_sd, linearise_frames
 from mocapfix.initialise import initial_motion
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior import mean_pose as prior
 from mocapfix.pose_prior.joint_limits import load_joint_limits
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.subject import Subject
@@ -22,89 +28,95 @@ from mocapfix.synthetic import SyntheticTake
 from mocapfix.take import Take
 
 CALIBRATION_SEEDS = tuple(range(100, 106))
-CALIBRATION_TAKE_S, CALIBRATION_RATE_HZ = 20.0, 30.0  # the composed motion there and back
-MIN_COMPARED_BONE_LENGTH_M = 0.02  # metres: shorter offsets are no bones
-MEAN_NORMAL_VECTOR_LENGTH = np.sqrt(8 / np.pi)  # of a vector whose three components are normal, in their standard deviation
+CALIBRATION_TAKE_S = 20.0  # the whole composed motion
+CALIBRATION_RATE_HZ = 30.0
+MIN_COMPARED_BONE_LENGTH_M = 0.02  # shorter offsets are not compared
+MEAN_NORMAL_VECTOR_LENGTH = np.sqrt(8 / np.pi)  # mean length of a 3-D vector of standard normal components
+
+CalibrationRow = dict[str, str | float]
 
 
 def measure_calibration(
     seeds: tuple[int, ...] = CALIBRATION_SEEDS, duration_s: float = CALIBRATION_TAKE_S
-) -> list[dict[str, str | float]]:
-    """-> a row for each person, and the mean of them: mean errors in mm of the average body at the person's size
-    (`average_...`) and of the calibrated one, of bone lengths, marker places and the joints that the solve then places, all of
-    them and those that carry markers; the joints' on the true body (`true_...`), and at best (`allowed_...`).
+) -> list[CalibrationRow]:
+    """Return a row for each person and the mean row, with mean errors in mm.
+
+    bones_mm, offsets_mm, joints_mm, marked_mm  of bone lengths, marker offsets, all joints of the solved poses, and joints that
+                                                carry markers
+    average_...                                 the same for the average body, scaled to the size of the person
+    true_...                                    joint errors on the true body
+    lower_bound_...                             joint errors of the best possible calibration
     """
-    body, worn_set = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
-    mean_pose = prior.load_mean_pose_prior("mean-pose", body.skeleton)
-    rows = []
+    body, marker_set = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    rows: list[CalibrationRow] = []
     for seed in seeds:
         truth = synthetic.compose_take(seed, duration_s, CALIBRATION_RATE_HZ, asymmetric=True)
-        worn = Take(np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions), truth.labels, CALIBRATION_RATE_HZ)
-        guessed = calibrate.scale_average_subject(worn, worn_set, body)
-        found = calibrate.calibrate_subject(worn, worn_set, body, mean_pose)
-        row: dict[str, str | float] = {"person": f"seed {seed}"}
-        for prefix, subject in (("average_", guessed), ("", found)):
-            row |= {
-                prefix + key: value for key, value in compute_calibration_errors(truth, worn, subject, body, mean_pose).items()
-            }
-        by_skin = compute_mean_joint_errors(truth, worn, truth.subject, body, mean_pose)
-        row |= {"true_" + key: value for key, value in summarise_joint_errors(by_skin, truth.subject).items()}
-        left = np.hypot(by_skin, MEAN_NORMAL_VECTOR_LENGTH * compute_irreducible_joint_sd(truth, worn, body, mean_pose))
-        row |= {"allowed_" + key: value for key, value in summarise_joint_errors(left, truth.subject).items()}
+        markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
+        take = Take(markers, truth.labels, CALIBRATION_RATE_HZ)
+        average = scale_average_subject(take, marker_set, body)
+        calibrated = calibrate_subject(take, marker_set, body, prior)
+        row: CalibrationRow = {"person": f"seed {seed}"}
+        for prefix, subject in (("average_", average), ("", calibrated)):
+            errors = compute_calibration_errors(truth, take, subject, body, prior)
+            row |= {prefix + key: value for key, value in errors.items()}
+        skin_error = compute_mean_joint_errors(truth, take, truth.subject, body, prior)
+        row |= {"true_" + key: value for key, value in summarise_joint_errors(skin_error, truth.subject).items()}
+        calibration_error = MEAN_NORMAL_VECTOR_LENGTH * compute_irreducible_joint_sd(truth, take, body, prior)
+        lower_bound = summarise_joint_errors(np.hypot(skin_error, calibration_error), truth.subject)
+        row |= {"lower_bound_" + key: value for key, value in lower_bound.items()}
         rows.append(row)
-    return [*rows, {"person": "mean"} | {key: float(np.mean([row[key] for row in rows])) for key in list(rows[0])[1:]}]
+    means: CalibrationRow = {key: float(np.mean([float(row[key]) for row in rows])) for key in list(rows[0])[1:]}
+    return [*rows, {"person": "mean"} | means]
 
 
 def compute_calibration_errors(
-    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, mean_pose: prior.MeanPosePrior
+    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
 ) -> dict[str, float]:
-    """-> mean errors of a subject in mm, `joints_mm` and `carrying_mm` of poses solved on it."""
+    """Return the mean errors of a subject in mm: bones, marker offsets, and joints of the poses solved with it."""
+    offset_error = np.linalg.norm(subject.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
     return {
         "bones_mm": 1e3 * compute_bone_length_error(subject.skeleton, truth.subject.skeleton),
-        "places_mm": 1e3 * float(np.linalg.norm(subject.marker_offsets - truth.subject.marker_offsets, axis=1).mean()),
-    } | summarise_joint_errors(compute_mean_joint_errors(truth, take, subject, body, mean_pose), subject)
+        "offsets_mm": 1e3 * float(offset_error),
+    } | summarise_joint_errors(compute_mean_joint_errors(truth, take, subject, body, prior), subject)
 
 
 def compute_mean_joint_errors(
-    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, mean_pose: prior.MeanPosePrior
-) -> np.ndarray:
-    """-> (J,) metres: how far the joints of poses solved on a subject are off, on average."""
-    start = initial_motion.initialise_motion(take, subject, body, mean_pose)
-    motion = motion_solver.solve_motion(take, subject, body, mean_pose, load_joint_limits(body.skeleton), start, SolveOptions())
-    joints, _ = kinematics.compute_world_poses(subject.skeleton, motion)
-    return np.linalg.norm(joints - truth.joint_positions, axis=2).mean(0)
+    truth: SyntheticTake, take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior
+) -> Float[np.ndarray, " J"]:
+    """Return the mean error of each joint in metres of the poses solved with a subject."""
+    start = initial_motion.initialise_motion(take, subject, body, prior)
+    limits = load_joint_limits(body.skeleton)
+    motion = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
+    joint_positions, _ = kinematics.compute_world_poses(subject.skeleton, motion)
+    return np.linalg.norm(joint_positions - truth.joint_positions, axis=2).mean(0)
 
 
-def summarise_joint_errors(joint_error: np.ndarray, subject: Subject) -> dict[str, float]:
-    """-> the mean of joints' errors (J,), metres, in mm: of all, and of those that carry markers."""
-    return {
-        "joints_mm": 1e3 * float(joint_error.mean()),
-        "carrying_mm": 1e3 * float(joint_error[np.unique(subject.joints)].mean()),
-    }
+def summarise_joint_errors(joint_error: Float[np.ndarray, " J"], subject: Subject) -> dict[str, float]:
+    """Return the mean errors in mm of all joints and of those that carry markers."""
+    marked_error = joint_error[np.unique(subject.joints)]
+    return {"joints_mm": 1e3 * float(joint_error.mean()), "marked_mm": 1e3 * float(marked_error.mean())}
 
 
-def compute_irreducible_joint_sd(truth: SyntheticTake, take: Take, body: BodyModel, mean_pose: prior.MeanPosePrior) -> np.ndarray:
-    """-> (J,) metres per axis: by how much the best calibration of the take displaces the joints, linearised at the truth."""
-    person, motion = truth.subject, truth.motion
-    nominal = calibrate.scale_average_subject(take, marker_sets.load_marker_set(person.marker_set), body)
-    free = parameters.build_calibration_parameters(nominal, body, mean_pose)
-    looked = frames.select_candidate_frames(take.markers)
-    looked = looked[frames.select_varied_poses(motion.local_rotations[looked], np.random.default_rng(0))]
-    root, local = motion.root_position[looked], motion.local_rotations[looked]
-    usual, turns = np.zeros(len(free.information)), np.zeros_like(person.skeleton.offsets)
-    problem = refinement.build_calibration_problem(
-        person,
-        body,
-        mean_pose,
-        take.markers[looked],
-        parameters.CalibratedBody(person.skeleton.offsets, person.marker_offsets, turns),
-    )
-    fit = refinement.linearise_frames(free, problem, usual, root, local)
-    return refinement.compute_calibration_sd(fit.responses, fit.curvature)[0]
+def compute_irreducible_joint_sd(
+    truth: SyntheticTake, take: Take, body: BodyModel, prior: MeanPosePrior
+) -> Float[np.ndarray, " J"]:
+    """Return the displacement of the joints by the best calibration of the take, in metres per axis, linearised at the truth."""
+    subject, motion = truth.subject, truth.motion
+    nominal = scale_average_subject(take, marker_sets.load_marker_set(subject.marker_set), body)
+    parameters = build_calibration_parameters(nominal, body, prior)
+    candidates = select_candidate_frames(take.markers)
+    frames = candidates[select_varied_poses(motion.local_rotations[candidates], np.random.default_rng(0))]
+    root, local = motion.root_position[frames], motion.local_rotations[frames]
+    unknowns, mean_pose_vectors = np.zeros(len(parameters.information)), np.zeros_like(subject.skeleton.offsets)
+    true_body = CalibratedBody(subject.skeleton.offsets, subject.marker_offsets, mean_pose_vectors)
+    problem = build_calibration_problem(subject, body, prior, take.markers[frames], true_body)
+    state = linearise_frames(parameters, problem, unknowns, root, local)
+    return compute_calibration_sd(state.responses, state.curvature)[0]
 
 
 def compute_bone_length_error(estimated: Skeleton, true: Skeleton) -> float:
-    """-> metres: how much too long or too short bones are, on average."""
+    """Return the mean absolute error of bone lengths in metres."""
     lengths = np.linalg.norm(true.offsets, axis=1)
-    bones = lengths > MIN_COMPARED_BONE_LENGTH_M
-    return float(np.abs(np.linalg.norm(estimated.offsets, axis=1) - lengths)[bones].mean())
+    is_bone = lengths > MIN_COMPARED_BONE_LENGTH_M
+    return float(np.abs(np.linalg.norm(estimated.offsets, axis=1) - lengths)[is_bone].mean())

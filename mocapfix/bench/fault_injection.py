@@ -1,128 +1,135 @@
-"""What happens to labels: they are exchanged for a while or all the time, or a trajectory goes on under another."""
+"""Injection of faults into sound takes: how often, how long and how severe each kind is.
+
+Durations and sizes have a log-uniform distribution, because short and small faults are frequent and long and large ones rare.
+Places are drawn uniformly from all markers and frames without faults, exchanged markers from the three nearest neighbours. The
+faults are as hard as real ones: the shift of a marker may be no larger than skin motion, and an exchange of labels may begin
+while the markers are hidden, without a jump. Frozen samples and polynomial fills are injected only where the marker moves,
+because they make no difference at rest.
+"""
 
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.bench.damaged_take import DamagedTake, FaultPlace
 from mocapfix.faults import Fault, FaultKind, Fragment, MarkerShift
 from mocapfix.solve import kinematics
 
-# MERGED: mocapfix.bench.injected_labels
-HIDDEN_BEFORE_SWAP_S = (0.05, 0.25)  # seconds: how long exchanged markers are out of sight before
-MAX_FRAGMENT_PAUSE_S = 0.05  # seconds: how long a trajectory is lost at most, before it goes on under another label
+PERMANENT_EXCHANGE_PROBABILITY = 0.2  # of an exchange of labels to last to the end of the take
+HIDDEN_BEFORE_SWAP_S = (0.05, 0.25)  # how long exchanged markers may be hidden before the exchange
+MAX_FRAGMENT_PAUSE_S = 0.05  # how long a trajectory may be missing before it continues under another label
 FRAGMENT_LABELS = ("{label}-{n}", "*{n}", "C_{n}", "{label}-{n}")
 MIRRORED_LIMB_JOINTS = {"arm": ("Arm", "Hand", "Shoulder", "Finger", "Thumb"), "leg": ("Leg", "Foot", "Toe"), "body": ("",)}
+MARKER_SHIFT_RANGE_M = (0.015, 0.06)  # distance by which a marker shifts on its segment
+LATER_GAP_S = 0.5  # duration of a gap after the shift of a marker
+INJECTED_JITTER_RANGE_M = (0.008, 0.025)  # standard deviation per axis
+SPIKE_RANGE_M = (0.03, 0.3)
+GHOST_RANGE_M = (0.05, 0.5)  # distance of a ghost from the marker
+GHOST_NOISE_SD_M = 0.0005
+MIN_MOTION_M = 0.01  # a marker that moves less along every axis is at rest
 
 
 def inject_label_exchange(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    """Labels go round the ring: half the time after their markers were hidden, a fifth of the time for good."""
-    ring = list(place.markers)
-    if damaged_take.rng.random() < 0.2:
-        good = place._replace(last=damaged_take.frame_count - 1)
-        place = good if damaged_take.is_free(good) else place
+    """Exchange labels cyclically; half of the time the markers are hidden before, a fifth of the time the exchange is
+    permanent."""
+    cycle = list(place.markers)
+    if damaged_take.rng.random() < PERMANENT_EXCHANGE_PROBABILITY:
+        permanent = place._replace(last=damaged_take.frame_count - 1)
+        place = permanent if damaged_take.is_free(permanent) else place
     if damaged_take.rng.random() < 0.5:
         length = round(damaged_take.rate_hz * damaged_take.draw_log_uniform(*HIDDEN_BEFORE_SWAP_S))
-        for marker in ring:
+        for marker in cycle:
             damaged_take.hide_samples(marker, place.first - length, place.first - 1)
-    exchange_labels(damaged_take, ring, place.first, place.last, "swap")
+    exchange_labels(damaged_take, cycle, place.first, place.last, "swap")
 
 
-def exchange_labels(damaged_take: DamagedTake, ring: list[int], first: int, last: int, kind: FaultKind) -> None:
-    """The samples of each marker in the ring are under the next one's label."""
+def exchange_labels(damaged_take: DamagedTake, cycle: list[int], first: int, last: int, kind: FaultKind) -> None:
+    """Move the samples of each marker of a cycle to the label of the next one."""
     frames = slice(first, last + 1)
-    damaged_take.markers[frames, ring[1:] + ring[:1]] = damaged_take.markers[frames, ring]
-    damaged_take.record_fault(Fault(kind, ring[0], first, last, np.nan, "", other_markers=tuple(ring[1:])))
+    damaged_take.markers[frames, cycle[1:] + cycle[:1]] = damaged_take.markers[frames, cycle]
+    damaged_take.record_fault(Fault(kind, cycle[0], first, last, np.nan, "", other_markers=tuple(cycle[1:])))
 
 
 def inject_fragment(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    """A piece of a trajectory goes on under another label, half the time with a pause before and after it."""
-    marker, n = place.markers[0], len(damaged_take.labels) - damaged_take.marker_count + 1
-    pause = (
-        round(damaged_take.rng.uniform(0, MAX_FRAGMENT_PAUSE_S) * damaged_take.rate_hz) if damaged_take.rng.random() < 0.5 else 0
-    )
+    """Move a part of a trajectory to a new label; half of the time with a short gap before and after it."""
+    rng, marker = damaged_take.rng, place.markers[0]
+    number = len(damaged_take.labels) - damaged_take.marker_count + 1
+    has_pause = rng.random() < 0.5
+    pause = round(rng.uniform(0, MAX_FRAGMENT_PAUSE_S) * damaged_take.rate_hz) if has_pause else 0
     path, frames = np.full((damaged_take.frame_count, 3), np.nan), place.frames
     path[frames] = damaged_take.markers[frames, marker]
     damaged_take.hide_samples(marker, place.first - pause, place.last + pause)
-    damaged_take.add_trajectory(
-        FRAGMENT_LABELS[damaged_take.rng.integers(len(FRAGMENT_LABELS))].format(label=damaged_take.labels[marker], n=n), path
-    )
+    label = FRAGMENT_LABELS[rng.integers(len(FRAGMENT_LABELS))].format(label=damaged_take.labels[marker], n=number)
+    damaged_take.add_trajectory(label, path)
     donor = len(damaged_take.labels) - 1
-    damaged_take.record_fault(
-        Fragment("fragment", marker, place.first, place.last, np.nan, "", donor=donor, relation="continues")
-    )
+    fault = Fragment("fragment", marker, place.first, place.last, np.nan, "", donor=donor, relation="continues")
+    damaged_take.record_fault(fault)
 
 
 def inject_mislabelled(damaged_take: DamagedTake) -> None:
-    """Two markers near one another bear each other's label all the time."""
+    """Exchange the labels of two neighbouring markers in the whole take."""
     marker = int(damaged_take.rng.integers(damaged_take.marker_count))
     other = int(damaged_take.rng.choice(damaged_take.neighbours[marker, :2]))
     exchange_labels(damaged_take, [marker, other], 0, damaged_take.frame_count - 1, "mislabelled")
 
 
 def inject_mirrored_labels(damaged_take: DamagedTake) -> None:
-    """Left and right are taken for one another all the time, in the markers of the arms, of the legs or of the whole body."""
-    words = MIRRORED_LIMB_JOINTS[damaged_take.rng.choice(list(MIRRORED_LIMB_JOINTS))]
-    joints = [damaged_take.sound_truth.subject.skeleton.names[j] for j in damaged_take.sound_truth.subject.joints]
+    """Exchange left and right in the whole take, for the markers of the arms, of the legs or of the whole body."""
+    subject = damaged_take.sound_truth.subject
+    joint_parts = MIRRORED_LIMB_JOINTS[damaged_take.rng.choice(list(MIRRORED_LIMB_JOINTS))]
+    joints = [subject.skeleton.names[j] for j in subject.joints]
     for m, label in enumerate(damaged_take.labels):
         other = "R" + label[1:]
-        if label.startswith("L") and other in damaged_take.labels and any(word in joints[m] for word in words):
+        if label.startswith("L") and other in damaged_take.labels and any(part in joints[m] for part in joint_parts):
             exchange_labels(damaged_take, [m, damaged_take.labels.index(other)], 0, damaged_take.frame_count - 1, "mislabelled")
-
-
-# MERGED: mocapfix.bench.injected_moves
-# What happens to a marker's place: it is knocked, or slides, and stays elsewhere on its segment.
-MARKER_SHIFT_RANGE_M = (0.015, 0.06)  # metres on the segment
-LATER_GAP_S = 0.5  # seconds: a gap of a marker that moved, after it did
 
 
 def inject_marker_shift(
     damaged_take: DamagedTake, kind: FaultKind, begin_range: tuple[float, float], duration_range: tuple[float, float]
 ) -> None:
-    """A marker goes elsewhere on its segment and stays there; `begins` and `lasts` are parts of the take. Later it has a gap."""
-    first = round(damaged_take.frame_count * damaged_take.rng.uniform(*begin_range))
-    settled = first + round(damaged_take.frame_count * damaged_take.rng.uniform(*duration_range))
-    marker, way = int(damaged_take.rng.integers(damaged_take.marker_count)), damaged_take.draw_displacement(*MARKER_SHIFT_RANGE_M)
-    if not damaged_take.is_free(FaultPlace((marker,), 0, damaged_take.frame_count - 1)):
+    """Shift a marker permanently on its segment, followed by a gap; begin and duration are fractions of the take."""
+    rng, frame_count = damaged_take.rng, damaged_take.frame_count
+    first = round(frame_count * rng.uniform(*begin_range))
+    settled = first + round(frame_count * rng.uniform(*duration_range))
+    marker = int(rng.integers(damaged_take.marker_count))
+    displacement = damaged_take.draw_displacement(*MARKER_SHIFT_RANGE_M)
+    if not damaged_take.is_free(FaultPlace((marker,), 0, frame_count - 1)):
         return
-    _, rotation = kinematics.compute_world_poses(damaged_take.sound_truth.subject.skeleton, damaged_take.sound_truth.motion)
-    share = np.clip((np.arange(damaged_take.frame_count) - first + 1) / (settled - first + 1), 0, 1)
-    shift = share[:, None] * (rotation[:, damaged_take.sound_truth.subject.joints[marker]] @ way)
+    subject, motion = damaged_take.sound_truth.subject, damaged_take.sound_truth.motion
+    _, rotation = kinematics.compute_world_poses(subject.skeleton, motion)
+    share = np.clip((np.arange(frame_count) - first + 1) / (settled - first + 1), 0, 1)
+    shift = share[:, None] * (rotation[:, subject.joints[marker]] @ displacement)
     damaged_take.markers[:, marker] += shift
     damaged_take.true_markers[:, marker] += shift
-    size = float(np.linalg.norm(way))
-    damaged_take.record_fault(MarkerShift(kind, marker, first, damaged_take.frame_count - 1, size, "", settled_frame=settled))
+    size = float(np.linalg.norm(displacement))
+    damaged_take.record_fault(MarkerShift(kind, marker, first, frame_count - 1, size, "", settled_frame=settled))
     length = round(LATER_GAP_S * damaged_take.rate_hz)
-    start = int(damaged_take.rng.integers(settled + 1, damaged_take.frame_count - length - 1))
+    start = int(rng.integers(settled + 1, frame_count - length - 1))
     damaged_take.hide_samples(marker, start, start + length - 1)
 
 
-# MERGED: mocapfix.bench.injected_samples
-# What happens to a marker's samples: they are missing, off, held, drawn straight, or somewhere else altogether.
-INJECTED_JITTER_RANGE_M = (0.008, 0.025)  # metres per axis
-SPIKE_RANGE_M, GHOST_RANGE_M = (0.03, 0.3), (0.05, 0.5)  # metres
-
-
 def inject_gap(damaged_take: DamagedTake, place: FaultPlace) -> None:
+    """Remove a marker's samples."""
     damaged_take.hide_samples(place.markers[0], place.first, place.last, is_main=True)
 
 
 def inject_spike(damaged_take: DamagedTake, place: FaultPlace) -> None:
+    """Displace a marker's samples by a constant."""
     displace_samples(damaged_take, place, "spike", damaged_take.draw_displacement(*SPIKE_RANGE_M))
 
 
 def inject_jitter(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    displace_samples(
-        damaged_take,
-        place,
-        "jitter",
-        damaged_take.rng.normal(0, damaged_take.draw_log_uniform(*INJECTED_JITTER_RANGE_M), (place.frame_count, 3)),
-    )
+    """Add noise to a marker's samples."""
+    sd_m = damaged_take.draw_log_uniform(*INJECTED_JITTER_RANGE_M)
+    displace_samples(damaged_take, place, "jitter", damaged_take.rng.normal(0, sd_m, (place.frame_count, 3)))
 
 
-def displace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, shift: np.ndarray) -> None:
-    """Add `shift`, (3,) or (N, 3) metres, to a marker's samples."""
+def displace_samples(
+    damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, shift: Float[np.ndarray, "3"] | Float[np.ndarray, "N 3"]
+) -> None:
+    """Add a shift in metres to a marker's samples."""
     marker = place.markers[0]
     damaged_take.markers[place.frames, marker] += shift
     size = float(np.linalg.norm(shift, axis=-1).max())
@@ -130,50 +137,36 @@ def displace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: FaultKi
 
 
 def inject_frozen(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    """A gap that another program filled with the value before it."""
+    """Repeat the previous sample of a marker, as programs do that fill gaps with the last value."""
     replace_samples(damaged_take, place, "stuck", damaged_take.markers[[place.first - 1], place.markers[0]])
 
 
 def inject_polynomial_fill(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    """A gap that another program filled: with a line or, as often, with the cubic that goes on as the samples about it go."""
+    """Replace samples by a line or, half of the time, by the cubic with the velocities at both ends, as programs fill gaps."""
     path, (a, b) = damaged_take.markers[:, place.markers[0]], (place.first - 1, place.last + 1)
     span = b - a
     s = (np.arange(place.first, b) - a)[:, None] / span
     line = path[a] + s * (path[b] - path[a])
-    leaving, coming = (span * (path[t + 1] - path[t]) - (path[b] - path[a]) for t in (a - 1, b))
-    bow = s * (1 - s) * ((1 - s) * leaving - s * coming) if damaged_take.rng.random() < 0.5 else 0.0
-    replace_samples(damaged_take, place, "straight", line + bow)
+    start_slope, end_slope = (span * (path[t + 1] - path[t]) - (path[b] - path[a]) for t in (a - 1, b))
+    cubic = s * (1 - s) * ((1 - s) * start_slope - s * end_slope) if damaged_take.rng.random() < 0.5 else 0.0
+    replace_samples(damaged_take, place, "straight", line + cubic)
 
 
 def inject_ghost(damaged_take: DamagedTake, place: FaultPlace) -> None:
-    """The label jumps to a reflection, which stays where it is or, as often, goes along with the marker."""
-    marker, way = place.markers[0], damaged_take.draw_displacement(*GHOST_RANGE_M)
-    stays = damaged_take.rng.random() < 0.5
-    there = damaged_take.markers[[place.first] if stays else place.frames, marker] + way
-    replace_samples(damaged_take, place, "ghost", there + damaged_take.rng.normal(0, 0.0005, (place.frame_count, 3)))
+    """Move a label to a reflection, which is stationary or, half of the time, moves with the marker."""
+    marker, displacement = place.markers[0], damaged_take.draw_displacement(*GHOST_RANGE_M)
+    is_stationary = damaged_take.rng.random() < 0.5
+    position = damaged_take.markers[[place.first] if is_stationary else place.frames, marker] + displacement
+    noise = damaged_take.rng.normal(0, GHOST_NOISE_SD_M, (place.frame_count, 3))
+    replace_samples(damaged_take, place, "ghost", position + noise)
 
 
-def replace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, path: np.ndarray) -> None:
-    """Put `path`, (N, 3) or (1, 3), in place of a marker's samples."""
-    marker = place.markers[0]
-    damaged_take.markers[place.frames, marker] = path
-    size = float(
-        np.linalg.norm(
-            damaged_take.markers[place.frames, marker] - damaged_take.true_markers[place.frames, marker], axis=-1
-        ).max()
-    )
-    damaged_take.record_fault(Fault(kind, marker, place.first, place.last, size, ""))
-
-
-# MERGED: mocapfix.bench.injections
-# Faults as stages have them, put into sound takes: how often, how long and how bad each kind is.
-#
-# All is drawn. Lengths and sizes are spread evenly over their logarithm, for short and small faults are many and long and large
-# ones few; places are drawn alike from all markers and frames that nothing has happened to, markers that are exchanged from
-# the three nearest. Nothing here is made easy: a knock may be no larger than what skin does on lively people, an exchange may
-# begin while its markers are hidden and so without a leap. Only where a marker rests nothing is held or drawn straight, for
-# there it makes no difference.
-MIN_MOTION_M = 0.01  # metres: what goes less far meanwhile is at rest
+def replace_samples(damaged_take: DamagedTake, place: FaultPlace, kind: FaultKind, path: Float[np.ndarray, "_ 3"]) -> None:
+    """Replace a marker's samples by a path, or by one position."""
+    marker, frames = place.markers[0], place.frames
+    damaged_take.markers[frames, marker] = path
+    distance = np.linalg.norm(damaged_take.markers[frames, marker] - damaged_take.true_markers[frames, marker], axis=-1)
+    damaged_take.record_fault(Fault(kind, marker, place.first, place.last, float(distance.max()), ""))
 
 
 def inject_often(
@@ -183,22 +176,24 @@ def inject_often(
     marker_count: int = 1,
     min_motion_m: float = 0.0,
 ) -> Callable[[DamagedTake], None]:
-    """-> what lets it happen so often a minute, for so many seconds each time (see Stage.place)."""
+    """Return a function that injects faults at this frequency, of durations in this range (see DamagedTake.draw_place)."""
 
-    def happens(stage: DamagedTake) -> None:
-        for _ in range(round(count_per_minute * stage.frame_count / stage.rate_hz / 60)):
-            if place := stage.draw_place(duration_range_s, marker_count, min_motion_m):
-                inject(stage, place)
+    def inject_all(damaged_take: DamagedTake) -> None:
+        for _ in range(round(count_per_minute * damaged_take.frame_count / damaged_take.rate_hz / 60)):
+            if place := damaged_take.draw_place(duration_range_s, marker_count, min_motion_m):
+                inject(damaged_take, place)
 
-    return happens
+    return inject_all
 
 
 def inject_twice(inject: Callable[[DamagedTake], None]) -> Callable[[DamagedTake], None]:
-    def happens(stage: DamagedTake) -> None:
-        inject(stage)
-        inject(stage)
+    """Return a function that injects two faults."""
 
-    return happens
+    def inject_both(damaged_take: DamagedTake) -> None:
+        inject(damaged_take)
+        inject(damaged_take)
+
+    return inject_both
 
 
 FAULT_INJECTIONS: dict[str, Callable[[DamagedTake], None]] = {

@@ -1,18 +1,18 @@
-"""Starts of the solve compared: where they lie, how many iterations they cost, and in which frames the solve ends wrong.
+"""Benchmark of starts of the solver: their errors, the iterations that follow, and the frames in which the solve ends at a wrong
+pose.
 
-Where the truth is known, it is a start like any other, `truth`: what ends wrong from there, too, is no start's fault.
-`alone` is the first solve, of each frame from its start (`previous` starts where the frame before ended); what has no such word
-is the whole solve, as `mocapfix clean --prior none` does it. What is wrong, see start_ends; on which takes, see start_takes.
+If the truth is known, it is compared as the start `truth`: a frame that is wrong from there as well is not the fault of a start.
+The first solve is that of each frame from its start (`previous` starts each frame from the previous one); the full solve is that
+of `mocapfix clean --prior none`. The module initialisation_outcomes defines wrong frames, initialisation_takes the takes.
 """
 
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mocapfix.bench import initialisation_takes
 from mocapfix.bench.initialisation_outcomes import (
     StartMethod,
     StartOutcome,
@@ -20,23 +20,32 @@ from mocapfix.bench.initialisation_outcomes import (
     find_observed_joints,
     find_wrong_frames,
 )
-from mocapfix.bench.initialisation_takes import InitialisationTake
+from mocapfix.bench.initialisation_takes import (
+    MARKER_LOSSES,
+    InitialisationTake,
+    add_ghosts,
+    compose_initialisation_takes,
+    damage_takes,
+    perform_test_recordings,
+    read_captures,
+)
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
 from mocapfix.options import INIT_METHODS
-from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 
 TRUTH_START = "truth"
-INITIALISATION_SEEDS = range(8)  # people on whom no constant was set
-TIMING_REPEATS = 3  # of which the median is the time
-DAMAGED_TAKE_STRIDE = 4  # one performance of so many is also damaged, for limbs that are lost take long to put back
+INITIALISATION_SEEDS = range(8)  # subjects that no constant was tuned on
+TIMING_REPEATS = 3  # the median counts
+DAMAGED_TAKE_STRIDE = 4  # every fourth performance is also damaged, because lost limbs take long to reconstruct
 
 
 class TakeOutcome(NamedTuple):
-    """What became of a take, and which of its frames (T,) ended wrong, after the first solve and after all of it; and which of
-    the latter ends right from the truth.
+    """The outcome of a start of a take, and its wrong frames (T,) after the first and the full solve.
+
+    is_wrong_from_start  frames that are wrong after the full solve, but not if started from the truth
     """
 
     case: InitialisationTake
@@ -53,34 +62,37 @@ def measure_initialisation(
     seeds: Iterable[int] = INITIALISATION_SEEDS,
     repeats: int = TIMING_REPEATS,
     progress: ProgressCallback = lambda _: None,
-) -> dict[str, dict[str, dict]]:
-    """-> set of takes -> way -> `row`.
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the results by set of takes and by start, see `summarise_outcomes`.
 
-    ways      names of starts, out of scenes.STARTS
-    data      a folder with test.npz, motion of people whom no model has seen, and skeletons.json
-    captures  a folder of C3D files, of which the truth is not known
-    seeds     of the composed takes
-    repeats   how often each take is timed
+    methods         names of starts, of INIT_METHODS
+    motion_folder   holds test.npz, motion of subjects that no model was trained on, and skeletons.json
+    capture_folder  holds C3D files, whose truth is not known
+    seeds           of the composed takes
+    repeats         how often each take is timed
 
-    Raises ReadError where a folder does not hold what it should.
+    Raises ReadError if a folder does not hold the required files.
     """
     starts: dict[str, StartMethod] = {name: partial(start_from_markers, method=name) for name in methods}
-    said = {}
+    results: dict[str, dict[str, dict[str, Any]]] = {}
     for name, cases in build_take_sets(motion_folder, capture_folder, seeds).items():
-        said[name] = compare_starts(cases, starts, repeats, lambda take, name=name: progress(f"{name}: {take}"))
-    return said
+
+        def report_take(take_name: str, name: str = name) -> None:
+            progress(f"{name}: {take_name}")
+
+        results[name] = compare_starts(cases, starts, repeats, report_take)
+    return results
 
 
 def start_from_markers(case: InitialisationTake, method: str) -> Motion:
-    """-> the start of a take that mocapfix has under this name."""
+    """Return the start of a take by one of INIT_METHODS."""
     body = load_cmu31_body()
-    return initial_motion.initialise_motion(
-        case.take, case.subject, body, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), method
-    )
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    return initial_motion.initialise_motion(case.take, case.subject, body, prior, method)
 
 
 def build_truth_start(case: InitialisationTake) -> dict[str, StartMethod]:
-    """-> the start from the truth, by its name; none where nobody knows it."""
+    """Return the start from the truth by its name, or nothing if the truth is not known."""
     motion = case.true_motion
     return {} if motion is None else {TRUTH_START: lambda _: motion}
 
@@ -88,19 +100,17 @@ def build_truth_start(case: InitialisationTake) -> dict[str, StartMethod]:
 def build_take_sets(
     motion_folder: Path | None, capture_folder: Path | None, seeds: Iterable[int]
 ) -> dict[str, Iterable[InitialisationTake]]:
-    """-> the takes of each set, as `run` is told."""
-    found: dict[str, Iterable[InitialisationTake]] = {"composed": initialisation_takes.compose_initialisation_takes(seeds)}
+    """Return the takes of each set, with the arguments of `measure_initialisation`."""
+    sets: dict[str, Iterable[InitialisationTake]] = {"composed": compose_initialisation_takes(seeds)}
     if motion_folder is not None:
-        whole = list(initialisation_takes.perform_test_recordings(motion_folder))
-        found["performed"] = whole
-        found |= {
-            f"performed, {name}": initialisation_takes.damage_takes(whole[::DAMAGED_TAKE_STRIDE], lost)
-            for name, lost in initialisation_takes.MARKER_LOSSES.items()
-        }
-        found["performed, a ghost"] = initialisation_takes.add_ghosts(whole[::DAMAGED_TAKE_STRIDE])
+        performed = list(perform_test_recordings(motion_folder))
+        sets["performed"] = performed
+        damaged = performed[::DAMAGED_TAKE_STRIDE]
+        sets |= {f"performed, {name}": damage_takes(damaged, draw_losses) for name, draw_losses in MARKER_LOSSES.items()}
+        sets["performed, a ghost"] = add_ghosts(damaged)
     if capture_folder is not None:
-        found["captures"] = initialisation_takes.read_captures(capture_folder)
-    return found
+        sets["captures"] = read_captures(capture_folder)
+    return sets
 
 
 def compare_starts(
@@ -108,51 +118,56 @@ def compare_starts(
     methods: dict[str, StartMethod],
     repeats: int = TIMING_REPEATS,
     progress: ProgressCallback = lambda _: None,
-) -> dict[str, dict]:
-    """-> way -> the `row` of all takes; also from the truth, where that is known."""
+) -> dict[str, dict[str, Any]]:
+    """Return the summary of all takes by start; also that of the truth, if it is known."""
     outcomes: dict[str, list[TakeOutcome]] = {}
     for case in cases:
         progress(case.name)
-        came = {name: evaluate_start(case, way, repeats) for name, way in (build_truth_start(case) | methods).items()}
-        alone = find_wrong_frames(case, {name: each.first_solve for name, each in came.items()})
-        whole = find_wrong_frames(case, {name: each.full_solve for name, each in came.items()})
-        best = whole.get(TRUTH_START, np.zeros(case.take.frame_count, bool))
-        for name, each in came.items():
-            outcomes.setdefault(name, []).append(TakeOutcome(case, each, alone[name], whole[name], whole[name] & ~best))
+        starts = build_truth_start(case) | methods
+        by_start = {name: evaluate_start(case, method, repeats) for name, method in starts.items()}
+        wrong_first = find_wrong_frames(case, {name: each.first_solve for name, each in by_start.items()})
+        wrong = find_wrong_frames(case, {name: each.full_solve for name, each in by_start.items()})
+        wrong_from_truth = wrong.get(TRUTH_START, np.zeros(case.take.frame_count, bool))
+        for name, each in by_start.items():
+            outcome = TakeOutcome(case, each, wrong_first[name], wrong[name], wrong[name] & ~wrong_from_truth)
+            outcomes.setdefault(name, []).append(outcome)
     return {name: summarise_outcomes(each) for name, each in outcomes.items()}
 
 
-def summarise_outcomes(outcomes: list[TakeOutcome]) -> dict:
-    """-> over all takes: `frames`, how many end `wrong`, are `astray` (wrong, and right from the truth), end `wrong_alone` or are
-    `unconverged`; `iterations` and `iterations_alone` of a frame on average; where frames start, `start_markers_mm` from those
-    seen on average and `start_joints_mm` from the true ones that markers tell of (None where nobody knows them);
-    `start_seconds` and `seconds`, of the start alone and with the solve; `wrong_in`, the takes with frames that end wrong, and
-    how many.
+def summarise_outcomes(outcomes: list[TakeOutcome]) -> dict[str, Any]:
+    """Return the sums and means over all takes.
+
+    frames, wrong, wrong_from_start, wrong_first_solve, unconverged  numbers of frames, see TakeOutcome and StartOutcome
+    iterations, iterations_first_solve                               mean per frame
+    start_markers_mm   mean distance of the start from the visible markers
+    start_joints_mm    mean distance of observed joints from the true ones; None if these are not known
+    start_seconds      duration of the start; seconds: of start and solve
+    wrong_in           number of wrong frames by take, if any
     """
-    came = [each.outcome for each in outcomes]
+    starts = [each.outcome for each in outcomes]
     return {
         "frames": sum(each.case.take.frame_count for each in outcomes),
         "wrong": int(sum(each.is_wrong.sum() for each in outcomes)),
-        "astray": int(sum(each.is_wrong_from_start.sum() for each in outcomes)),
-        "wrong_alone": int(sum(each.is_wrong_first_solve.sum() for each in outcomes)),
-        "unconverged": int(sum(each.is_unconverged.sum() for each in came)),
-        "iterations": float(np.concatenate([each.full_solve.iterations for each in came]).mean()),
-        "iterations_alone": float(np.concatenate([each.first_solve.iterations for each in came]).mean()),
-        "start_markers_mm": 1e3 * float(np.nanmean(np.concatenate([each.marker_error_m for each in came]))),
+        "wrong_from_start": int(sum(each.is_wrong_from_start.sum() for each in outcomes)),
+        "wrong_first_solve": int(sum(each.is_wrong_first_solve.sum() for each in outcomes)),
+        "unconverged": int(sum(each.is_unconverged.sum() for each in starts)),
+        "iterations": float(np.concatenate([each.full_solve.iterations for each in starts]).mean()),
+        "iterations_first_solve": float(np.concatenate([each.first_solve.iterations for each in starts]).mean()),
+        "start_markers_mm": 1e3 * float(np.nanmean(np.concatenate([each.marker_error_m for each in starts]))),
         "start_joints_mm": compute_start_joint_error_mm(outcomes),
-        "start_seconds": sum(each.durations_s[0] for each in came),
-        "seconds": sum(each.durations_s[1] for each in came),
+        "start_seconds": sum(each.durations_s[0] for each in starts),
+        "seconds": sum(each.durations_s[1] for each in starts),
         "wrong_in": {each.case.name: int(each.is_wrong.sum()) for each in outcomes if each.is_wrong.any()},
     }
 
 
 def compute_start_joint_error_mm(outcomes: list[TakeOutcome]) -> float | None:
-    """-> mm: how far from the truth frames start, on average over the joints that markers tell of."""
-    known = [(each.case, each.outcome.start_joint_positions) for each in outcomes if each.case.true_joint_positions is not None]
-    if not known:
-        return None
-    return 1e3 * float(
-        np.concatenate(
-            [np.linalg.norm(at - case.true_joint_positions, axis=-1)[find_observed_joints(case)] for case, at in known]
-        ).mean()
-    )
+    """Return the mean distance in mm of observed joints at the start from the true ones, or None if these are not known."""
+    errors = [
+        np.linalg.norm(each.outcome.start_joint_positions - each.case.true_joint_positions, axis=-1)[
+            find_observed_joints(each.case)
+        ]
+        for each in outcomes
+        if each.case.true_joint_positions is not None
+    ]
+    return 1e3 * float(np.concatenate(errors).mean()) if errors else None

@@ -1,9 +1,9 @@
-"""The takes on which starts are compared.
+"""The takes on which starts of the solver are compared.
 
-Composed takes have gaps and spikes and need nothing but mocapfix. Performed ones are recordings of people whom no model was
-trained on, acrobats among them, each put on by one drawn person whose skin slides; their markers are lost, or jump, in ways
-that are hard on a start. Captures are whatever somebody recorded, and nobody knows the truth of them. In all of them the body
-that is solved is the one that calibration finds, and so not quite the one that there is.
+Composed takes have gaps and spikes and need no data. Performed takes are recordings of subjects that no model was trained on,
+acrobats included, performed by a random body with skin motion; their markers are removed, or jump, in ways that are difficult for
+a start. Captures are recorded takes without known truth. In all of them the solver uses the calibrated body, which differs a
+little from the true one.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -12,30 +12,36 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
-from mocapfix import marker_sets, pipeline, synthetic
+from mocapfix import marker_sets, synthetic
 from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.calibrate import calibration
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.marker_sets import MarkerSet
 from mocapfix.motion import Motion
-from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.read import capture
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve.body_fit import select_subject
 from mocapfix.subject import Subject
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
 from mocapfix.take import Take
 
-SINGLE_GAP_SHARE, MIN_SINGLE_GAP_S, MAX_SINGLE_GAP_S = 0.1, 0.1, 2.0  # of the samples, and seconds: gaps of single markers
-GROUP_LOSS_INTERVAL_S, GROUP_LOSS_DURATION_S = 1.0, 0.5  # seconds: how often markers are lost together, and for how long
-LOST_MARKER_SHARE = 0.5  # of the markers
-GHOST_SD_M = 0.4  # metres per axis: how far off a label's ghost is
+SINGLE_GAP_SHARE = 0.1  # fraction of the samples that is missing in gaps of single markers
+MIN_SINGLE_GAP_S = 0.1
+MAX_SINGLE_GAP_S = 2.0
+GROUP_LOSS_INTERVAL_S = 1.0  # interval between losses of several markers
+GROUP_LOSS_DURATION_S = 0.5
+LOST_MARKER_SHARE = 0.5  # fraction of the markers that is lost at the same time
+GHOST_SD_M = 0.4  # per axis: distance of a ghost
 
 
 class InitialisationTake(NamedTuple):
-    """A take as the body's K markers (T, K, 3), and the calibrated body; where that is known, where the joints (T, J, 3) were,
-    and the true motion, of a body that was a little different.
+    """A take of the body's K markers and the calibrated body; and if known, the true joint positions (T, J, 3) and motion.
+
+    The true motion is that of a slightly different body.
     """
 
     name: str
@@ -45,91 +51,95 @@ class InitialisationTake(NamedTuple):
     true_motion: Motion | None
 
 
+MarkerLoss = Callable[[InitialisationTake, np.random.Generator], Bool[np.ndarray, "T K"]]
+
+
 def compose_initialisation_takes(seeds: Iterable[int]) -> Iterator[InitialisationTake]:
-    """Yield mocapfix's own takes with their gaps, without the samples that jump."""
+    """Yield composed takes with gaps, without the samples of spikes."""
     for seed in seeds:
         truth = synthetic.compose_take(seed, asymmetric=True)
-        take = Take(np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions), truth.labels, truth.rate)
-        yield InitialisationTake(
-            f"seed {seed}", take, calibrate_take(take, marker_sets.load_marker_set("cmu41")), truth.joint_positions, truth.motion
-        )
+        markers = np.where(truth.spike_mask[..., None], np.nan, truth.damaged_positions)
+        take = Take(markers, truth.labels, truth.rate)
+        subject = calibrate_take(take, marker_sets.load_marker_set("cmu41"))
+        yield InitialisationTake(f"seed {seed}", take, subject, truth.joint_positions, truth.motion)
 
 
 def perform_test_recordings(motion_folder: Path) -> Iterator[InitialisationTake]:
-    """Yield the recordings of the test people, undamaged, in the CMU marker set; each calibrated from all that one performs.
+    """Yield the undamaged recordings of the test subjects in the CMU marker set, calibrated on all recordings of each subject.
 
-    Raises ReadError where `data` holds no test.npz of motion.
+    Raises ReadError if the folder has no test.npz of motion.
     """
-    for number, (_, theirs) in enumerate(
-        groupby(read_performed_motions(motion_folder / "test.npz"), lambda each: each.name.split("_")[0])
-    ):
-        yield from perform_subject_recordings(list(theirs), np.random.default_rng(number))
+    recordings = groupby(read_performed_motions(motion_folder / "test.npz"), lambda each: each.name.split("_")[0])
+    for number, (_, performances) in enumerate(recordings):
+        yield from perform_subject_recordings(list(performances), np.random.default_rng(number))
 
 
-def perform_subject_recordings(theirs: list[PerformedMotion], rng: np.random.Generator) -> Iterator[InitialisationTake]:
-    """Yield one person's performances, a body being drawn for them."""
+def perform_subject_recordings(performances: list[PerformedMotion], rng: np.random.Generator) -> Iterator[InitialisationTake]:
+    """Yield the performances of one subject with a random body."""
     body = draw_subject(rng, asymmetric=True)
-    shown = [simulate_markers(rng, body, each.motion, each.rate_hz) for each in theirs]
-    together = Take(np.concatenate([markers for _, markers in shown]), body.labels, theirs[0].rate_hz)
-    known = calibrate_take(together, marker_sets.load_marker_set("cmu41"))
-    for each, (joints, markers) in zip(theirs, shown, strict=True):
-        yield InitialisationTake(each.name, Take(markers, body.labels, each.rate_hz), known, joints, each.motion)
+    simulated = [simulate_markers(rng, body, each.motion, each.rate_hz) for each in performances]
+    all_markers = np.concatenate([markers for _, markers in simulated])
+    calibrated = calibrate_take(Take(all_markers, body.labels, performances[0].rate_hz), marker_sets.load_marker_set("cmu41"))
+    for performance, (joint_positions, markers) in zip(performances, simulated, strict=True):
+        take = Take(markers, body.labels, performance.rate_hz)
+        yield InitialisationTake(performance.name, take, calibrated, joint_positions, performance.motion)
 
 
-def damage_takes(
-    cases: Iterable[InitialisationTake], draw_losses: Callable[[InitialisationTake, np.random.Generator], np.ndarray]
-) -> Iterator[InitialisationTake]:
-    """Yield cases without the samples that are `lost`."""
+def damage_takes(cases: Iterable[InitialisationTake], draw_losses: MarkerLoss) -> Iterator[InitialisationTake]:
+    """Yield takes without the samples that `draw_losses` returns."""
     for number, case in enumerate(cases):
-        gone = draw_losses(case, np.random.default_rng(number))
-        yield case._replace(worn=case.take.replace_markers(np.where(gone[..., None], np.nan, case.take.markers)))
+        is_lost = draw_losses(case, np.random.default_rng(number))
+        yield case._replace(take=case.take.replace_markers(np.where(is_lost[..., None], np.nan, case.take.markers)))
 
 
-def draw_single_gaps(case: InitialisationTake, rng: np.random.Generator) -> np.ndarray:
-    """-> (T, K) bool: a part of the samples, in gaps of single markers, short ones more often than long ones."""
-    gone, rate = np.zeros_like(case.take.visible), case.take.rate
-    while gone.mean() < SINGLE_GAP_SHARE:
+def draw_single_gaps(case: InitialisationTake, rng: np.random.Generator) -> Bool[np.ndarray, "T K"]:
+    """Return gaps of single markers of log-uniform duration."""
+    is_lost, rate = np.zeros_like(case.take.visible), case.take.rate
+    while is_lost.mean() < SINGLE_GAP_SHARE:
         length = round(rate * MIN_SINGLE_GAP_S * (MAX_SINGLE_GAP_S / MIN_SINGLE_GAP_S) ** rng.random())
-        first = rng.integers(1 - length, len(gone))
-        gone[max(0, first) : first + length, rng.integers(gone.shape[1])] = True
-    return gone
+        first = rng.integers(1 - length, len(is_lost))
+        is_lost[max(0, first) : first + length, rng.integers(is_lost.shape[1])] = True
+    return is_lost
 
 
-def draw_segment_losses(case: InitialisationTake, rng: np.random.Generator) -> np.ndarray:
-    """-> (T, K) bool: now and again all markers of a segment, another every time."""
+def draw_segment_losses(case: InitialisationTake, rng: np.random.Generator) -> Bool[np.ndarray, "T K"]:
+    """Return repeated losses of all markers of a segment, each time another one."""
     return draw_group_losses(case, lambda: case.subject.joints == rng.choice(np.unique(case.subject.joints)))
 
 
-def draw_pelvis_losses(case: InitialisationTake, rng: np.random.Generator) -> np.ndarray:
-    """-> (T, K) bool: now and again all markers of the pelvis."""
+def draw_pelvis_losses(case: InitialisationTake, rng: np.random.Generator) -> Bool[np.ndarray, "T K"]:
+    """Return repeated losses of all markers of the pelvis."""
     return draw_group_losses(case, lambda: case.subject.joints == 0)
 
 
-def draw_half_losses(case: InitialisationTake, rng: np.random.Generator) -> np.ndarray:
-    """-> (T, K) bool: now and again half of the markers, others every time."""
+def draw_half_losses(case: InitialisationTake, rng: np.random.Generator) -> Bool[np.ndarray, "T K"]:
+    """Return repeated losses of half of the markers, each time others."""
     return draw_group_losses(case, lambda: rng.random(len(case.subject.joints)) < LOST_MARKER_SHARE)
 
 
 def add_ghosts(cases: Iterable[InitialisationTake]) -> Iterator[InitialisationTake]:
-    """Yield cases in which now and again one marker is somewhere else, another every time: its label has jumped to a ghost."""
+    """Yield takes in which the label of one marker jumps to a ghost repeatedly, each time another marker."""
     for number, case in enumerate(cases):
-        rng, labels = np.random.default_rng(number), np.arange(len(case.subject.joints))
-        jumped = draw_group_losses(case, lambda rng=rng, labels=labels: labels == rng.integers(len(labels)))
-        ghosts = rng.normal(0, GHOST_SD_M, (len(labels), 3))
-        yield case._replace(worn=case.take.replace_markers(case.take.markers + jumped[..., None] * ghosts))
+        rng, marker_index = np.random.default_rng(number), np.arange(len(case.subject.joints))
+
+        def choose_marker(rng: np.random.Generator = rng, marker_index: np.ndarray = marker_index) -> np.ndarray:
+            return marker_index == rng.integers(len(marker_index))
+
+        is_ghost = draw_group_losses(case, choose_marker)
+        displacement = rng.normal(0, GHOST_SD_M, (len(marker_index), 3))
+        yield case._replace(take=case.take.replace_markers(case.take.markers + is_ghost[..., None] * displacement))
 
 
-def draw_group_losses(case: InitialisationTake, choose_markers: Callable[[], np.ndarray]) -> np.ndarray:
-    """-> (T, K) bool: `which` (K,) markers are lost FOR seconds of EVERY so many, in the middle of these."""
-    gone, rate = np.zeros_like(case.take.visible), case.take.rate
-    for begin in np.arange(
-        (GROUP_LOSS_INTERVAL_S - GROUP_LOSS_DURATION_S) / 2, case.take.frame_count / rate, GROUP_LOSS_INTERVAL_S
-    ):
-        gone[round(begin * rate) : round((begin + GROUP_LOSS_DURATION_S) * rate), choose_markers()] = True
-    return gone
+def draw_group_losses(case: InitialisationTake, choose_markers: Callable[[], Bool[np.ndarray, " K"]]) -> Bool[np.ndarray, "T K"]:
+    """Return a loss of some markers in the middle of each interval of GROUP_LOSS_INTERVAL_S."""
+    is_lost, rate = np.zeros_like(case.take.visible), case.take.rate
+    first_s, duration_s = (GROUP_LOSS_INTERVAL_S - GROUP_LOSS_DURATION_S) / 2, case.take.frame_count / rate
+    for begin_s in np.arange(first_s, duration_s, GROUP_LOSS_INTERVAL_S):
+        is_lost[round(begin_s * rate) : round((begin_s + GROUP_LOSS_DURATION_S) * rate), choose_markers()] = True
+    return is_lost
 
 
-MARKER_LOSSES = {
+MARKER_LOSSES: dict[str, MarkerLoss] = {
     "gaps": draw_single_gaps,
     "a segment lost": draw_segment_losses,
     "the pelvis lost": draw_pelvis_losses,
@@ -138,22 +148,21 @@ MARKER_LOSSES = {
 
 
 def read_captures(folder: Path) -> Iterator[InitialisationTake]:
-    """Yield the captures in a folder that wear a known marker set. Raises ReadError where there is none."""
-    found = False
+    """Yield the captures in a folder that have a known marker set. Raises ReadError if there is none."""
+    is_empty = True
     for path in sorted(folder.glob("*.c3d")):
         take = capture.read_take(path)
-        _, worn_set, _ = pipeline.select_subject(take, None, None)
-        if worn_set is not None:
-            found, heard = (
-                True,
-                take.select(worn_set.find_columns(take.labels), detect_sample_faults(take).compute_solver_mask(take)),
-            )
-            yield InitialisationTake(path.stem, heard, calibrate_take(heard, worn_set), None, None)
-    if not found:
-        raise ReadError(f"{folder}: holds no capture (.c3d) that wears a known marker set.")
+        _, marker_set, _ = select_subject(take, None, None)
+        if marker_set is not None:
+            is_empty = False
+            solver_mask = detect_sample_faults(take).compute_solver_mask(take)
+            subject_take = take.select(marker_set.find_columns(take.labels), solver_mask)
+            yield InitialisationTake(path.stem, subject_take, calibrate_take(subject_take, marker_set), None, None)
+    if is_empty:
+        raise ReadError(f"{folder}: holds no capture (.c3d) with a known marker set.")
 
 
 def calibrate_take(take: Take, marker_set: MarkerSet) -> Subject:
-    """-> the body that calibration finds in a take."""
+    """Return the body that calibration estimates from a take."""
     body = load_cmu31_body()
-    return calibration.calibrate_subject(take, marker_set, body, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton))
+    return calibration.calibrate_subject(take, marker_set, body, load_mean_pose_prior("mean-pose", body.skeleton))

@@ -1,105 +1,115 @@
-"""How near HybrIK's three ways come where the joints that they are given are off (HybrIK, Table 3; HybrIK-X, Table 7).
+"""Benchmark of HybrIK's variants with noisy joint positions (HybrIK, Table 3; HybrIK-X, Table 7).
 
-A joint is off by up to so much along each axis, anything within as likely. What is found is held against where the joints
-truly are and, as HybrIK's Eq. 14 has it, against where they were given. The bones are the person's own, or those of somebody
-else: then the joints are of composed PEOPLE, whose bones lie 8 mm off the average body's, as those of CMU's subjects do, and the
-average body's are taken for them.
+The noise of a joint has a uniform distribution along each axis. The result is compared with the true joints and, as in HybrIK's
+Eq. 14, with the given ones. Bones are the true ones, or wrong: then the joints are those of composed people, whose joints are 8
+mm off the average body's, as those of CMU's subjects are, and the average body is solved.
 """
 
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix import marker_sets
 from mocapfix.bench.common_task import build_known_motion
-from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M, HybrikVariant
-from mocapfix.initialise.initial_motion import solve_hybrik
+from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M, HybrikVariant, solve_hybrik
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.synthetic.synthetic_takes import draw_subject
 
-JOINT_NOISE_MM = (0, 10, 20, 30)  # millimetres along each axis
-HAND_NAME_PARTS = ("Hand", "FingerBase", "Thumb")  # and the fingers' HandIndex
+JOINT_NOISE_MM = (0, 10, 20, 30)  # maximum along each axis
+HAND_NAME_PARTS = ("Hand", "FingerBase", "Thumb")  # "Hand" includes HandIndex
 COMPOSED_PEOPLE_COUNT = 20
-NO_TWISTS = np.broadcast_to([1.0, 0.0], (1, len(load_cmu31_body().skeleton.names), 2))
+NO_TWISTS = np.broadcast_to([1.0, 0.0], (1, len(load_cmu31_body().skeleton.names), 2))  # cosine and sine
 
 
 class NoisyJoints(NamedTuple):
-    """Where joints are and where they are said to be, (N, J, 3) metres, and by how much that is off."""
+    """True and given joint positions (N, J, 3) in metres, and the standard deviation of the noise."""
 
     true_positions: np.ndarray
     given_positions: np.ndarray
-    sd_m: float  # metres per axis
+    sd_m: float  # per axis
 
 
-def measure_joint_noise(poses: np.ndarray, progress: ProgressCallback) -> dict[str, dict]:
-    """-> what is measured: millimetres of jitter: of poses (N, J, 3, 3), the way's `parts`.
+def measure_joint_noise(poses: Float[np.ndarray, "N J 3 3"], progress: ProgressCallback) -> dict[str, dict[str, Any]]:
+    """Return the errors by quantity, by noise in mm, and by variant.
 
-    jitter_mm       from where the joints truly are
-    from_given_mm   from where they were given
-    given_mm        how far those are from one another
-    wrong_bones_mm  from where the joints truly are, the bones being somebody else's
+    jitter_mm       distance from the true joints
+    from_given_mm   distance from the given joints
+    given_mm        distance of the given joints from the true ones
+    wrong_bones_mm  distance from the true joints, with wrong bones
     """
-    subject, said = build_cmu41_subject(), {"jitter_mm": {}, "from_given_mm": {}, "given_mm": {}, "wrong_bones_mm": {}}
-    own = kinematics.compute_world_poses(subject.skeleton, build_known_motion(np.zeros((len(poses), 3)), poses))[0]
-    others = compute_composed_joints(poses)
-    for jitter in JOINT_NOISE_MM:
-        progress(f"joints off by {jitter} mm")
-        right, wrong, key = add_joint_noise(own, jitter), add_joint_noise(others, jitter), str(jitter)
-        found = {way: solve_hybrik_joints(right, subject, way) for way in get_args(HybrikVariant)}
-        said["jitter_mm"][key] = {way: summarise_body_parts(joints, right.true_positions) for way, joints in found.items()}
-        said["from_given_mm"][key] = {way: summarise_body_parts(joints, right.given_positions) for way, joints in found.items()}
-        said["given_mm"][key] = summarise_body_parts(right.given_positions, right.true_positions)
-        said["wrong_bones_mm"][key] = {
-            way: summarise_body_parts(solve_hybrik_joints(wrong, subject, way), wrong.true_positions)
-            for way in get_args(HybrikVariant)
+    subject = build_cmu41_subject()
+    results: dict[str, dict[str, Any]] = {"jitter_mm": {}, "from_given_mm": {}, "given_mm": {}, "wrong_bones_mm": {}}
+    motion = build_known_motion(np.zeros((len(poses), 3)), poses)
+    average_joints, _ = kinematics.compute_world_poses(subject.skeleton, motion)
+    composed_joints = compute_composed_joints(poses)
+    for noise_mm in JOINT_NOISE_MM:
+        progress(f"joint noise of {noise_mm} mm")
+        right, wrong, key = add_joint_noise(average_joints, noise_mm), add_joint_noise(composed_joints, noise_mm), str(noise_mm)
+        solved = {variant: solve_hybrik_joints(right, subject, variant) for variant in get_args(HybrikVariant)}
+        results["jitter_mm"][key] = {
+            variant: summarise_body_parts(joints, right.true_positions) for variant, joints in solved.items()
         }
-    return said
+        results["from_given_mm"][key] = {
+            variant: summarise_body_parts(joints, right.given_positions) for variant, joints in solved.items()
+        }
+        results["given_mm"][key] = summarise_body_parts(right.given_positions, right.true_positions)
+        results["wrong_bones_mm"][key] = {
+            variant: summarise_body_parts(solve_hybrik_joints(wrong, subject, variant), wrong.true_positions)
+            for variant in get_args(HybrikVariant)
+        }
+    return results
 
 
 def build_cmu41_subject() -> Subject:
-    """-> the average body in CMU's 41 markers."""
-    worn = marker_sets.load_marker_set("cmu41")
-    return Subject(load_cmu31_body().skeleton, worn.name, worn.labels, worn.joints, worn.marker_offsets, worn.marker_spread)
+    """Return the average body with CMU's 41 markers."""
+    skeleton, marker_set = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
+    joints, offsets = marker_set.joints, marker_set.marker_offsets
+    return Subject(skeleton, marker_set.name, marker_set.labels, joints, offsets, marker_set.marker_spread)
 
 
-def compute_composed_joints(rotations: np.ndarray) -> np.ndarray:
-    """-> (N, J, 3) metres: the joints of PEOPLE, each of whom takes a part of the poses; always the same people."""
-    bodies = [draw_subject(np.random.default_rng(who), asymmetric=True).skeleton for who in range(COMPOSED_PEOPLE_COUNT)]
-    shares = [build_known_motion(np.zeros((len(share), 3)), share) for share in np.array_split(rotations, COMPOSED_PEOPLE_COUNT)]
-    return np.concatenate([kinematics.compute_world_poses(body, share)[0] for body, share in zip(bodies, shares, strict=True)])
+def compute_composed_joints(rotations: Float[np.ndarray, "N J 3 3"]) -> Float[np.ndarray, "N J 3"]:
+    """Return the joint positions in metres of composed people, who share the poses; the same people in every call."""
+    seeds = range(COMPOSED_PEOPLE_COUNT)
+    skeletons = [draw_subject(np.random.default_rng(seed), asymmetric=True).skeleton for seed in seeds]
+    shares = np.array_split(rotations, COMPOSED_PEOPLE_COUNT)
+    motions = [build_known_motion(np.zeros((len(share), 3)), share) for share in shares]
+    people = zip(skeletons, motions, strict=True)
+    return np.concatenate([kinematics.compute_world_poses(skeleton, motion)[0] for skeleton, motion in people])
 
 
-def add_joint_noise(true_positions: np.ndarray, noise_mm: int) -> NoisyJoints:
-    """-> joints that are said to be up to `jitter` millimetres off along each axis; always the same ones."""
-    most = 1e-3 * noise_mm
-    given = true_positions + np.random.default_rng(noise_mm).uniform(-most, most, true_positions.shape)
-    return NoisyJoints(true_positions, given, most / np.sqrt(3) or DEFAULT_JOINT_SD_M)
+def add_joint_noise(true_positions: Float[np.ndarray, "N J 3"], noise_mm: int) -> NoisyJoints:
+    """Return joint positions with uniform noise along each axis; the same in every call."""
+    limit_m = 1e-3 * noise_mm
+    given = true_positions + np.random.default_rng(noise_mm).uniform(-limit_m, limit_m, true_positions.shape)
+    return NoisyJoints(true_positions, given, limit_m / np.sqrt(3) or DEFAULT_JOINT_SD_M)
 
 
-def solve_hybrik_joints(task: NoisyJoints, subject: Subject, method: HybrikVariant) -> np.ndarray:
-    """-> (N, J, 3) metres: where a way puts the joints."""
-    found = solve_hybrik(task.given_positions, subject, variant=method, joint_sd=task.sd_m, twists=NO_TWISTS)
-    return kinematics.compute_world_poses(subject.skeleton, found)[0]
+def solve_hybrik_joints(task: NoisyJoints, subject: Subject, variant: HybrikVariant) -> Float[np.ndarray, "N J 3"]:
+    """Return the joint positions in metres that a variant of HybrIK finds."""
+    motion = solve_hybrik(task.given_positions, subject, variant=variant, joint_sd=task.sd_m, twists=NO_TWISTS)
+    return kinematics.compute_world_poses(subject.skeleton, motion)[0]
 
 
-def summarise_body_parts(positions: np.ndarray, true_positions: np.ndarray) -> dict[str, float]:
-    """-> mm, the mean distance over the joints: all of them, the hands' and the rest."""
-    far = 1e3 * np.linalg.norm(positions - true_positions, axis=2)
-    hand = np.array([any(part in name for part in HAND_NAME_PARTS) for name in load_cmu31_body().skeleton.names])
-    return {"all_mm": float(far.mean()), "body_mm": float(far[:, ~hand].mean()), "hands_mm": float(far[:, hand].mean())}
+def summarise_body_parts(positions: Float[np.ndarray, "N J 3"], true_positions: Float[np.ndarray, "N J 3"]) -> dict[str, float]:
+    """Return the mean distances in mm of all joints, of the hands and of the other joints."""
+    distance_mm = 1e3 * np.linalg.norm(positions - true_positions, axis=2)
+    is_hand = np.array([any(part in name for part in HAND_NAME_PARTS) for name in load_cmu31_body().skeleton.names])
+    body_mm, hands_mm = distance_mm[:, ~is_hand].mean(), distance_mm[:, is_hand].mean()
+    return {"all_mm": float(distance_mm.mean()), "body_mm": float(body_mm), "hands_mm": float(hands_mm)}
 
 
 def compute_noise_ratios(errors: dict[str, dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
-    """-> millimetres of jitter: how much of naive's error adaptive leaves, of all joints and the body's, and X of adaptive's."""
+    """Return by noise the ratio of the errors of "adaptive" and "naive", and of "x" and "adaptive" for the hands."""
     return {
-        jitter: {
-            "adaptive_over_naive_all": ways["adaptive"]["all_mm"] / ways["naive"]["all_mm"],
-            "adaptive_over_naive_body": ways["adaptive"]["body_mm"] / ways["naive"]["body_mm"],
-            "x_over_adaptive_hands": ways["x"]["hands_mm"] / ways["adaptive"]["hands_mm"],
+        noise: {
+            "adaptive_over_naive_all": variants["adaptive"]["all_mm"] / variants["naive"]["all_mm"],
+            "adaptive_over_naive_body": variants["adaptive"]["body_mm"] / variants["naive"]["body_mm"],
+            "x_over_adaptive_hands": variants["x"]["hands_mm"] / variants["adaptive"]["hands_mm"],
         }
-        for jitter, ways in errors.items()
-        if jitter != "0"  # of nothing there is no part
+        for noise, variants in errors.items()
+        if noise != "0"  # the errors are zero
     }

@@ -143,7 +143,7 @@ def run_bench_uncertainty(as_json: JsonOption = False) -> int:
 
 
 def run_bench_calibration(as_json: JsonOption = False) -> int:
-    """Compare calibrated bones, marker places and joints with the truth of people composed with crooked bones."""
+    """Compare calibrated bones, marker offsets and joints with the truth of composed people with asymmetric bones."""
     from mocapfix.bench.calibration import measure_calibration
 
     with show_progress("calibration"):
@@ -151,8 +151,8 @@ def run_bench_calibration(as_json: JsonOption = False) -> int:
     if as_json:
         sys.stdout.write(json.dumps({"people": rows[:-1], "mean": rows[-1]}, indent=1) + "\n")
         return EXIT_DONE
-    table = Table("mean error, mm", "bones", "marker places", "joints", "... of the average body: bones", "places", "joints")
-    columns = [f"{body}{what}_mm" for body in ("", "average_") for what in ("bones", "places", "joints")]
+    table = Table("mean error, mm", "bones", "marker offsets", "joints", "... of the average body: bones", "offsets", "joints")
+    columns = [f"{body}{what}_mm" for body in ("", "average_") for what in ("bones", "offsets", "joints")]
     for row in rows:
         table.add_row(str(row["person"]), *(f"{row[column]:.1f}" for column in columns))
     stdout_console.print(table)
