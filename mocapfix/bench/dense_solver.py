@@ -4,6 +4,9 @@ This is SCOPE's "dense unconstrained formulation" (Eq. 11 and section A.1) in O(
 the Jacobian in compiled code, the product by BLAS (syrk), the solve by LAPACK (posv).
 """
 
+# Compiled functions take arrays of any type, which numba infers.
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false
+
 import time
 
 import numpy as np

@@ -21,10 +21,11 @@ from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.marker_sets import MarkerSet
 from mocapfix.motion import Motion
+from mocapfix.multi_subject import resolve_subject
+from mocapfix.options import SubjectOptions
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.read import capture
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.body_fit import select_subject
 from mocapfix.subject import Subject
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
 from mocapfix.take import Take
@@ -152,7 +153,7 @@ def read_captures(folder: Path) -> Iterator[InitialisationTake]:
     is_empty = True
     for path in sorted(folder.glob("*.c3d")):
         take = capture.read_take(path)
-        _, marker_set, _ = select_subject(take, None, None)
+        marker_set = resolve_subject(take, SubjectOptions()).marker_set
         if marker_set is not None:
             is_empty = False
             solver_mask = detect_sample_faults(take).compute_solver_mask(take)

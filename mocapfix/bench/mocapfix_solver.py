@@ -1,5 +1,8 @@
 """mocapfix's own solver on the common task, and its Gauss-Newton direction by the sweep from the leaves to the root."""
 
+# Compiled functions take arrays of any type, which numba infers.
+# pyright: reportUnknownParameterType=false, reportMissingParameterType=false
+
 import time
 from typing import NamedTuple
 

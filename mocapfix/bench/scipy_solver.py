@@ -48,9 +48,9 @@ def solve_with_scipy(task: CommonTask, take_name: str, frame_count: int) -> Time
             marker_jacobian = compute_marker_jacobian(place_markers(task, x), moves_marker)[is_visible]
             return np.concatenate([marker_jacobian.reshape(-1, len(x)), prior_jacobian])
 
-        # pyright: the stubs of least_squares do not know that `jac` may be a function
-        x = least_squares(residual, x, jacobian, method="lm", xtol=1e-5, ftol=1e-6, gtol=1e-8).x  # pyright: ignore[reportArgumentType]
-        solution[t] = x
+        # The stubs do not allow a function as the Jacobian.
+        fit = least_squares(residual, x, jacobian, method="lm", xtol=1e-5, ftol=1e-6, gtol=1e-8)  # pyright: ignore
+        solution[t] = x = fit.x
     duration_s = time.thread_time() - started
     rotations = compute_zyx_rotations(solution[:, 3:].reshape(frame_count, joint_count, 3))
     return TimedSolution(solution[:, :3], rotations, duration_s)

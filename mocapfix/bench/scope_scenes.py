@@ -132,7 +132,7 @@ def place_points(pose: FramePose, joints: Int[np.ndarray, " N"], offsets: Float[
     return pose.position[joints] + np.einsum("nab,nb->na", pose.rotation[joints], offsets)
 
 
-def draw_measurement(rng: np.random.Generator, true_values: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "1 *shape"]:
+def draw_measurement(rng: np.random.Generator, true_values: Float[np.ndarray, "N d"]) -> Float[np.ndarray, "1 N d"]:
     """Return measurements of one frame, with noise of three times their assumed standard deviation."""
     return (true_values + rng.normal(0, 3 * MEASUREMENT_SD, true_values.shape))[None]
 

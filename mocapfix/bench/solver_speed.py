@@ -19,7 +19,7 @@ from mocapfix.bench.scipy_solver import solve_with_scipy
 from mocapfix.bench.scope_scenes import SCOPE_JOINT_COUNTS, ScopeScene, build_scope_experiments
 from mocapfix.solve.parallel import count_cores
 
-ONE_THREAD_ENVIRONMENT = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD_ENVIRONMENT: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TASK_TAKE_NAMES = ("clean", "noisy")
 
 

@@ -38,17 +38,18 @@ def measure_twist_sources(
     random_twists = CERTAIN_TWIST_WEIGHT * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     zero_twists = CERTAIN_TWIST_WEIGHT * np.broadcast_to([1.0, 0.0], (1, joints.shape[1], 2))
     noisy_markers = markers + rng.normal(0, TWIST_MARKER_NOISE_SD_M, markers.shape)
-    sources: dict[str, dict[str, np.ndarray]] = {
-        "random": {"twists": random_twists},
-        "zero": {"twists": zero_twists},
-        "regressed": {},
-        "noisy_markers": {"markers": noisy_markers},
-        "markers": {"markers": markers},
+    sources: dict[str, tuple[np.ndarray | None, np.ndarray | None]] = {  # twists and markers
+        "random": (random_twists, None),
+        "zero": (zero_twists, None),
+        "regressed": (None, None),
+        "noisy_markers": (None, noisy_markers),
+        "markers": (None, markers),
     }
     results: dict[str, dict[str, Any]] = {}
-    for name, source in sources.items():
+    for name, (given_twists, given_markers) in sources.items():
         progress(f"twists: {name}")
-        results[name] = compute_twist_source_errors(subject, solve_hybrik(joints, subject, **source), true)
+        solution = solve_hybrik(joints, subject, twists=given_twists, markers=given_markers)
+        results[name] = compute_twist_source_errors(subject, solution, true)
     return results
 
 

@@ -48,7 +48,7 @@ def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, d
     return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(fills)}
 
 
-def clean_composed_take(truth: SyntheticTake, options: CleanOptions | None = None) -> CleaningResult:
+def clean_composed_take(truth: SyntheticTake, options: CleanOptions = pipeline.DEFAULT_OPTIONS) -> CleaningResult:
     """Return the result of the pipeline for a composed take, which is written to a file and read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"

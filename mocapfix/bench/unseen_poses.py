@@ -56,7 +56,7 @@ def sample_interleaved_poses(motion_folder: Path, max_poses: int) -> Float[np.nd
 
 
 def sample_poses(
-    motion_folder: Path, max_poses: int, select: Callable[[Recording, Bool[np.ndarray, "_"]], Bool[np.ndarray, "_"]]
+    motion_folder: Path, max_poses: int, select: Callable[[Recording, Bool[np.ndarray, " _"]], Bool[np.ndarray, " _"]]
 ) -> Float[np.ndarray, "N J 3 3"]:
     """Return at most `max_poses` poses, evenly spaced over the frames that `select` keeps of those without jumps."""
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)

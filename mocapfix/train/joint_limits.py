@@ -43,7 +43,7 @@ def is_free_of_jumps(rotations: Float[np.ndarray, "T 3 3"]) -> bool:
 
     After a jump CMU's solve may remain flipped to the end of the trial, and the data do not show which side is correct.
     """
-    return not detect_rotation_jumps(rotations, TRAINING_RATE_HZ).any()
+    return not detect_rotation_jumps(rotations[:, None], TRAINING_RATE_HZ).any()
 
 
 def compute_locked_axis_range(mean_pose: MeanPosePrior, joint_index: int, *, is_forearm: bool) -> Float[np.ndarray, "3"]:

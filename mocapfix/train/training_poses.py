@@ -93,7 +93,7 @@ def select_interleaved_frames(frame_count: int) -> Bool[np.ndarray, " T"]:
     return np.arange(frame_count) % 5 % 2 == 0
 
 
-def detect_rotation_jumps(rotations: Float[np.ndarray, "T *joints 3 3"], rate_hz: float) -> Bool[np.ndarray, "_ *joints"]:
+def detect_rotation_jumps(rotations: Float[np.ndarray, "T J 3 3"], rate_hz: float) -> Bool[np.ndarray, "_ J"]:
     """Return whether rotations jump from each of the T - 1 frames to the next.
 
     The solved motion of the CMU database has joints that flip from one frame to the next and remain flipped.
