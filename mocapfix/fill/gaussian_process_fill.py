@@ -11,14 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.stats.gaussian_process import (
-    GaussianProcess,
-    StateCovariance,
-    fit_gaussian_process,
-    group_gaps,
-    select_training_frames,
-)
+from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import align_to_common_shape, transform_to_body_axes
+from mocapfix.stats.sampling import group_gaps, select_training_frames
 
 MAX_SETTLED_SD_M = 0.01
 """Standard deviation of other estimates below which a gap is not filled here, if it holds throughout the gap."""

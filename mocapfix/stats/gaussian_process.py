@@ -1,4 +1,4 @@
-"""Gaussian process regression over a take's frames, and the choice of the frames that it is fitted to.
+"""Gaussian process regression over a take's frames.
 
 The covariance of two frames depends on their distance in time, as motion is smooth (Matern-5/2), and on the similarity of the body's
 states. The latter has two parts: a linear one, for what always moves together, as both arms do, and a stationary one (Matern-3/2),
@@ -10,13 +10,8 @@ Gaussian over all measurements, in its dual form.
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from mocapfix.stats.runs import find_runs
-
-DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense
-TRAINING_STEP_S = 1 / 30  # between training frames within the margin
-MAX_TRAINING_FRAMES = 200
 MIN_VALUE_VARIANCE = 1e-12  # of the values, in their unit squared; a smaller variance is taken as this
 
 
@@ -124,28 +119,3 @@ def fit_gaussian_process(
     weights = precision @ values
     power = (values * weights).mean(0)
     return GaussianProcess(covariance, state_mean, states, times_s, value_mean, precision, weights, power)
-
-
-def group_gaps(missing: Bool[np.ndarray, "T J"]) -> dict[tuple[int, int], Int[np.ndarray, " lost"]]:
-    """Return, for each gap (first, last), the columns of `missing` (T, J) that have exactly this gap."""
-    columns: dict[tuple[int, int], list[int]] = {}
-    for j in np.flatnonzero(missing.any(axis=0)):
-        for gap in find_runs(missing[:, j]):
-            columns.setdefault(gap, []).append(int(j))
-    return {gap: np.array(lost) for gap, lost in columns.items()}
-
-
-def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> Int[np.ndarray, " N"]:
-    """Return indices, rising, of the frames to train on for a gap first..last.
-
-    These are the frames `is_known` (T,) within the dense margin beside the gap, one each training step, and others evenly spaced, up
-    to the largest number of training frames.
-    """
-    frames = np.flatnonzero(is_known)
-    distance = np.where(frames < first, first - 1 - frames, frames - last - 1)  # frames from the gap's edge
-    step = max(1, round(TRAINING_STEP_S * rate))
-    in_margin = distance < DENSE_TRAINING_MARGIN_S * rate
-    near, far = frames[in_margin & (distance % step == 0)], frames[~in_margin]
-    count = min(MAX_TRAINING_FRAMES - len(near), len(far))
-    spaced = far[np.unique(np.linspace(0, len(far) - 1, count).astype(int))] if count > 0 else far[:0]
-    return np.sort(np.r_[near, spaced])

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from mocapfix.stats.gaussian_process import evaluate_matern
 from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sampling import sample_evenly
 
 MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
 ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness
@@ -51,7 +52,7 @@ def interpolate_residual(
     power = max(median_square * NORMAL_MEDIAN_FACTOR, min_sd**2)
     roughness = estimate_roughness(residual, rate, time_scale_s, noise_sd, power)
     steps = max(1, round(margin_s * rate))
-    offsets = np.unique(np.linspace(0, steps - 1, min(MAX_SAMPLES_PER_SIDE, steps)).astype(int))
+    offsets = sample_evenly(steps, MAX_SAMPLES_PER_SIDE)
     for first, last in find_runs(is_gap):
         before, after = first - 1 - offsets, last + 1 + offsets
         near = np.r_[before[before >= 0], after[after < len(residual)]]

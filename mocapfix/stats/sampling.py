@@ -1,9 +1,40 @@
-"""Even subsampling of indices."""
+"""Choice of frames: even subsampling, gaps with the same bounds, and the frames to train on for a gap."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
+
+from mocapfix.stats.runs import find_runs
+
+DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense
+TRAINING_STEP_S = 1 / 30  # between training frames within the margin
+MAX_TRAINING_FRAMES = 200
 
 
 def sample_evenly(count: int, max_count: int) -> Int[np.ndarray, " N"]:
     """Return at most `max_count` of the indices 0..count - 1, rising and evenly spaced; all of them if there are no more."""
     return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(int))
+
+
+def group_gaps(missing: Bool[np.ndarray, "T J"]) -> dict[tuple[int, int], Int[np.ndarray, " lost"]]:
+    """Return, for each gap (first, last), the columns of `missing` (T, J) that have exactly this gap."""
+    columns: dict[tuple[int, int], list[int]] = {}
+    for j in np.flatnonzero(missing.any(axis=0)):
+        for gap in find_runs(missing[:, j]):
+            columns.setdefault(gap, []).append(int(j))
+    return {gap: np.array(lost) for gap, lost in columns.items()}
+
+
+def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> Int[np.ndarray, " N"]:
+    """Return indices, rising, of the frames to train on for a gap first..last.
+
+    These are the frames `is_known` (T,) within the dense margin beside the gap, one each training step, and others evenly spaced, up
+    to the largest number of training frames.
+    """
+    frames = np.flatnonzero(is_known)
+    distance = np.where(frames < first, first - 1 - frames, frames - last - 1)  # frames from the gap's edge
+    step = max(1, round(TRAINING_STEP_S * rate))
+    in_margin = distance < DENSE_TRAINING_MARGIN_S * rate
+    near, far = frames[in_margin & (distance % step == 0)], frames[~in_margin]
+    count = min(MAX_TRAINING_FRAMES - len(near), len(far))
+    spaced = far[sample_evenly(len(far), count)] if count > 0 else far[:0]
+    return np.sort(np.r_[near, spaced])

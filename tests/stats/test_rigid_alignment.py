@@ -1,4 +1,4 @@
-"""The best rotation between two clouds: exact where there is one, a rotation in any case."""
+"""Rotations between point clouds, shortest rotations, and generalised Procrustes alignment."""
 
 import numpy as np
 from hypothesis import assume, given
@@ -20,23 +20,25 @@ seeds = st.integers(0, 2**32 - 1)
 @given(seeds)
 def test_moved_cloud_recovers_its_rotation(seed):
     rng = np.random.default_rng(seed)
-    places, turn, way = rng.normal(size=(5, 3)), random_terms.rotations(rng, 4), rng.normal(size=(4, 1, 3))
+    model, rotation, translation = rng.normal(size=(5, 3)), random_terms.rotations(rng, 4), rng.normal(size=(4, 1, 3))
     weight = rng.uniform(0.5, 2, (4, 5))
-    cross, here, there = compute_cross_covariance(np.einsum("tab,kb->tka", turn, places) + way, places, weight)
-    np.testing.assert_allclose(fit_rotations(cross), turn, atol=1e-7)
-    np.testing.assert_allclose(np.einsum("tab,tb->ta", turn, there) + way[:, 0], here, atol=1e-9)
+    cross, mean_points, mean_model = compute_cross_covariance(
+        np.einsum("tab,kb->tka", rotation, model) + translation, model, weight
+    )
+    np.testing.assert_allclose(fit_rotations(cross), rotation, atol=1e-7)
+    np.testing.assert_allclose(np.einsum("tab,tb->ta", rotation, mean_model) + translation[:, 0], mean_points, atol=1e-9)
 
 
 @given(seeds)
 def test_points_without_weight_are_ignored(seed):
     rng = np.random.default_rng(seed)
-    seen, places, weight = rng.normal(size=(3, 6, 3)), rng.normal(size=(6, 3)), np.ones((3, 6))
+    points, model, weight = rng.normal(size=(3, 6, 3)), rng.normal(size=(6, 3)), np.ones((3, 6))
     weight[:, 4:] = 0
-    damaged = seen.copy()
+    damaged = points.copy()
     damaged[:, 4:] = np.nan
     for one, other in zip(
-        compute_cross_covariance(damaged, places, weight),
-        compute_cross_covariance(seen[:, :4], places[:4], weight[:, :4]),
+        compute_cross_covariance(damaged, model, weight),
+        compute_cross_covariance(points[:, :4], model[:4], weight[:, :4]),
         strict=True,
     ):
         np.testing.assert_allclose(one, other, atol=1e-12)
@@ -52,8 +54,8 @@ def test_zero_cross_covariance_gives_the_identity():
 @given(seeds, st.floats(-12, 12))
 def test_rotation_does_not_depend_on_the_clouds_size(seed, size):
     rng = np.random.default_rng(seed)
-    turn = random_terms.rotations(rng, 3)
-    np.testing.assert_allclose(fit_rotations(turn * 10.0**size), turn, atol=1e-9)
+    rotation = random_terms.rotations(rng, 3)
+    np.testing.assert_allclose(fit_rotations(rotation * 10.0**size), rotation, atol=1e-9)
 
 
 @given(seeds, st.sampled_from([0, 1, 2, 3]))
@@ -78,20 +80,20 @@ def test_mirrored_cloud_gets_the_best_rotation(seed):
 @given(seeds)
 def test_body_axes_round_trip(seed):
     rng = np.random.default_rng(seed)
-    points, centre, turn = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), random_terms.rotations(rng, 3)
+    points, centre, rotation = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), random_terms.rotations(rng, 3)
     points[1, 2] = np.nan
-    own = transform_to_body_axes(points, centre, turn)
-    np.testing.assert_allclose(np.einsum("tab,tkb->tka", turn, own) + centre[:, None], points, atol=1e-12)
+    own = transform_to_body_axes(points, centre, rotation)
+    np.testing.assert_allclose(np.einsum("tab,tkb->tka", rotation, own) + centre[:, None], points, atol=1e-12)
 
 
 def test_trunk_dominates_the_alignment():
     rng = np.random.default_rng(0)
     t = np.arange(200) / 50
-    places = rng.normal(scale=0.3, size=(10, 3))
-    own = np.tile(places, (200, 1, 1))
+    model = rng.normal(scale=0.3, size=(10, 3))
+    own = np.tile(model, (200, 1, 1))
     own[:, 6:] += 0.3 * np.sin(4 * t[:, None, None] + rng.uniform(0, 6, (4, 3)))
-    turn = Rotation.from_rotvec(np.stack([0.2 * np.sin(t), 0.9 * t, 0 * t], 1)).as_matrix()
-    markers = np.einsum("tab,tmb->tma", turn, own) + np.stack([t, 1 + 0 * t, np.cos(t)], 1)[:, None]
+    rotation = Rotation.from_rotvec(np.stack([0.2 * np.sin(t), 0.9 * t, 0 * t], 1)).as_matrix()
+    markers = np.einsum("tab,tmb->tma", rotation, own) + np.stack([t, 1 + 0 * t, np.cos(t)], 1)[:, None]
     markers[50:90, 2] = markers[120:, 8] = np.nan
     axes, origin, placed = align_to_common_shape(markers)
     assert placed.all()
@@ -113,17 +115,17 @@ VECTORS = st.tuples(*[st.floats(-2, 2)] * 3).map(np.array)
 def test_shortest_rotation_maps_one_direction_to_the_other(a, b):
     assume(np.linalg.norm(a) > 1e-6 and np.linalg.norm(b) > 1e-6)
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    assume(a @ b > -1 + 1e-9)  # opposite ones follow
-    turn = compute_shortest_rotation(3 * a, b)
-    np.testing.assert_allclose(turn @ a, b, atol=1e-8)
-    np.testing.assert_allclose((np.trace(turn) - 1) / 2, a @ b, atol=1e-8)
+    assume(a @ b > -1 + 1e-9)  # opposite directions are tested below
+    rotation = compute_shortest_rotation(3 * a, b)
+    np.testing.assert_allclose(rotation @ a, b, atol=1e-8)
+    np.testing.assert_allclose((np.trace(rotation) - 1) / 2, a @ b, atol=1e-8)
 
 
 def test_opposite_directions_give_a_half_turn():
     for a in np.eye(3):
-        turn = compute_shortest_rotation(a, -a)
-        np.testing.assert_allclose(turn @ a, -a, atol=1e-12)
-        np.testing.assert_allclose((np.linalg.det(turn), np.trace(turn)), (1, -1), atol=1e-12)
+        rotation = compute_shortest_rotation(a, -a)
+        np.testing.assert_allclose(rotation @ a, -a, atol=1e-12)
+        np.testing.assert_allclose((np.linalg.det(rotation), np.trace(rotation)), (1, -1), atol=1e-12)
 
 
 def test_zero_vectors_give_the_identity():
