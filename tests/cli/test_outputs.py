@@ -33,7 +33,7 @@ def test_what_is_asked_for_is_written_and_told(mocapfix, brief, tmp_path):
     ("asked", "said"),
     [
         (("--also", "fbx"), "no kind of file 'fbx' to write; choose of: gltf, amc, npz, c3d, trc, csv"),
-        (("--bvh-for", "maya"), "There is no rig 'maya'; choose of: 3dsmax, blender, cmu, motionbuilder"),
+        (("--bvh-for", "maya"), "There is no rig 'maya'; choose one of 3dsmax, blender, cmu, motionbuilder"),
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
         (("--fps", "0"), "more than 0 and at most 1000, not 0"),
     ],
