@@ -1,8 +1,8 @@
 """The pipeline: every stage of cleaning a take, in order.
 
 `clean` reads a file and cleans the take of each subject in it: detect, calibrate, initialise, solve, detect again, fill, apply
-decisions. Each stage takes a `CleaningState` and the `CleanOptions` and returns the state with more fields filled. An animation (BVH,
-AMC) has no markers and is cleaned by `mocapfix.animations`.
+decisions. Each stage takes a `CleaningState` and the `CleanOptions` and returns the state with more fields filled. An animation
+(BVH, AMC) has no markers and is cleaned by `mocapfix.animations`.
 """
 
 from collections.abc import Sequence
