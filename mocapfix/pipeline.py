@@ -15,10 +15,11 @@ from threadpoolctl import threadpool_limits
 from mocapfix import multi_subject
 from mocapfix.animation import Animation
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
-from mocapfix.calibrate.calibration import calibrate_subject
+from mocapfix.calibrate.calibration import calibrate_body, calibrate_subject, place_moved_markers
 from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
+from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.marker_sets.matching import choose_marker_set, describe_marker_set_match
 from mocapfix.multi_subject import resolve_subject, split_known_subjects
 from mocapfix.options import CleanOptions, SubjectOptions
@@ -33,7 +34,7 @@ from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.body_fit import calibrate_body, initialise_body, place_moved_markers, solve_body
+from mocapfix.solve.motion_solver import solve_body
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take

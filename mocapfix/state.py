@@ -167,6 +167,13 @@ class CleaningState:
     unfilled_runs: tuple[UnfilledRun, ...] = ()
 
     @property
+    def solver_take(self) -> Take:
+        """The samples that the solver uses, with the markers in the order of `extended_subject`. Needs `marker_columns`."""
+        assert self.marker_columns is not None
+        epochs = self.detection.epochs
+        return epochs.take.select(self.marker_columns, epochs.split_mask(self.detection.solver_mask))
+
+    @property
     def residual_m(self) -> Float[np.ndarray, "T M"] | None:
         """The distance of each inlier from its place on the solved body in metres, NaN for other samples; None without a body."""
         if self.fill is None or self.fill.body_markers is None:

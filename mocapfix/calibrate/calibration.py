@@ -13,9 +13,11 @@ from mocapfix.calibrate import refinement
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.skeleton import BodyModel, Skeleton
+from mocapfix.options import CleanOptions
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.state import CleaningState
 from mocapfix.stats.sampling import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -174,3 +176,37 @@ def add_moved_markers(
         marker_sd=np.r_[subject.marker_sd, subject.marker_sd[marker_indices]],
     )
     return extended, enough
+
+
+def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Take the known subject, or calibrate the subject from the inliers of the take. Fills `subject` and `marker_columns`.
+
+    Raises TakeError where the markers do not allow a calibration.
+    """
+    assert state.marker_set is not None
+    epochs = state.detection.epochs
+    columns = state.marker_set.find_columns(epochs.take.labels)
+    subject = state.known_subject
+    if subject is None:
+        body = load_cmu31_body()
+        prior = load_mean_pose_prior("mean-pose", body.skeleton)
+        take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
+        subject = calibrate_subject(take, state.marker_set, body, prior)
+    return replace(state, subject=subject, extended_subject=subject, marker_columns=columns)
+
+
+def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Find where the solved body carries each marker after it moved, and add these places to `extended_subject`.
+
+    The poses must be solved again if any was added. Returns the very same state where no marker moved.
+    """
+    assert state.body is not None and state.marker_columns is not None
+    epochs, columns = state.detection.epochs, state.marker_columns
+    marker_of_column = {int(column): k for k, column in enumerate(columns)}
+    added = np.array([c for c in epochs.added_columns if int(epochs.column_marker[c]) in marker_of_column], int)
+    if not len(added):
+        return state
+    markers = epochs.take.select(added, epochs.split_mask(state.detection.solver_mask)).markers
+    subject_markers = np.array([marker_of_column[int(epochs.column_marker[column])] for column in added])
+    extended, is_placed = add_moved_markers(state.body.subject, state.body.motion, markers, subject_markers)
+    return replace(state, extended_subject=extended, marker_columns=np.r_[columns, added[is_placed]])

@@ -8,17 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix.calibrate.parameters import ShapeDeformations
 from mocapfix.kernels.schur import eliminate_pose_frames
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import PoseProblem
-
-
-class ShapeDeformations(NamedTuple):
-    """Changes of the body by P shared unknowns, in metres per unit."""
-
-    joint_offsets: Float[np.ndarray, "P J 3"]  # of a joint in its parent's axes
-    marker_offsets: Float[np.ndarray, "P K 3"]  # of a marker in its joint's axes
 
 
 class SharedResponses(NamedTuple):

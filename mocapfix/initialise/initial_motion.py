@@ -18,10 +18,11 @@ from mocapfix.initialise import joint_positions
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.motion import Motion
-from mocapfix.options import DEFAULT_INIT_METHOD
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.skeleton import BodyModel
+from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.state import CleaningState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -99,3 +100,12 @@ def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Mot
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[is_later] = local_rotations[is_later] = np.nan
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
+
+
+def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Compute a first pose for every frame in closed form. Fills `initial_motion`."""
+    assert state.extended_subject is not None
+    body = load_cmu31_body()
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    motion = initialise_motion(state.solver_take, state.extended_subject, body, prior, options.initialise.method)
+    return replace(state, initial_motion=motion)

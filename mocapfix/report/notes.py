@@ -5,11 +5,10 @@ from collections.abc import Collection
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.detect.loop import DetectionState
 from mocapfix.faults import EXTERNAL_FILL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
-from mocapfix.solve.body_fit import BodyFit
+from mocapfix.state import BodyFit, DetectionState
 from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
 from mocapfix.take import Take

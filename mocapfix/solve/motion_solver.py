@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.motion import FrameStatus, Motion
-from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.joint_limits import JointLimits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.options import CleanOptions, SolveOptions
+from mocapfix.pose_prior.joint_limits import JointLimits, load_joint_limits
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
-from mocapfix.skeleton import BodyModel
+from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics, observability, occluded_joints, smoothing
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
@@ -29,6 +29,7 @@ from mocapfix.solve.pose_problem import (
 )
 from mocapfix.solve.pose_uncertainty import compute_pose_sd
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.state import BodyFit, CleaningState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -160,3 +161,29 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
     is_guessed: Bool[np.ndarray, " T"] = visible_count < MIN_FRAME_MARKERS
     is_poor = mean_distance > MAX_MEAN_MARKER_DISTANCE_M
     return np.where(is_guessed, int(FrameStatus.GUESSED), np.where(is_poor, int(FrameStatus.POOR_FIT), motion.status))
+
+
+def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
+    """Solve the motion from the initial poses. Fills `body`."""
+    assert (
+        state.subject is not None
+        and state.extended_subject is not None
+        and state.initial_motion is not None
+        and state.marker_columns is not None
+    )
+    take, extended_subject = state.solver_take, state.extended_subject
+    body = load_cmu31_body()
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    limits = load_joint_limits(body.skeleton)
+    motion = solve_motion(
+        take,
+        extended_subject,
+        body,
+        prior,
+        limits,
+        state.initial_motion,
+        options.solve,
+        load_pose_model=state.load_pose_model,
+    )
+    joints, markers = kinematics.compute_joint_and_marker_positions(extended_subject, motion)
+    return replace(state, body=BodyFit(state.subject, extended_subject, motion, state.marker_columns, joints, markers))

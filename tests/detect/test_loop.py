@@ -10,7 +10,7 @@ from mocapfix.detect import loop
 from mocapfix.detect.loop import DetectionState
 from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
 from mocapfix.read import capture
-from mocapfix.solve.body_fit import BodyFit
+from mocapfix.state import BodyFit
 from mocapfix.take import Take
 from tests.muddled import columns
 

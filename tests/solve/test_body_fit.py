@@ -11,7 +11,7 @@ from mocapfix.options import DEFAULT_INIT_METHOD, SolveOptions
 from mocapfix.read import capture
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import body_fit, kinematics
-from mocapfix.solve.body_fit import BodyFit, FitSettings, select_subject
+from mocapfix.state import BodyFit, FitSettings, select_subject
 from mocapfix.take import Take
 
 CMU41 = marker_sets.load_marker_set("cmu41")
