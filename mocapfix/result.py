@@ -223,7 +223,7 @@ def check_outputs_free(
     the folder is a file.
     """
     if folder.exists() and not folder.is_dir():
-        raise WriteError(f"{folder}: cannot be made a folder (it is a file); choose another with --out.")
+        raise WriteError(f"{folder}: the folder cannot be created (it is a file); choose another with --out.")
     if len({each.casefold() for each in subject_stems}) < len(subject_stems):
         raise WriteError(f"{source_path}: the output files of two subjects would have the same name; rename one of the subjects.")
     by_subject = (build_output_paths(folder, stem, source_path, options, each) for each in subject_stems)

@@ -162,7 +162,7 @@ def test_an_output_that_is_there_stops_all_of_them(brief, known, tmp_path):
     result = pipeline.clean(brief.path, subject=known)
     mine = tmp_path / "brief.bvh"
     mine.write_text("mine")
-    with pytest.raises(WriteError, match=r"brief\.bvh: is there already; give --overwrite"):
+    with pytest.raises(WriteError, match=r"brief\.bvh: already exists; give --overwrite"):
         result.write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["brief.bvh"]
     assert mine.read_text() == "mine"

@@ -80,7 +80,9 @@ def test_the_takes_own_rate_changes_nothing(solved, tmp_path, suffix):
         assert all(first[name].tobytes() == second[name].tobytes() for name in first.files)
 
 
-@pytest.mark.parametrize(("fps", "frames", "how"), [(30.0, 16, "one of 4, as solved"), (50.0, 26, "on splines through")])
+@pytest.mark.parametrize(
+    ("fps", "frames", "how"), [(30.0, 16, "one of 4 solved frames"), (50.0, 26, "splines between the solved frames")]
+)
 def test_another_rate_applies_to_all_motion_files_with_a_note(solved, tmp_path, fps, frames, how):
     plain = solved.write(tmp_path / "plain")
     outputs = solved.write(tmp_path / "slow", options=replace(ALL_FORMATS, output_rate_hz=fps))
@@ -93,7 +95,7 @@ def test_another_rate_applies_to_all_motion_files_with_a_note(solved, tmp_path, 
         np.testing.assert_array_equal(file["markers"], solved.take.markers)
     assert outputs["c3d"].read_bytes() == plain["c3d"].read_bytes()
     assert len(re.findall(r"^root ", outputs["amc"].read_text(), re.MULTILINE)) == frames
-    note = f"What moves has {fps:g} frames a second \\({how}.*\\); markers keep the take's 120"
+    note = f"Motion files have {fps:g} frames per second \\({how}\\); markers keep 120"
     assert re.search(note, outputs["report.json"].read_text())
 
 
@@ -102,11 +104,9 @@ def test_formats_that_need_a_body_are_left_out_with_a_note(without_body, tmp_pat
     assert set(outputs) == {"c3d", "npz", "trc", "csv", "changes.yaml", "rrd", "report.html", "report.json"}
     text = outputs["report.json"].read_text()
     assert all(
-        f"There is no {suffix}, for the take has no skeleton." in text
-        for suffix in MOTION_SUFFIXES
-        if suffix not in ("bvh", "asf")
+        f"{suffix} is not written: the take has no body." in text for suffix in MOTION_SUFFIXES if suffix not in ("bvh", "asf")
     )
-    assert "frames a second" not in text
+    assert "frames per second" not in text
 
 
 def test_outputs_of_an_earlier_run_with_a_body_are_removed(solved, without_body, tmp_path):
@@ -135,7 +135,7 @@ def test_a_table_without_fields_for_missing_samples_is_replaced_by_a_plain_one_w
     outputs = replace(solved, input_take=input_take).write(tmp_path, options=OutputOptions(extra_formats=("csv",)))
     assert outputs["csv"].name == "somebody.csv"
     np.testing.assert_allclose(capture.read_capture(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
-    assert "somebody.csv lists only what was seen" in outputs["report.json"].read_text()
+    assert "somebody.csv lists only visible markers" in outputs["report.json"].read_text()
 
 
 def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):

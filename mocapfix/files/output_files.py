@@ -1,7 +1,7 @@
 """Writing output files safely: atomic replacement, overwrite checks and output folders."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkstemp
@@ -10,7 +10,7 @@ from mocapfix.errors import WriteError
 
 
 @contextmanager
-def replace_atomically(target: Path) -> Iterator[Path]:
+def replace_atomically(target: Path) -> Generator[Path]:
     """Yield a temporary file beside `target` to write into.
 
     The temporary file replaces `target` if the block ends without an exception, and is deleted otherwise.

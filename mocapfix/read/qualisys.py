@@ -35,7 +35,7 @@ OTHER_EXPORTS = {
 class _HeaderValue(NamedTuple):
     """The values of a key, and the index of its line."""
 
-    index: int
+    line_index: int
     values: list[str]
 
 
@@ -66,7 +66,7 @@ def read_qualisys_tsv(path: Path, data: bytes) -> Take:
     )
     line_indices = list(find_nonblank_lines(document, body + has_column_names, TAB))
     frequency = header.get("FREQUENCY", _HeaderValue(names_index, [""]))
-    rate = parse_rate(document, frequency.index, frequency.values[0])
+    rate = parse_rate(document, frequency.line_index, frequency.values[0])
     first_field, frame_field = _find_first_field(document, body, line_indices, has_column_names, rate)
     if frame_field is None:  # a line of tabs only is a frame without visible markers
         line_indices = [index for index in range(body + has_column_names, len(document.lines)) if document.get_line(index)]

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 
 from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.write.number_format import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, MAX_WRITTEN_DECIMALS, write_number
+from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, count_decimals, splice_numbers
+from mocapfix.write.number_format import MAX_WRITTEN_DECIMALS
 from mocapfix.write.source_file import read_source_bytes
 
 DEFAULT_DECIMALS = 6  # of a number in a file that has no number with decimals
@@ -38,7 +38,7 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     offsets, numbers = starts[is_changed], _convert_to_file_units(source, values)[is_changed]
     order = np.argsort(offsets)
     text = np.frombuffer(data, np.uint8)
-    counts = np.bincount(_count_decimals(text, starts.ravel()))
+    counts = np.bincount(count_decimals(text, starts.ravel()))
     decimals = min(int(counts[1:].argmax()) + 1, MAX_WRITTEN_DECIMALS) if counts[1:].any() else DEFAULT_DECIMALS
     power = 10.0**decimals
     if not (np.abs(numbers) * power < MAX_EXACT_PRODUCT).all():
@@ -47,7 +47,7 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
         problem = f"in frame {source.first_frame + frame} a value of {joint} is {values[frame, column]}"
         raise WriteError(f"{target}: {problem}, which a file cannot hold.")
     out = np.empty(len(text) + len(offsets) * (INTEGER_PART_BYTES + decimals), np.uint8)
-    size = _splice_numbers(text, offsets[order], numbers[order], decimals, power, out)
+    size = splice_numbers(text, offsets[order], numbers[order], decimals, power, out)
     with replace_atomically(target) as part:
         part.write_bytes(out[:size].data)
 
@@ -60,38 +60,3 @@ def _convert_to_file_units(source: Animation, values: Float[np.ndarray, "T C"]) 
     converted = values.copy()
     converted[:, columns] = np.radians(values[:, columns])
     return converted
-
-
-@njit(cache=True)
-def _count_decimals(text, starts):
-    """Return the digits after the point of each number that begins at `starts` (N,); 0 for a number with an exponent."""
-    out = np.zeros(len(starts), np.int64)
-    for n in range(len(starts)):
-        i, after_point = starts[n], False
-        while i < len(text) and text[i] > 32:
-            if text[i] == 46:
-                after_point = True
-            elif text[i] < 48 or text[i] > 57:
-                out[n] = 0
-                after_point = False
-            elif after_point:
-                out[n] += 1
-            i += 1
-    return out
-
-
-@njit(cache=True)
-def _splice_numbers(text, offsets, numbers, decimals, power, out):
-    """Copy `text` into `out`, with the tokens at `offsets` replaced by `numbers`. Return the length of the result."""
-    i, at = 0, 0
-    for n in range(len(offsets)):
-        while i < offsets[n]:
-            out[at] = text[i]
-            i, at = i + 1, at + 1
-        while i < len(text) and text[i] > 32:
-            i += 1
-        at = write_number(numbers[n], decimals, power, out, at)
-    while i < len(text):
-        out[at] = text[i]
-        i, at = i + 1, at + 1
-    return at

@@ -1,12 +1,11 @@
-"""The kinds of file that cleaning a take may write: a line for each."""
+"""The files that cleaning a take can write, one entry per format."""
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mocapfix import write
 from mocapfix.calibrate import subject_file
 from mocapfix.files.layouts import TableLayout
 from mocapfix.motion import Motion
@@ -14,7 +13,15 @@ from mocapfix.report import review_file
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
 from mocapfix.take import Take
+from mocapfix.write.asf_amc import write_asf_amc
+from mocapfix.write.bvh import write_bvh, write_rig_bvh
+from mocapfix.write.c3d import write_c3d
+from mocapfix.write.c3d_patch import patch_c3d
+from mocapfix.write.gltf import write_gltf
+from mocapfix.write.npz import write_npz
 from mocapfix.write.rig import Rig
+from mocapfix.write.table_patch import patch_table
+from mocapfix.write.text_tables import write_csv, write_trc
 
 if TYPE_CHECKING:
     from mocapfix.result import CleaningResult
@@ -24,7 +31,14 @@ UNIT_NAMES = {1.0: "metres", 0.01: "centimetres"}
 
 @dataclass(frozen=True)
 class ExportedMotion:
-    """Somebody and how they move, at some rate (frames a second), over a floor that was `floor` metres high and is at 0."""
+    """A motion as it is written.
+
+    Attributes:
+        subject: The subject that moves.
+        motion: The motion at the output rate, with the floor at height 0.
+        rate: Frames per second.
+        floor_height_m: Height of the floor in the take.
+    """
 
     subject: Subject
     motion: Motion
@@ -33,24 +47,26 @@ class ExportedMotion:
 
     @property
     def skeleton(self) -> Skeleton:
+        """Skeleton of the subject."""
         return self.subject.skeleton
 
 
 @dataclass(frozen=True)
 class OutputFormat:
-    """One kind of file.
+    """A format that is written.
 
-    suffix  follows the input's stem
-    write   puts it there, of what cleaning gave and of the motion at the wanted rate (None where the take has no body)
-    brings  suffixes of files that it puts beside that one
-    body    is there none without a body?
-    worn    is there none without markers on it?
-    stage   under which its time is counted
-    note    what whoever opens it must know
+    Attributes:
+        suffix: Suffix of the file, which follows the stem of the input.
+        write_file: Writes a result to a path, with the motion at the output rate if the take has a body.
+        companion_suffixes: Suffixes of files that `write_file` writes beside it.
+        needs_body: Whether the format is written only if the take has a body.
+        needs_markers: Whether the format is written only if the subject has markers.
+        timer_stage: Stage in which its time is counted.
+        usage_note: What users of the file must know, as a predicate of the file name.
     """
 
     suffix: str
-    write_file: Callable[[Path, "CleaningResult", Any], object]
+    write_file: Callable[[Path, "CleaningResult", ExportedMotion | None], object]
     companion_suffixes: tuple[str, ...] = ()
     needs_body: bool = False
     needs_markers: bool = False
@@ -59,77 +75,109 @@ class OutputFormat:
 
     @property
     def all_suffixes(self) -> tuple[str, ...]:
+        """Suffixes of all files that are written."""
         return (self.suffix, *self.companion_suffixes)
 
 
-def _write_bvh(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    write.write_bvh(target, moving.skeleton, moving.motion, moving.rate)
+def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
+    """Write a copy of the source file in which only the changed samples differ.
+
+    A file without a field for every sample is written as a plain CSV instead.
+
+    Returns:
+        Frame and marker index of the samples that could not be stored.
+    """
+    if isinstance(before.layout, TableLayout):
+        if before.layout.has_field_per_sample:
+            return patch_table(target, before, after)
+        write_csv(target, after)
+        return []
+    return patch_c3d(target, before, after)
+
+
+def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
+    """Return the suffixes of the cleaned copy: that of the input, and for an AMC that of its skeleton."""
+    suffix = (source_path.suffix[1:].lower() if source_path else "") or "c3d"
+    return ("amc", "asf") if suffix == "amc" else (suffix,)
 
 
 def build_rig_format(rig: Rig) -> OutputFormat:
-    """-> a BVH as a program wants it."""
+    """Return the format of a BVH for the rig of a program."""
     unit = UNIT_NAMES.get(rig.unit_m, f"units of {rig.unit_m * 1e3:.3f} mm")
-    return OutputFormat(
-        f"{rig.name}.bvh",
-        lambda target, result, moving: write.write_rig_bvh(target, rig, moving.skeleton, moving.motion, moving.rate),
-        needs_body=True,
-        usage_note=f"is for {rig.program}: {unit}, Y up; {rig.note}.",
-    )
+
+    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+        exported = _require_motion(exported)
+        write_rig_bvh(target, rig, exported.skeleton, exported.motion, exported.rate)
+
+    usage_note = f"is for {rig.program}: {unit}, Y up; {rig.note}."
+    return OutputFormat(f"{rig.name}.bvh", write_file, needs_body=True, usage_note=usage_note)
 
 
-def _write_gltf(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    write.write_gltf(target, moving.skeleton, moving.motion, moving.rate)
+def _require_motion(exported: ExportedMotion | None) -> ExportedMotion:
+    if exported is None:
+        raise ValueError("this format is written only for a take with a body")
+    return exported
 
 
-def _write_amc(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    first = result.input_take.first_frame if moving.rate == result.input_take.rate else 1
-    write.write_asf_amc(target.with_suffix(".asf"), target, moving.skeleton, moving.motion, moving.rate, first)
+def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    exported = _require_motion(exported)
+    write_bvh(target, exported.skeleton, exported.motion, exported.rate)
 
 
-def _write_npz(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    if moving:
-        take = result.output_take.replace_markers(
-            result.output_take.markers - [0.0, moving.floor_height_m, 0.0], result.output_take.sample_sd
-        )
-        write.write_npz(target, take, moving.skeleton, moving.motion, moving.rate)
-    else:
-        write.write_npz(target, result.output_take)
+def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    exported = _require_motion(exported)
+    write_gltf(target, exported.skeleton, exported.motion, exported.rate)
 
 
-def _write_subject(target: Path, result: "CleaningResult", moving: ExportedMotion) -> None:
-    subject_file.write_subject(target, moving.subject)
+def _write_amc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    exported = _require_motion(exported)
+    first_frame = result.input_take.first_frame if exported.rate == result.input_take.rate else 1
+    write_asf_amc(target.with_suffix(".asf"), target, exported.skeleton, exported.motion, exported.rate, first_frame)
 
 
-def _write_changes(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
+def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    take = result.output_take
+    if exported is None:
+        write_npz(target, take)
+        return
+    lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
+    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate)
+
+
+def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    subject_file.write_subject(target, _require_motion(exported).subject)
+
+
+def _write_changes(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     review_file.write_review_file(target, result.input_take, result.changes)
 
 
-def _write_recording(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
+def _write_recording(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     from mocapfix.report.recording import write_recording
 
     write_recording(target, result.comparison)
 
 
-def _write_html_report(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
+def _write_html_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     from mocapfix.report.html_report import write_html_report
 
-    write_html_report(target, result.report, result.comparison)
+    write_html_report(target, result.subject_report, result.comparison)
 
 
-def _write_json_report(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
+def _write_json_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_c3d(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.write_c3d(target, result.output_take)
+def _write_c3d(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_c3d(target, result.output_take)
 
 
-def _write_trc(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.write_trc(target, result.output_take)
+def _write_trc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_trc(target, result.output_take)
 
 
-def _write_csv(target: Path, result: "CleaningResult", moving: ExportedMotion | None) -> None:
-    write.write_csv(target, result.output_take)
+def _write_csv(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    write_csv(target, result.output_take)
 
 
 BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
@@ -138,12 +186,16 @@ DEFAULT_FORMATS = (
     OutputFormat("changes.yaml", _write_changes),
     OutputFormat("rrd", _write_recording, timer_stage="show"),
     OutputFormat("report.html", _write_html_report, timer_stage="show"),
-    OutputFormat("report.json", _write_json_report),  # the last, so that it has every other one's seconds
+    OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others
 )
 OPTIONAL_FORMATS = {
     "gltf": OutputFormat("glb", _write_gltf, needs_body=True, usage_note="is binary glTF: metres, Y up."),
     "amc": OutputFormat(
-        "amc", _write_amc, ("asf",), needs_body=True, usage_note="goes with the asf: CMU's form, units of 56.444 mm, Y up."
+        "amc",
+        _write_amc,
+        ("asf",),
+        needs_body=True,
+        usage_note="goes with the asf: CMU's layout, units of 56.444 mm, Y up.",
     ),
     "npz": OutputFormat("npz", _write_npz),
     "c3d": OutputFormat(
@@ -154,20 +206,3 @@ OPTIONAL_FORMATS = {
     "trc": OutputFormat("trc", _write_trc),
     "csv": OutputFormat("csv", _write_csv),
 }
-
-
-def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[int, int]]:
-    """Write the take's own file with only the changed samples replaced, or, where it has no place for every sample, a plain
-    table instead. -> the (frame, marker) indices that could not be stored."""
-    if isinstance(before.layout, TableLayout):
-        if before.layout.has_field_per_sample:
-            return write.patch_table(target, before, after)
-        write.write_csv(target, after)
-        return []
-    return write.patch_c3d(target, before, after)
-
-
-def get_source_suffixes(source: Path | None) -> tuple[str, ...]:
-    """-> the mended file's, the input's own, and with an AMC its skeleton's."""
-    own = (source.suffix[1:].lower() if source else "") or "c3d"
-    return ("amc", "asf") if own == "amc" else (own,)

@@ -1,4 +1,4 @@
-"""What is written of a cleaned take beside the usual files, and at which rate."""
+"""The output files that options request, the motion that is written to them, and notes about both."""
 
 from dataclasses import replace
 from functools import cache
@@ -40,36 +40,42 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
 def build_exported_motion(
     options: OutputOptions, subject: Subject | None, motion: Motion | None, rate: float
 ) -> ExportedMotion | None:
-    """-> somebody's motion at the wanted rate; None where there is nobody."""
-    fps = options.output_rate_hz or rate
+    """Return the motion at the output rate and with the floor at height 0; None if there is no body.
+
+    Args:
+        options: Output rate and floor height.
+        subject: The subject.
+        motion: Its motion.
+        rate: Frames per second of the motion.
+    """
     if not (subject and motion):
         return None
-    standing = (
-        replace(motion, root_position=motion.root_position - [0.0, options.floor_height_m, 0.0])
-        if options.floor_height_m
-        else motion
-    )
-    return ExportedMotion(subject, resample_motion(standing, rate, fps), fps, options.floor_height_m)
+    output_rate, floor_height_m = options.output_rate_hz or rate, options.floor_height_m
+    if floor_height_m:
+        motion = replace(motion, root_position=motion.root_position - [0.0, floor_height_m, 0.0])
+    return ExportedMotion(subject, resample_motion(motion, rate, output_rate), output_rate, floor_height_m)
 
 
 def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
-    """-> sentences on what was written otherwise than usual or beside it."""
-    asked = [
-        kind
-        for kind in list_output_formats(options)
-        if kind not in (BVH_FORMAT, *DEFAULT_FORMATS) and kind.suffix not in get_source_suffixes(take.path)
+    """Return sentences about requested formats, formats that are not written, and a changed rate or height."""
+    is_animation = take.point_kind == "joint"
+    requested = [
+        each
+        for each in list_output_formats(options)
+        if each not in (BVH_FORMAT, *DEFAULT_FORMATS) and each.suffix not in get_source_suffixes(take.path)
     ]
-    said = [f"{kind.suffix} {kind.usage_note}" for kind in asked if kind.usage_note and (has_body or not kind.needs_body)]
-    whose = "whose joints are whose is not known" if take.point_kind == "joint" else "the take has no skeleton"
-    said += [f"There is no {kind.suffix}, for {whose}." for kind in asked if kind.needs_body and not has_body]
+    notes = [f"{each.suffix} {each.usage_note}" for each in requested if each.usage_note and (has_body or not each.needs_body)]
+    reason = "the joints could not be identified" if is_animation else "the take has no body"
+    notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
     if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
-        said.append(f"{take.name} lists only what was seen, so that the mended markers are written as a plain table.")
-    if has_body and options.output_rate_hz and options.output_rate_hz != take.rate:
-        picked = is_frame_subset(take.rate, options.output_rate_hz)
-        how = f"one of {take.rate / options.output_rate_hz:.0f}, as solved" if picked else "on splines through the solved ones"
-        rest = "what was mended keeps" if take.point_kind == "joint" else "markers keep"
-        said.append(f"What moves has {options.output_rate_hz:g} frames a second ({how}); {rest} the take's {take.rate:g}.")
+        notes.append(f"{take.name} lists only visible markers, so the cleaned markers are written as a plain table.")
+    output_rate = options.output_rate_hz
+    if has_body and output_rate and output_rate != take.rate:
+        is_subset = is_frame_subset(take.rate, output_rate)
+        method = f"one of {take.rate / output_rate:.0f} solved frames" if is_subset else "splines between the solved frames"
+        other = "the cleaned file keeps" if is_animation else "markers keep"
+        notes.append(f"Motion files have {output_rate:g} frames per second ({method}); {other} {take.rate:g}.")
     if has_body and options.floor_height_m:
-        rest = "its own file" if take.point_kind == "joint" else "the markers"
-        said.append(f"What moves is written {options.floor_height_m:g} m lower than {rest}, for that high is the floor.")
-    return said
+        other = "the cleaned file" if is_animation else "the markers"
+        notes.append(f"Motion files are {options.floor_height_m:g} m lower than {other}, so that their floor is at height 0.")
+    return notes

@@ -98,7 +98,7 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert (tmp_path / "out" / "brief.subject.yaml").read_text() == subject.read_text()
     status, _, err = mocapfix("calibrate", brief.path, "-o", subject)
     assert status == 1
-    assert flat(err) == f"{subject}: is there already; give --overwrite to replace it, or choose another place."
+    assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another folder."
 
 
 def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_path):
@@ -112,7 +112,7 @@ def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_
     assert "clean again: --changes" in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
-    assert "walk.1.c3d: is there already; give --overwrite to replace it, or choose another place." in err
+    assert "walk.1.c3d: already exists; give --overwrite to replace it, or choose another folder." in err
     assert mocapfix("clean", take, "--subject", brief.subject, "--overwrite")[0] == 0
 
 
@@ -285,8 +285,8 @@ def test_outputs_that_cannot_be_written_are_named(mocapfix, brief, tmp_path):
     taken.write_text("a file")
     for where in (taken, taken / "deeper"):
         status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
-        refused(status, where.name, "cannot be made a folder .*; choose another with --out")
-    refused(mocapfix("demo", "--out", taken), "taken", "cannot be made a folder")
+        refused(status, where.name, "the folder cannot be created .*; choose another with --out")
+    refused(mocapfix("demo", "--out", taken), "taken", "the folder cannot be created")
     missing = tmp_path / "gone" / "somebody.yaml"
     refused(mocapfix("calibrate", brief.path, "-o", missing), "somebody.yaml", "cannot be written")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]

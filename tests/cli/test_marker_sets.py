@@ -46,7 +46,7 @@ def test_a_set_is_learnt_saved_and_not_written_over(mocapfix, wave, tmp_path):
     assert text.startswith("# Learnt from wave.c3d. ")
     assert "# Left out: Floor moves by" in text
     status, _, err = mocapfix("marker-set", "learn", wave, "-o", path)
-    assert (status, "is there already" in " ".join(err.split())) == (1, True)
+    assert (status, "already exists" in " ".join(err.split())) == (1, True)
     assert path.read_text() == text
 
 

@@ -25,7 +25,7 @@ def test_what_is_asked_for_is_written_and_told(mocapfix, brief, tmp_path):
     wanted = {"brief.blender.bvh", "brief.motionbuilder.bvh", "brief.glb", "brief.npz"}
     assert wanted <= {path.name for path in tmp_path.iterdir()}
     assert all(name in out for name in wanted)
-    assert re.search(r"What moves has 60 frames a second \(one of 2, as solved\); markers keep the take's 120", out)
+    assert re.search(r"Motion files have 60 frames per second \(one of 2 solved frames\); markers keep 120", out)
     assert "Frames: 60\n" in (tmp_path / "brief.bvh").read_text()
 
 
@@ -49,5 +49,5 @@ def test_an_output_of_another_kind_that_is_there_stops_the_take_before_it_is_rea
     (tmp_path / "brief.npz").write_text("mine")
     status, _, err = mocapfix("clean", brief.path, "--out", tmp_path, "--also", "npz")
     assert status == 1
-    assert "brief.npz: is there already; give --overwrite" in " ".join(err.split())
+    assert "brief.npz: already exists; give --overwrite" in " ".join(err.split())
     assert [path.name for path in tmp_path.iterdir()] == ["brief.npz"]

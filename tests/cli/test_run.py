@@ -22,7 +22,7 @@ def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, t
     assert "pixels per metre" in out
     assert {path.suffix for path in (tmp_path / "mine.mocapfix").iterdir()} == {".bvh", ".html", ".json", ".rrd"}
     status, _, err = mocapfix("run", "mine.yaml")
-    assert (status, "is there already; give --overwrite" in " ".join(err.split())) == (1, True)
+    assert (status, "already exists; give --overwrite" in " ".join(err.split())) == (1, True)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_the_demo_that_ships_is_composed_and_cleaned(mocapfix, tmp_path):
     assert {"composed", "walk.c3d", "walk.bvh", "walk.blender.bvh", "walk.glb", "walk.npz", "walk.report.html"} <= written
     assert json.loads((tmp_path / "here" / "walk.report.json").read_text())["take"]["marker_set"] == "cmu41"
     status, _, err = mocapfix("run", "demo", "-o", tmp_path / "here")
-    assert (status, "is there already; give --overwrite" in " ".join(err.split())) == (1, True)
+    assert (status, "already exists; give --overwrite" in " ".join(err.split())) == (1, True)
 
 
 def test_the_session_that_ships_calibrates_once_and_cleans_each_take_by_that(mocapfix, tmp_path):
@@ -88,4 +88,4 @@ def test_a_job_whose_takes_are_not_there_says_so_and_cleans_the_others(mocapfix,
     status, out, err = mocapfix("run", tmp_path / "mine.yaml", "-o", tmp_path / "out")
     assert status == 1
     assert "gone.c3d: there is no such file" in " ".join(err.split())
-    assert "What moves is written 0.5 m lower" in " ".join(out.split())
+    assert "Motion files are 0.5 m lower" in " ".join(out.split())

@@ -90,7 +90,7 @@ def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
     assert train("pca", motion, tmp_path, components=4) == 0
     before = (tmp_path / "mine.safetensors").read_bytes()
     assert train("pca", motion, tmp_path, components=2) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert (tmp_path / "mine.safetensors").read_bytes() == before
     assert train("pca", motion, tmp_path, "--overwrite", components=2) == 0
 

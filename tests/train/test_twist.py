@@ -74,7 +74,7 @@ def test_existing_weights_are_not_overwritten(command, tmp_path):
     (tmp_path / "mine.safetensors").write_text("weights")
     status, _, complaint = command()
     assert status == 1
-    assert "is there already" in complaint
+    assert "already exists" in complaint
     assert (tmp_path / "mine.safetensors").read_text() == "weights"
     assert command("--overwrite")[0] == 0
 
