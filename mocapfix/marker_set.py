@@ -1,55 +1,24 @@
-"""How studios spell a marker's name: whose it is, and what it is called whatever the case and the marks between its words."""
+"""Marker sets: the markers of a set on the average body, and how they are matched with the labels of a take."""
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from mocapfix.skeleton import load_cmu31_body
 
-# MERGED: mocapfix.marker_set.labels
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
-
-
-def fold_label(name: str) -> str:
-    """-> a name without case and without the marks between its words: R.Thigh.Upper, R_Thigh_Upper and rthighupper are one."""
-    return LABEL_SEPARATORS.sub("", name).upper()
-
-
-def iterate_label_readings(label: str) -> Iterator[tuple[str, str]]:
-    """-> the ways to read a label as a subject's prefix and a marker's folded name.
-
-    "Jim:LFHD" is Jim's. "Q_LThigh" may be a marker of that name or Q's LThigh, "Skeleton_2_LThigh" one of Skeleton_2.
-    """
-    subject, colon, name = label.rpartition(":")
-    yield subject + colon, fold_label(name)
-    for mark in re.finditer("_", name):
-        if fold_label(name[mark.end() :]):
-            yield subject + colon + name[: mark.end()], fold_label(name[mark.end() :])
-
-
-def index_labels_by_prefix(labels: Sequence[str]) -> dict[str, dict[str, int]]:
-    """-> for every prefix, folded names and the index of the first label that reads so."""
-    subjects: dict[str, dict[str, int]] = {}
-    for index, label in enumerate(labels):
-        for prefix, name in iterate_label_readings(label):
-            subjects.setdefault(prefix, {}).setdefault(name, index)
-    return subjects
-
-
-def format_name_list(names: Sequence[str], max_count: int = 12) -> str:
-    """-> names as one reads them in a sentence, the first dozen and how many more."""
-    if not names:
-        return "(none)"
-    more = f" and {len(names) - max_count} more" if len(names) > max_count else ""
-    return ", ".join(names[:max_count]) + more
-
-
-# MERGED: mocapfix.marker_set.nominal
-# A marker set: its markers on the average body, and which of them are among a take's labels.
-MIN_REQUIRED_MARKER_FRACTION = 0.6  # of a set's markers: with fewer the body is guessed rather than seen
-MIN_MARKERS_PER_LIMB = 2  # on a limb before it counts as seen
+"""the characters between the words of a label"""
+MIN_REQUIRED_MARKER_FRACTION = 0.6
+"""the fraction of the required markers of a set that a take must have to show a whole body"""
+MIN_MARKERS_PER_LIMB = 2
+"""the number of markers on a limb with which its pose can be estimated"""
+MAX_MISSING_LIMBS = 1
+"""the number of limbs that may have fewer markers"""
+MAX_LISTED_NAMES = 12
+"""the number of names that messages list"""
 LIMB_JOINT_NAMES = {
     "left arm": ("LeftArm", "LeftForeArm", "LeftHand"),
     "right arm": ("RightArm", "RightForeArm", "RightHand"),
@@ -62,76 +31,110 @@ LIMB_JOINT_NAMES = {
 class MarkerSet:
     """K markers on the average body.
 
-    name      what --marker-set and a subject file call it
-    title     what people call it
-    skeleton  the name of the skeleton it is for
-    labels    K names
-    joints    (K,) index of the joint each marker rides on
-    places    (K, 3) metres: the marker in its joint's axes
-    spread    (K,) metres: standard deviation per axis of one person's marker about its place
-    aliases   K tuples of other names for the marker
-    optional  those of the labels that a whole set may do without
-    also_called  other names of the set itself
+    name             the name by which --marker-set and subject files refer to the set
+    title            the name in texts
+    skeleton         the name of the skeleton
+    labels           K names
+    joints           (K,) the index of the joint to which each marker is attached
+    marker_offsets   (K, 3) m: the position of each marker in the axes of its joint
+    marker_spread    (K,) m: standard deviation per axis, over people, of the marker about its offset
+    aliases          for each marker, its other names
+    optional_labels  those of the labels that a complete set may lack
+    other_names      other names of the set
     """
 
     name: str
     title: str
     skeleton: str
     labels: tuple[str, ...]
-    joints: np.ndarray
-    marker_offsets: np.ndarray
-    marker_spread: np.ndarray
+    joints: Int[np.ndarray, " K"]
+    marker_offsets: Float[np.ndarray, "K 3"]
+    marker_spread: Float[np.ndarray, " K"]
     aliases: tuple[tuple[str, ...], ...]
     optional_labels: frozenset[str] = frozenset()
     other_names: tuple[str, ...] = ()
 
     @property
     def required_labels(self) -> tuple[str, ...]:
-        """The labels that a whole set has."""
+        """The labels that a complete set has."""
         return tuple(label for label in self.labels if label not in self.optional_labels)
 
     def match_labels(self, labels: Sequence[str]) -> dict[str, int]:
-        """-> this set's marker name: index among a take's labels, for the markers that are there.
+        """Return the index among a take's labels of each marker of this set that the take has, by the marker's name.
 
-        Case and the marks between words do not matter, a marker's own name goes before its aliases, and the first of several
-        equal labels counts. Where labels carry subjects' prefixes ("Jim:LFHD", "Q_LThigh"), the subject with the most of this
-        set's markers is taken.
+        Case and separators are ignored. A marker's own name takes precedence over its aliases, and the first of several equal
+        labels counts. If labels have subject prefixes ("Jim:LFHD", "Q_LThigh"), the prefix with the most markers of this set is
+        used.
         """
         return max((self._match_names(names) for names in index_labels_by_prefix(labels).values()), key=len, default={})
 
-    def find_columns(self, labels: Sequence[str]) -> np.ndarray:
-        """-> (K,) the index of each of this set's markers among a take's labels, -1 where it is not there."""
+    def find_columns(self, labels: Sequence[str]) -> Int[np.ndarray, " K"]:
+        """Return the index of each marker of this set among a take's labels, -1 for those that the take does not have."""
         found = self.match_labels(labels)
-        return np.array([found.get(label, -1) for label in self.labels])
-
-    def _match_names(self, indices: dict[str, int]) -> dict[str, int]:
-        found = {}
-        for label, aliases in zip(self.labels, self.aliases, strict=True):
-            there = [indices[name] for name in map(fold_label, (label, *aliases)) if name in indices]
-            if there:
-                found[label] = there[0]
-        return found
+        return np.array([found.get(label, -1) for label in self.labels], int)
 
     def list_missing_labels(self, found_labels: Collection[str]) -> tuple[str, ...]:
-        """-> the markers of a whole set that are not among `found`."""
+        """Return the required markers that are not among `found_labels`."""
         return tuple(label for label in self.required_labels if label not in found_labels)
 
     def describe_missing_body(self, found_labels: Collection[str]) -> str:
-        """-> what the markers `found` lack to show a whole body, as part of a sentence; "" where they show one."""
-        joints = [
-            load_cmu31_body().skeleton.names[j]
-            for label, j in zip(self.labels, self.joints, strict=True)
-            if label in found_labels
+        """Return why the markers `found_labels` do not show a whole body, as part of a sentence; "" if they do.
+
+        A whole body has markers on hips and thorax, at least three limbs, and most of the required markers.
+        """
+        joint_names = load_cmu31_body().skeleton.names
+        marked = [joint_names[j] for label, j in zip(self.labels, self.joints, strict=True) if label in found_labels]
+        missing_trunk = [part for part, joint in (("hips", "Hips"), ("thorax", "Spine1")) if joint not in marked]
+        missing_limbs = [
+            limb for limb, joints in LIMB_JOINT_NAMES.items() if sum(joint in joints for joint in marked) < MIN_MARKERS_PER_LIMB
         ]
-        missing = [part for part, joint in (("hips", "Hips"), ("thorax", "Spine1")) if joint not in joints]
-        hidden = [
-            limb for limb, bones in LIMB_JOINT_NAMES.items() if sum(joint in bones for joint in joints) < MIN_MARKERS_PER_LIMB
-        ]
-        absent = self.list_missing_labels(found_labels)
-        if missing or len(hidden) > 1:
-            need = f"the {format_name_list([*missing, *hidden])} can hardly be seen"
-        elif len(absent) > (1 - MIN_REQUIRED_MARKER_FRACTION) * len(self.required_labels):
-            need = f"at least {MIN_REQUIRED_MARKER_FRACTION:.0%} are needed"
+        missing_labels = self.list_missing_labels(found_labels)
+        if missing_trunk or len(missing_limbs) > MAX_MISSING_LIMBS:
+            reason = f"the {format_name_list([*missing_trunk, *missing_limbs])} cannot be located"
+        elif len(missing_labels) > (1 - MIN_REQUIRED_MARKER_FRACTION) * len(self.required_labels):
+            reason = f"at least {MIN_REQUIRED_MARKER_FRACTION:.0%} are needed"
         else:
             return ""
-        return f"{need}; not found: {format_name_list(absent)}"
+        return f"{reason}; not found: {format_name_list(missing_labels)}"
+
+    def _match_names(self, index_of_name: Mapping[str, int]) -> dict[str, int]:
+        found: dict[str, int] = {}
+        for label, aliases in zip(self.labels, self.aliases, strict=True):
+            indices = [index_of_name[name] for name in map(fold_label, (label, *aliases)) if name in index_of_name]
+            if indices:
+                found[label] = indices[0]
+        return found
+
+
+def fold_label(name: str) -> str:
+    """Return a name in upper case without separators: R.Thigh.Upper, R_Thigh_Upper and rthighupper become equal."""
+    return LABEL_SEPARATORS.sub("", name).upper()
+
+
+def iterate_label_readings(label: str) -> Iterator[tuple[str, str]]:
+    """Yield the possible splits of a label into a subject prefix and a folded marker name.
+
+    "Jim:LFHD" has one split; "Q_LThigh" may be a marker of that name, or the marker LThigh of the subject Q.
+    """
+    subject, colon, name = label.rpartition(":")
+    yield subject + colon, fold_label(name)
+    for separator in re.finditer("_", name):
+        if fold_label(name[separator.end() :]):
+            yield subject + colon + name[: separator.end()], fold_label(name[separator.end() :])
+
+
+def index_labels_by_prefix(labels: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Return for every possible prefix the folded names with the index of the first label that has them."""
+    index_of_name: dict[str, dict[str, int]] = {}
+    for index, label in enumerate(labels):
+        for prefix, name in iterate_label_readings(label):
+            index_of_name.setdefault(prefix, {}).setdefault(name, index)
+    return index_of_name
+
+
+def format_name_list(names: Sequence[str], max_count: int = MAX_LISTED_NAMES) -> str:
+    """Return names as a list in a sentence: the first `max_count`, and the number of the others."""
+    if not names:
+        return "(none)"
+    more = f" and {len(names) - max_count} more" if len(names) > max_count else ""
+    return ", ".join(names[:max_count]) + more

@@ -111,7 +111,7 @@ class Option:
 
 def define_option(default: T, flag: str, metavar: str, help: str, **details: Any) -> T:
     """Return a dataclass field with its default and an `Option`, which has the same arguments, in its metadata."""
-    return cast(T, field(default=default, metadata={"option": Option(flag, metavar, help, **details)}))
+    return field(default=default, metadata={"option": Option(flag, metavar, help, **details)})
 
 
 class StageOptions:
@@ -339,7 +339,7 @@ class CleanOptions:
 def list_stages() -> Iterator[tuple[str, type[StageOptions]]]:
     """Yield the names and classes of the stages in the order of the work."""
     for each in fields(CleanOptions):
-        yield each.name, type(each.default)
+        yield each.name, type(cast(StageOptions, each.default))
 
 
 STAGE_OF_OPTION: dict[str, str] = {name: stage for stage, kind in list_stages() for name, _ in list_options(kind)}

@@ -1,4 +1,4 @@
-"""How a marker's name is read, and which of a set's markers a take has."""
+"""Reading labels, and matching them with a marker set."""
 
 import pytest
 from hypothesis import given
@@ -12,12 +12,12 @@ EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lam
 
 
 @pytest.mark.parametrize("name", ["R.Thigh.Upper", "R_Thigh_Upper", "r thigh upper", "RThighUpper", "R-Thigh.upper "])
-def test_case_and_marks_between_words_do_not_count(name):
+def test_case_and_separators_are_ignored(name):
     assert fold_label(name) == "RTHIGHUPPER"
 
 
 @pytest.mark.parametrize(
-    ("label", "read"),
+    ("label", "readings"),
     [
         ("LFHD", [("", "LFHD")]),
         ("Jim:LFHD", [("Jim:", "LFHD")]),
@@ -28,30 +28,30 @@ def test_case_and_marks_between_words_do_not_count(name):
         ("LFHD_", [("", "LFHD")]),
     ],
 )
-def test_a_label_may_be_read_in_several_ways(label, read):
-    assert list(iterate_label_readings(label)) == read
+def test_readings_of_a_label(label, readings):
+    assert list(iterate_label_readings(label)) == readings
 
 
 @EACH
 @given(data=st.data())
-def test_labels_are_found_in_any_order_case_and_alias(marker_set, data):
+def test_labels_match_in_any_order_case_and_alias(marker_set, data):
     order = data.draw(st.permutations(range(len(marker_set.labels))))
     names = [data.draw(st.sampled_from((marker_set.labels[k], *marker_set.aliases[k]))) for k in order]
     labels = [f"Jim:{data.draw(st.sampled_from((name, name.lower(), '_'.join(name))))} " for name in names]
-    assert marker_set.match(labels) == {marker_set.labels[k]: index for index, k in enumerate(order)}
+    assert marker_set.match_labels(labels) == {marker_set.labels[k]: index for index, k in enumerate(order)}
 
 
-def test_the_first_of_equal_labels_and_the_own_name_count():
+def test_own_name_and_first_label_take_precedence():
     assert CMU.match_labels(("LTIB", "LSHN", "LFHD", "lfhd")) == {"LSHN": 1, "LFHD": 2}
 
 
-def test_the_subject_with_the_most_markers_is_taken():
+def test_subject_with_the_most_markers_is_used():
     labels = ("Prop:LFHD", "Prop:Handle", "Ann:C7", "Ann:LFHD", "LFWT")
     assert CMU.match_labels(labels) == {"C7": 2, "LFHD": 3}
     assert CMU.match_labels(()) == {}
 
 
 @pytest.mark.parametrize("prefix", ["Jim:", "Q_", "Skeleton_2_", "Skeleton 001:", "Skeleton 001:Q_"])
-def test_prefixes_of_actors(prefix):
+def test_subject_prefixes(prefix):
     labels = ["Bat_Knob", *(prefix + label for label in CMU.labels), f"{prefix}Glove", "Other:LFHD"]
     assert CMU.match_labels(labels) == {label: k + 1 for k, label in enumerate(CMU.labels)}

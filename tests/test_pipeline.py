@@ -405,7 +405,7 @@ def test_legs_alone_are_cleaned_without_a_body(cleaned, tmp_path):
     result = pipeline.clean(source)
     assert result.subject is None
     first, second = result.report["notes"]
-    assert re.search(r"nearest came cmu41 with \d+ of its 41 markers, but the .*thorax.* can hardly be seen; not found: ", first)
+    assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located; not found: ", first)
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     fill = result.report["fill"]
     assert fill["filled"] > 0.8 * fill["missing_before"] > 0

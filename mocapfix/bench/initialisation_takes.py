@@ -19,7 +19,7 @@ from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.calibrate import calibration
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.errors import ReadError
-from mocapfix.marker_sets import MarkerSet
+from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.multi_subject import resolve_subject
 from mocapfix.options import SubjectOptions

@@ -1,1 +1,1 @@
-""""""
+"""The command line: the only modules that print, parse arguments or draw progress."""

@@ -4,7 +4,7 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.markup import escape
@@ -33,6 +33,8 @@ MAX_LISTED_RUNS = 5
 """runs of unfilled samples that the summary lists"""
 STAGES = ("read", "subject", "detect", "initialise", "prior", "solve", "fill", "review", "output")
 if TYPE_CHECKING:
+    from mocapfix.report.report import Report, TakeSection
+
     CleanArguments = object
 else:
     CleanArguments = build_options_argument(STAGES)
@@ -85,7 +87,7 @@ def clean_takes(
     from mocapfix import pipeline
     from mocapfix.result import check_outputs_free
 
-    reports: list[Any] = []
+    reports: list[Report] = []
     written: set[Path] = set()
     for take in takes:
         folder = output_folder or take.with_name(f"{take.stem}.mocapfix")
@@ -110,7 +112,7 @@ def clean_takes(
     return EXIT_DONE if len(written) == len(takes) else EXIT_FAILED
 
 
-def print_summary(report: Mapping[str, Any], outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:
+def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:
     """Print in a few lines what a cleaning did.
 
     report          the JSON report
@@ -151,6 +153,6 @@ def print_output_files(outputs: Mapping[str, Path]) -> None:
     print_line(f"  {escape(str(paths[0].parent))}/: {', '.join(escape(path.name) for path in paths)}")
 
 
-def format_take_name(take: Mapping[str, Any]) -> str:
+def format_take_name(take: "TakeSection") -> str:
     """Return the name of the take in a report: its file's, with the subject's if the file has several."""
     return f"{take['file']} ({take['person']})" if "person" in take else take["file"]

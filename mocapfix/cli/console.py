@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -19,7 +19,7 @@ stderr_console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
-def show_progress(name: str) -> Iterator[Callable[[str], None]]:
+def show_progress(name: str) -> Generator[Callable[[str], None]]:
     """Yield a function that shows on a terminal which stage a take is in; in a pipe, only the one-time compilation is shown."""
     from mocapfix.kernels.compilation_cache import is_solver_compiled
 

@@ -1,7 +1,6 @@
 """The command `mocapfix inspect`: list the faults of a take without cleaning it."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.markup import escape
@@ -12,6 +11,8 @@ from mocapfix.cli.clean import format_take_name
 from mocapfix.cli.console import EXIT_DONE, print_json, print_line, show_progress, stdout_console
 
 if TYPE_CHECKING:
+    from mocapfix.report.report import FaultEntry, InspectionReport
+
     InspectArguments = object
 else:
     InspectArguments = build_options_argument(("read", "subject"))
@@ -36,7 +37,7 @@ def run_inspect(
     return EXIT_DONE
 
 
-def print_faults(inspection: Mapping[str, Any]) -> None:
+def print_faults(inspection: "InspectionReport") -> None:
     """Print the faults of a take, or of one subject in it, as a table."""
     take = inspection["take"]
     last_frame = take["first_frame"] + take["frames"] - 1
@@ -61,9 +62,9 @@ def print_faults(inspection: Mapping[str, Any]) -> None:
     stdout_console.print(table)
 
 
-def _format_severity(fault: Mapping[str, Any], with_unit: bool) -> str:
-    if fault.get("severity_deg") is not None:
-        return f"{fault['severity_deg']:.0f} degrees"
+def _format_severity(fault: "FaultEntry", with_unit: bool) -> str:
+    if (severity_deg := fault.get("severity_deg")) is not None:
+        return f"{severity_deg:.0f} degrees"
     if fault["severity_m"] is None:
         return ""
     return f"{fault['severity_m'] * 1e3:.0f}{' mm' if with_unit else ''}"

@@ -1,81 +1,75 @@
-"""The commands that fit what ships in priors/: mocapfix train ..."""
+"""The commands `mocapfix train ...`: train the pose priors and the twist regressor in priors/."""
 
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.markup import escape
 
-from mocapfix.cli.arguments import FlagOption
-from mocapfix.cli.console import EXIT_DONE, stderr_console, stdout_console
+from mocapfix.cli.arguments import FlagOption, OverwriteOption
+from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
 
-TrainingConfigOption = Annotated[Path, tyro.conf.arg(metavar="NAME.yaml", help="what to train, and how")]
-TrainingDataOption = Annotated[
-    Path, tyro.conf.arg(metavar="FOLDER", help="motion: BVH, ASF/AMC, AMASS npz or shards, also in folders within")
+ConfigOption = Annotated[Path, tyro.conf.arg(metavar="NAME.yaml", help="training settings")]
+MotionFolderOption = Annotated[
+    Path, tyro.conf.arg(metavar="FOLDER", help="motion: BVH, ASF/AMC, AMASS npz or shards, also in subfolders")
 ]
-WeightsFileOption = Annotated[
-    Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="NAME.safetensors", help="the weights; the card goes beside")
+WeightsOption = Annotated[
+    Path,
+    tyro.conf.arg(
+        name="output", aliases=["-o"], metavar="NAME.safetensors", help="weights to write; the model card is written beside"
+    ),
 ]
-OverwriteOption = Annotated[FlagOption, tyro.conf.arg(help="replace weights that are there")]
 
 
 def run_train_prior(
-    config: TrainingConfigOption,
-    data: TrainingDataOption,
-    target: WeightsFileOption,
+    config: ConfigOption,
+    data: MotionFolderOption,
+    target: WeightsOption,
     interleaved: Annotated[
-        FlagOption,
-        tyro.conf.arg(help="learn from three frames of every five, of everybody: MNN-IK's split, for `bench prior` only"),
+        FlagOption, tyro.conf.arg(help="train on three of every five frames of everybody: MNN-IK's split, for `bench prior` only")
     ] = False,
     overwrite: OverwriteOption = False,
 ) -> int:
-    """Train a pose prior on motion. If it is interrupted, the same command goes on where it was."""
+    """Train a pose prior on motion. After an interruption, the same command continues the training."""
     from mocapfix.files.output_files import check_outputs_absent
-    from mocapfix.train import pose_prior as training
-    from mocapfix.train import settings
+    from mocapfix.train.pose_prior import train_pose_prior
+    from mocapfix.train.settings import read_prior_settings
 
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
-    with stderr_console.status(escape(target.name)) as status:
-        scores = training.train_pose_prior(
-            settings.read_prior_settings(config),
-            data,
-            target,
-            lambda what: status.update(f"{escape(target.name)}: {escape(what)}"),
-            is_interleaved=interleaved,
-        )
-    stdout_console.print(
-        f"{escape(str(target))}: gives poses back to {scores.training_deg:.1f} degrees, and to {scores.held_out_deg:.1f} those "
-        f"that were kept from it. {escape(target.with_suffix('.md').name)} says more.",
-        soft_wrap=True,
+    with _show_training_progress(target) as progress:
+        scores = train_pose_prior(read_prior_settings(config), data, target, progress, is_interleaved=interleaved)
+    print_line(
+        f"{escape(str(target))}: reconstructs training poses to {scores.training_deg:.1f} degrees and held-out poses to "
+        f"{scores.held_out_deg:.1f}. Details are in {escape(target.with_suffix('.md').name)}."
     )
     return EXIT_DONE
 
 
 def run_train_twist(
-    config: TrainingConfigOption,
-    data: TrainingDataOption,
-    target: WeightsFileOption,
-    overwrite: OverwriteOption = False,
+    config: ConfigOption, data: MotionFolderOption, target: WeightsOption, overwrite: OverwriteOption = False
 ) -> int:
-    """Train what says from joint positions alone how bones are twisted: a few minutes."""
+    """Train the regressor of bone twists from joint positions; takes a few minutes."""
     from mocapfix.files.output_files import check_outputs_absent
-    from mocapfix.train import settings
-    from mocapfix.train import twist as training
+    from mocapfix.train.settings import read_twist_settings
+    from mocapfix.train.twist import train_twist_regressor
 
     check_outputs_absent([target, target.with_suffix(".md")], overwrite)
-    with stderr_console.status(escape(target.name)) as status:
-        scores = training.train_twist_regressor(
-            settings.read_twist_settings(config),
-            data,
-            target,
-            lambda what: status.update(f"{escape(target.name)}: {escape(what)}"),
-        )
-    stdout_console.print(
-        f"{escape(str(target))}: {scores.regressed_deg.mean():.1f} degrees off the twists of people that were kept from it; "
-        f"no twist at all is {scores.no_twist_deg.mean():.1f} off. {escape(target.with_suffix('.md').name)} says more.",
-        soft_wrap=True,
+    with _show_training_progress(target) as progress:
+        scores = train_twist_regressor(read_twist_settings(config), data, target, progress)
+    print_line(
+        f"{escape(str(target))}: mean twist error of held-out people {scores.regressed_deg.mean():.1f} degrees; "
+        f"{scores.no_twist_deg.mean():.1f} without twist. Details are in {escape(target.with_suffix('.md').name)}."
     )
     return EXIT_DONE
+
+
+@contextmanager
+def _show_training_progress(target: Path) -> Generator[Callable[[str], None]]:
+    """Yield a function that shows on a terminal what the training is doing."""
+    with stderr_console.status(escape(target.name)) as status:
+        yield lambda text: status.update(f"{escape(target.name)}: {escape(text)}")
 
 
 TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist}

@@ -169,7 +169,8 @@ def _list_job_options() -> list[tuple[DataclassField[Any], Option]]:
 
 def _get_yaml_type(each: DataclassField[Any]) -> Any:
     """Return the type of an option's value in a job file."""
-    special: dict[Any, Any] = {float: FiniteFloat, float | None: FiniteFloat | None, str | Path | None: str | None}
+    finite: Any = FiniteFloat
+    special: dict[Any, Any] = {float: finite, float | None: finite | None, str | Path | None: str | None}
     return next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
 
 

@@ -1,9 +1,11 @@
-"""A first guess at a marker from what a laboratory calls it: knee, KNE, Knie, and whether it is a left or a right one."""
+"""Guess the segment and the position of a marker from the words in its label: knee, KNE, Knie, and a word for its side."""
 
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.marker_set import MarkerSet, fold_label
@@ -12,64 +14,87 @@ from mocapfix.skeleton import load_cmu31_body
 
 LABEL_WORDS_FILE = "words/markers.yaml"
 SIDE_SIGNS = {"LEFT": 1, "LINKS": 1, "GAUCHE": 1, "L": 1, "RIGHT": -1, "RECHTS": -1, "DROITE": -1, "DROIT": -1, "R": -1}
-MAX_MIDLINE_DISTANCE_M = 0.03  # metres: a place that lies nearer to the middle of the body has no side
-WORD_MARKER_SPREAD_M = 0.05  # metres: of markers that bear one word, about the place for it
+"""words for a side: 1 for the left, -1 for the right"""
+MAX_MIDLINE_DISTANCE_M = 0.03
+"""a marker that is nearer to the median plane of the body needs no word for its side"""
+WORD_MARKER_SPREAD_M = 0.05
+"""standard deviation per axis of markers with the same word about the position for the word"""
+MIN_INNER_WORD_LENGTH = 4
+"""letters of a word that may stand anywhere in a label"""
+MIN_FIRST_WORD_LENGTH = 3
+"""letters of a word that may stand at the beginning of a label; a shorter one, or one with a digit, is a label of its own"""
 MIRROR_X = np.array([-1.0, 1.0, 1.0])
 
 
+class WordLocation(NamedTuple):
+    """The joint of a left or median marker and its position (3,) in the joint's axes, m."""
+
+    joint_name: str
+    offset: Float[np.ndarray, "3"]
+    is_median: bool
+
+
 def guess_marker_set_from_words(labels: Sequence[str]) -> MarkerSet:
-    """-> those of the labels, without subjects' prefixes, whose words tell the segment, as a set of wide spread."""
-    names, joints, places = load_cmu31_body().skeleton.names, [], []
-    found = {label: spot for label in labels if (spot := locate_label(label))}
-    for joint, place in found.values():
-        joints.append(names.index(joint))
-        places.append(place)
-    spread, aliases = np.full(len(found), WORD_MARKER_SPREAD_M), ((),) * len(found)
-    where = np.array(joints, int), np.array(places).reshape(-1, 3)
-    return MarkerSet("words", "words", "cmu31", tuple(found), *where, spread, aliases)
+    """Return those of the labels whose words locate a marker, as a marker set; the labels have no subject prefixes."""
+    locations = {label: location for label in labels if (location := locate_label(label))}
+    joint_names = load_cmu31_body().skeleton.names
+    return MarkerSet(
+        name="words",
+        title="words",
+        skeleton="cmu31",
+        labels=tuple(locations),
+        joints=np.array([joint_names.index(joint_name) for joint_name, _ in locations.values()], int),
+        marker_offsets=np.array([offset for _, offset in locations.values()], float).reshape(-1, 3),
+        marker_spread=np.full(len(locations), WORD_MARKER_SPREAD_M),
+        aliases=((),) * len(locations),
+    )
 
 
-def locate_label(label: str) -> tuple[str, np.ndarray] | None:
-    """-> the joint and the place (3,) in metres that a label's words tell; None where they tell none, or not on which side."""
-    name = fold_label(label)
-    for word, side in _split_side_words(name):
-        if (spot := _find_first_word(word)) and (side or spot[2]):
-            joint, place, middle = spot
-            if side < 0 and not middle:
-                return joint.replace("Left", "Right"), place * MIRROR_X
-            return joint, place
+def locate_label(label: str) -> tuple[str, Float[np.ndarray, "3"]] | None:
+    """Return the name of the joint and the position in its axes, m, that the words of a label mean.
+
+    Returns None if the label has no known word, or has no word for the side of a marker that needs one.
+    """
+    for word, side in _list_side_splits(fold_label(label)):
+        location = _find_first_word(word)
+        if location is None or not (side or location.is_median):
+            continue
+        if side < 0 and not location.is_median:
+            return location.joint_name.replace("Left", "Right"), location.offset * MIRROR_X
+        return location.joint_name, location.offset
     return None
 
 
-def _split_side_words(name: str) -> list[tuple[str, int]]:
-    """-> the ways to read a folded name as a word and a side (1 left, -1 right, 0 not told), surest first."""
-    ways = [(name.removeprefix(word), side) for word, side in SIDE_SIGNS.items() if name.startswith(word)]
-    ways += [(name.removesuffix(word), side) for word, side in SIDE_SIGNS.items() if name.endswith(word)]
-    return [*ways, (name, 0)]
+def _list_side_splits(name: str) -> list[tuple[str, int]]:
+    """Return the possible splits of a folded name into the rest and the sign of its side (0 for none), most certain first."""
+    splits = [(name.removeprefix(word), side) for word, side in SIDE_SIGNS.items() if name.startswith(word)]
+    splits += [(name.removesuffix(word), side) for word, side in SIDE_SIGNS.items() if name.endswith(word)]
+    return [*splits, (name, 0)]
 
 
-def _find_first_word(name: str) -> tuple[str, np.ndarray, bool] | None:
-    """-> joint, place and whether it is in the middle, of the first word that stands in a name; of several there the longest."""
-    fits = [word for word in _load_word_locations() if _contains_word(word, name)]
-    return _load_word_locations()[min(fits, key=lambda word: (name.index(word), -len(word)))] if fits else None
+def _find_first_word(name: str) -> WordLocation | None:
+    """Return the location of the first known word in a folded name, of several that begin there of the longest."""
+    locations = _load_word_locations()
+    words = [word for word in locations if _contains_word(word, name)]
+    return locations[min(words, key=lambda word: (name.index(word), -len(word)))] if words else None
 
 
 def _contains_word(word: str, name: str) -> bool:
-    bare = name.rstrip("0123456789")
-    if len(word) < 3 or not word.isalpha():
-        return word in (name, bare)
-    return word in name if len(word) > 3 else name.startswith(word)
+    name_without_number = name.rstrip("0123456789")
+    if len(word) < MIN_FIRST_WORD_LENGTH or not word.isalpha():
+        return word in (name, name_without_number)
+    return word in name if len(word) >= MIN_INNER_WORD_LENGTH else name.startswith(word)
 
 
 @cache
-def _load_word_locations() -> dict[str, tuple[str, np.ndarray, bool]]:
-    """-> for every word the joint, the place of a left or middle marker (3,), metres, and whether it is in the middle."""
-    spots = {}
-    for spot in read_shipped_yaml(LABEL_WORDS_FILE).values():
-        name, _, label = spot["as"].partition(".")
-        worn = load_marker_set(name)
-        k = worn.labels.index(label)
-        joint, place = load_cmu31_body().skeleton.names[worn.joints[k]], worn.marker_offsets[k]
-        middle = abs(place[0]) < MAX_MIDLINE_DISTANCE_M and not joint.startswith("Left")
-        spots |= {word.upper(): (joint, place, middle) for word in spot["words"]}
-    return spots
+def _load_word_locations() -> dict[str, WordLocation]:
+    """Return the location of the left or median marker for every word."""
+    locations: dict[str, WordLocation] = {}
+    for entry in read_shipped_yaml(LABEL_WORDS_FILE).values():
+        set_name, _, label = entry["as"].partition(".")
+        marker_set = load_marker_set(set_name)
+        k = marker_set.labels.index(label)
+        joint_name, offset = load_cmu31_body().skeleton.names[marker_set.joints[k]], marker_set.marker_offsets[k]
+        is_median = bool(abs(offset[0]) < MAX_MIDLINE_DISTANCE_M and not joint_name.startswith("Left"))
+        locations |= {word.upper(): WordLocation(joint_name, offset, is_median) for word in entry["words"]}
+    return locations

@@ -1,44 +1,52 @@
-"""Learning a studio's own marker set from a take: which segment each marker rides on, and where.
+"""Learn a studio's marker set from a take: the segment of each marker and its offset.
 
-Something must be known to begin with: of a shipped set's labels most, else what labels say in words, else nothing but where the
-markers are; then how they move decides.
+Learning starts from a guess at some of the markers: those of a known set that are among the labels, else those whose labels have
+known words, else those that the cloud of markers locates on a body. How the markers move then decides about all of them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mocapfix import marker_sets, multi_subject
-from mocapfix.calibrate import marker_set_fit, unlabelled_markers
-from mocapfix.calibrate.marker_set_fit import MarkerSetFit
+from mocapfix import multi_subject
+from mocapfix.calibrate.marker_set_fit import MarkerSetFit, fit_marker_set
+from mocapfix.calibrate.unlabelled_markers import guess_from_marker_cloud
 from mocapfix.errors import TakeError
-from mocapfix.marker_sets import MarkerSet, label_words
-from mocapfix.pose_prior import mean_pose
+from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_sets.label_words import guess_marker_set_from_words
+from mocapfix.marker_sets.library import load_marker_set
+from mocapfix.marker_sets.matching import choose_marker_set, describe_marker_set_match
 from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.read import capture
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.read.capture import read_take
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
-KNOWN_LABEL_LOG_ODDS, LABEL_WORD_LOG_ODDS, POSITION_LOG_ODDS = (
-    10.0,
-    4.0,
-    3.0,
-)  # log odds that a segment is right: by a known set, by words, by where the cloud lies
-MIN_SEGMENT_PROBABILITY = 0.9  # a marker that is less likely to ride on its segment is named
-LEARNED_MARKER_SPREAD_M = 0.02  # metres: of a place that was measured on one person, about another's
+KNOWN_LABEL_LOG_ODDS = 10.0
+"""log odds that the segment of a marker is correct if its label is one of a known set"""
+LABEL_WORD_LOG_ODDS = 4.0
+"""the same if the label has a known word"""
+POSITION_LOG_ODDS = 3.0
+"""the same if the segment is guessed from the cloud of markers"""
+MIN_SEGMENT_PROBABILITY = 0.9
+"""probability of a segment below which the marker is reported as ambiguous"""
+LEARNED_MARKER_SPREAD_M = 0.02
+"""standard deviation per axis of other people's markers about an offset that was measured on one person"""
+MEAN_POSE_PRIOR_NAME = "mean-pose"
 
 
 @dataclass(frozen=True)
 class LearnedMarkerSet:
-    """What was learnt from a take.
+    """A marker set that was learned from a take.
 
-    marker_set  the new set
-    how         a sentence: where its first guess came from
-    left_out    label: the reason, for those that ride on no segment
-    doubtful    label: the two segments between which it may ride
-    residual    metres: how far the set's markers lie from the body on average
+    marker_set         the set
+    guess_description  a sentence on the guess from which it was learned
+    excluded_markers   why a marker is not in the set, by label
+    ambiguous_markers  the name of another joint to which a marker may be attached, by label
+    mean_residual_m    mean distance of the markers from the body
     """
 
     marker_set: MarkerSet
@@ -49,125 +57,177 @@ class LearnedMarkerSet:
 
     @property
     def file_comment(self) -> str:
-        """What to write above the set."""
-        said = [
-            f"{self.marker_set.title}. Places are in metres on the average body, in the axes of the joint that carries them;",
-            "spread is how far one person's marker lies from there (standard deviation per axis).",
+        """The comment for the file of the set."""
+        lines = [
+            f"{self.marker_set.title}. Offsets are in metres on the average body, in the axes of the joint;",
+            "spread is the standard deviation per axis, over people, of the marker about its offset.",
             self.guess_description,
-            f"The markers lie {self.mean_residual_m * 1e3:.1f} mm from the body on average.",
+            f"Mean distance of the markers from the body: {self.mean_residual_m * 1e3:.1f} mm.",
         ]
-        said += [f"{label} may as well ride on {segment}." for label, segment in self.ambiguous_markers.items()]
-        return "\n".join([*said, *(f"Left out: {label} {reason}." for label, reason in self.excluded_markers.items())])
+        lines += [f"{label} may be attached to {joint_name} instead." for label, joint_name in self.ambiguous_markers.items()]
+        lines += [f"Not included: {label} {reason}." for label, reason in self.excluded_markers.items()]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class SubjectMarkers:
+    """The markers of one subject in a take.
+
+    take              its markers and those without a subject prefix
+    labels            their labels without prefix
+    excluded_markers  why a marker was left out, by label
+    """
+
+    take: Take
+    labels: tuple[str, ...]
+    excluded_markers: dict[str, str]
+
+
+@dataclass(frozen=True)
+class InitialGuess:
+    """A guess at some of the markers of a take, enough to determine a body.
+
+    marker_set      the guessed markers by the labels of the take
+    label_log_odds  log odds that the segment of a marker is correct
+    description     a sentence on where the guess comes from
+    """
+
+    marker_set: MarkerSet
+    label_log_odds: float
+    description: str
 
 
 def learn_marker_set(
     path: str | Path,
     name: str,
+    *,
     like: str | Path | None = None,
     subject_prefix: str | None = None,
-    up: str | None = None,
+    up_axis: str | None = None,
     progress: ProgressCallback | None = None,
 ) -> LearnedMarkerSet:
-    """-> the marker set that a take wears, as `name`.
+    """Return the marker set of the take at `path` under a name.
 
-    like            a set, shipped or a file, that explains some of the take's labels; None: the one that fits, if any does
-    subject_prefix  whose set it is ("Jim", whose labels are "Jim:LFHD"); None: of several people, that of the most markers
-    up              the file's axis to the sky, as in `read.take`
+    like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
+    subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
+    up_axis         the up axis of the file, as for `read_take`
+    progress        called with the name of each stage as it begins
 
-    Raises ReadError, SceneError or TakeError with a sentence for a technician.
+    Raises ReadError, SceneError or TakeError.
     """
-    tell = progress or (lambda stage: None)
-    tell("read")
-    take = capture.read_take(path, up)
+    report_stage = progress or (lambda stage: None)
+    report_stage("read")
+    take = read_take(path, up_axis)
     if subject_prefix is not None:
         (take,) = multi_subject.split_subjects(take, None, subject_prefix)
-    take, labels, strangers = select_subject_markers(take.masked(take.measured))
-    tell("guess")
-    guess, worth, how = guess_marker_set(take, labels, like)
-    tell("learn")
+    selected = select_subject_markers(take.masked(take.measured))
+    take, labels = selected.take, selected.labels
+    report_stage("guess")
+    guess = guess_marker_set(take, labels, like)
+    report_stage("learn")
     body = load_cmu31_body()
-    found = marker_set_fit.fit_marker_set(
-        take, labels, guess, worth, body, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton)
+    prior = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton)
+    learned = fit_marker_set(take, labels, guess.marker_set, guess.label_log_odds, body, prior)
+    keep_guess = guess.label_log_odds == KNOWN_LABEL_LOG_ODDS
+    marker_set = build_learned_set(learned, guess.marker_set, name, f"Learned from {take.name}", keep_guess=keep_guess)
+    if problem := marker_set.describe_missing_body(marker_set.labels):
+        raise TakeError(f"{take.name}: no marker set can be learned: {problem.partition(';')[0]}.")
+    reasons = learned.attachment.rejection_reasons
+    excluded = {label: reason for label, reason in zip(labels, reasons, strict=True) if reason}
+    return LearnedMarkerSet(
+        marker_set,
+        guess.description,
+        {**excluded, **selected.excluded_markers},
+        find_ambiguous_markers(learned, labels),
+        learned.mean_residual_m,
     )
-    worn = build_learned_set(found, guess, name, f"Learnt from {take.name}", keep_guess=worth == KNOWN_LABEL_LOG_ODDS)
-    if lack := worn.describe_missing_body(worn.labels):
-        raise TakeError(f"{take.name}: no marker set can be learnt: of a body {lack.partition(';')[0]}.")
-    reasons = found.attachment.rejection_reasons
-    left = {label: reason for label, reason in zip(labels, reasons, strict=True) if reason}
-    return LearnedMarkerSet(worn, how, {**left, **strangers}, list_ambiguous_markers(found, labels), found.mean_residual_m)
 
 
-def select_subject_markers(take: Take) -> tuple[Take, tuple[str, ...], dict[str, str]]:
-    """-> the markers of the subject with the most of them and those of no subject, their labels without the prefix, and why
-    others are left out."""
-    owners = take.marker_subjects
-    whose = max(dict.fromkeys(owners), key=lambda owner: (bool(owner), owners.count(owner)))
-    chosen: dict[str, int] = {}
-    others: dict[str, str] = {}
-    for column, (owner, bare) in enumerate(zip(owners, take.bare_labels, strict=True)):
-        if owner not in (whose, ""):
-            others[take.labels[column]] = f"is {owner}'s, not {whose}'s"
-        elif bare in chosen:
-            others[take.labels[column]] = "bears the same label as another"
+def select_subject_markers(take: Take) -> SubjectMarkers:
+    """Return the markers of the subject with the most of them, and those without a subject prefix."""
+    subject_names = take.marker_subjects
+    chosen_subject = max(dict.fromkeys(subject_names), key=lambda name: (bool(name), subject_names.count(name)))
+    column_of_label: dict[str, int] = {}
+    excluded: dict[str, str] = {}
+    for column, (subject_name, label) in enumerate(zip(subject_names, take.bare_labels, strict=True)):
+        if subject_name not in (chosen_subject, ""):
+            excluded[take.labels[column]] = f"belongs to {subject_name}, not to {chosen_subject}"
+        elif label in column_of_label:
+            excluded[take.labels[column]] = "has the same label as another marker"
         else:
-            chosen[bare] = column
-    columns = np.array(list(chosen.values()), int)
-    return take.select(columns, take.visible), tuple(chosen), others
+            column_of_label[label] = column
+    columns = np.array(list(column_of_label.values()), int)
+    return SubjectMarkers(take.select(columns, take.visible), tuple(column_of_label), excluded)
 
 
-def guess_marker_set(take: Take, labels: tuple[str, ...], like: str | Path | None) -> tuple[MarkerSet, float, str]:
-    """-> a guess at some of the markers that shows a body, the log odds that it is right about one, and a sentence on it."""
-    there = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
-    known = marker_sets.load_marker_set(like) if like else marker_sets.choose_marker_set(there).marker_set
+def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None = None) -> InitialGuess:
+    """Return the most certain guess at the markers of a take from its labels or the cloud of its markers.
+
+    labels  of the take's markers, without subject prefixes
+    like    as for `learn_marker_set`
+
+    Raises TakeError if the set `like` has too few of the take's markers, or if no guess shows a body.
+    """
+    visible_labels = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
+    known = load_marker_set(like) if like else choose_marker_set(visible_labels).marker_set
     if known:
-        guess = relabel_marker_set(known, there)
-        if lack := known.describe_missing_body(known.match_labels(there)):
-            raise TakeError(f"{take.name}: {known.name} is no beginning: of its markers {len(guess.labels)} are there; {lack}.")
-        others = " The others are by how they move." if len(guess.labels) < sum(map(bool, there)) else ""
-        return guess, KNOWN_LABEL_LOG_ODDS, f"{marker_sets.describe_marker_set_match(known, there)}{others}"
-    guess = label_words.guess_marker_set_from_words([label for label in there if label])
+        guess = relabel_marker_set(known, visible_labels)
+        if problem := known.describe_missing_body(known.match_labels(visible_labels)):
+            raise TakeError(
+                f"{take.name}: {known.name} cannot be used to learn a marker set: only {len(guess.labels)} of its markers are "
+                f"present; {problem}."
+            )
+        has_others = len(guess.labels) < sum(map(bool, visible_labels))
+        others = " The segments of the others are learned from their motion." if has_others else ""
+        return InitialGuess(guess, KNOWN_LABEL_LOG_ODDS, f"{describe_marker_set_match(known, visible_labels)}{others}")
+    guess = guess_marker_set_from_words([label for label in visible_labels if label])
     if not guess.describe_missing_body(guess.labels):
-        return (
-            guess,
-            LABEL_WORD_LOG_ODDS,
-            f"The labels of {len(guess.labels)} markers told about where they are; the rest is by how they move.",
-        )
+        description = f"{len(guess.labels)} markers were located by words in their labels, the others by their motion."
+        return InitialGuess(guess, LABEL_WORD_LOG_ODDS, description)
     body = load_cmu31_body()
-    limits = load_joint_limits(body.skeleton)
-    guess = unlabelled_markers.guess_from_marker_cloud(
-        take, labels, body, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), limits
-    )
-    return (
+    prior, limits = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton), load_joint_limits(body.skeleton)
+    guess = guess_from_marker_cloud(take, tuple(labels), body, prior, limits)
+    return InitialGuess(
         guess,
         POSITION_LOG_ODDS,
-        "The labels tell no body: all is by where the markers lie on one and how they move. Look at it once.",
+        "The labels do not locate a body: all markers were located by their positions and motion. Check the result.",
     )
 
 
-def relabel_marker_set(known: MarkerSet, labels: list[str]) -> MarkerSet:
-    """-> the part of a set that a take shows, by the take's labels."""
+def relabel_marker_set(known: MarkerSet, labels: Sequence[str]) -> MarkerSet:
+    """Return those markers of a set that are among a take's labels, under the take's labels."""
     found = known.match_labels(labels)
     rows = [known.labels.index(label) for label in found]
     return replace(
-        known, labels=tuple(labels[column] for column in found.values()), joints=known.joints[rows], marker_offsets=known.marker_offsets[rows],
-        marker_spread=known.marker_spread[rows], aliases=((),) * len(rows), optional_labels=frozenset(),
-    )  # fmt: skip
+        known,
+        labels=tuple(labels[column] for column in found.values()),
+        joints=known.joints[rows],
+        marker_offsets=known.marker_offsets[rows],
+        marker_spread=known.marker_spread[rows],
+        aliases=((),) * len(rows),
+        optional_labels=frozenset(),
+    )
 
 
-def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title: str, keep_guess: bool) -> MarkerSet:
-    """-> the learnt set under its name, every place measured on this person but for those that are to be kept, a known set's."""
-    worn, size = learned.marker_set, learned.subject.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
-    person = {label: k for k, label in enumerate(learned.subject.labels)}
-    places, spread = worn.marker_offsets.copy(), worn.marker_spread.copy()
-    for n, label in enumerate(worn.labels):
-        k = person.get(label, -1)
-        if k >= 0 and not (keep_guess and label in guess.labels) and learned.subject.joints[k] == worn.joints[n]:
-            places[n], spread[n] = learned.subject.marker_offsets[k] / size, LEARNED_MARKER_SPREAD_M
-    return replace(worn, name=name, title=title, marker_offsets=places, marker_spread=spread, optional_labels=frozenset())
+def build_learned_set(learned: MarkerSetFit, guess: MarkerSet, name: str, title: str, *, keep_guess: bool) -> MarkerSet:
+    """Return the learned set under its name, with the offsets that were measured on this person.
+
+    keep_guess  whether the offsets of the guessed markers stay as they are, because they are of a known set
+    """
+    marker_set = learned.marker_set
+    size = learned.subject.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
+    index_of_label = {label: k for k, label in enumerate(learned.subject.labels)}
+    offsets, spread = marker_set.marker_offsets.copy(), marker_set.marker_spread.copy()
+    for n, label in enumerate(marker_set.labels):
+        k = index_of_label.get(label, -1)
+        is_kept = keep_guess and label in guess.labels
+        if k >= 0 and not is_kept and learned.subject.joints[k] == marker_set.joints[n]:
+            offsets[n], spread[n] = learned.subject.marker_offsets[k] / size, LEARNED_MARKER_SPREAD_M
+    return replace(marker_set, name=name, title=title, marker_offsets=offsets, marker_spread=spread, optional_labels=frozenset())
 
 
-def list_ambiguous_markers(learned: MarkerSetFit, labels: tuple[str, ...]) -> dict[str, str]:
-    """-> the markers that may ride on another segment than they were put on, and that one."""
-    names, at = load_cmu31_body().skeleton.names, learned.attachment
-    unsure = np.flatnonzero((at.joints >= 0) & (at.probability < MIN_SEGMENT_PROBABILITY))
-    return {labels[m]: names[at.second_joints[m]] for m in unsure}
+def find_ambiguous_markers(learned: MarkerSetFit, labels: Sequence[str]) -> dict[str, str]:
+    """Return the markers that may be attached to another joint, with its name, by label."""
+    joint_names, attachment = load_cmu31_body().skeleton.names, learned.attachment
+    is_ambiguous = (attachment.joints >= 0) & (attachment.probability < MIN_SEGMENT_PROBABILITY)
+    return {labels[int(m)]: joint_names[attachment.second_joints[m]] for m in np.flatnonzero(is_ambiguous)}

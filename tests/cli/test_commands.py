@@ -1,4 +1,4 @@
-"""What a technician meets at the terminal: commands, exit statuses, and a sentence for everything that can be wrong."""
+"""The command line: output of the commands, exit statuses, and error messages."""
 
 import json
 import os
@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from mocapfix.cli.clean import parse_frame_range
+from mocapfix.cli.arguments import parse_frames
 from tests.c3d_files import c3d_bytes
 from tests.conftest import as_c3d
 
@@ -23,7 +23,7 @@ def flat(text):
 # the commands
 
 
-def test_help_shows_the_commands_in_the_order_of_the_work():
+def test_help_lists_the_commands_in_order():
     command = [sys.executable, "-m", "mocapfix", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -35,19 +35,19 @@ def test_help_shows_the_commands_in_the_order_of_the_work():
     assert "usage: mocapfix" in done.stdout
 
 
-def test_every_option_of_clean_is_told_with_its_unit_and_default(mocapfix):
+def test_help_of_clean_shows_units_and_defaults(mocapfix):
     status, out, _ = mocapfix("clean", "--help")
-    told = flat(out.replace("│", " "))
+    text = flat(out.replace("│", " "))
     assert status == 0
     for option in ("--out DIR", "--marker-set NAME|FILE", "--subject FILE", "--prior NAME|none", "--prior-scale X",
-                   "--init START", "--overwrite", "--json", "--max-gap SECONDS", "--keep MARKER,...",
+                   "--init METHOD", "--overwrite", "--json", "--max-gap SECONDS", "--max-sd MM", "--limit MM", "--keep LABEL,...",
                    "--frames FIRST:LAST"):  # fmt: skip
-        assert option in told
-    assert "(default: 600.0)" in told
-    assert "(default: autoencoder)" in told
+        assert option in text
+    assert "(default: 600.0)" in text
+    assert "(default: autoencoder)" in text
 
 
-def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):
+def test_demo_compares_with_the_truth(mocapfix, tmp_path):
     status, out, _ = mocapfix("demo", "--out", tmp_path / "here")
     assert status == 0
     assert {path.name for path in (tmp_path / "here").iterdir()} == {"demo.c3d", "demo.mocapfix"}
@@ -55,37 +55,41 @@ def test_the_demo_cleans_a_take_of_its_own_and_compares(mocapfix, tmp_path):
     assert "10 s of 41 markers" in flat(out)
     heading = next(line for line in out.splitlines() if "linear" in line)
     assert re.search(r"linear.*cubic.*mocapfix", heading)
-    table = out.partition("From the known truth")[2].partition("demo.c3d:")[0]
+    table = out.partition("Compared with the known truth")[2].partition("demo.c3d:")[0]
     rows = {name: [float(x) for x in re.findall(r"\d+\.\d", line.split(name)[1])] for name in ("gaps under 0.5 s", "spikes")
             for line in table.splitlines() if name in line}  # fmt: skip
     assert len(rows) == 2
     for linear, cubic, ours in rows.values():
         assert ours < min(linear, cubic)
-    assert "See it move: mocapfix view" in flat(out)
+    assert "To view it: mocapfix view" in flat(out)
 
 
-def test_inspect_lists_what_is_wrong(mocapfix, brief):
+def test_inspect_lists_faults(mocapfix, brief):
     status, out, err = mocapfix("inspect", brief.path)
     assert (status, err) == (0, "")
-    said = flat(out)
-    assert said.startswith("brief.c3d: 41 markers, frames 301 to 420 at 120 Hz. ")
-    assert "41 of its 41 markers were found." in said
+    text = flat(out)
+    assert text.startswith("brief.c3d: 41 markers, frames 301 to 420 at 120 Hz. ")
+    assert "41 of its 41 markers were found." in text
     for marker, kind, frames in (("RELB", "gap", "341-360"), ("LKNE", "gap", "371-390"), ("STRN", "spike", "321-321")):
-        assert re.search(rf"{marker}\W+{kind}\W+{frames}", said)
+        assert re.search(rf"{marker}\W+{kind}\W+{frames}", text)
 
 
-def test_inspect_finds_nothing_wrong_with_a_sound_take(mocapfix, cleaned, tmp_path):
+def test_inspect_of_a_sound_take(mocapfix, cleaned, tmp_path):
     sound = tmp_path / "sound.c3d"
-    sound.write_bytes(as_c3d(cleaned.truth.markers[:60], cleaned.truth.labels))
-    assert "Nothing is wrong with it." in mocapfix("inspect", sound)[1]
+    sound.write_bytes(as_c3d(cleaned.truth.marker_positions[:60], cleaned.truth.labels))
+    assert "No faults were detected." in mocapfix("inspect", sound)[1]
 
 
 def test_inspect_writes_one_json_document(mocapfix, brief):
     status, out, _ = mocapfix("inspect", brief.path, "--json")
-    said = json.loads(out)
-    assert (status, list(said)) == (0, ["take", "faults", "notes"])
-    assert (said["take"]["frames"], said["take"]["first_frame"], said["take"]["marker_set"]) == (120, 301, "cmu41")
-    assert {"RELB", "LKNE", "STRN"} <= {fault["marker"] for fault in said["faults"]}
+    inspection = json.loads(out)
+    assert (status, list(inspection)) == (0, ["take", "faults", "notes"])
+    assert (inspection["take"]["frames"], inspection["take"]["first_frame"], inspection["take"]["marker_set"]) == (
+        120,
+        301,
+        "cmu41",
+    )
+    assert {"RELB", "LKNE", "STRN"} <= {fault["marker"] for fault in inspection["faults"]}
 
 
 def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
@@ -101,15 +105,15 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another folder."
 
 
-def test_clean_writes_beside_the_take_and_says_what_it_did(mocapfix, brief, tmp_path):
+def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_path):
     take = tmp_path / "walk.1.c3d"
     take.write_bytes(brief.path.read_bytes())
     status, out, _ = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 0
     assert {path.name for path in (tmp_path / "walk.1.mocapfix").iterdir()} == {f"walk.1.{kind}" for kind in KINDS}
-    assert "walk.1.c3d: 40 samples were missing, 40 are filled; 1 faulty ones mended; 0 left empty." in flat(out)
+    assert "walk.1.c3d: 40 samples were missing, 40 filled; 1 faulty ones replaced; 0 left empty." in flat(out)
     assert "changed: 2 gaps and 1 spike." in flat(out)
-    assert "clean again: --changes" in flat(out)
+    assert "clean again with --changes" in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
     assert "walk.1.c3d: already exists; give --overwrite to replace it, or choose another folder." in err
@@ -122,7 +126,7 @@ def test_clean_with_json_prints_the_report_and_nothing_else(mocapfix, brief, tmp
     assert json.loads(out) == json.loads((tmp_path / "brief.report.json").read_text())
 
 
-def test_what_may_be_touched_is_taken_from_the_options(mocapfix, brief, tmp_path):
+def test_options_restrict_what_is_changed(mocapfix, brief, tmp_path):
     status, out, _ = mocapfix(
         "clean", brief.path, "--subject", brief.subject, "--out", tmp_path, "--json", "--keep", "RELB, STRN", "--frames", "361:"
     )
@@ -130,10 +134,10 @@ def test_what_may_be_touched_is_taken_from_the_options(mocapfix, brief, tmp_path
     assert status == 0
     assert (fill["missing_before"], fill["filled"], fill["replaced"], fill["left_empty"]) == (40, 20, 0, 20)
     assert [(each["marker"], each["first"], each["last"]) for each in fill["unfilled"]] == [("RELB", 341, 360)]
-    assert "it was not to be touched (--keep, --frames)" in fill["unfilled"][0]["reason"]
+    assert "it was not to be edited (--keep, --frames)" in fill["unfilled"][0]["reason"]
 
 
-def test_one_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):
+def test_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):
     takes = []
     for name in ("one", "two", "three"):
         takes.append(tmp_path / f"{name}.c3d")
@@ -141,13 +145,13 @@ def test_one_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):
     status, out, err = mocapfix("clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--json")
     assert status == 1
     assert [report["take"]["file"] for report in json.loads(out)] == ["one.c3d", "three.c3d"]
-    assert "two.c3d: is not a file that mocapfix reads" in err
+    assert "two.c3d: has no format that mocapfix reads" in err
     written = {path.name for path in (tmp_path / "out").iterdir()}
     assert written == {f"{name}.{kind}" for name in ("one", "three") for kind in KINDS}
 
 
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
-def test_a_second_take_of_the_same_stem_does_not_replace_the_first(mocapfix, brief, tmp_path, overwrite):
+def test_takes_of_one_name_do_not_overwrite_each_other(mocapfix, brief, tmp_path, overwrite):
     for folder in ("monday", "tuesday"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "walk.c3d").write_bytes(brief.path.read_bytes())
@@ -158,24 +162,26 @@ def test_a_second_take_of_the_same_stem_does_not_replace_the_first(mocapfix, bri
     assert "another take of this name was written" in err
 
 
-def test_view_opens_the_recording_that_clean_wrote(mocapfix, cleaned, monkeypatch):
-    asked = []
-    monkeypatch.setattr(subprocess, "run", lambda command, **_: asked.append(command) or subprocess.CompletedProcess(command, 0))
+def test_view_opens_the_recording(mocapfix, cleaned, monkeypatch):
+    commands = []
+    monkeypatch.setattr(
+        subprocess, "run", lambda command, **_: commands.append(command) or subprocess.CompletedProcess(command, 0)
+    )
     assert mocapfix("view", cleaned.outputs["rrd"].parent)[0] == 0
     assert mocapfix("view", cleaned.outputs["rrd"])[0] == 0
-    assert [command[-1] for command in asked] == [str(cleaned.outputs["rrd"])] * 2
+    assert [command[-1] for command in commands] == [str(cleaned.outputs["rrd"])] * 2
 
 
-def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocapfix, cleaned, tmp_path, monkeypatch):
+def test_view_without_a_recording_or_display_is_an_error(mocapfix, cleaned, tmp_path, monkeypatch):
     for nothing in (tmp_path, tmp_path / "gone.rrd"):
         status, _, err = mocapfix("view", nothing)
         assert (status, err.strip()) == (
-            1, f"{nothing}: holds no recording (.rrd); give the folder that clean wrote, or a file in it.",
+            1, f"{nothing}: holds no recording (.rrd); name the output folder of clean, or a recording in it.",
         )  # fmt: skip
     monkeypatch.setattr(subprocess, "run", lambda command, **_: subprocess.CompletedProcess(command, 7))
     status, _, err = mocapfix("view", cleaned.outputs["rrd"])
     assert status == 1
-    assert "rerun could not show it (exit 7); is there a screen on this machine?" in err
+    assert "rerun could not show it (exit 7); check that this machine has a display." in err
 
 
 # wrong usage
@@ -186,12 +192,13 @@ def test_view_says_where_there_is_no_recording_and_when_there_is_no_screen(mocap
     [
         (["clean"], "clean: name at least one take."),
         (["calibrate", "-o", "somebody.yaml"], "calibrate: name at least one take."),
-        (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be more than 0 seconds, not 0."),
+        (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be greater than 0 s, not 0."),
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
         (["clean", "a.c3d", "--max-gap", "long"], "--max-gap"),
-        (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be more than 0 and finite, not 0."),
+        (["clean", "a.c3d", "--prior-scale", "0"], "--prior-scale must be greater than 0 and finite, not 0."),
         (["clean", "a.c3d", "--maxgap", "1"], "--maxgap"),
+        (["clean", "a.c3d", "--init", "hybrik"], "--init must be one of hybrik-x, hybrik-adaptive, hybrik-naive, "),
         (["mend", "a.c3d"], "mend"),
         (["calibrate", "a.c3d"], "--output"),
     ],
@@ -203,11 +210,11 @@ def test_wrong_usage_is_status_2(mocapfix, arguments, sentence):
 
 
 @pytest.mark.parametrize(
-    ("said", "meant"),
+    ("text", "frames"),
     [(":", None), ("100:250", (100, 250)), ("100:", (100, 2**62)), (":250", (-(2**62), 250)), ("7:7", (7, 7))],
 )
-def test_frames_are_first_to_last(said, meant):
-    assert parse_frame_range(said) == meant
+def test_frames_are_first_to_last(text, frames):
+    assert parse_frames(text) == frames
 
 
 # bad input
@@ -220,35 +227,35 @@ def two_markers_at_a_time(brief):
 
 
 FILES = {
-    "cut off": (lambda brief: brief.path.read_bytes()[:-20_000], r"is cut off: 120 frames are promised, \d+ are there; copy"),
+    "cut off": (lambda brief: brief.path.read_bytes()[:-20_000], r"is cut off: 120 frames are declared and \d+ are there; copy"),
     "empty": (lambda _: b"", r"is empty \(0 bytes\); copy or export it again"),
-    "random": (lambda _: np.random.default_rng(0).bytes(8000), r"is not a file that mocapfix reads; export the capture as"),
+    "random": (lambda _: np.random.default_rng(0).bytes(8000), r"has no format that mocapfix reads; export the capture as"),
     "random, nearly": (lambda _: b"\x02\x50" + np.random.default_rng(1).bytes(8000), r"; (copy|export) "),
-    "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"is not a file that mocapfix reads; export the capture as"),
-    "without points": (lambda _: c3d_bytes(np.zeros((5, 0, 3)), [], extra={"POINT:LABELS": None}), r"holds no points; export"),
-    "two markers": (two_markers_at_a_time, r"no frame shows three markers, so nothing can be placed; check the labels"),
+    "text": (lambda _: b"Frame\tX\tY\tZ\n" * 200, r"has no format that mocapfix reads; export the capture as"),
+    "without points": (lambda _: c3d_bytes(np.zeros((5, 0, 3)), [], extra={"POINT:LABELS": None}), r"has no points; export"),
+    "two markers": (two_markers_at_a_time, r"no frame shows 3 markers, so nothing can be estimated; check the labels"),
 }
 
 
 @pytest.mark.parametrize("kind", FILES)
-def test_a_file_that_is_no_take_is_named_and_leaves_nothing_behind(mocapfix, brief, tmp_path, kind):
+def test_invalid_file_is_named_and_leaves_nothing_behind(mocapfix, brief, tmp_path, kind):
     make, sentence = FILES[kind]
     take = tmp_path / "bad [1].c3d"
     take.write_bytes(make(brief))
-    refused(mocapfix("clean", take), take.name, sentence)
-    refused(mocapfix("clean", take, "--out", tmp_path / "out", "--json"), take.name, sentence)
+    check_refused(mocapfix("clean", take), take.name, sentence)
+    check_refused(mocapfix("clean", take, "--out", tmp_path / "out", "--json"), take.name, sentence)
     assert [path.name for path in tmp_path.iterdir()] == [take.name]
 
 
-def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
-    refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
-    refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
+def test_missing_file_folder_and_other_formats_are_errors(mocapfix, cleaned, tmp_path):
+    check_refused(mocapfix("clean", tmp_path / "gone.c3d"), "gone.c3d", "there is no such file; check the name and the folder")
+    check_refused(mocapfix("clean", tmp_path), tmp_path.name, "is a folder; name the files in it")
     page = cleaned.outputs["report.html"]
     done = mocapfix("clean", page, "--out", tmp_path / "out")
-    refused(done, page.name, "is not a file that mocapfix reads; export the capture as")
+    check_refused(done, page.name, "has no format that mocapfix reads; export the capture as")
     for command in ("inspect", "clean"):
-        refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
-    refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")
+        check_refused(mocapfix(command, tmp_path / "gone.c3d"), "gone.c3d", "there is no such file")
+    check_refused(mocapfix("calibrate", tmp_path / "gone.c3d", "-o", tmp_path / "x.yaml"), "gone.c3d", "there is no such file")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -259,50 +266,49 @@ def test_the_other_things_that_are_no_take(mocapfix, cleaned, tmp_path):
         (["--marker-set", "plug-in-gait39"], "brief.c3d: plug-in-gait39 does not fit: "),
         (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
         (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),
-        (["--init", "hybrik"], "There is no start 'hybrik'; choose one of: hybrik-x, hybrik-adaptive, hybrik-naive, "),
         (["--frames", "1:20"], "brief.c3d: frames 1 to 20 are not in the take, which has 301 to 420"),
         (["--keep", "NOSE"], "brief.c3d: has no marker NOSE to keep; its markers are "),
         (["--subject", "gone.yaml"], "gone.yaml"),
     ],
 )
-def test_an_option_that_does_not_fit_is_named(mocapfix, brief, tmp_path, options, sentence):
-    refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", *options), "", re.escape(sentence))
+def test_option_that_does_not_fit_is_named(mocapfix, brief, tmp_path, options, sentence):
+    check_refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", *options), "", re.escape(sentence))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
     "text", ["", "{", "bones: 7", "- a\n- b", "marker_set: cmu41\nframes: -1", "\x00\x01", "marker_set: [cmu41"], ids=repr
 )
-def test_a_corrupt_subject_is_named(mocapfix, brief, tmp_path, text):
+def test_corrupt_subject_is_named(mocapfix, brief, tmp_path, text):
     subject = tmp_path / "corrupt.yaml"
     subject.write_text(text, encoding="utf-8")
-    refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", "--subject", subject), "corrupt.yaml", "")
+    check_refused(mocapfix("clean", brief.path, "--out", tmp_path / "out", "--subject", subject), "corrupt.yaml", "")
     assert [path.name for path in tmp_path.iterdir()] == ["corrupt.yaml"]
 
 
-def test_outputs_that_cannot_be_written_are_named(mocapfix, brief, tmp_path):
+def test_unwritable_outputs_are_named(mocapfix, brief, tmp_path):
     taken = tmp_path / "taken"
     taken.write_text("a file")
     for where in (taken, taken / "deeper"):
         status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
-        refused(status, where.name, "the folder cannot be created .*; choose another with --out")
-    refused(mocapfix("demo", "--out", taken), "taken", "the folder cannot be created")
+        check_refused(status, where.name, "the folder cannot be created .*; choose another with --out")
+    check_refused(mocapfix("demo", "--out", taken), "taken", "the folder cannot be created")
     missing = tmp_path / "gone" / "somebody.yaml"
-    refused(mocapfix("calibrate", brief.path, "-o", missing), "somebody.yaml", "cannot be written")
+    check_refused(mocapfix("calibrate", brief.path, "-o", missing), "somebody.yaml", "cannot be written")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
     assert taken.read_text() == "a file"
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="folders cannot be locked for this user")
-def test_a_locked_folder_is_named(mocapfix, brief, tmp_path):
+def test_locked_folder_is_named(mocapfix, brief, tmp_path):
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o500)
-    refused(mocapfix("clean", brief.path, "--subject", brief.subject, "--out", locked), "brief.c3d", "cannot be written")
+    check_refused(mocapfix("clean", brief.path, "--subject", brief.subject, "--out", locked), "brief.c3d", "cannot be written")
     assert list(locked.iterdir()) == []
 
 
-def refused(done, name, sentence):
-    """One message on standard error that names the file and says what to do, nothing on standard output, status 1."""
+def check_refused(done, name, sentence):
+    """Check for one message on standard error that names the file and the remedy, an empty standard output, and status 1."""
     status, out, err = done
     assert (status, out) == (1, "")
     assert name in err
@@ -312,14 +318,14 @@ def refused(done, name, sentence):
     assert err.strip().endswith((".", "?"))
 
 
-def test_bench_uncertainty_shows_its_table_or_one_json_object(mocapfix, monkeypatch):
+def test_bench_uncertainty_prints_a_table_or_json(mocapfix, monkeypatch):
     from mocapfix.bench import uncertainty
 
     part = {"samples": 3, "error_mm": 4.0, "deviation_mm": 5.0, "within_1_sigma": 0.68, "within_2_sigma": 0.954}
-    said = {what: {**part, "by": {"all missing": part}} for what in ("joints", "filled_markers")}
-    monkeypatch.setattr(uncertainty, "measure", lambda: said)
+    results = {what: {**part, "by": {"all missing": part}} for what in ("joints", "filled_markers")}
+    monkeypatch.setattr(uncertainty, "measure_uncertainty", lambda: results)
     status, out, _ = mocapfix("bench", "uncertainty", "--json")
-    assert (status, json.loads(out)) == (0, said)
+    assert (status, json.loads(out)) == (0, results)
     status, out, _ = mocapfix("bench", "uncertainty")
     assert status == 0
     assert out.count("68%") == 4

@@ -1,4 +1,4 @@
-"""What a technician meets who looks at marker sets or learns one."""
+"""The commands marker-set list, show and learn."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,13 @@ from mocapfix import marker_sets, synthetic
 from tests.conftest import as_c3d
 
 
-def test_the_shipped_sets_are_listed(mocapfix):
+def test_list_names_the_shipped_sets(mocapfix):
     status, out, _ = mocapfix("marker-set", "list")
     assert status == 0
     assert all(each.name in out for each in marker_sets.load_shipped_marker_sets())
 
 
-def test_a_set_is_shown_by_segment(mocapfix):
+def test_show_lists_markers_by_segment(mocapfix):
     status, out, _ = mocapfix("marker-set", "show", "plug-in-gait39")
     assert status == 0
     assert "Plug-in Gait full body 39, 49 markers" in out
@@ -32,25 +32,25 @@ def wave(tmp_path_factory):
     return path
 
 
-def test_a_set_is_learnt_saved_and_not_written_over(mocapfix, wave, tmp_path):
+def test_learn_writes_a_set_and_does_not_overwrite(mocapfix, wave, tmp_path):
     path = tmp_path / "mine.yaml"
     status, out, _ = mocapfix("marker-set", "learn", wave, "-o", path)
-    said = " ".join(out.split())
+    output = " ".join(out.split())
     assert status == 0
-    assert "41 markers" in said
-    assert "left out: Floor moves by" in said
-    learnt = marker_sets.load_marker_set(path)
-    assert (learnt.name, len(learnt.labels), "Floor" in learnt.labels) == ("mine", 41, False)
-    assert {"LUPA!", "RSHN!"} <= set(learnt.labels)
+    assert "41 markers" in output
+    assert "not included: Floor moves by" in output
+    learned = marker_sets.load_marker_set(path)
+    assert (learned.name, len(learned.labels), "Floor" in learned.labels) == ("mine", 41, False)
+    assert {"LUPA!", "RSHN!"} <= set(learned.labels)
     text = path.read_text()
-    assert text.startswith("# Learnt from wave.c3d. ")
-    assert "# Left out: Floor moves by" in text
+    assert text.startswith("# Learned from wave.c3d. ")
+    assert "# Not included: Floor moves by" in text
     status, _, err = mocapfix("marker-set", "learn", wave, "-o", path)
     assert (status, "already exists" in " ".join(err.split())) == (1, True)
     assert path.read_text() == text
 
 
-def test_a_take_that_is_none_is_told_and_nothing_is_written(mocapfix, tmp_path):
+def test_missing_take_writes_nothing(mocapfix, tmp_path):
     status, _, err = mocapfix("marker-set", "learn", tmp_path / "gone.c3d", "-o", tmp_path / "mine.yaml")
     assert (status, "there is no such file" in " ".join(err.split())) == (1, True)
     assert list(tmp_path.iterdir()) == []

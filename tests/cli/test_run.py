@@ -1,4 +1,4 @@
-"""What a technician meets who runs a scene."""
+"""The command run: cleaning jobs and keypoint scenes."""
 
 import json
 from dataclasses import replace
@@ -11,10 +11,10 @@ from mocapfix.files import shipped
 from mocapfix.keypoints import example_film
 
 
-def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, tmp_path, monkeypatch):
+def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said, _, _ = example_film.compose_example_film("coco", 0.3, 10.0)
-    (tmp_path / "film.json").write_text(json.dumps(said), encoding="utf-8")
+    keypoints, _, _ = example_film.compose_example_film("coco", 0.3, 10.0)
+    (tmp_path / "film.json").write_text(json.dumps(keypoints), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n")
     status, out, _ = mocapfix("run", "mine.yaml")
     assert status == 0
@@ -34,21 +34,21 @@ def test_a_scene_is_run_into_a_folder_of_its_name_and_told_in_a_line(mocapfix, t
         (None, "cannot be read"),
     ],
 )
-def test_a_scene_that_is_none_is_told(mocapfix, tmp_path, scene, message):
+def test_invalid_scene_is_an_error(mocapfix, tmp_path, scene, message):
     if scene:
         (tmp_path / "mine.yaml").write_text(scene)
     status, _, err = mocapfix("run", tmp_path / "mine.yaml")
     assert (status, message in " ".join(err.split())) == (1, True)
 
 
-def test_the_scenes_that_ship_are_told_where_there_is_none_of_a_name(mocapfix):
+def test_unknown_scene_lists_the_shipped_ones(mocapfix):
     status, _, err = mocapfix("run", "opera")
     assert status == 1
-    there = "choose one of: demo, keypoints-2d, session; or give a .yaml file."
-    assert f"There is no scene named 'opera'; {there}" in " ".join(err.split())
+    choices = "choose one of: demo, keypoints-2d, session; or name a .yaml file."
+    assert f"There is no scene named 'opera'; {choices}" in " ".join(err.split())
 
 
-def test_the_demo_that_ships_is_composed_and_cleaned(mocapfix, tmp_path):
+def test_shipped_demo_is_composed_and_cleaned(mocapfix, tmp_path):
     status, out, _ = mocapfix("run", "demo", "-o", tmp_path / "here")
     assert status == 0
     assert "Somebody walks, reaches, crouches and turns: 1 take." in out
@@ -59,7 +59,7 @@ def test_the_demo_that_ships_is_composed_and_cleaned(mocapfix, tmp_path):
     assert (status, "already exists; give --overwrite" in " ".join(err.split())) == (1, True)
 
 
-def test_the_session_that_ships_calibrates_once_and_cleans_each_take_by_that(mocapfix, tmp_path):
+def test_shipped_session_calibrates_once_for_all_takes(mocapfix, tmp_path):
     scene = tmp_path / "session.yaml"
     scene.write_bytes((shipped.find_shipped_folder("scenes") / "session.yaml").read_bytes())
     for name, start in (("rom", 0), ("walk1", 120), ("walk2", 240), ("other", 0)):
@@ -80,7 +80,7 @@ def test_the_session_that_ships_calibrates_once_and_cleans_each_take_by_that(moc
     assert not (tmp_path / "out" / "other.c3d").exists()
 
 
-def test_a_job_whose_takes_are_not_there_says_so_and_cleans_the_others(mocapfix, tmp_path, brief):
+def test_missing_take_does_not_stop_the_job(mocapfix, tmp_path, brief):
     (tmp_path / "there.c3d").write_bytes(brief.path.read_bytes())
     (tmp_path / "mine.yaml").write_text(
         f"kind: clean\ntitle: Mine\ntakes: [gone.c3d, there.c3d]\nsubject: {brief.subject}\nvolume: {{floor: 0.5}}\n"

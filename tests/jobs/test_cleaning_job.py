@@ -1,19 +1,20 @@
+"""Cleaning jobs: defaults, the shipped session, wrong keys, and wildcards."""
+
 import re
 
 import pytest
 
 from mocapfix.errors import SceneError
 from mocapfix.files import shipped
-from mocapfix.options import FillOptions
-from mocapfix.jobs import cleaning_job
-from mocapfix.options import OutputOptions
+from mocapfix.jobs.cleaning_job import JOB_MODEL, expand_paths, read_cleaning_job
+from mocapfix.options import CleanOptions, FillOptions, list_options, list_stages
 
 SHIPPED = shipped.find_shipped_folder("scenes")
 
 
 @pytest.fixture
-def scene(tmp_path):
-    """Writes a scene with one take and these lines more; -> its path."""
+def write_job(tmp_path):
+    """A function that writes a job with one take and further lines, and returns its path."""
 
     def write(lines: str, takes: str = "takes: [a.c3d]"):
         path = tmp_path / "mine.yaml"
@@ -23,73 +24,84 @@ def scene(tmp_path):
     return write
 
 
-def test_what_is_left_out_is_as_the_command_line_has_it(scene):
-    said = cleaning_job.read_cleaning_job(scene(""))
-    assert said.fill_options == FillOptions()
-    assert said.output_options == OutputOptions()
-    assert (said.prior.name, said.start) == (DEFAULT_PRIOR_NAME, DEFAULT_INIT_METHOD)
+def test_missing_keys_have_the_default_options(write_job):
+    assert read_cleaning_job(write_job("")).options == CleanOptions()
 
 
-def test_the_session_that_ships_shows_every_key_as_it_is_when_left_out(scene):
-    session, bare = cleaning_job.read_cleaning_job(SHIPPED / "session.yaml"), cleaning_job.read_cleaning_job(scene(""))
-    assert session.model_copy(update={"title": "mine", "takes": bare.takes, "subject": None}) == bare
-    written = shipped.read_yaml(SHIPPED / "session.yaml")
-    assert set(written) == set(cleaning_job.CleaningJob.model_fields)
-    for key in ("volume", "prior", "fill", "write"):
-        assert set(written[key]) == set(type(getattr(bare, key)).model_fields)
+def test_shipped_session_shows_every_key_with_its_default():
+    assert read_cleaning_job(SHIPPED / "session.yaml").options == CleanOptions()
+    session = shipped.read_yaml(SHIPPED / "session.yaml")
+    options = [option for _, stage in list_stages() for _, option in list_options(stage) if option.job_key]
+    for key in (option.job_key for option in options if not option.is_expert):
+        section, _, name = key.rpartition(".")
+        assert name in (session[section] if section else session), key
+    assert set(session) <= set(JOB_MODEL.model_fields)
 
 
-def test_what_may_be_touched_is_said_in_the_units_of_people(scene):
-    said = cleaning_job.read_cleaning_job(scene("fill: {limit_mm: 60, max_gap: 2, keep: [LFIN], frames: [10, 90], refill: true}"))
-    assert said.fill_options == FillOptions(2.0, ("LFIN",), (10, 90), 0.06, True)
+def test_lengths_are_in_millimetres(write_job):
+    job = read_cleaning_job(write_job("fill: {limit_mm: 60, max_gap: 2, keep: [LFIN], frames: [10, 90], refill: true}"))
+    assert job.options.fill == FillOptions(max_gap_s=2.0, keep=("LFIN",), frames=(10, 90), max_sd_m=0.06, refill=True)
+
+
+def test_expert_options_can_be_set(write_job):
+    job = read_cleaning_job(write_job("solve: {robust_scales_mm: [100, 40], marker_sd_mm: 12}\ndetect: {max_rounds: 1}"))
+    assert job.options == CleanOptions().change(robust_scales_m=(0.1, 0.04), marker_sd_m=0.012, max_rounds=1)
+
+
+def test_marker_set_beside_the_job_takes_precedence(write_job, tmp_path):
+    path = write_job("marker_set: cmu41")
+    assert read_cleaning_job(path).options.subject.marker_set == "cmu41"
+    (tmp_path / "cmu41").touch()
+    assert read_cleaning_job(path).options.subject.marker_set == tmp_path / "cmu41"
 
 
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ("fill: {only: [gap, flaw]}", "fill.only.1: must be one of gap, spike"),
+        ("fill: {only: [gap, flaw]}", "fill.only: must be one of gap, spike"),
         ("volume: {up: W}", "volume.up: "),
         ("volume: {floor: high}", "volume.floor: "),
-        ("prior: {scale: 0}", "prior.scale: "),
+        ("prior: {scale: 0}", "prior.scale: must be greater than 0"),
         ("start: middle", "start: must be one of hybrik-x"),
-        ("subject: {calibrate: []}", "subject: must be a subject file, or say calibrate"),
-        ("subject: {calibrate: [a.c3d], file: jim.yaml}", "subject: must be a subject file, or say calibrate"),
+        ("subject: {calibrate: []}", "subject: must have either file or calibrate"),
+        ("subject: {calibrate: [a.c3d], file: jim.yaml}", "subject: must have either file or calibrate"),
         ("colour: red", "colour: "),
-        ("write: {also: [avi]}", "write: There is no kind of file 'avi'"),
+        ("solve: {marker_sd_mm: -1}", "solve.marker_sd_mm: must be greater than 0 mm and finite, not -1"),
+        ("write: {also: [avi]}", "write.also: must be one of gltf"),
         ("write: {bvh_for: [paint]}", "write: There is no rig 'paint'"),
-        ("write: {fps: 100000}", "write: Frames a second must be"),
+        ("write: {fps: 100000}", "write.fps: must be greater than 0 Hz and at most 1000 Hz, not 100000"),
     ],
 )
-def test_a_wrong_key_is_told_by_its_path(scene, lines, message):
-    path = scene(lines)
+def test_error_names_the_wrong_key(write_job, lines, message):
+    path = write_job(lines)
     with pytest.raises(SceneError, match=re.escape(f"{path}: {message}")):
-        cleaning_job.read_cleaning_job(path)
+        read_cleaning_job(path)
 
 
 @pytest.mark.parametrize(
     ("takes", "message"),
     [
         ("takes: []", "takes: "),
-        ("takes: [{}]", "takes.0: must be a file, or say compose"),
+        ("takes: [{}]", "takes.0: must have either file or compose"),
         ("takes: [a.c3d, {compose: sub/b.c3d}]", "takes.1.compose: must be the name of a C3D file, without a folder"),
         ("takes: [a.c3d, {compose: b.c3d, sed: 1}]", "takes.1.sed: "),
         ("", "takes: "),
     ],
 )
-def test_wrong_takes_are_told_by_their_place(scene, takes, message):
-    path = scene("", takes)
+def test_error_names_the_wrong_take(write_job, takes, message):
+    path = write_job("", takes)
     with pytest.raises(SceneError, match=re.escape(f"{path}: {message}")):
-        cleaning_job.read_cleaning_job(path)
+        read_cleaning_job(path)
 
 
-def test_wildcards_find_files_beside_the_scene_each_once_in_order(tmp_path):
+def test_wildcards_match_files_beside_the_job_once_and_in_order(tmp_path):
     for name in ("b.c3d", "a.c3d", "sub/c.c3d", "rom.c3d"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    found = cleaning_job.expand_paths(tmp_path / "scene.yaml", ["rom.c3d", "*.c3d", "sub/*", "gone.c3d"], "takes")
-    assert [path.relative_to(tmp_path).as_posix() for path in found] == ["rom.c3d", "a.c3d", "b.c3d", "sub/c.c3d", "gone.c3d"]
+    paths = expand_paths(tmp_path / "scene.yaml", ["rom.c3d", "*.c3d", "sub/*", "gone.c3d"], "takes")
+    assert [path.relative_to(tmp_path).as_posix() for path in paths] == ["rom.c3d", "a.c3d", "b.c3d", "sub/c.c3d", "gone.c3d"]
 
 
-def test_a_wildcard_that_finds_nothing_is_told(tmp_path):
-    with pytest.raises(SceneError, match=r"takes: no file in .* is called '\*\.trc'"):
-        cleaning_job.expand_paths(tmp_path / "scene.yaml", ["a.c3d", "*.trc"], "takes")
+def test_wildcard_without_a_match_is_an_error(tmp_path):
+    with pytest.raises(SceneError, match=r"takes: no file in .* matches '\*\.trc'"):
+        expand_paths(tmp_path / "scene.yaml", ["a.c3d", "*.trc"], "takes")

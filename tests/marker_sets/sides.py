@@ -1,8 +1,8 @@
-"""Left and right in markers' names."""
+"""Names of the marker on the other side."""
 
 
 def other_side(label: str) -> str:
-    """-> the name of the same marker on the other side; of one in the middle its own"""
+    """Return the name of the same marker on the other side, of a median marker its own name."""
     words = {"Left": "Right", "LFront": "RFront", "LBack": "RBack"}
     for left, right in words.items():
         if left in label or right in label:

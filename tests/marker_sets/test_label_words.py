@@ -1,4 +1,4 @@
-"""What labels say in words."""
+"""Locating markers by the words in their labels."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,13 @@ NEAR = {"Hips": ("LeftUpLeg", "RightUpLeg"), "Spine1": ("LeftShoulder", "RightSh
 
 
 @EACH
-def test_the_words_of_shipped_sets_tell_their_segments(marker_set):
-    names, right = load_cmu31_body().skeleton.names, 0
+def test_labels_of_shipped_sets_locate_their_segments(marker_set):
+    names, correct_count = load_cmu31_body().skeleton.names, 0
     for label, joint in zip(marker_set.labels, marker_set.joints, strict=True):
-        if told := locate_label(label):
-            assert told[0] == names[joint] or told[0] in NEAR.get(names[joint], ()), label
-            right += 1
-    assert right >= 0.75 * len(marker_set.labels)
+        if location := locate_label(label):
+            assert location[0] == names[joint] or location[0] in NEAR.get(names[joint], ()), label
+            correct_count += 1
+    assert correct_count >= 0.75 * len(marker_set.labels)
 
 
 @pytest.mark.parametrize(
@@ -32,8 +32,8 @@ def test_the_words_of_shipped_sets_tell_their_segments(marker_set):
     ],
 )  # fmt: skip
 def test_words_and_sides(label, joint):
-    told = locate_label(label)
-    assert (told and told[0]) == joint
+    location = locate_label(label)
+    assert (location and location[0]) == joint
 
 
 @pytest.mark.parametrize("word", ["KNE", "ELB", "WRA", "FWT", "TOE", "FHD"])
@@ -47,7 +47,7 @@ def test_right_mirrors_left(word):
     assert (place[0] > 0) == (load_marker_set("cmu41").marker_offsets[load_marker_set("cmu41").labels.index("L" + word)][0] > 0)
 
 
-def test_a_guess_holds_what_is_told_and_nothing_else():
+def test_guess_contains_located_markers_only():
     guess = guess_marker_set_from_words(["LKNE", "Puck", "RKNE", "C7"])
     assert guess.labels == ("LKNE", "RKNE", "C7")
     assert [load_cmu31_body().skeleton.names[j] for j in guess.joints] == ["LeftUpLeg", "RightUpLeg", "Spine1"]

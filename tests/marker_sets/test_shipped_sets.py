@@ -1,4 +1,4 @@
-"""The sets that ship: how many markers, alike left and right, and on the body."""
+"""The shipped marker sets: numbers of markers, symmetry, and positions on the body."""
 
 import numpy as np
 import pytest
@@ -32,22 +32,24 @@ def test_the_shipped_sets():
 
 
 @EACH
-def test_left_and_right_are_alike(marker_set):
+def test_left_and_right_are_symmetric(marker_set):
     names, sided = load_cmu31_body().skeleton.names, 0
     for k, label in enumerate(marker_set.labels):
         if (twin := other_side(label)) in marker_set.labels and twin != label:
             other = marker_set.labels.index(twin)
-            np.testing.assert_array_equal(marker_set.places[other], marker_set.places[k] * [-1, 1, 1])
+            np.testing.assert_array_equal(marker_set.marker_offsets[other], marker_set.marker_offsets[k] * [-1, 1, 1])
             joint = names[marker_set.joints[k]]
             assert names[marker_set.joints[other]] in (joint.replace("Left", "Right"), joint.replace("Right", "Left"))
-            assert (twin in marker_set.optional) == (label in marker_set.optional) or "BAK" in label  # the right one is the rule
+            assert (twin in marker_set.optional_labels) == (
+                label in marker_set.optional_labels
+            ) or "BAK" in label  # the right one is the rule
             sided += 1
     assert sided >= 0.7 * len(marker_set.labels)
 
 
 @EACH
-def test_a_left_marker_is_on_the_left(marker_set):
-    for label, joint, place in zip(marker_set.labels, marker_set.joints, marker_set.places, strict=True):
+def test_left_markers_are_on_the_left(marker_set):
+    for label, joint, place in zip(marker_set.labels, marker_set.joints, marker_set.marker_offsets, strict=True):
         if other_side(label) != label and load_cmu31_body().skeleton.names[joint] in ("Hips", "Spine1", "Head"):
             left = other_side(label) > label  # "L" comes before "R"
             assert (place[0] > 0) == left, label
@@ -56,9 +58,9 @@ def test_a_left_marker_is_on_the_left(marker_set):
 @EACH
 def test_markers_lie_on_the_body(marker_set):
     """Front markers in front, back ones behind, and none farther from its joint than the knee marker from the hip."""
-    place = dict(zip(marker_set.labels, marker_set.places, strict=True))
-    assert (np.linalg.norm(marker_set.places, axis=1) < 0.45).all()
-    assert ((marker_set.spread > 0.005) & (marker_set.spread <= 0.06)).all()
+    place = dict(zip(marker_set.labels, marker_set.marker_offsets, strict=True))
+    assert (np.linalg.norm(marker_set.marker_offsets, axis=1) < 0.45).all()
+    assert ((marker_set.marker_spread > 0.005) & (marker_set.marker_spread <= 0.06)).all()
     assert sum(label in place for label in FRONT) >= 3
     assert all(place[label][2] > 0 for label in FRONT if label in place)
     assert all(place[label][2] < 0 for label in (*BACK, *HEELS) if label in place)
@@ -66,6 +68,6 @@ def test_markers_lie_on_the_body(marker_set):
 
 
 @EACH
-def test_every_limb_hips_thorax_and_head_bear_markers(marker_set):
+def test_every_segment_group_has_markers(marker_set):
     there = {load_cmu31_body().skeleton.names[joint] for joint in marker_set.joints}
     assert {"Hips", "Spine1", "Head", *BONES} <= there

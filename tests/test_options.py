@@ -1,0 +1,72 @@
+"""Options: defaults, ranges, and changing them by name."""
+
+import re
+
+import pytest
+
+from mocapfix.errors import OptionError
+from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
+from mocapfix.options import (
+    REPAIRABLE_KINDS,
+    STAGE_OF_OPTION,
+    CleanOptions,
+    FillOptions,
+    PriorOptions,
+    build_clean_options,
+    list_options,
+    list_stages,
+)
+
+OPTIONS = [(name, option) for _, stage in list_stages() for name, option in list_options(stage)]
+
+
+def test_every_option_has_names_of_its_own():
+    assert len(STAGE_OF_OPTION) == len(OPTIONS)
+    flags = [flag for _, option in OPTIONS for flag in (option.flag, *option.aliases)]
+    assert len(set(flags)) == len(flags)
+    keys = [option.job_key for _, option in OPTIONS if option.job_key]
+    assert len(set(keys)) == len(keys)
+
+
+def test_options_are_changed_by_name():
+    changed = build_clean_options(prior="none", max_gap_s=2.0)
+    assert changed == CleanOptions(prior=PriorOptions(prior="none"), fill=FillOptions(max_gap_s=2.0))
+    assert changed.change(prior="autoencoder", max_gap_s=600.0) == CleanOptions()
+
+
+def test_one_text_or_a_list_becomes_a_tuple():
+    assert build_clean_options(keep="RELB").fill.keep == ("RELB",)
+    assert build_clean_options(keep=["RELB", "LKNE"]).fill.keep == ("RELB", "LKNE")
+
+
+def test_values_in_other_units_keep_the_default_exactly():
+    for stage_name, stage in list_stages():
+        for name, option in list_options(stage):
+            default = getattr(getattr(CleanOptions(), stage_name), name)
+            restored = option.from_display(option.to_display(default))
+            assert restored == (pytest.approx(default, rel=1e-12) if isinstance(default, float) else default), name
+
+
+def test_repairable_kinds_are_those_of_faults():
+    assert ("gap", *REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS, *LABEL_KINDS, "fragment") == REPAIRABLE_KINDS
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"max_gap_s": 0.0}, "max_gap_s must be greater than 0 s, not 0."),
+        ({"max_sd_m": -0.1}, "max_sd_m must be greater than 0 mm, not -100."),
+        ({"max_gap_s": float("nan")}, "max_gap_s must be greater than 0 s, not nan."),
+        ({"prior_scale": float("inf")}, "prior_scale must be greater than 0 and finite, not inf."),
+        ({"floor_height_m": float("nan")}, "floor_height_m must be finite, not nan."),
+        ({"output_rate_hz": 2000.0}, "output_rate_hz must be greater than 0 Hz and at most 1000 Hz, not 2000."),
+        ({"max_rounds": 0}, "max_rounds must be at least 1, not 0."),
+        ({"method": "hybrik"}, "method must be one of hybrik-x, hybrik-adaptive, "),
+        ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
+        ({"extra_formats": ("avi",)}, "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, not 'avi'."),
+        ({"max_gap": 1.0}, "max_gap is no option; the options are up_axis, "),
+    ],
+)
+def test_wrong_value_is_named(values, message):
+    with pytest.raises(OptionError, match=re.escape(message)):
+        build_clean_options(**values)
