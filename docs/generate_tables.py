@@ -1,0 +1,61 @@
+"""Write the generated tables of the documentation: `python docs/generate_tables.py`.
+
+A table stands between `<!-- NAME -->` and `<!-- end -->`. A test checks that the committed tables are up to date.
+"""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+from mocapfix.options import CleanOptions, Option, list_options
+
+DOCS = Path(__file__).parent
+
+
+def build_option_table() -> str:
+    """Return one table of all options for each stage."""
+    tables: list[str] = []
+    for stage in fields(CleanOptions):
+        options = stage.default
+        title = (type(options).__doc__ or "").strip().rstrip(".")
+        tables.append(f"### {title}\n")
+        tables.append("| flag | Python | job file | default | meaning |\n|---|---|---|---|---|")
+        for name, option in list_options(type(options)):
+            flags = ", ".join(f"`{flag}`" for flag in (option.flag, *option.aliases))
+            job_key = f"`{option.job_key}`" if option.job_key else ""
+            default = format_default(getattr(options, name), option)
+            tables.append(f"| {flags} | `{name}` | {job_key} | {default} | {option.help.replace('|', '&#124;')} |")
+        tables.append("")
+    return "\n".join(tables).rstrip()
+
+
+def format_default(value: object, option: Option) -> str:
+    """Return the default in the unit that users see."""
+    if option.default_text:
+        return option.default_text
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    values = value if isinstance(value, tuple) else (value,)
+    texts = [f"{option.to_display(each):g}" if isinstance(each, int | float) else str(each) for each in values]
+    return " ".join([", ".join(texts), option.unit]).strip()
+
+
+TABLES = {"options": build_option_table}
+
+
+def fill_tables(text: str) -> str:
+    """Return a page with its generated tables replaced."""
+    for name, build in TABLES.items():
+        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
+        text = re.sub(pattern, lambda match: f"{match[1]}\n{build()}\n\n{match[2]}", text, flags=re.DOTALL)  # noqa: B023
+    return text
+
+
+def main() -> None:
+    for page in sorted(DOCS.glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        page.write_text(fill_tables(text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
