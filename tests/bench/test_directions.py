@@ -11,13 +11,13 @@ from mocapfix.bench import scope_scenes
 from mocapfix.bench.common_task import build_common_task
 from mocapfix.bench.dense_solver import DenseSolver
 from mocapfix.bench.scope_scenes import ScopeScene
-from tests.kernels.dense_oracle import Frame, quadratic
+from tests.kernels.dense_oracle import Frame, compute_quadratic
 
 
 def numeric(scene: ScopeScene) -> np.ndarray:
     """-> the Gauss-Newton step x (6 + 3 K + P,) from derivatives by finite differences."""
     pose = scene.pose
-    _, gradient, curvature = quadratic(Frame(scene.tree, scene.terms, pose.root, pose.local, pose.shared))
+    _, gradient, curvature = compute_quadratic(Frame(scene.tree, scene.terms, pose.root, pose.local, pose.shared))
     return -np.linalg.solve(curvature, gradient)
 
 

@@ -1,4 +1,4 @@
-"""What frames say of bones and marker places, against a dense Schur complement and the cost itself."""
+"""Responses to shape unknowns against a dense Schur complement and against the cost."""
 
 import numpy as np
 import pytest
@@ -17,9 +17,9 @@ MARKERS = 9
 
 
 def shared(seed, joints, hidden=()):
-    """-> a random frame of markers that weigh alike and pulls, and deformations in which its offsets and places change"""
+    """Return a random frame of markers that weigh alike and pulls, and deformations in which its offsets and places change"""
     rng = np.random.default_rng(seed)
-    frame = random_terms.frame(rng, joints, random_terms.FEW)
+    frame = random_terms.draw_frame(rng, joints, random_terms.SOLVER_KINDS)
     points, *pulls = frame.terms
     weight = np.full((1, MARKERS), SD**-2)
     weight[:, list(hidden)] = 0.0
@@ -30,7 +30,7 @@ def shared(seed, joints, hidden=()):
 
 
 def changed(frame, deformations, unknowns):
-    """-> the frame on a body whose shared unknowns (Q,) are moved"""
+    """Return the frame on a body whose shared unknowns (Q,) are moved"""
     points, course, targets, limits = frame.terms
     offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], deformations.joint_offsets, 1)
     own = COUNT + 3 * MARKERS
@@ -42,12 +42,12 @@ def changed(frame, deformations, unknowns):
 
 
 def count(frame):
-    """-> Q"""
+    """Return Q"""
     return COUNT + 3 * MARKERS + 3 * (int(frame.tree.free.sum()) - 1)
 
 
 def problem_of(frame, frames=1):
-    """-> the same as the pose problem of a take that repeats the frame"""
+    """Return the same as the pose problem of a take that repeats the frame"""
     points, _, prior, limits = frame.terms
     markers, listened = np.tile(points.measured, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
     return PoseProblem(frame.tree, MarkerAttachment(points.joints, points.offsets), markers, listened, SD, prior, limits)
@@ -59,30 +59,32 @@ def respond(frame, deformations, scale, frames=1):
 
 
 def trusted(frame, scale):
-    """-> the frame with robust weights instead of a robust cost"""
+    """Return the frame with robust weights instead of a robust cost"""
     points, *pulls = frame.terms
-    square = points.weight[0] * ((dense_oracle.placed(points.joints, points.offsets, at(frame)) - points.measured[0]) ** 2).sum(1)
-    trust = dense_oracle.loss(points.loss, square, (scale / SD) ** 2)[1]
-    return frame._replace(terms=(points._replace(weight=points.weight * trust), *pulls))
+    square = points.weight[0] * (
+        (dense_oracle.compute_point_positions(points.joints, points.offsets, at(frame)) - points.measured[0]) ** 2
+    ).sum(1)
+    inlier_weight = dense_oracle.compute_loss(points.loss, square, (scale / SD) ** 2)[1]
+    return frame._replace(terms=(points._replace(weight=points.weight * inlier_weight), *pulls))
 
 
 def at(frame):
-    return dense_oracle.world(*frame[:1], *frame[2:])
+    return dense_oracle.compute_world(*frame[:1], *frame[2:])
 
 
 def jacobian(frame, deformations):
-    """-> (rows, Q + N) of all residuals, shared unknowns first, then the pose's; and the residuals (rows,)"""
-    unknowns, pose = count(frame), dense_oracle.unknowns(frame)
+    """Return (rows, Q + N) of all residuals, shared unknowns first, then the pose's; and the residuals (rows,)"""
+    unknowns, pose = count(frame), dense_oracle.count_unknowns(frame)
 
     def residual(x):
-        after = dense_oracle.moved(changed(frame, deformations, x[:unknowns]), x[unknowns:])
-        return np.concatenate([dense_oracle.residual(term, at(after)).ravel() for term in after.terms])
+        after = dense_oracle.apply_change(changed(frame, deformations, x[:unknowns]), x[unknowns:])
+        return np.concatenate([dense_oracle.compute_residual(term, at(after)).ravel() for term in after.terms])
 
-    return dense_oracle.jacobian(residual, unknowns + pose), residual(np.zeros(unknowns + pose))
+    return dense_oracle.compute_jacobian(residual, unknowns + pose), residual(np.zeros(unknowns + pose))
 
 
-def loose(slope, unknowns):
-    """-> (N, Q) how the pose gives way to the shared unknowns"""
+def compute_adaptation(slope, unknowns):
+    """Return the response (N, Q) of the pose to the shared unknowns."""
     of_pose = slope[:, unknowns:]
     return -np.linalg.solve(of_pose.T @ of_pose + DAMPING * np.eye(of_pose.shape[1]), of_pose.T @ slope[:, :unknowns])
 
@@ -95,25 +97,25 @@ def test_elimination_equals_a_dense_schur_complement(seed, joints, scale):
     curvature, gradient = reduce_shared_equations(found)
     slope, residuals = jacobian(trusted(frame, scale), deformations)
     unknowns = len(gradient)
-    through = slope[:, :unknowns] + slope[:, unknowns:] @ loose(slope, unknowns)
+    through = slope[:, :unknowns] + slope[:, unknowns:] @ compute_adaptation(slope, unknowns)
     expected, fall = slope[:, :unknowns].T @ through, through.T @ residuals
     np.testing.assert_allclose(curvature, expected, atol=1e-6 * np.abs(expected).max())
     np.testing.assert_allclose(gradient, fall, atol=1e-6 * np.abs(fall).max())
-    assert found.cost[0] == pytest.approx(dense_oracle.cost(frame, (scale / SD) ** 2))
+    assert found.cost[0] == pytest.approx(dense_oracle.compute_cost(frame, (scale / SD) ** 2))
 
 
 def test_responses_equal_the_adapted_poses_motion():
     frame, deformations = shared(3, 5, hidden=[4])
     found, (slope, _) = respond(frame, deformations, PLAIN), jacobian(frame, deformations)
     unknowns = found.joint_response.shape[1]
-    give = np.r_[np.eye(unknowns), loose(slope, unknowns)]
+    adaptation = np.r_[np.eye(unknowns), compute_adaptation(slope, unknowns)]
 
     def placed(x):
-        after = dense_oracle.moved(changed(frame, deformations, x[:unknowns]), x[unknowns:])
+        after = dense_oracle.apply_change(changed(frame, deformations, x[:unknowns]), x[unknowns:])
         points, there = after.terms[0], at(after)
-        return np.r_[there.position, dense_oracle.placed(points.joints, points.offsets, there)]
+        return np.r_[there.position, dense_oracle.compute_point_positions(points.joints, points.offsets, there)]
 
-    moves = np.moveaxis(dense_oracle.jacobian(placed, len(give)) @ give, -1, 0)
+    moves = np.moveaxis(dense_oracle.compute_jacobian(placed, len(adaptation)) @ adaptation, -1, 0)
     np.testing.assert_allclose(found.joint_response[0], moves[:, :5], atol=1e-6)
     rotation = at(frame).rotation[frame.terms[0].joints]
     np.testing.assert_allclose(found.marker_response[0, :-1], np.einsum("kba,qkb->qka", rotation, moves[:, 5:]), atol=1e-6)
@@ -129,7 +131,7 @@ def test_gradient_is_that_of_the_minimised_cost():
         return respond(trial._replace(root=root[0], local=local[0]), deformations, PLAIN)
 
     unknowns = count(frame)
-    slope = dense_oracle.jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
+    slope = dense_oracle.compute_jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
     gradient = reduce_shared_equations(solved(np.zeros(unknowns)))[1]
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=0.02 * np.abs(slope).max())
 
@@ -137,7 +139,7 @@ def test_gradient_is_that_of_the_minimised_cost():
 def test_repeated_frames_add_up():
     frame, deformations = shared(8, 3)
     one, three = respond(frame, deformations, PLAIN), respond(frame, deformations, PLAIN, frames=3)
-    np.testing.assert_allclose(three.cost, np.full(3, dense_oracle.cost(frame)))
+    np.testing.assert_allclose(three.cost, np.full(3, dense_oracle.compute_cost(frame)))
     for once, thrice in zip(reduce_shared_equations(one), reduce_shared_equations(three), strict=True):
         np.testing.assert_allclose(thrice, 3 * once, rtol=1e-9, atol=1e-9 * np.abs(once).max())
 

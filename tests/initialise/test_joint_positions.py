@@ -44,7 +44,7 @@ def posed(rng, frames):
         if BODY.free_joints[j]:
             turn = rng.multivariate_normal(np.zeros(3), np.linalg.inv(MEAN.information[j]), frames)
             local[:, j] = Rotation.from_rotvec(turn).as_matrix() @ local[:, j]
-    local[:, 0] = random_terms.rotations(rng, frames)
+    local[:, 0] = random_terms.draw_rotations(rng, frames)
     zeros, none = np.zeros(frames, int), np.zeros((frames, 0))
     return kinematics.compute_joint_and_marker_positions(
         NOMINAL, Motion(rng.normal(0, 2, (frames, 3)), local, zeros, zeros, none, none)
@@ -67,7 +67,7 @@ def test_moving_a_frame_moves_its_joints_and_changes_no_deviation(seed):
     _, markers = posed(rng, 3)
     markers += rng.normal(0, 0.01, markers.shape)
     markers[rng.random(markers.shape[:2]) < 0.2] = np.nan
-    turn, way = random_terms.rotations(rng, 1)[0], rng.normal(0, 2, 3)
+    turn, way = random_terms.draw_rotations(rng, 1)[0], rng.normal(0, 2, 3)
     here, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     there, as_sure, _ = estimate_joint_positions(take_of(markers @ turn.T + way), NOMINAL, BODY)
     np.testing.assert_allclose(there, here @ turn.T + way, atol=1e-6)
@@ -123,7 +123,7 @@ def test_a_marker_far_off_is_outvoted(label):
     rng = np.random.default_rng(5)
     joints, markers = posed(rng, 100)
     whole, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
-    markers[:, WORN.labels.index(label)] += 0.2 * random_terms.units(rng, 100)
+    markers[:, WORN.labels.index(label)] += 0.2 * random_terms.draw_units(rng, 100)
     found, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     moved = np.linalg.norm(found - whole, axis=-1)
     assert np.quantile(moved, 0.95) < 0.03

@@ -1,4 +1,4 @@
-"""The first pose: exact where the markers say all, sane where they do not."""
+"""Initial poses by registration: exact with all markers, valid with few."""
 
 from dataclasses import replace
 
@@ -16,34 +16,36 @@ from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from tests.kernels import random_terms
 
-BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
-NOMINAL = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
+NOMINAL = Subject(
+    BODY.skeleton, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, MARKER_SET.marker_spread
+)
 CHEST = BODY.skeleton.find_joint("Spine1")
-TRUNK = np.isin(WORN.joints, [0, CHEST])
+TRUNK = np.isin(MARKER_SET.joints, [0, CHEST])
 seeds = st.integers(0, 2**32 - 1)
 
 
-def standing(root, turn, wearer=NOMINAL):
-    """-> joints (T, J, 3), rotations (T, J, 3, 3) and markers (T, K, 3) of somebody in the mean pose, moved rigidly"""
+def simulate_standing(root, turn, subject=NOMINAL):
+    """Return joints (T, J, 3), rotations (T, J, 3, 3) and markers (T, K, 3) of a person in the mean pose, moved rigidly."""
     local = np.tile(MEAN.mean_rotations, (len(root), 1, 1, 1))
     local[:, 0] = turn
     zeros = np.zeros(len(root), int)
     motion = Motion(root, local, zeros, zeros, np.zeros((len(root), 0)), np.zeros((len(root), 0)))
-    return *kinematics.compute_world_poses(BODY.skeleton, motion), kinematics.compute_joint_and_marker_positions(wearer, motion)[
+    return *kinematics.compute_world_poses(BODY.skeleton, motion), kinematics.compute_joint_and_marker_positions(subject, motion)[
         1
     ]
 
 
-def posed(markers):
+def register(markers):
     return register_poses(NOMINAL, BODY.free_joints, MEAN, markers)
 
 
 @given(seeds)
 def test_rigid_motion_is_recovered_exactly(seed):
     rng = np.random.default_rng(seed)
-    position, rotation, markers = standing(rng.normal(0, 3, (4, 3)), random_terms.rotations(rng, 4))
-    found = posed(markers)
+    position, rotation, markers = simulate_standing(rng.normal(0, 3, (4, 3)), random_terms.draw_rotations(rng, 4))
+    found = register(markers)
     world = kinematics.compute_world_poses(BODY.skeleton, found)
     np.testing.assert_allclose(world[0], position, atol=1e-9)
     np.testing.assert_allclose(world[1], rotation, atol=1e-8)
@@ -51,8 +53,8 @@ def test_rigid_motion_is_recovered_exactly(seed):
 
 def test_coplanar_trunk_is_not_reflected():
     flat = replace(NOMINAL, marker_offsets=np.where(TRUNK[:, None], NOMINAL.marker_offsets * [1, 1, 0], NOMINAL.marker_offsets))
-    turn = random_terms.rotations(np.random.default_rng(1), 1)
-    position, _, markers = standing(np.ones((1, 3)), turn, flat)
+    turn = random_terms.draw_rotations(np.random.default_rng(1), 1)
+    position, _, markers = simulate_standing(np.ones((1, 3)), turn, flat)
     found = register_poses(flat, BODY.free_joints, MEAN, markers)
     np.testing.assert_allclose(np.linalg.det(found.local_rotations), 1.0)
     np.testing.assert_allclose(kinematics.compute_world_poses(BODY.skeleton, found)[0], position, atol=1e-6)
@@ -60,12 +62,12 @@ def test_coplanar_trunk_is_not_reflected():
 
 def test_frame_without_trunk_interpolates_the_root():
     rng = np.random.default_rng(2)
-    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), random_terms.rotations(rng, 1).repeat(11, 0)
-    turn[8:] = random_terms.rotations(rng, 1)
-    _, _, markers = standing(root, turn)
+    root, turn = np.linspace([0, 1, 0], [1, 1, 2], 11), random_terms.draw_rotations(rng, 1).repeat(11, 0)
+    turn[8:] = random_terms.draw_rotations(rng, 1)
+    _, _, markers = simulate_standing(root, turn)
     markers[3:8, TRUNK] = np.nan
     markers[:2] = np.nan
-    found = posed(markers)
+    found = register(markers)
     np.testing.assert_allclose(found.root_position[2:], root[2:], atol=1e-9)  # along the straight line
     np.testing.assert_allclose(found.root_position[:2], root[[2, 2]], atol=1e-9)
     nearest = np.array([2, 2, 2, 2, 2, 2, 8, 8, 8, 9, 10])
@@ -74,9 +76,9 @@ def test_frame_without_trunk_interpolates_the_root():
 
 @pytest.mark.parametrize("left", [0, 1, 2])
 def test_few_markers_still_give_rotations(left):
-    markers = standing(np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))[2]
+    markers = simulate_standing(np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)))[2]
     markers[:, left:] = np.nan
-    found = posed(markers)
+    found = register(markers)
     assert np.isfinite(found.root_position).all()
     np.testing.assert_allclose(np.linalg.det(found.local_rotations), 1.0)
 
@@ -84,9 +86,9 @@ def test_few_markers_still_give_rotations(left):
 def test_marker_on_a_fixed_joint_is_ignored():
     toe = BODY.skeleton.find_joint("LeftToeBase")
     assert not BODY.free_joints[toe]
-    shod = replace(NOMINAL, joints=np.r_[NOMINAL.joints, toe], marker_offsets=np.r_[NOMINAL.marker_offsets, [[0, 0, 0.05]]])
-    position, _, markers = standing(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), shod)
-    found = register_poses(shod, BODY.free_joints, MEAN, markers)
+    with_toe = replace(NOMINAL, joints=np.r_[NOMINAL.joints, toe], marker_offsets=np.r_[NOMINAL.marker_offsets, [[0, 0, 0.05]]])
+    position, _, markers = simulate_standing(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), with_toe)
+    found = register_poses(with_toe, BODY.free_joints, MEAN, markers)
     np.testing.assert_allclose(kinematics.compute_world_poses(BODY.skeleton, found)[0], position, atol=1e-6)
 
 

@@ -124,7 +124,7 @@ def test_frames_do_not_matter_to_one_another():
 @given(st.integers(0, 2**32 - 1))
 def test_place_and_heading_do_not_matter(seed):
     rng = np.random.default_rng(seed)
-    positions, turn, way = rng.normal(size=(3, 31, 3)), random_terms.rotations(rng, 1)[0], rng.normal(0, 5, 3)
+    positions, turn, way = rng.normal(size=(3, 31, 3)), random_terms.draw_rotations(rng, 1)[0], rng.normal(0, 5, 3)
     still = load_shipped_regressor().predict_twists(positions, upright(3))
     np.testing.assert_allclose(
         load_shipped_regressor().predict_twists(positions @ turn.T + way, np.tile(turn, (3, 1, 1))), still, atol=1e-2

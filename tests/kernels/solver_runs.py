@@ -1,4 +1,4 @@
-"""The kernels' own work on a frame as the oracle draws it."""
+"""The kernels applied to the frames of the reference implementation."""
 
 import numpy as np
 
@@ -13,30 +13,30 @@ from mocapfix.solve.parallel import run_over_frames
 from tests.kernels.dense_oracle import Frame
 
 
-def worked(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, SolveWorkspace]:
-    """-> cost, and the workspace with the model of the frame's terms at its pose."""
+def build_workspace(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, SolveWorkspace]:
+    """Return cost, and the workspace with the model of the frame's terms at its pose."""
     work = allocate_workspace(len(frame.local), len(frame.shared), count_rows(frame.terms))
     work.pose.root[:], work.pose.local[:], work.pose.shared[:] = frame.root, frame.local, frame.shared
     compute_forward_kinematics(frame.tree, work.pose)
     return linearise_terms(frame.tree, frame.terms, t, float(scale2), work.pose, work.equations), work
 
 
-def linearised(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, NormalEquations]:
-    """-> cost, and the model."""
-    cost, work = worked(frame, scale2, t)
+def build_equations(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[float, NormalEquations]:
+    """Return cost, and the model."""
+    cost, work = build_workspace(frame, scale2, t)
     return cost, work.equations
 
 
-def solved(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
-    """-> root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
+def solve_frames_from(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
+    """Return root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
     root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
-    ends = followed(
+    ends = solve_in_order(
         frame_order.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
     )
     return root, local, shared, *ends
 
 
-def followed(
+def solve_in_order(
     order: frame_order.SolveOrder, tree: KinematicTree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50
 ):
     """Solve poses in place, as a plan says. -> status (T,), iterations (T,), -1 for frames that are not in the plan"""
@@ -48,8 +48,8 @@ def followed(
     return status, iterations
 
 
-def foretold(frame: Frame, scale2: float, root=None, local=None, shared=None):
-    """-> standard deviation of markers (T, K) and of joints' places (T, J), variance of joints' turns (T, J) and of the root's
+def compute_uncertainty(frame: Frame, scale2: float, root=None, local=None, shared=None):
+    """Return standard deviation of markers (T, K) and of joints' places (T, J), variance of joints' turns (T, J) and of the root's
     place (T,), at the frame's pose or at others.
     """
     given = zip(frame[2:], (root, local, shared), strict=True)

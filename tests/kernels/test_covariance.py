@@ -9,23 +9,27 @@ from mocapfix.kernels.sweep import MIN_INFORMATION
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
-from tests.kernels.solver_runs import foretold, solved, worked
+from tests.kernels.solver_runs import build_workspace, compute_uncertainty, solve_frames_from
 
 PLAIN = np.array([np.inf])
 ROUNDING = np.finfo(float).eps
 
 
 def spread(frame, scale2):
-    """-> the same as `foretold`, from the inverse of the whole curvature; and its condition"""
-    _, work = worked(frame, scale2)
-    curvature = dense_oracle.assembled(frame.tree, work.equations)[1] + MIN_INFORMATION * np.eye(dense_oracle.unknowns(frame))
-    inverse, (twist, turn, _) = np.linalg.inv(curvature), dense_oracle.twists(frame.tree, work.equations)
+    """Return the same as `predicted`, from the inverse of the whole curvature; and its condition"""
+    _, work = build_workspace(frame, scale2)
+    curvature = dense_oracle.assemble_equations(frame.tree, work.equations)[1] + MIN_INFORMATION * np.eye(
+        dense_oracle.count_unknowns(frame)
+    )
+    inverse, (twist, turn, _) = np.linalg.inv(curvature), dense_oracle.compute_twist_maps(frame.tree, work.equations)
     turn[0], points = twist[0, :3], frame.terms[0]
-    at = dense_oracle.world(*frame[:1], *frame[2:])
+    at = dense_oracle.compute_world(*frame[:1], *frame[2:])
 
     def shift(bodies, places):
-        arms = dense_oracle.placed(bodies, places, at) - at.position[0]
-        return np.stack([twist[j, 3:] - dense_oracle.cross(x) @ twist[j, :3] for j, x in zip(bodies, arms, strict=True)])
+        arms = dense_oracle.compute_point_positions(bodies, places, at) - at.position[0]
+        return np.stack(
+            [twist[j, 3:] - dense_oracle.build_cross_matrix(x) @ twist[j, :3] for j, x in zip(bodies, arms, strict=True)]
+        )
 
     every = np.arange(len(frame.local))
     each = shift(points.joints, points.offsets), shift(every, np.zeros((len(every), 3))), turn, twist[:1, 3:]
@@ -35,26 +39,26 @@ def spread(frame, scale2):
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.sampled_from([(0, 0), (4, 0), (0, 5)]), st.sampled_from([np.inf, 9.0]))
 def test_variances_equal_the_dense_inverse(seed, joints, unknowns, scale2):
-    frame = random_terms.frame(np.random.default_rng(seed), joints, shapes=unknowns[0], codes=unknowns[1])
+    frame = random_terms.draw_frame(np.random.default_rng(seed), joints, shapes=unknowns[0], codes=unknowns[1])
     expected, condition = spread(frame, scale2)
-    for found, should in zip(foretold(frame, scale2), expected, strict=True):
+    for found, should in zip(compute_uncertainty(frame, scale2), expected, strict=True):
         np.testing.assert_allclose(found[0], should, rtol=1e-6, atol=10 * ROUNDING * condition * should.max())
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
 def test_variances_with_few_terms(seed, joints):
     """Much is held by next to nothing, 1e7 times less than the rest: digits are lost on the way down the tree."""
-    frame = random_terms.frame(np.random.default_rng(seed), joints, ["points", "latent"], codes=2)
+    frame = random_terms.draw_frame(np.random.default_rng(seed), joints, ["points", "latent_code"], codes=2)
     frame.terms[0].weight[:, 2:] = 0.0
     expected, _ = spread(frame, np.inf)
-    for found, should in zip(foretold(frame, np.inf), expected, strict=True):
+    for found, should in zip(compute_uncertainty(frame, np.inf), expected, strict=True):
         np.testing.assert_allclose(found[0], should, rtol=1e-4, atol=1e-5 * should.max())
 
 
 def test_errors_are_as_large_as_predicted():
     """Poses drawn from the prior, their markers with noise and some of them hidden: the solve's errors have its own spread."""
     rng, frames, joints = np.random.default_rng(6), 500, 7
-    frame = random_terms.frame(rng, joints, [])
+    frame = random_terms.draw_frame(rng, joints, [])
     body, (root_sd, joint_sd, noise) = frame.tree, (0.02, 0.05, 0.004)
     vectors, shifts = rng.normal(0, joint_sd, (frames, joints, 3)), rng.normal(0, root_sd, (frames, 3))
     vectors[:, ~body.free] = 0.0
@@ -63,10 +67,15 @@ def test_errors_are_as_large_as_predicted():
     on, places = np.repeat(np.arange(joints), 3), rng.normal(0, 0.15, (3 * joints, 3))
 
     def carried(root, local):
-        return np.stack([dense_oracle.placed(on, places, dense_oracle.world(body, *pose)) for pose in zip(root, local, strict=True)])
+        return np.stack(
+            [
+                dense_oracle.compute_point_positions(on, places, dense_oracle.compute_world(body, *pose))
+                for pose in zip(root, local, strict=True)
+            ]
+        )
 
     def joints_of(root, local):
-        return np.stack([dense_oracle.world(body, *pose).position for pose in zip(root, local, strict=True)])
+        return np.stack([dense_oracle.compute_world(body, *pose).position for pose in zip(root, local, strict=True)])
 
     truth = carried(root, local)
     weight = np.full(truth.shape[:2], noise**-2)
@@ -74,10 +83,10 @@ def test_errors_are_as_large_as_predicted():
     seen = random_terms.PointTerm(on, places, truth + rng.normal(0, noise, truth.shape), weight)
     weight = np.full((1, joints), joint_sd**-2)
     prior = TrackingTerm(frame.local[None].copy(), weight, frame.root[None].copy(), np.array([root_sd**-2]))
-    problem = frame._replace(terms=random_terms.terms(joints, frames, points=seen, courses=prior))
-    root_found, found, shared, status, _ = solved(problem, PLAIN, frames)
+    problem = frame._replace(terms=random_terms.build_terms(joints, frames, points=seen, tracking=prior))
+    root_found, found, shared, status, _ = solve_frames_from(problem, PLAIN, frames)
     assert (status == FrameStatus.CONVERGED).all()
-    marker_sd, joint_sd, joint_var, root_var = foretold(problem, np.inf, root_found, found, shared)
+    marker_sd, joint_sd, joint_var, root_var = compute_uncertainty(problem, np.inf, root_found, found, shared)
 
     def agree(errors, sd):
         np.testing.assert_allclose(np.sqrt((errors**2).mean((0, -1))), np.sqrt((sd**2).mean(0)), rtol=0.15)

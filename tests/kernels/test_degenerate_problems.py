@@ -1,22 +1,22 @@
-"""Input that says little or cannot be gets a status and a finite pose, never a NaN or an exception."""
+"""Degenerate or invalid input gets a status and a finite pose, never NaN or an exception."""
 
 import numpy as np
 import pytest
 
 from mocapfix.motion import FrameStatus
 from tests.kernels import dense_oracle, random_terms
-from tests.kernels.solver_runs import foretold, solved
+from tests.kernels.solver_runs import compute_uncertainty, solve_frames_from
 
 FRAMES = 8
 ROBUST = np.array([400.0, 25.0])
 
 
 def usual(rng):
-    return random_terms.tree(rng, 8)
+    return random_terms.draw_tree(rng, 8)
 
 
 def one_joint(rng):
-    return random_terms.tree(rng, 1)
+    return random_terms.draw_tree(rng, 1)
 
 
 def without_length(rng):
@@ -24,11 +24,13 @@ def without_length(rng):
 
 
 def strange(rng, tree, markers_each=3):
-    """-> a frame's body and pose, and FRAMES frames of markers that each say something strange; see the comments"""
+    """Return a frame's body and pose, and FRAMES frames of markers that each say something strange; see the comments"""
     joints = np.repeat(np.arange(len(tree.parents)), markers_each)
-    frame = dense_oracle.Frame(tree, (), rng.normal(0, 1.0, 3), random_terms.rotations(rng, len(tree.parents)), np.zeros(0))
+    frame = dense_oracle.Frame(tree, (), rng.normal(0, 1.0, 3), random_terms.draw_rotations(rng, len(tree.parents)), np.zeros(0))
     places = rng.normal(0, 0.15, (len(joints), 3))
-    sound = dense_oracle.placed(joints, places, dense_oracle.world(*frame[:1], *frame[2:])) + rng.normal(0, 0.01, (len(joints), 3))
+    sound = dense_oracle.compute_point_positions(joints, places, dense_oracle.compute_world(*frame[:1], *frame[2:])) + rng.normal(
+        0, 0.01, (len(joints), 3)
+    )
     seen, weight = np.tile(sound, (FRAMES, 1, 1)), np.full((FRAMES, len(joints)), 1e4)
     weight[0], seen[0] = 0.0, np.nan  # no marker, and whatever in its place
     weight[1, 1:] = 0.0  # one marker
@@ -45,7 +47,9 @@ def assert_finite(frame, ends):
     """The ends of all frames are poses with a status."""
     root, local, _, status, _ = ends
     joints, fixed = len(frame.local), ~frame.tree.free
-    assert np.isin(status, [FrameStatus.CONVERGED, FrameStatus.ITERATION_LIMIT, FrameStatus.EXACT, FrameStatus.UNCONSTRAINED]).all()
+    assert np.isin(
+        status, [FrameStatus.CONVERGED, FrameStatus.ITERATION_LIMIT, FrameStatus.EXACT, FrameStatus.UNCONSTRAINED]
+    ).all()
     assert np.isfinite(root).all()
     np.testing.assert_allclose(local @ np.swapaxes(local, 2, 3), np.tile(np.eye(3), (FRAMES, joints, 1, 1)), atol=1e-12)
     np.testing.assert_array_equal(local[:, fixed], np.tile(frame.local[fixed], (FRAMES, 1, 1, 1)))
@@ -60,9 +64,9 @@ def test_frames_with_degenerate_markers(body, scales2, held):
     said: dict = {"points": points}
     if held:
         eye = np.tile(np.eye(3), (1, joints, 1, 1))
-        said["targets"] = random_terms.PosePriorTerm(eye, eye / 9)
-    frame = frame._replace(terms=random_terms.terms(joints, FRAMES, **said))
-    ends = solved(frame, scales2, FRAMES, most=12)
+        said["pose_prior"] = random_terms.PosePriorTerm(eye, eye / 9)
+    frame = frame._replace(terms=random_terms.build_terms(joints, FRAMES, **said))
+    ends = solve_frames_from(frame, scales2, FRAMES, most=12)
     assert_finite(frame, ends)
     root, local, shared, status, _ = ends
     if held:
@@ -73,10 +77,12 @@ def test_frames_with_degenerate_markers(body, scales2, held):
         np.testing.assert_array_equal(root[0], frame.root)
     unheard = points._replace(weight=points.weight.copy())
     unheard.weight[4:7, :1] = 0.0
-    again = solved(frame._replace(terms=random_terms.terms(joints, FRAMES, **said | {"points": unheard})), scales2, FRAMES, most=12)
+    again = solve_frames_from(
+        frame._replace(terms=random_terms.build_terms(joints, FRAMES, **said | {"points": unheard})), scales2, FRAMES, most=12
+    )
     for found, expected in zip(ends, again, strict=True):
         np.testing.assert_array_equal(found[4:7], expected[4:7])
-    sure = foretold(frame, scales2[-1], root, local, shared)
+    sure = compute_uncertainty(frame, scales2[-1], root, local, shared)
     assert all(np.isfinite(each).all() for each in sure)
     assert all((each >= 0).all() for each in sure)
     assert sure[3][0] == pytest.approx(1e3)  # without a marker the root may be anywhere
@@ -85,11 +91,11 @@ def test_frames_with_degenerate_markers(body, scales2, held):
 @pytest.mark.parametrize("body", [usual, one_joint])
 def test_body_without_markers(body):
     frame, points = strange(np.random.default_rng(6), body(np.random.default_rng(7)), markers_each=0)
-    frame = frame._replace(terms=random_terms.terms(len(frame.local), FRAMES, points=points))
-    ends = solved(frame, ROBUST, FRAMES)
+    frame = frame._replace(terms=random_terms.build_terms(len(frame.local), FRAMES, points=points))
+    ends = solve_frames_from(frame, ROBUST, FRAMES)
     assert_finite(frame, ends)
     assert (ends[3] == FrameStatus.UNCONSTRAINED).all()
-    sure = foretold(frame, np.inf, *ends[:3])
+    sure = compute_uncertainty(frame, np.inf, *ends[:3])
     assert sure[0].shape == (FRAMES, 0)
     np.testing.assert_allclose(sure[1][:, 0], np.sqrt(1e3))
     assert (sure[1] >= np.sqrt(1e3) * (1 - 1e-9)).all()  # the farther out the less sure, for their bones may be turned anywhere
@@ -101,13 +107,13 @@ def test_all_markers_of_a_joint_at_its_origin():
     """They say where it is, nothing of how it is turned."""
     frame, points = strange(np.random.default_rng(8), usual(np.random.default_rng(9)))
     points.offsets[:] = 0.0
-    frame = frame._replace(terms=random_terms.terms(8, FRAMES, points=points))
-    assert_finite(frame, solved(frame, ROBUST, FRAMES))
+    frame = frame._replace(terms=random_terms.build_terms(8, FRAMES, points=points))
+    assert_finite(frame, solve_frames_from(frame, ROBUST, FRAMES))
 
 
 @pytest.mark.parametrize("nowhere", [np.nan, np.inf])
 def test_start_that_is_not_finite_is_unconstrained(nowhere):
     frame, points = strange(np.random.default_rng(10), usual(np.random.default_rng(11)))
-    frame = frame._replace(terms=random_terms.terms(8, FRAMES, points=points))
-    *_, status, _ = solved(frame, ROBUST, FRAMES, start=(np.full(3, nowhere), frame.local, np.zeros(0)))
+    frame = frame._replace(terms=random_terms.build_terms(8, FRAMES, points=points))
+    *_, status, _ = solve_frames_from(frame, ROBUST, FRAMES, start=(np.full(3, nowhere), frame.local, np.zeros(0)))
     assert (status == FrameStatus.UNCONSTRAINED).all()

@@ -27,7 +27,7 @@ def vector_of(matrix):
 
 
 def jacobian_inverse(vector):
-    """-> (3, 3) at the rotation of a vector no longer than half a turn"""
+    """Return (3, 3) at the rotation of a vector no longer than half a turn"""
     return np.reshape(lie.compute_left_jacobian_inverse(*lie.compute_logarithm(numbers(turned(vector)))), (3, 3))
 
 
@@ -91,7 +91,7 @@ def test_retraction_agrees_with_the_exponential_to_second_order(seed):
 def test_left_jacobian_inverse_is_the_logarithms_derivative(angle, seed):
     vector = of(angle, seed)
     there = turned(vector)
-    found = dense_oracle.jacobian(lambda d: vector_of(turned(d) @ there), 3)
+    found = dense_oracle.compute_jacobian(lambda d: vector_of(turned(d) @ there), 3)
     np.testing.assert_allclose(jacobian_inverse(vector), found, atol=1e-8)
 
 
@@ -101,7 +101,7 @@ def test_left_jacobian_inverse_is_finite_at_a_half_turn():
 
 
 def test_orthonormalisation_corrects_a_drifted_rotation():
-    drifted = random_terms.rotations(np.random.default_rng(1), 1)[0]
+    drifted = random_terms.draw_rotations(np.random.default_rng(1), 1)[0]
     worse = drifted + np.random.default_rng(2).normal(0, 1e-4, (3, 3))
     mended = np.reshape(lie.orthonormalise_rotation(numbers(worse)), (3, 3))
     np.testing.assert_allclose(mended @ mended.T, np.eye(3), atol=1e-15)
@@ -110,7 +110,7 @@ def test_orthonormalisation_corrects_a_drifted_rotation():
 
 
 def leant(vector):
-    """-> x, z and the derivative (3, 3) of a tilt"""
+    """Return x, z and the derivative (3, 3) of a tilt"""
     x, z, slopes = lie.compute_tilt(numbers(turned(vector)))
     return np.array([x, 0.0, z]), np.reshape(slopes, (3, 3))
 
@@ -132,7 +132,7 @@ def test_tilt_derivative_is_to_a_rotation_in_the_rotated_axes(angle, seed):
         x, z, _ = lie.compute_tilt(numbers(there @ turned(k)))
         return np.array([x, 0.0, z])
 
-    expected = dense_oracle.jacobian(after, 3)
+    expected = dense_oracle.compute_jacobian(after, 3)
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 

@@ -1,4 +1,4 @@
-"""Quaternions over time, held against scipy, and that they run on without flips."""
+"""Quaternions over time against scipy, and their continuity."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ HALF_TURNS = [(np.pi, 0, 0), (0, np.pi, 0), (0, 0, -np.pi), (np.pi / np.sqrt(2),
 
 
 def of(matrices, known=None):
-    """-> (T, 4) quaternions of one joint's matrices (T, 3, 3), beside another joint's"""
+    """Return (T, 4) quaternions of one joint's matrices (T, 3, 3), beside another joint's"""
     both = np.stack([np.tile(np.eye(3), (len(matrices), 1, 1)), matrices], axis=1)
     return quaternions.extract_joint_quaternions(both, 1, np.ones(len(matrices), bool) if known is None else known)
 

@@ -22,7 +22,7 @@ def test_nine_numbers_are_a_matrix():
 
 @given(seeds, st.floats(-6, 6))
 def test_symmetric_3x3_is_inverted_in_place(seed, power):
-    stack = random_terms.spd(np.random.default_rng(seed), 3, 3, 10.0**power)
+    stack = random_terms.draw_spd(np.random.default_rng(seed), 3, 3, 10.0**power)
     out = stack.copy()
     l10, l20, l21, *d = small_matrices.invert_symmetric_3x3(out, 1)
     np.testing.assert_allclose(out[1] @ stack[1], np.eye(3), atol=1e-9)
@@ -41,7 +41,7 @@ def test_multiply_rows(seed, size):
 
 @given(seeds, st.integers(0, 12), st.floats(-3, 6))
 def test_inverse_from_the_cholesky_factor(seed, size, power):
-    matrix = random_terms.spd(np.random.default_rng(seed), 1, size, 10.0**power)[0]
+    matrix = random_terms.draw_spd(np.random.default_rng(seed), 1, size, 10.0**power)[0]
     out = matrix.copy()
     small_matrices.factor_cholesky(out)
     small_matrices.invert_cholesky(out)
@@ -52,7 +52,7 @@ def test_inverse_from_the_cholesky_factor(seed, size, power):
 @given(seeds, st.integers(0, 12))
 def test_cholesky_solution(seed, size):
     rng = np.random.default_rng(seed)
-    matrix, x = random_terms.spd(rng, 1, size)[0], rng.normal(size=size)
+    matrix, x = random_terms.draw_spd(rng, 1, size)[0], rng.normal(size=size)
     factor, found = matrix.copy(), x.copy()
     factor[np.triu_indices(size, 1)] = np.nan  # the lower triangle is enough
     small_matrices.factor_cholesky(factor)

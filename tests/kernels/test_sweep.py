@@ -1,4 +1,4 @@
-"""The direction in linear time against the same quadratic written out whole and solved densely."""
+"""The direction of the sweep against a dense solution of the same quadratic."""
 
 import numpy as np
 import pytest
@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 from mocapfix.kernels.levenberg_marquardt import compute_direction
 from mocapfix.kernels.workspace import allocate_workspace
 from tests.kernels import dense_oracle, random_terms
-from tests.kernels.solver_runs import worked
+from tests.kernels.solver_runs import build_workspace
 
 seeds, sizes, dampings = st.integers(0, 2**32 - 1), st.integers(1, 16), st.sampled_from([1e-3, 1.0, 100.0])
 ROUNDING = np.finfo(float).eps
 
 
 def random_work(rng, tree, unknowns, rows):
-    """-> a workspace whose system is random but for being positive semidefinite, sparse as terms on some bodies leave it."""
+    """Return a workspace whose system is random but for being positive semidefinite, sparse as terms on some bodies leave it."""
     joints = len(tree.parents)
     work = allocate_workspace(joints, unknowns, rows)
     s = work.equations
@@ -39,10 +39,10 @@ def check(tree, work, damping):
     dense solve cannot know it so well, to the rounding of its N numbers times the condition number; of the tree without its
     rows if that is larger, for Woodbury's formula goes by way of it.
     """
-    gradient, curvature = dense_oracle.assembled(tree, work.equations)
-    twist, turn, shared = dense_oracle.twists(tree, work.equations)
+    gradient, curvature = dense_oracle.assemble_equations(tree, work.equations)
+    twist, turn, shared = dense_oracle.compute_twist_maps(tree, work.equations)
     damped = curvature + damping * np.eye(len(gradient))
-    rows = dense_oracle.across(tree, work.equations)
+    rows = dense_oracle.compute_row_map(tree, work.equations)
     condition = max(np.linalg.cond(damped), np.linalg.cond(damped - rows.T @ rows))
     x, relative = np.linalg.solve(damped, -gradient), max(1e-9, 10 * len(gradient) * ROUNDING * condition)
     promised, largest = compute_direction(tree, work, damping), np.abs(x).max()
@@ -54,20 +54,20 @@ def check(tree, work, damping):
 @given(seeds, sizes, st.integers(0, 10), st.none() | st.integers(0, 4), dampings)
 def test_direction_of_any_quadratic(seed, joints, unknowns, rows, damping):
     rng = np.random.default_rng(seed)
-    tree = random_terms.tree(rng, joints, unknowns)
+    tree = random_terms.draw_tree(rng, joints, unknowns)
     check(tree, random_work(rng, tree, unknowns, rows), damping)
 
 
 @given(seeds, sizes, st.integers(0, 10), st.sampled_from([np.inf, 9.0]), dampings)
 def test_direction_of_all_terms_with_unknown_shape(seed, joints, shapes, scale2, damping):
-    frame = random_terms.frame(np.random.default_rng(seed), joints, shapes=shapes)
-    check(frame.tree, worked(frame, scale2)[1], damping)
+    frame = random_terms.draw_frame(np.random.default_rng(seed), joints, shapes=shapes)
+    check(frame.tree, build_workspace(frame, scale2)[1], damping)
 
 
 @given(seeds, sizes, st.integers(1, 32), dampings)
 def test_direction_of_all_terms_with_a_code(seed, joints, codes, damping):
-    frame = random_terms.frame(np.random.default_rng(seed), joints, codes=codes)
-    check(frame.tree, worked(frame)[1], damping)
+    frame = random_terms.draw_frame(np.random.default_rng(seed), joints, codes=codes)
+    check(frame.tree, build_workspace(frame)[1], damping)
 
 
 @given(seeds, sizes, st.sampled_from([1e-4, 1e-7, 1e-10, 1e-12]), st.sampled_from([1e4, 1e8]))
@@ -77,25 +77,25 @@ def test_direction_of_nearly_unconstrained_bodies(seed, joints, share, sharp):
     The tree's condition number is 1 / share, and the sweep shall lose no more digits by it than a dense solve does.
     """
     rng = np.random.default_rng(seed)
-    frame = random_terms.frame(rng, joints, ["points", "limits", "distances"])
+    frame = random_terms.draw_frame(rng, joints, ["points", "joint_limits", "distances"])
     points = frame.terms[0]
     points.weight[:, ::2] = sharp
     points.weight[:, rng.random(points.weight.shape[1]) < 0.5] = 0.0
-    _, work = worked(frame)
-    largest = np.linalg.eigvalsh(dense_oracle.assembled(frame.tree, work.equations)[1]).max()
+    _, work = build_workspace(frame)
+    largest = np.linalg.eigvalsh(dense_oracle.assemble_equations(frame.tree, work.equations)[1]).max()
     check(frame.tree, work, share * max(largest, 1.0))
 
 
 def test_unconstrained_joint_stays_and_does_not_spoil_the_others():
     """Without damping: the joint's own block has no inverse."""
     rng = np.random.default_rng(5)
-    tree = random_terms.tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
+    tree = random_terms.draw_tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
     work = random_work(rng, tree, 0, None)
-    work.equations.h[:] = random_terms.spd(rng, 3, 6)
-    work.equations.h_joint[1:] = random_terms.spd(rng, 2, 3)
+    work.equations.h[:] = random_terms.draw_spd(rng, 3, 6)
+    work.equations.h_joint[1:] = random_terms.draw_spd(rng, 2, 3)
     for loose in (work.equations.h, work.equations.g, work.equations.h_joint, work.equations.g_joint):
         loose[2] = 0.0
-    gradient, curvature = dense_oracle.assembled(tree, work.equations)
+    gradient, curvature = dense_oracle.assemble_equations(tree, work.equations)
     compute_direction(tree, work, 0.0)
     np.testing.assert_array_equal(work.step.joint_turn[2], 0)
     held = slice(0, 9)

@@ -124,7 +124,7 @@ def test_guess_in_line_with_both_ends_keeps_both_lengths(b):
 
 def test_kernels_and_tensors_agree():
     rng = np.random.default_rng(0)
-    a, b, c = random_terms.units(rng, 3, 200)
+    a, b, c = random_terms.draw_units(rng, 3, 200)
     b[:3], c[3:6] = -a[:3], 0.0  # opposite, and nowhere
     upper, lower = rng.uniform(0.1, 1.5, (2, 200))
     x, y, z = (tuple(torch.tensor(each).T) for each in (a, b, c))

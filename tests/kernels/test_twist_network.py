@@ -1,4 +1,4 @@
-"""What a network is told of a body: which way bones point, and what a swing of the bone before leaves of that."""
+"""Inputs and layers of the twist network."""
 
 from itertools import pairwise
 
@@ -19,8 +19,8 @@ THIGH, SHIN = (load_cmu31_skeleton().find_joint(name) for name in ("LeftLeg", "L
 EYE = np.eye(3)[None]
 
 
-def told(positions, turns=EYE):
-    """-> directions (P, 3), and what the swing before leaves of them (P, 3), of one frame"""
+def compute(positions, turns=EYE):
+    """Return directions (P, 3), and what the swing before leaves of them (P, 3), of one frame"""
     return compute_span_directions(positions, turns).reshape(2, -1, 3)
 
 
@@ -31,9 +31,9 @@ def row(joint):
 @given(seeds)
 def test_directions_are_unit_vectors_in_the_roots_axes(seed):
     rng = np.random.default_rng(seed)
-    positions, turn = rng.normal(size=(1, 31, 3)), random_terms.rotations(rng, 1)
+    positions, turn = rng.normal(size=(1, 31, 3)), random_terms.draw_rotations(rng, 1)
     away = (positions[0, build_twist_spans().end] - positions[0, build_twist_spans().start]) @ turn[0]
-    np.testing.assert_allclose(told(positions, turn)[0], away / np.linalg.norm(away, axis=1, keepdims=True), atol=1e-6)
+    np.testing.assert_allclose(compute(positions, turn)[0], away / np.linalg.norm(away, axis=1, keepdims=True), atol=1e-6)
 
 
 @given(seeds, st.floats(-3, 3))
@@ -45,7 +45,7 @@ def test_swing_of_the_previous_bone_is_removed(seed, angle):
     turn = np.reshape(compute_swing(bone, to), (3, 3)) @ own
     positions[0, THIGH] = positions[0, build_twist_spans().start[row(THIGH)]] + turn @ rest[row(THIGH)]
     positions[0, SHIN] = positions[0, THIGH] + turn @ rest[row(SHIN)]
-    left = np.linalg.norm(rest[row(SHIN)]) * told(positions)[1, row(SHIN)]
+    left = np.linalg.norm(rest[row(SHIN)]) * compute(positions)[1, row(SHIN)]
     np.testing.assert_allclose(left, own @ rest[row(SHIN)], atol=1e-6)
 
 
@@ -57,21 +57,21 @@ def test_directions_of_the_rest_pose():
     straight = build_twist_spans().rest_vector / np.linalg.norm(build_twist_spans().rest_vector, axis=1, keepdims=True)
     has = build_twist_spans().previous >= 0
     assert set(build_twist_spans().start[~has]) == {body.find_joint(name) for name in ("LHipJoint", "RHipJoint", "LowerBack")}
-    np.testing.assert_allclose(told(places)[0], straight, atol=1e-6)
-    np.testing.assert_allclose(told(places)[1], np.where(has[:, None], straight, 0), atol=1e-6)
+    np.testing.assert_allclose(compute(places)[0], straight, atol=1e-6)
+    np.testing.assert_allclose(compute(places)[1], np.where(has[:, None], straight, 0), atol=1e-6)
 
 
 def test_unknown_and_zero_length_bones_are_zero():
     positions = np.random.default_rng(0).normal(size=(1, 31, 3))
-    whole = told(positions)
+    whole = compute(positions)
     positions[0, SHIN] = np.nan
     lost = np.isin(build_twist_spans().start, SHIN) | np.isin(build_twist_spans().end, SHIN)
     after = lost | np.isin(build_twist_spans().previous, np.flatnonzero(lost))
-    np.testing.assert_array_equal(told(positions)[0], np.where(lost[:, None], 0, whole[0]))
-    np.testing.assert_array_equal(told(positions)[1], np.where(after[:, None], 0, whole[1]))
+    np.testing.assert_array_equal(compute(positions)[0], np.where(lost[:, None], 0, whole[0]))
+    np.testing.assert_array_equal(compute(positions)[1], np.where(after[:, None], 0, whole[1]))
     positions[0, SHIN] = positions[0, THIGH]
-    assert not told(positions)[:, row(SHIN)].any()
-    assert not told(positions, np.full((1, 3, 3), np.nan)).any()
+    assert not compute(positions)[:, row(SHIN)].any()
+    assert not compute(positions, np.full((1, 3, 3), np.nan)).any()
 
 
 def test_opposite_bone_is_swung_by_a_half_turn():
@@ -79,7 +79,7 @@ def test_opposite_bone_is_swung_by_a_half_turn():
     positions[0, THIGH] = positions[0, build_twist_spans().start[row(THIGH)]] - build_twist_spans().rest_vector[row(THIGH)]
     positions[0, SHIN] = 2 * positions[0, THIGH] - positions[0, build_twist_spans().start[row(THIGH)]]
     straight = build_twist_spans().rest_vector[row(THIGH)] / np.linalg.norm(build_twist_spans().rest_vector[row(THIGH)])
-    np.testing.assert_allclose(told(positions)[1, row(SHIN)], straight, atol=1e-6)
+    np.testing.assert_allclose(compute(positions)[1, row(SHIN)], straight, atol=1e-6)
 
 
 def test_directions_do_not_depend_on_the_roots_pose():

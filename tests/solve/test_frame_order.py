@@ -9,19 +9,19 @@ from mocapfix.motion import FrameStatus
 from mocapfix.solve import frame_order
 from mocapfix.stats.runs import find_runs
 from tests.kernels import random_terms
-from tests.kernels.solver_runs import followed
+from tests.kernels.solver_runs import solve_in_order
 
 PLAIN = np.array([np.inf])
 
 
-def told(order):
-    """-> a plan's chains, each a list of (frame, where it starts from)"""
+def list_chains(order):
+    """Return a plan's chains, each a list of (frame, where it starts from)"""
     turns = list(zip(order.frames.tolist(), order.start_frame.tolist(), strict=True))
     return [turns[a:b] for a, b in zip(order.chain_starts[:-1], order.chain_starts[1:], strict=True)]
 
 
 def unsure(frames, lost):
-    """-> (T, 3) bool: the root and the last joint of three are unsure where `lost` (first, last)"""
+    """Return (T, 3) bool: the root and the last joint of three are unsure where `lost` (first, last)"""
     found = np.zeros((frames, 3), bool)
     for first, last in lost:
         found[first : last + 1, [0, 2]] = True
@@ -30,7 +30,7 @@ def unsure(frames, lost):
 
 def test_independent_frames_start_from_their_own_poses():
     order = frame_order.order_independently(3, 4)
-    assert told(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
+    assert list_chains(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
     assert not order.copied_joints.any()
 
 
@@ -45,13 +45,13 @@ def test_independent_frames_start_from_their_own_poses():
 )
 def test_each_window_starts_from_its_first_frame(frames, chains):
     order = frame_order.order_in_windows(frames, 4, 3)
-    assert told(order) == chains
+    assert list_chains(order) == chains
     assert order.copied_joints.all()
 
 
 def test_frames_without_own_pose_start_from_the_frame_before():
     order = frame_order.order_sequentially(np.array([True, True, False, False, True]), 4)
-    assert told(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
+    assert list_chains(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
     assert order.copied_joints.all()
 
 
@@ -68,7 +68,7 @@ def test_frames_without_own_pose_start_from_the_frame_before():
     ],
 )
 def test_gap_is_solved_from_its_neighbours(run, chain):
-    assert told(frame_order.order_from_gap_ends([run], unsure(8, [run]))) == [chain]
+    assert list_chains(frame_order.order_from_gap_ends([run], unsure(8, [run]))) == [chain]
 
 
 def test_only_uncertain_joints_are_copied_and_never_the_root():
@@ -80,7 +80,7 @@ def test_only_uncertain_joints_are_copied_and_never_the_root():
 
 def test_no_gap_gives_an_empty_order():
     order = frame_order.order_from_gap_ends([], unsure(4, []))
-    assert told(order) == []
+    assert list_chains(order) == []
     assert order.frames.dtype == order.start_frame.dtype == order.chain_starts.dtype == np.int64
 
 
@@ -88,7 +88,7 @@ def test_no_gap_gives_an_empty_order():
 def test_gap_frames_start_from_certain_or_solved_frames(lost):
     """Every unsure frame has its turn once, but for the first of a take that is not sure anywhere."""
     inside = find_runs(np.array(lost))
-    chains = told(frame_order.order_from_gap_ends(inside, unsure(len(lost), inside)))
+    chains = list_chains(frame_order.order_from_gap_ends(inside, unsure(len(lost), inside)))
     for (first, last), chain in zip(inside, chains, strict=True):
         solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
         assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
@@ -102,10 +102,10 @@ def test_gap_frames_start_from_certain_or_solved_frames(lost):
 
 
 def still(frames, joints):
-    """-> a body, terms that say nothing, and a different pose in every frame: root (T, 3), local (T, J, 3, 3)"""
+    """Return a body, terms that say nothing, and a different pose in every frame: root (T, 3), local (T, J, 3, 3)"""
     rng = np.random.default_rng(frames)
-    local = np.stack([random_terms.rotations(rng, joints) for _ in range(frames)])
-    return random_terms.tree(rng, joints), random_terms.terms(joints, frames), rng.normal(size=(frames, 3)), local
+    local = np.stack([random_terms.draw_rotations(rng, joints) for _ in range(frames)])
+    return random_terms.draw_tree(rng, joints), random_terms.build_terms(joints, frames), rng.normal(size=(frames, 3)), local
 
 
 def test_copied_joints_come_from_the_start_frame():
@@ -113,7 +113,7 @@ def test_copied_joints_come_from_the_start_frame():
     place, start, lost = root.copy(), local.copy(), np.zeros((8, 4), bool)
     lost[2:6, [0, 2]] = True
     order = frame_order.order_from_gap_ends([(2, 5)], lost)
-    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
+    status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
     assert status.tolist() == [
         -1,
         -1,
@@ -134,7 +134,7 @@ def test_windows_copy_whole_poses():
     tree, terms, root, local = still(7, 4)
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
-    status, _ = followed(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    status, _ = solve_in_order(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
     assert (status == FrameStatus.UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
@@ -144,12 +144,12 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     """Each frame starts from the last one's pose; rounding must not gather from joint to joint."""
     rng, joints, frames = np.random.default_rng(8), 10, 400
     tree = random_terms.KinematicTree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
-    rest = random_terms.rotations(rng, joints)
-    wanted = np.stack([random_terms.rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
+    rest = random_terms.draw_rotations(rng, joints)
+    wanted = np.stack([random_terms.draw_rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
     pull = random_terms.TrackingTerm(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
-    terms, order = random_terms.terms(joints, frames, courses=pull), frame_order.order_in_windows(frames, joints, frames)
-    status, iterations = followed(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
+    terms, order = random_terms.build_terms(joints, frames, tracking=pull), frame_order.order_in_windows(frames, joints, frames)
+    status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
     assert (status == FrameStatus.CONVERGED).all()
     assert (iterations > 1).all()
     np.testing.assert_allclose(local, wanted, atol=1e-3)

@@ -25,18 +25,18 @@ def skeleton_of(tree):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 15))
 def test_positions_equal_a_plain_walk_down_the_tree(seed, joints):
     rng = np.random.default_rng(seed)
-    tree = random_terms.tree(rng, joints)
-    root, local = rng.normal(size=(FRAMES, 3)), np.stack([random_terms.rotations(rng, joints) for _ in range(FRAMES)])
+    tree = random_terms.draw_tree(rng, joints)
+    root, local = rng.normal(size=(FRAMES, 3)), np.stack([random_terms.draw_rotations(rng, joints) for _ in range(FRAMES)])
     position, rotation = kinematics.compute_world_poses(skeleton_of(tree), motion_of(root, local))
     on, places = rng.integers(joints, size=5), rng.normal(size=(5, 3))
     subject = Subject(skeleton_of(tree), "", tuple("abcde"), on, places, np.ones(5))
     again, carried = kinematics.compute_joint_and_marker_positions(subject, motion_of(root, local))
     np.testing.assert_array_equal(again, position)
     for t in range(FRAMES):
-        expected = dense_oracle.world(tree, root[t], local[t])
+        expected = dense_oracle.compute_world(tree, root[t], local[t])
         np.testing.assert_allclose(position[t], expected.position, atol=1e-12)
         np.testing.assert_allclose(rotation[t], expected.rotation, atol=1e-12)
-        np.testing.assert_allclose(carried[t], dense_oracle.placed(on, places, expected), atol=1e-12)
+        np.testing.assert_allclose(carried[t], dense_oracle.compute_point_positions(on, places, expected), atol=1e-12)
 
 
 @pytest.mark.parametrize(("axis", "hand"), [(1, [0, 2, -1]), (2, [0, 3, 0])])

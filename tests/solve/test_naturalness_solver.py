@@ -33,7 +33,9 @@ def points(joints, places) -> PointTerm:
 def costs(model, seen, root, local, scale=1.0):
     """-> (T,) half the squares of points and number over their deviations"""
     frames = [seen._replace(seen=seen.seen[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
-    away = [dense_oracle.residual(each, dense_oracle.world(TREE, root[t], local[t])) for t, each in enumerate(frames)]
+    away = [
+        dense_oracle.compute_residual(each, dense_oracle.compute_world(TREE, root[t], local[t])) for t, each in enumerate(frames)
+    ]
     return np.array([(each**2).sum() / 2 for each in away]) + (model.evaluate(local)[0] / model.naturalness_sd / scale) ** 2 / 2
 
 

@@ -1,4 +1,4 @@
-"""A take's pose problem: what is bound together once, and what becomes of it."""
+"""The pose problem of a take."""
 
 from dataclasses import replace
 
@@ -21,12 +21,17 @@ PLAIN = (np.inf,)
 
 
 def problem(seed=0):
-    """-> a problem whose four markers a joint lie exactly where some poses put them, and the poses"""
+    """Return a problem whose four markers a joint lie exactly where some poses put them, and the poses"""
     rng = np.random.default_rng(seed)
-    tree = random_terms.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
-    root, local = rng.normal(size=(FRAMES, 3)), np.tile(random_terms.rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
+    tree = random_terms.draw_tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
+    root, local = rng.normal(size=(FRAMES, 3)), np.tile(random_terms.draw_rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
     joints, places = np.repeat(np.arange(JOINTS), 4), rng.normal(0, 0.15, (4 * JOINTS, 3))
-    markers = np.stack([dense_oracle.placed(joints, places, dense_oracle.world(tree, *pose)) for pose in zip(root, local, strict=True)])
+    markers = np.stack(
+        [
+            dense_oracle.compute_point_positions(joints, places, dense_oracle.compute_world(tree, *pose))
+            for pose in zip(root, local, strict=True)
+        ]
+    )
     silent, listened = (
         build_pose_prior_term(MeanPosePrior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))),
         np.ones(markers.shape[:2], bool),
@@ -39,8 +44,8 @@ def problem(seed=0):
 
 
 def off(root, local):
-    """-> a start 5 cm and up to 0.1 rad a joint off"""
-    return root + 0.05, random_terms.rotations(np.random.default_rng(1), JOINTS, 0.1) @ local
+    """Return a start 5 cm and up to 0.1 rad a joint off"""
+    return root + 0.05, random_terms.draw_rotations(np.random.default_rng(1), JOINTS, 0.1) @ local
 
 
 def test_exact_markers_recover_poses_and_the_compiled_solver_is_cached():

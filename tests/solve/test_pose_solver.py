@@ -23,7 +23,7 @@ def unbent(rng) -> GaussianModel:
     """-> a linear model whose poses lie well away from half a turn"""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
-    middle = random_terms.rotations(rng, JOINTS, 1.0)
+    middle = random_terms.draw_rotations(rng, JOINTS, 1.0)
     middle[0] = np.eye(3)
     return GaussianModel(NAMES, middle, rng.uniform(0.02, 0.1, JOINTS), mean, components, 0.05)
 
@@ -54,7 +54,7 @@ def bent(rng, **how) -> Bent:
 
 
 def body(rng) -> KinematicTree:
-    return random_terms.tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
+    return random_terms.draw_tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
 
 
 def posed(model: PoseModel, codes):
@@ -67,7 +67,12 @@ def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
     """-> exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
-    seen = np.stack([dense_oracle.placed(on, where, dense_oracle.world(tree, r, q)) for r, q in zip(root, local, strict=True)])
+    seen = np.stack(
+        [
+            dense_oracle.compute_point_positions(on, where, dense_oracle.compute_world(tree, r, q))
+            for r, q in zip(root, local, strict=True)
+        ]
+    )
     return PointTerm(on, where, seen, np.full(seen.shape[:2], sd**-2))
 
 
@@ -85,7 +90,7 @@ def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
     prior = LatentCodeTerm.build(model.reference_rotations, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
                          model.residual_information / scale**2, np.zeros(1), rows)  # fmt: skip
     seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
-    return dense_oracle.cost(dense_oracle.Frame(tree, (seen, prior), root, local, code / scale))
+    return dense_oracle.compute_cost(dense_oracle.Frame(tree, (seen, prior), root, local, code / scale))
 
 
 def costs(tree, points, model, found, scale=1.0):
@@ -120,10 +125,15 @@ def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
         frame = dense_oracle.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
 
         def residuals(x, frame=frame):
-            after = dense_oracle.moved(frame, x)
-            return np.concatenate([dense_oracle.residual(each, dense_oracle.world(*after[:1], *after[2:])).ravel() for each in frame.terms])
+            after = dense_oracle.apply_change(frame, x)
+            return np.concatenate(
+                [
+                    dense_oracle.compute_residual(each, dense_oracle.compute_world(*after[:1], *after[2:])).ravel()
+                    for each in frame.terms
+                ]
+            )
 
-        least = least_squares(residuals, np.zeros(dense_oracle.unknowns(frame)), method="lm").cost
+        least = least_squares(residuals, np.zeros(dense_oracle.count_unknowns(frame)), method="lm").cost
         assert cost == pytest.approx(least, abs=2e-3)
 
 
@@ -136,7 +146,7 @@ def test_a_bent_model_is_followed_to_where_no_small_change_is_better():
     for t in range(len(reached)):
         frame = dense_oracle.Frame(tree, (), found.root_position[t], found.local_rotations[t], found.codes[t])
         for _ in range(60):
-            after = dense_oracle.moved(frame, rng.normal(0, 0.003, dense_oracle.unknowns(frame)))
+            after = dense_oracle.apply_change(frame, rng.normal(0, 0.003, dense_oracle.count_unknowns(frame)))
             assert true_cost(tree, points, model, t, *after[2:]) > reached[t] - 0.02
 
 

@@ -20,7 +20,7 @@ seeds = st.integers(0, 2**32 - 1)
 @given(seeds)
 def test_moved_cloud_recovers_its_rotation(seed):
     rng = np.random.default_rng(seed)
-    model, rotation, translation = rng.normal(size=(5, 3)), random_terms.rotations(rng, 4), rng.normal(size=(4, 1, 3))
+    model, rotation, translation = rng.normal(size=(5, 3)), random_terms.draw_rotations(rng, 4), rng.normal(size=(4, 1, 3))
     weight = rng.uniform(0.5, 2, (4, 5))
     cross, mean_points, mean_model = compute_cross_covariance(
         np.einsum("tab,kb->tka", rotation, model) + translation, model, weight
@@ -54,7 +54,7 @@ def test_zero_cross_covariance_gives_the_identity():
 @given(seeds, st.floats(-12, 12))
 def test_rotation_does_not_depend_on_the_clouds_size(seed, size):
     rng = np.random.default_rng(seed)
-    rotation = random_terms.rotations(rng, 3)
+    rotation = random_terms.draw_rotations(rng, 3)
     np.testing.assert_allclose(fit_rotations(rotation * 10.0**size), rotation, atol=1e-9)
 
 
@@ -74,13 +74,13 @@ def test_mirrored_cloud_gets_the_best_rotation(seed):
     model = rng.normal(size=(6, 3))
     cross = (model * [-1, 1, 1]).T @ model
     best = np.trace(fit_rotations(cross[None])[0].T @ cross)
-    assert best >= max(np.trace(each.T @ cross) for each in random_terms.rotations(rng, 200)) - 1e-9
+    assert best >= max(np.trace(each.T @ cross) for each in random_terms.draw_rotations(rng, 200)) - 1e-9
 
 
 @given(seeds)
 def test_body_axes_round_trip(seed):
     rng = np.random.default_rng(seed)
-    points, centre, rotation = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), random_terms.rotations(rng, 3)
+    points, centre, rotation = rng.normal(size=(3, 4, 3)), rng.normal(size=(3, 3)), random_terms.draw_rotations(rng, 3)
     points[1, 2] = np.nan
     own = transform_to_body_axes(points, centre, rotation)
     np.testing.assert_allclose(np.einsum("tab,tkb->tka", rotation, own) + centre[:, None], points, atol=1e-12)

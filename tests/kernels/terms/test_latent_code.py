@@ -14,9 +14,9 @@ SIZE, BENT = 5, 3
 
 
 def asked(rng) -> LatentCodeTerm:
-    """-> two linearisations of a decoder that bends the first numbers of its code, and is linear in the others"""
-    frame = random_terms.frame(rng, 4, codes=SIZE)
-    return random_terms.latent(rng, dense_oracle.world(frame.tree, frame.root, frame.local, frame.shared))
+    """Return two linearisations of a decoder that bends the first numbers of its code, and is linear in the others"""
+    frame = random_terms.draw_frame(rng, 4, codes=SIZE)
+    return random_terms.draw_latent_code(rng, dense_oracle.compute_world(frame.tree, frame.root, frame.local, frame.shared))
 
 
 def curved(term: LatentCodeTerm) -> np.ndarray:

@@ -8,39 +8,41 @@ from hypothesis import strategies as st
 from mocapfix.kernels.terms import normalise_pixels
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, HUBER, compute_robust_loss
 from tests.kernels import dense_oracle, random_terms
-from tests.kernels.solver_runs import linearised
+from tests.kernels.solver_runs import build_equations
 
 seeds, sizes, scales = st.integers(0, 2**32 - 1), st.integers(1, 8), st.sampled_from([np.inf, 100.0, 9.0, 1.0])
 
 
 def check(frame, scale2):
     """The model that the kernels make of a frame's terms is the differences' own."""
-    cost, system = linearised(frame, scale2)
-    expected_cost, *expected = dense_oracle.quadratic(frame, scale2)
+    cost, system = build_equations(frame, scale2)
+    expected_cost, *expected = dense_oracle.compute_quadratic(frame, scale2)
     assert cost == pytest.approx(expected_cost, rel=1e-10, abs=1e-15)
-    for found, should in zip(dense_oracle.assembled(frame.tree, system), expected, strict=True):
+    for found, should in zip(dense_oracle.assemble_equations(frame.tree, system), expected, strict=True):
         np.testing.assert_allclose(found, should, rtol=0, atol=1e-7 * max(1.0, np.abs(should).max()))
 
 
-@pytest.mark.parametrize("kind", random_terms.KINDS)
+@pytest.mark.parametrize("kind", random_terms.ALL_KINDS)
 @given(seed=seeds, joints=sizes, scale2=scales)
 def test_term_model_is_that_of_its_residuals(kind, seed, joints, scale2):
-    check(random_terms.frame(np.random.default_rng(seed), joints, [kind], codes=3 if kind == "latent" else 0), scale2)
+    check(random_terms.draw_frame(np.random.default_rng(seed), joints, [kind], codes=3 if kind == "latent_code" else 0), scale2)
 
 
 @pytest.mark.parametrize(("shapes", "codes"), [(0, 0), (4, 0), (0, 5)])
 @given(seed=seeds, joints=sizes, scale2=scales)
 def test_terms_add_up_with_shape_and_with_a_code(shapes, codes, seed, joints, scale2):
-    check(random_terms.frame(np.random.default_rng(seed), joints, shapes=shapes, codes=codes), scale2)
+    check(random_terms.draw_frame(np.random.default_rng(seed), joints, shapes=shapes, codes=codes), scale2)
 
 
 def test_random_terms_cover_all_cases():
     """So that the tests above are about something: cameras of both kinds, walls on either side, one body and two."""
-    frame = random_terms.frame(np.random.default_rng(0), 8)
-    of = dict(zip(random_terms.KINDS, frame.terms, strict=True))
-    assert len(set(of["views"].perspective[of["views"].cameras])) == 2
-    vector = dense_oracle.from_middle(of["limits"].reference, dense_oracle.world(*frame[:1], *frame[2:]))[frame.tree.free]
-    low, high = of["limits"].low[frame.tree.free], of["limits"].high[frame.tree.free]
+    frame = random_terms.draw_frame(np.random.default_rng(0), 8)
+    of = dict(zip(random_terms.ALL_KINDS, frame.terms, strict=True))
+    assert len(set(of["reprojection"].perspective[of["reprojection"].cameras])) == 2
+    vector = dense_oracle.compute_deviations(of["joint_limits"].reference, dense_oracle.compute_world(*frame[:1], *frame[2:]))[
+        frame.tree.free
+    ]
+    low, high = of["joint_limits"].low[frame.tree.free], of["joint_limits"].high[frame.tree.free]
     assert (vector < low).any()
     assert (vector > high).any()
     assert ((vector >= low) & (vector <= high)).any()
@@ -49,17 +51,17 @@ def test_random_terms_cover_all_cases():
     assert of["points"].offsets[-1].any()
 
 
-@pytest.mark.parametrize("kind", ["points", "directions", "orientations", "views"])
+@pytest.mark.parametrize("kind", ["points", "directions", "orientations", "reprojection"])
 @pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300])
 def test_missing_and_absurd_samples_are_ignored(kind, wild):
-    frame = random_terms.frame(np.random.default_rng(1), 4, [kind])
-    term = frame.terms[random_terms.KINDS.index(kind)]
+    frame = random_terms.draw_frame(np.random.default_rng(1), 4, [kind])
+    term = frame.terms[random_terms.ALL_KINDS.index(kind)]
     term.weight[0, 2] = 0.0
-    cost, without = linearised(frame, 9.0)
+    cost, without = build_equations(frame, 9.0)
     term.measured[0, 2] = wild
-    again, unseen = linearised(frame, 9.0)
+    again, unseen = build_equations(frame, 9.0)
     term.weight[0, 2] = 1.0
-    absurd = linearised(frame, 9.0)
+    absurd = build_equations(frame, 9.0)
     assert again == cost
     for found, expected in zip(unseen, without, strict=True):
         assert np.isfinite(expected).all()
@@ -69,11 +71,11 @@ def test_missing_and_absurd_samples_are_ignored(kind, wild):
 
 
 def test_points_behind_a_perspective_camera_are_ignored():
-    frame = random_terms.frame(np.random.default_rng(2), 3, ["views"])
-    term = frame.terms[random_terms.KINDS.index("views")]
+    frame = random_terms.draw_frame(np.random.default_rng(2), 3, ["reprojection"])
+    term = frame.terms[random_terms.ALL_KINDS.index("reprojection")]
     term.perspective[:] = True
-    term.translation[:] -= 2 * random_terms.FREE_CAMERA
-    cost, system = linearised(frame)
+    term.translation[:] -= 2 * random_terms.CAMERA_TRANSLATION
+    cost, system = build_equations(frame)
     assert cost == 0
     assert not system.h.any()
 
@@ -84,22 +86,22 @@ def test_pixels_become_tangents_and_metres():
     np.testing.assert_allclose(both, [[[0.5, 0.2]]])
 
 
-@pytest.mark.parametrize("kind", ["courses", "targets", "distances", "latent"])
+@pytest.mark.parametrize("kind", ["tracking", "pose_prior", "distances", "latent_code"])
 def test_constant_data_may_have_one_row(kind):
-    frame, last = random_terms.frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent" else 0), 7
-    once = frame.terms[random_terms.KINDS.index(kind)]
+    frame, last = random_terms.draw_frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent_code" else 0), 7
+    once = frame.terms[random_terms.ALL_KINDS.index(kind)]
     for name, array in once._asdict().items():
         if len(array) == 1:
             each = once._replace(**{name: np.repeat(array, last + 1, axis=0)})
-            several = frame._replace(terms=random_terms.terms(5, last + 1, **{kind: each}))
-            assert linearised(several, t=last)[0] == linearised(frame)[0]
+            several = frame._replace(terms=random_terms.build_terms(5, last + 1, **{kind: each}))
+            assert build_equations(several, t=last)[0] == build_equations(frame)[0]
 
 
 def test_coincident_points_have_a_distance_without_direction():
-    body = random_terms.tree(np.random.default_rng(3), 1)
+    body = random_terms.draw_tree(np.random.default_rng(3), 1)
     touching = random_terms.DistanceTerm(np.zeros((1, 2), int), np.zeros((1, 2, 3)), np.array([[0.3]]), np.array([[100.0]]))
-    frame = dense_oracle.Frame(body, random_terms.terms(1, distances=touching), np.zeros(3), np.eye(3)[None], np.zeros(0))
-    cost, system = linearised(frame)
+    frame = dense_oracle.Frame(body, random_terms.build_terms(1, distances=touching), np.zeros(3), np.eye(3)[None], np.zeros(0))
+    cost, system = build_equations(frame)
     assert cost == pytest.approx(0.5 * 9)
     assert not system.row_twist.any()
 
@@ -127,5 +129,5 @@ def test_weight_is_twice_the_losses_derivative_to_the_square(kind, square, scale
     )
     assert compute_robust_loss(kind, square, scale2)[1] == pytest.approx(2 * slope, rel=1e-5)
     assert compute_robust_loss(kind, square, scale2) == pytest.approx(
-        tuple(map(float, dense_oracle.loss(kind, np.array(square), scale2)))
+        tuple(map(float, dense_oracle.compute_loss(kind, np.array(square), scale2)))
     )
