@@ -52,14 +52,18 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
     proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))
     reasons = epochs.merge_columns(expand_unfilled_reasons(filled.unfilled, filled.take.visible.shape))
-    methods = np.where(is_kept, "", epochs.merge_columns(np.array([*(each.description for each in FillMethod), ""], object)[filled.method]))
+    descriptions = np.array([*(method.description for method in FillMethod), ""], object)
+    methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
     body_markers = body.expand_to_take(epochs) if body else None
     return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers))
 
 
 def fill_take(
-    take: Take, is_inlier: Bool[np.ndarray, "T M"], gap_durations_s: Float[np.ndarray, "T M"], body: BodyFit | None, options:
-    FillOptions
+    take: Take,
+    is_inlier: Bool[np.ndarray, "T M"],
+    gap_durations_s: Float[np.ndarray, "T M"],
+    body: BodyFit | None,
+    options: FillOptions,
 ) -> FilledTake:
     """Fill or empty every sample that is not an inlier.
 

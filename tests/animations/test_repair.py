@@ -36,12 +36,12 @@ def test_what_was_put_in_goes_and_what_was_sound_stays(kind):
     struck, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(1))
     faults = [fault for each in put for fault in build_expected_faults(each, len(SKELETON.names))]
     mended = repair.repair_animation(SKELETON.parents, struck.root_position, struck.local_rotations, ["ZYX"] * 31, faults, RATE)
-    about = mended.method != repair.UNCHANGED
+    about = mended.method != repair.RepairMethod.UNCHANGED
     for fault in faults:
         assert about[fault.frame_slice, list(fault.markers)].all()
         about[fault.frame_slice, list(fault.markers)] = False
     assert not about.any()
-    sound = mended.method == repair.UNCHANGED
+    sound = mended.method == repair.RepairMethod.UNCHANGED
     assert (mended.local_rotations[sound[:, :-1]] == truth.local_rotations[sound[:, :-1]]).all()
     assert (mended.root_position[sound[:, -1]] == truth.root_position[sound[:, -1]]).all()
     assert (mended.variance > 0)[~sound].all()

@@ -32,7 +32,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def found(truth):
-    return calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.markers))
+    return calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.marker_positions))
 
 
 def test_bones_and_places_come_nearer_to_the_person(truth, found):
@@ -40,8 +40,8 @@ def test_bones_and_places_come_nearer_to_the_person(truth, found):
         return np.sqrt(((lengths(skeleton) - lengths(truth.subject.skeleton)) ** 2).mean())
 
     assert off(found.skeleton) < 0.7 * off(BODY.skeleton)
-    places = np.linalg.norm(found.places - truth.subject.places, axis=1).mean()
-    assert places < 0.75 * np.linalg.norm(WORN.marker_offsets - truth.subject.places, axis=1).mean()
+    places = np.linalg.norm(found.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
+    assert places < 0.75 * np.linalg.norm(WORN.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
 
 
 def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
@@ -56,16 +56,16 @@ def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
 
 
 def test_the_same_take_gives_the_same_subject(truth, found):
-    again = calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.markers))
+    again = calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.marker_positions))
     np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
-    np.testing.assert_array_equal(again.marker_offsets, found.places)
+    np.testing.assert_array_equal(again.marker_offsets, found.marker_offsets)
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.25])
 def test_children_and_giants_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
-    somebody = replace(truth.subject, skeleton=skeleton, places=WORN.marker_offsets * factor)
-    motion = replace(truth.motion, root=truth.motion.root * factor)
+    somebody = replace(truth.subject, skeleton=skeleton, marker_offsets=WORN.marker_offsets * factor)
+    motion = replace(truth.motion, root=truth.motion.root_position * factor)
     found = calibrated(kinematics.compute_joint_and_marker_positions(somebody, motion)[1])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.016)
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
@@ -86,7 +86,7 @@ def test_a_take_without_three_markers_in_any_frame_is_refused():
 
 @pytest.mark.parametrize("frames", [1, 2, 12])
 def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
-    found = calibrated(truth.markers[60 : 60 + frames])
+    found = calibrated(truth.marker_positions[60 : 60 + frames])
     assert found.frame_count == frames
     np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
     assert np.isfinite(found.marker_spread).all()
@@ -94,6 +94,6 @@ def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
 
 @pytest.mark.parametrize("noise", [0.0, 0.004])
 def test_a_body_of_no_size_is_no_body(truth, noise):
-    cloud = np.random.default_rng(0).normal(0, 1, truth.markers.shape) * noise + [0, 1, 0]
+    cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
     with pytest.raises(TakeError, match="too near together for a person's"):
         calibrated(cloud)

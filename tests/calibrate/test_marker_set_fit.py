@@ -49,14 +49,14 @@ def test_strangers_among_known_labels_find_their_segment_and_place(truth, take):
     assert found.mean_residual_m < 0.008
     size = np.linalg.norm(found.subject.skeleton.offsets) / np.linalg.norm(truth.subject.skeleton.offsets)
     m = [truth.labels.index(label) for label in HIDDEN]
-    off = np.linalg.norm(found.attachment.offsets[m] / size - truth.subject.places[m], axis=1)
+    off = np.linalg.norm(found.attachment.offsets[m] / size - truth.subject.marker_offsets[m], axis=1)
     assert np.median(off) < 0.03  # people's places vary by 0.02
     assert set(found.marker_set.labels) == set(labels)
 
 
 def test_a_stick_and_a_marker_on_the_floor_are_left_out(truth, take):
     hand = BODY.skeleton.find_joint("LeftHand")
-    joints = truth.joints
+    joints = truth.joint_positions
     stick = joints[:, hand] + 3 * (joints[:, hand] - joints[:, BODY.skeleton.find_joint("LeftForeArm")])
     floor = np.tile([0.5, 0.0, 0.5], (len(stick), 1))
     more = take.replace_markers(np.concatenate([take.markers, stick[:, None], floor[:, None]], axis=1))

@@ -57,7 +57,7 @@ def test_a_place_that_is_hardly_seen_is_none(walk, seen):
     grown, enough = add_moved_markers(walk.subject, walk.motion, shown, np.array([3, 7]))
     assert enough.tolist() == [seen >= MIN_MOVED_MARKER_FRAMES, True]
     extra = len(grown.labels) - len(walk.subject.labels)
-    assert extra == len(grown.marker_offsets) - len(walk.subject.places) == enough.sum()
+    assert extra == len(grown.marker_offsets) - len(walk.subject.marker_offsets) == enough.sum()
     assert grown.labels[-1] == walk.subject.labels[7]
 
 
@@ -66,4 +66,4 @@ def test_where_no_place_is_seen_the_subject_does_not_grow(walk):
     grown, enough = add_moved_markers(walk.subject, walk.motion, nothing, np.array([3]))
     assert not enough.any()
     assert grown.labels == walk.subject.labels
-    assert grown.marker_offsets.shape == walk.subject.places.shape
+    assert grown.marker_offsets.shape == walk.subject.marker_offsets.shape

@@ -55,7 +55,7 @@ def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
 
 def test_places_shift_in_their_joints_axes():
     shifts = np.random.default_rng(0).normal(0, 0.02, WORN.marker_offsets.shape)
-    offsets, places, _ = FREE.compute_body(unknowns(places=shifts))
+    offsets, places, _ = FREE.compute_body(unknowns(marker_offsets=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_allclose(places, WORN.marker_offsets + shifts)
 

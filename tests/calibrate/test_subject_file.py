@@ -28,8 +28,8 @@ metres = st.floats(-2, 2)
 
 @given(
     offsets=arrays(float, (31, 3), elements=metres),
-    places=arrays(float, (41, 3), elements=metres),
-    spread=arrays(float, 41, elements=st.floats(0, 0.1)),
+    marker_offsets=arrays(float, (41, 3), elements=metres),
+    marker_spread=arrays(float, 41, elements=st.floats(0, 0.1)),
     frames=st.integers(0, 10_000),
     joint_sd=arrays(float, 31, elements=st.floats(0, 0.1)),
     marker_sd=arrays(float, 41, elements=st.floats(0, 0.1)),

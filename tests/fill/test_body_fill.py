@@ -73,9 +73,9 @@ def test_a_pose_that_is_less_sure_in_the_gap_makes_the_fill_so(scene):
     _, motion, on_body, _ = scene
     wanted = gap(scene, 7, 100, 250)
     sure = filled(scene, on_body, wanted)[1][:, 7]
-    doubt = motion.sd.copy()
+    doubt = motion.marker_sd.copy()
     doubt[100:251] = 0.05
-    unsure = filled(scene, on_body, wanted, replace(motion, sd=doubt))[1][:, 7]
+    unsure = filled(scene, on_body, wanted, replace(motion, marker_sd=doubt))[1][:, 7]
     assert sure[175] < 0.01
     assert unsure[175] == pytest.approx(0.05, rel=0.1)
     assert unsure[100] < 0.3 * unsure[175]  # at the gap's edge the residual holds the pose's error, too

@@ -9,12 +9,12 @@ import pytest
 from mocapfix.fill import gap_filling
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
+from mocapfix.state import BodyFit
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
 
 FIRST, RATE, FRAMES = 501, 100.0, 400
 LABELS = ("Jim:A", "Jim:B", "Jim:C", "Jim:D", "Jim:E", "lonely", "never")
-NO_COLUMNS = np.zeros(0, int)
 ANYTHING = FillOptions()
 
 
@@ -39,9 +39,14 @@ def torn(markers, *gaps):
 
 def given(take, options=ANYTHING, believed=None):
     kept = take.visible if believed is None else believed
-    return gap_filling.fill_take(take, kept, gap_filling.compute_gap_durations(kept, take.rate), NO_COLUMNS, None, None, options)[
-        :2
-    ]
+    filled = gap_filling.fill_take(take, kept, gap_filling.compute_gap_durations(kept, take.rate), None, options)
+    return filled.take, filled.unfilled
+
+
+def fill_with_body(take, body):
+    durations = gap_filling.compute_gap_durations(take.visible, take.rate)
+    filled = gap_filling.fill_take(take, take.visible, durations, body, FillOptions())
+    return filled.take, filled.unfilled
 
 
 def untouched(before, after, where):
@@ -57,7 +62,7 @@ def test_a_rigid_gap_is_filled_and_all_else_is_returned_bit_for_bit(rod):
     assert (after.sample_sd[100:181, 0] > 0).all()
     assert np.isnan(after.sample_sd[take.visible]).all()
     assert [(each.marker, each.first, each.last) for each in left] == [(6, 0, FRAMES - 1)]
-    assert left[0].reason == "the marker is never seen in this take"
+    assert left[0].reason == "the marker is never visible in this take"
 
 
 def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_nothing_does(rod):
@@ -71,7 +76,7 @@ def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_no
     lonely = next(each for each in left if each.marker == 5)
     assert lonely.first >= 200
     assert lonely.last <= 299
-    assert re.fullmatch(r"its place could only be guessed to worse than \d+ mm|nothing that moves with it .*", lonely.reason)
+    assert re.fullmatch(r"its predicted standard deviation exceeds \d+ mm|no marker that moves with it .*", lonely.reason)
 
 
 @pytest.mark.parametrize("label", ["Jim:A", "A"])
@@ -83,7 +88,7 @@ def test_a_kept_marker_stays_as_it_is_with_its_faults(rod, label):
     np.testing.assert_array_equal(after.markers[:, 0], take.markers[:, 0])
     assert not np.isnan(after.markers[300:311, 1]).any()
     reasons = {each.reason for each in left if each.marker == 0}
-    assert reasons == {"it was not to be touched (--keep, --frames)"}
+    assert reasons == {"it was not to be edited (--keep, --frames)"}
 
 
 def test_only_the_frames_that_may_be_touched_are(rod):
@@ -107,7 +112,7 @@ def test_what_is_less_sure_than_the_limit_stays_empty_and_is_told(rod):
     take = torn(rod, (0, 100, 180))
     after, left = given(take, FillOptions(max_sd_m=1e-6))
     assert not after.visible[100:181, 0].any()
-    assert next(each for each in left if each.marker == 0).reason == "its place could only be guessed to worse than 0 mm"
+    assert next(each for each in left if each.marker == 0).reason == "its predicted standard deviation exceeds 0 mm"
 
 
 def test_everything_left_is_missing_and_everything_missing_is_left(rod):
@@ -130,7 +135,7 @@ def test_a_take_without_faults_is_returned_as_it_is(rod):
 
 def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbours(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
-    motion = replace(truth.motion, deviation=np.full(truth.missing_mask.shape, 0.005))
+    motion = replace(truth.motion, marker_sd=np.full(truth.missing_mask.shape, 0.005))
     on_body = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
     prop = on_body[:, [subject.labels.index("LFHD")]] + [0.0, 0.2, 0.0]
     markers = np.concatenate([on_body, prop], 1)[:, ::-1].copy()
@@ -141,9 +146,8 @@ def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbo
     markers[300:420, arm] = np.nan
     markers[500:520, 0] = np.nan
     take = Take(markers, labels, truth.rate)
-    after, left, _ = gap_filling.fill_take(
-        take, take.visible, gap_filling.compute_gap_durations(take.visible, take.rate), columns, subject, motion, FillOptions()
-    )
+    joints, on_body = kinematics.compute_joint_and_marker_positions(subject, motion)
+    after, left = fill_with_body(take, BodyFit(subject, subject, motion, columns, joints, on_body))
     assert left == ()
     assert np.linalg.norm(after.markers - truly, axis=-1)[300:420, arm].max() < 0.03
     assert np.linalg.norm(after.markers - truly, axis=-1)[500:520, 0].max() < 0.01
@@ -152,14 +156,13 @@ def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbo
 
 def test_a_marker_that_the_take_lacks_is_no_column(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
-    markers, labels = truth.markers[:100, 1:].copy(), truth.labels[1:]
+    markers, labels = truth.marker_positions[:100, 1:].copy(), truth.labels[1:]
     markers[40:50, 3] = np.nan
     motion = replace(truth.motion, **{name: getattr(truth.motion, name)[:100] for name in vars(truth.motion)})
     columns = np.r_[-1, np.arange(len(labels))]
     take = Take(markers, labels, truth.rate)
-    after, left, _ = gap_filling.fill_take(
-        take, take.visible, gap_filling.compute_gap_durations(take.visible, take.rate), columns, subject, motion, FillOptions()
-    )
+    joints, on_body = kinematics.compute_joint_and_marker_positions(subject, motion)
+    after, left = fill_with_body(take, BodyFit(subject, subject, motion, columns, joints, on_body))
     assert left == ()
     assert after.markers.shape == markers.shape
-    np.testing.assert_allclose(after.markers[40:50, 3], truth.markers[40:50, 4], atol=0.01)
+    np.testing.assert_allclose(after.markers[40:50, 3], truth.marker_positions[40:50, 4], atol=0.01)

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.marker_estimates import (
-    BODY_METHOD,
     ESTIMATE_CORRELATION,
-    SPLINE_METHOD,
+    FillMethod,
     build_marker_estimate,
     combine_estimates,
     estimate_missing_samples,
@@ -32,7 +31,7 @@ def prop(frames=400):
 
 def estimate(place, sure):
     """-> an estimate of one sample that lies at `place` on every axis"""
-    return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sure]]), SPLINE_METHOD)
+    return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sure]]), FillMethod.SPLINE)
 
 
 def test_two_estimates_meet_by_their_precision_and_are_half_alike():
@@ -52,10 +51,10 @@ def test_one_estimate_is_taken_as_it_is():
 
 
 def test_what_counts_most_is_named():
-    body = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), BODY_METHOD)
-    path = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), SPLINE_METHOD)
-    np.testing.assert_array_equal(combine_estimates([path, body]).method, [[BODY_METHOD, SPLINE_METHOD]])
-    np.testing.assert_array_equal(combine_estimates([body, path]).method, [[BODY_METHOD, SPLINE_METHOD]])
+    body = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), FillMethod.BODY)
+    path = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), FillMethod.SPLINE)
+    np.testing.assert_array_equal(combine_estimates([path, body]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
+    np.testing.assert_array_equal(combine_estimates([body, path]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
 
 
 def test_estimates_that_lie_farther_apart_than_they_say_are_less_sure_by_as_much():

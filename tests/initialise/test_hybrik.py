@@ -52,9 +52,9 @@ def test_exact_joints_are_given_back_to_a_twentieth_of_a_millimetre(people, way)
 
 def test_exact_joints_and_twists_are_the_pose_itself(people):
     motion, joints, _ = people
-    found = initial_motion.solve_hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.rotations))
+    found = initial_motion.solve_hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.local_rotations))
     boned = [index(name) for name in ("LowerBack", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg", "Neck")]
-    assert np.abs(found.local_rotations[:, boned] - motion.rotations[:, boned]).max() < 1e-3
+    assert np.abs(found.local_rotations[:, boned] - motion.local_rotations[:, boned]).max() < 1e-3
 
 
 def true_twists(rotations):
@@ -191,10 +191,10 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
     take[3] = np.nan
     found = initial_motion.solve_hybrik(take, SUBJECT, twists=STRAIGHT)
     assert found.status.tolist() == [FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.GUESSED, FrameStatus.PLACED]
-    turned = Rotation.from_matrix(motion.rotations[0, 0].T @ found.local_rotations[:, 0]).magnitude()
+    turned = Rotation.from_matrix(motion.local_rotations[0, 0].T @ found.local_rotations[:, 0]).magnitude()
     assert turned[1] < 0.7  # people bend
     assert turned[3] < 1e-3
-    assert np.linalg.norm(found.root_position[3] - motion.root[0]) < 1e-4
+    assert np.linalg.norm(found.root_position[3] - motion.root_position[0]) < 1e-4
 
 
 def test_no_frame_and_nothing_known_are_poses_too():

@@ -31,12 +31,12 @@ def started(truth, markers, by):
 
 def off(truth, motion):
     """-> (T,) metres: the joint that is farthest from the truth"""
-    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joints, axis=-1).max(axis=1)
+    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions, axis=-1).max(axis=1)
 
 
 @pytest.mark.parametrize(("unseen", "first"), [(0, 0), (7, 7)])
 def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, unseen, first):
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[:unseen, 20:] = np.nan  # the other 20 of 41 are there, fewer than half
     own = initial_motion.initialise_motion(Take(markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
     start = start_from_previous(own, ~np.isnan(markers[..., 0]))
@@ -48,20 +48,20 @@ def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, un
 
 def test_nothing_is_ever_seen_well_where_nothing_is_seen(truth):
     own = initial_motion.initialise_motion(
-        Take(truth.markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration"
+        Take(truth.marker_positions, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration"
     )
     assert not np.isnan(start_from_previous(own, np.zeros(truth.missing_mask.shape, bool)).root_position[0]).any()
 
 
 def test_smooth_motion_takes_fewer_iterations_and_ends_at_the_same_poses(truth):
-    (_, own), (_, previous) = (started(truth, truth.markers, by) for by in ("registration", "previous"))
+    (_, own), (_, previous) = (started(truth, truth.marker_positions, by) for by in ("registration", "previous"))
     assert previous.iterations.mean() < own.iterations.mean() - 1
     np.testing.assert_allclose(previous.root_position, own.root_position, atol=1e-3)
     assert off(truth, previous).max() < 0.06
 
 
 def test_lost_frames_in_the_middle_are_gone_on_from(truth):
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[100:110] = np.nan
     _, motion = started(truth, markers, "previous")
     assert np.isfinite(motion.local_rotations).all()
@@ -71,7 +71,7 @@ def test_lost_frames_in_the_middle_are_gone_on_from(truth):
 
 def test_somebody_who_turned_over_while_unseen_is_a_long_way_from_the_frame_before(truth):
     """What a start of every frame's own is for: it does not matter to it what was before."""
-    markers, hips = truth.markers.copy(), truth.joints[110:, :1]
+    markers, hips = truth.marker_positions.copy(), truth.joint_positions[110:, :1]
     markers[100:110] = np.nan
     markers[110:] = (markers[110:] - hips) * [1.0, -1.0, -1.0] + hips
     previous, own = (started(truth, markers, by)[1].iterations for by in ("previous", "registration"))

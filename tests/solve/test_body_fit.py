@@ -74,7 +74,7 @@ def test_a_new_place_is_a_marker_more_of_what_is_worn_and_not_of_the_person(knoc
     assert body.worn.labels == (*subject.labels, "LSHN")
     assert body.columns[-1] == parts.more[0] == 41
     assert body.motion.sample_sd.shape == (120, 42)
-    old, new = body.worn.places[subject.labels.index("LSHN")], body.worn.places[-1]
+    old, new = body.worn.marker_offsets[subject.labels.index("LSHN")], body.worn.marker_offsets[-1]
     assert 0.03 < np.linalg.norm(new - old) < 0.07
 
 

@@ -43,7 +43,7 @@ def solved(truth, markers, habits=NONE, limits=LIMITS):
 
 def off(truth, motion, frames=slice(None)):
     """-> (T, J) metres: the joints from the true ones"""
-    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joints[frames], axis=-1)
+    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions[frames], axis=-1)
 
 
 def check(motion: Motion):
@@ -59,7 +59,7 @@ def check(motion: Motion):
 @pytest.mark.parametrize(("rate", "millimetres"), [(30.0, 2.2), (120.0, 1.2), (240.0, 1.0)])
 def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres):
     truth = exact(rate)
-    motion = solved(truth, truth.markers)
+    motion = solved(truth, truth.marker_positions)
     check(motion)
     assert off(truth, motion).mean() * 1e3 < millimetres
     assert (motion.status < 2).all()
@@ -67,7 +67,7 @@ def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres
 
 def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
     truth = exact(120.0)
-    still = np.tile(truth.markers[200], (30, 1, 1))
+    still = np.tile(truth.marker_positions[200], (30, 1, 1))
     motion = solved(truth, still, limits=NO_LIMITS)  # markers alone: limits may bend it
     assert off(truth, motion, slice(200, 201)).max() < 2e-3
     assert off(truth, motion, slice(200, 201)).mean() < 2e-4
@@ -75,9 +75,9 @@ def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
 
 def test_peoples_habits_hardly_bend_what_markers_say(exact):
     truth = exact(120.0)
-    motion = solved(truth, truth.markers, MEAN, LIMITS)
+    motion = solved(truth, truth.marker_positions, MEAN, LIMITS)
     carried = kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1]
-    assert np.linalg.norm(carried - truth.markers, axis=-1).mean() < 0.002
+    assert np.linalg.norm(carried - truth.marker_positions, axis=-1).mean() < 0.002
     told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
     assert off(truth, motion)[:, told].mean() < 0.003
 
@@ -85,7 +85,7 @@ def test_peoples_habits_hardly_bend_what_markers_say(exact):
 @pytest.mark.parametrize("frames", [1, 2, 3, 5, 20])
 def test_a_take_may_be_as_short_as_it_likes(exact, frames):
     truth = exact(120.0)
-    motion = solved(truth, truth.markers[100 : 100 + frames])
+    motion = solved(truth, truth.marker_positions[100 : 100 + frames])
     check(motion)
     assert motion.frame_count == frames
     assert off(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
@@ -93,7 +93,7 @@ def test_a_take_may_be_as_short_as_it_likes(exact, frames):
 
 def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[:10] = markers[150:160] = np.nan
     markers[200:205, 2:] = np.nan
     motion = solved(truth, markers)
@@ -107,21 +107,21 @@ def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
 @pytest.mark.parametrize("habits", [NONE, MEAN], ids=["none", "mean-pose"])
 def test_a_blackout_of_a_twelfth_of_a_second_is_bridged(exact, habits):
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[150:160] = np.nan
     assert off(truth, solved(truth, markers, habits))[150:160].mean() < 0.02
 
 
 def test_a_marker_that_lies_far_off_does_not_move_the_body(exact):
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[:, truth.labels.index("LKNE")] += [0.0, 0.0, 0.4]
     assert off(truth, solved(truth, markers)).mean() < 0.004
 
 
 def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
     truth = exact(120.0)
-    markers, k = truth.markers.copy(), truth.labels.index("LFIN")
+    markers, k = truth.marker_positions.copy(), truth.labels.index("LFIN")
     sure = solved(truth, markers).marker_sd
     markers[150:250, k] = np.nan
     motion = solved(truth, markers)
@@ -133,21 +133,21 @@ def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
 
 def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
     markers[150:210][:, np.isin(truth.subject.joints, arm)] = np.nan
     motion = solved(truth, markers)
     check(motion)
     joints = kinematics.compute_world_poses(truth.subject.skeleton, motion)[0]
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
-    assert step.max() < 1.5 * np.linalg.norm(np.diff(truth.joints, axis=0), axis=-1).max()
+    assert step.max() < 1.5 * np.linalg.norm(np.diff(truth.joint_positions, axis=0), axis=-1).max()
     far = [NAMES.index(name) for name in ("RightHand", "LeftFoot", "RightFoot", "Hips")]
     assert off(truth, motion)[:, far].mean() < 0.003
 
 
 def test_the_solve_writes_into_nothing_that_it_is_given(exact):
     truth = exact(30.0)
-    worn = Take(truth.markers.copy(), truth.labels, truth.rate)
+    worn = Take(truth.marker_positions.copy(), truth.labels, truth.rate)
     start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     was = [field.copy() for field in (worn.markers, *vars(start).values())]
     motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
@@ -157,7 +157,7 @@ def test_the_solve_writes_into_nothing_that_it_is_given(exact):
 
 def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     markers[100:140, truth.labels.index("LWRA")] = np.nan  # the forearm carries others
 
     def never():
@@ -174,7 +174,7 @@ def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
 def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
     monkeypatch.setattr(occluded_joints, "SURE", 0.0)  # this take is quiet, and would not ask
     truth = exact(120.0)
-    markers = truth.markers.copy()
+    markers = truth.marker_positions.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
     markers[100:, np.isin(truth.subject.joints, arm)] = np.nan  # never seen again: the take is not sure of it
     worn = Take(markers, truth.labels, truth.rate)

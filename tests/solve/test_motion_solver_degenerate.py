@@ -23,9 +23,9 @@ def solved(truth, markers):
 
 
 def finite(motion):
-    assert np.isfinite(motion.root).all()
+    assert np.isfinite(motion.root_position).all()
     assert np.isfinite(motion.deviation).all()
-    unit = motion.rotations @ np.swapaxes(motion.rotations, 2, 3)
+    unit = motion.local_rotations @ np.swapaxes(motion.local_rotations, 2, 3)
     np.testing.assert_allclose(unit, np.broadcast_to(np.eye(3), unit.shape), atol=1e-12)
 
 

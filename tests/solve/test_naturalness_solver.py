@@ -27,7 +27,7 @@ def model():
 
 
 def points(joints, places) -> PointTerm:
-    return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, places=places)
+    return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, marker_offsets=places)
 
 
 def costs(model, seen, root, local, scale=1.0):

@@ -63,7 +63,7 @@ def posed(model: PoseModel, codes):
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3) @ model.reference_rotations
 
 
-def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
+def given(rng, tree, root, local, joints, sd=0.005, marker_offsets=4) -> PointTerm:
     """-> exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
@@ -94,7 +94,7 @@ def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
 
 
 def costs(tree, points, model, found, scale=1.0):
-    frames = zip(found.root, found.rotations, found.codes, strict=True)
+    frames = zip(found.root_position, found.local_rotations, found.codes, strict=True)
     return np.array([true_cost(tree, points, model, t, *frame, scale) for t, frame in enumerate(frames)])
 
 

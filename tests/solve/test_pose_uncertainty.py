@@ -61,7 +61,7 @@ def scene():
 
 def foretold(scene, course_sd=None, subject=None):
     person, motion, problem = scene
-    alone = problem.compute_uncertainty(motion.root, motion.mean_rotations, build_no_tracking(31), 0.05).markers
+    alone = problem.compute_uncertainty(motion.root_position, motion.mean_rotations, build_no_tracking(31), 0.05).markers
     time = build_no_tracking(31)
     if course_sd is not None:
         weight = np.zeros((1, 31))

@@ -212,4 +212,4 @@ def test_the_readmes_example_runs():
     code = "\n".join(line[4:] for line in example.splitlines() if line.startswith("    "))
     said: dict = {}
     exec(code, said)
-    assert np.linalg.norm(said["found"].joints[said["found"].skeleton.index("Head")] - (0.0, 1.6, 0.0)) < 0.02
+    assert np.linalg.norm(said["found"].joints[said["found"].skeleton.find_joint("Head")] - (0.0, 1.6, 0.0)) < 0.02
