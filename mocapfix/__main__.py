@@ -1,16 +1,15 @@
-"""The command as a process: python -m mocapfix, or mocapfix."""
+"""Run the command line as a process: `python -m mocapfix`, or `mocapfix`."""
 
 import gc
 import os
 
 
 def main() -> None:
-    """Run the command line, BLAS on one thread, and without collecting garbage, neither while it runs nor when it ends.
+    """Run the command line with BLAS on one thread and without garbage collection.
 
-    The matrices are small, and the frames are what is shared out among the cores: BLAS's own threads would only wait for
-    each other, for seconds where the machine is busy. It reads this when it is loaded, so before anything is imported.
-    Libraries are a million objects that live as long as the process, and a take's arrays go with their last reference:
-    looking through them all for cycles costs half a second of a short run, and finds nothing.
+    The matrices are small, and the kernels distribute frames over the cores: threads of BLAS would only wait for each other. BLAS
+    reads the environment when it is loaded, hence before any import. The garbage collector would take half a second to search the
+    objects of the libraries for reference cycles, of which there are none worth freeing in a short process.
     """
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""What is imported when: the libraries cost half a second, and --help must not wait for them."""
+"""Imports on demand: the libraries take half a second to import, and --help does not need them."""
 
 import subprocess
 import sys
@@ -8,23 +8,23 @@ import pytest
 import mocapfix
 
 
-def loaded_after(code: str) -> set[str]:
-    """-> the modules that a fresh interpreter holds after `code`"""
-    told = subprocess.run(
+def list_modules_after(code: str) -> set[str]:
+    """Return the modules that a new interpreter has loaded after `code`."""
+    done = subprocess.run(
         [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"], capture_output=True, text=True, check=True
     )
-    return set(told.stdout.split())
+    return set(done.stdout.split())
 
 
-def test_the_command_line_alone_needs_none_of_the_heavy_libraries():
-    assert not {"numba", "scipy", "torch", "rerun", "pydantic"} & loaded_after("import mocapfix.cli.app")
+def test_command_line_imports_no_heavy_libraries():
+    assert not {"numba", "scipy", "torch", "rerun", "pydantic"} & list_modules_after("import mocapfix.cli.app")
 
 
-def test_cleaning_needs_neither_torch_nor_rerun_before_something_is_shown():
-    assert not {"torch", "rerun"} & loaded_after("import mocapfix\nmocapfix.clean")
+def test_clean_is_imported_without_torch_and_rerun():
+    assert not {"torch", "rerun"} & list_modules_after("import mocapfix\nmocapfix.clean")
 
 
-def test_every_public_name_is_there_and_no_other():
+def test_public_names():
     assert all(hasattr(mocapfix, name) for name in mocapfix.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'cleen'"):
         mocapfix.cleen  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]

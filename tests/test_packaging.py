@@ -1,4 +1,4 @@
-"""What `pip install mocapfix` gets: built through the sdist, installed out of the checkout's sight, run from another folder."""
+"""The installed package: built from the sdist, installed outside the checkout, run in another folder."""
 
 import os
 import subprocess
@@ -15,7 +15,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def run(*command: str | Path, folder: Path) -> str:
-    """-> what a command that must succeed prints, run in `folder` with nothing of the checkout on the path."""
+    """Return the output of a command that must succeed, run in `folder` without the checkout on the path."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -24,7 +24,7 @@ def run(*command: str | Path, folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """-> the sdist, and the wheel made from it: what the sdist lacks, the wheel lacks too."""
+    """Build the sdist, and from it the wheel; return their paths."""
     folder = tmp_path_factory.mktemp("dist")
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, CHECKOUT, folder=folder)
     return next(folder.glob("*.tar.gz")), next(folder.glob("*.whl"))
@@ -32,7 +32,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """-> the commands' folder of a fresh environment with the wheel in it and the running environment's libraries.
+    """Return the scripts folder of a new environment that contains the wheel and the libraries of the running environment.
 
     A .pth file is not read for further .pth files, so an editable install of the checkout does not come along.
     """
@@ -45,7 +45,7 @@ def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
 
 
 def shipped(folder: str) -> set[str]:
-    """-> the files of a folder of the checkout, as the wheel names them."""
+    """Return the files in a folder of the checkout by their names in the wheel."""
     files = (path for path in (CHECKOUT / folder).rglob("*") if path.is_file())
     return {(Path("mocapfix") / path.relative_to(CHECKOUT)).as_posix() for path in files}
 
@@ -66,16 +66,17 @@ def test_sdist_is_complete(built: tuple[Path, Path]):
     assert not any(name.startswith((".venv", "shared")) for name in names)
 
 
-def test_installed_package_is_the_wheel_and_finds_its_scenes(scripts: Path, tmp_path: Path):
-    ask = "import mocapfix.files.shipped as s; print(s.__file__, s.folder('scenes'), s.folder('priors'), sep='\\n')"
-    module, scenes, priors = run(scripts / "python", "-c", ask, folder=tmp_path).splitlines()
+def test_installed_package_finds_its_files(scripts: Path, tmp_path: Path):
+    code = "import mocapfix; from mocapfix.files.shipped import find_shipped_folder as find; "
+    code += "print(mocapfix.__file__, find('scenes'), find('priors'), sep='\\n')"
+    module, scenes, priors = run(scripts / "python", "-c", code, folder=tmp_path).splitlines()
     package = Path(module).parent
     assert package.is_relative_to(scripts.parent)
     assert (Path(scenes), Path(priors)) == (package / "scenes", package / "priors")
 
 
 @pytest.mark.parametrize("command", [("mocapfix",), ("python", "-m", "mocapfix")])
-def test_installed_commands_answer(scripts: Path, tmp_path: Path, command: tuple[str, ...]):
+def test_installed_commands_run(scripts: Path, tmp_path: Path, command: tuple[str, ...]):
     assert "clean" in run(scripts / command[0], *command[1:], "--help", folder=tmp_path)
 
 

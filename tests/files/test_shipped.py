@@ -1,3 +1,5 @@
+"""Finding and reading shipped files."""
+
 import pytest
 import yaml
 
@@ -5,12 +7,12 @@ from mocapfix.errors import MocapfixError, SceneError
 from mocapfix.files import shipped
 
 
-@pytest.mark.parametrize(("name", "holds"), [("scenes", "skeletons/cmu31.yaml"), ("priors", "mean-pose.yaml")])
-def test_what_travels_with_mocapfix_is_found(name, holds):
-    assert (shipped.find_shipped_folder(name) / holds).is_file()
+@pytest.mark.parametrize(("name", "file"), [("scenes", "skeletons/cmu31.yaml"), ("priors", "mean-pose.yaml")])
+def test_shipped_folders_are_found(name, file):
+    assert (shipped.find_shipped_folder(name) / file).is_file()
 
 
-def test_a_folder_inside_the_package_goes_before_the_one_beside_it(tmp_path, monkeypatch):
+def test_folder_within_the_package_takes_precedence(tmp_path, monkeypatch):
     package = tmp_path / "mocapfix"
     (tmp_path / "scenes").mkdir()
     package.mkdir()
@@ -28,38 +30,38 @@ def test_every_shipped_yaml_is_read():
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
-        (b"", ": holds no key: value pairs; is it the right file?"),
-        (b"- a\n- b\n", ": holds no key: value pairs; is it the right file?"),
+        (b"", ": contains no key: value pairs; check that it is the right file."),
+        (b"- a\n- b\n", ": contains no key: value pairs; check that it is the right file."),
         (b"a: 1\nb: [1, 2\nc: 3\n", ", line 3: not valid YAML (did not find expected ',' or ']')."),
         (b"a: 1\n\tb: 2\n", ", line 2: not valid YAML (found character '\\t' that cannot start any token)."),
         (b"C3D\x00\x01\x02", ": not valid YAML (control characters are not allowed)."),
     ],
     ids=["empty", "a list", "an open bracket", "a tab", "not text"],
 )
-def test_a_file_that_is_no_mapping_is_told_by_name_and_line(tmp_path, content, said):
+def test_error_names_file_and_line(tmp_path, content, message):
     path = tmp_path / "set.yaml"
     path.write_bytes(content)
-    with pytest.raises(SceneError) as told:
+    with pytest.raises(SceneError) as raised:
         shipped.read_yaml(path)
-    if "not valid YAML" in said:  # how PyYAML puts it differs between its parsers
-        assert str(told.value).startswith(f"{path}{said.split('(')[0]}(")
-        assert str(told.value).endswith(").")
+    if "not valid YAML" in message:  # the explanation differs between the parsers of PyYAML
+        assert str(raised.value).startswith(f"{path}{message.split('(')[0]}(")
+        assert str(raised.value).endswith(").")
     else:
-        assert str(told.value) == f"{path}{said}"
+        assert str(raised.value) == f"{path}{message}"
 
 
-def test_bytes_that_are_no_text_are_told(tmp_path):
+def test_invalid_utf8_is_an_error(tmp_path):
     path = tmp_path / "set.yaml"
     path.write_bytes(b"a: \xff\xfe\x80")
     with pytest.raises(SceneError, match=r"set\.yaml: cannot be read \(.*utf-8"):
         shipped.read_yaml(path)
 
 
-def test_a_file_that_is_not_there_and_a_folder_are_told(tmp_path):
-    with pytest.raises(MocapfixError) as told:
+def test_missing_file_and_folder_are_errors(tmp_path):
+    with pytest.raises(MocapfixError) as raised:
         shipped.read_yaml(tmp_path / "none.yaml")
-    assert str(told.value) == f"{tmp_path / 'none.yaml'}: cannot be read (No such file or directory)."
+    assert str(raised.value) == f"{tmp_path / 'none.yaml'}: cannot be read (No such file or directory)."
     with pytest.raises(SceneError, match="cannot be read"):
         shipped.read_yaml(tmp_path)
