@@ -1,21 +1,24 @@
-"""Faults put into sound animations, found and mended: how far the joints are off beside interpolating across each fault.
+"""Benchmark of fault detection and repair in animations: joint errors in comparison with interpolation across each fault.
 
-Interpolation is told where each fault begins and ends and goes from its last sound frame to its first; so is the mending in the
-rows "told", which says what the mending is worth. In the rows "found" the faults have to be found first.
+Faults are injected into sound motions. Interpolation is given the first and last frame of each fault, and so is the repair in
+the rows "known", which measure the repair alone. In the rows "detected" the faults are detected first.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
-from mocapfix.animations import detect as detected
-from mocapfix.animations import repair as solved
+from mocapfix.animations.detect import detect_pose_faults
+from mocapfix.animations.repair import RepairMethod, repair_animation
 from mocapfix.bench.injected_animation_faults import (
     ANIMATION_FAULT_INJECTORS,
     FAULT_DURATION_RANGES_S,
+    INJECTED_JITTER_SD_RAD,
     InjectedAnimationFault,
     inject_animation_faults,
 )
@@ -30,28 +33,70 @@ from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 from mocapfix.train.shard_recordings import TRAINING_RATE_HZ
 
-MIN_PERFORMANCE_DURATION_S = 3.4  # seconds of a performance that has room for faults
-COMPARED_REPAIRS = ("linear", "told", "found")
+MIN_MOTION_DURATION_S = 3.4  # of a motion that has room for a fault
+COMPOSED_MOTION_DURATION_S = 10.0  # of the first composed motion; each further one is a second longer
+MM_PER_M = 1e3
+SECONDS_PER_MINUTE = 60
+COMPARED_REPAIRS = ("linear", "known", "detected")
+# By injected kind: the kind that detection gives the fault.
 DETECTED_KIND: dict[str, FaultKind] = {
-    "flip": "flip", "pop": "pop", "jitter": "jitter", "limb lost": "gap", "figure lost": "gap", "root off": "spike",
-}  # fmt: skip
-SKIPPED_COMBINATION = "jitter", "1 frame"  # what trembles in one frame has popped
-EXPECTED_JITTER_SD_RAD = np.radians(3.0)
+    "flip": "flip",
+    "pop": "pop",
+    "jitter": "jitter",
+    "limb gap": "gap",
+    "figure gap": "gap",
+    "root offset": "spike",
+}
+SKIPPED_COMBINATION = ("jitter", "1 frame")  # jitter of one frame is a pop
+
+
+class RepairRow(TypedDict):
+    """Results for the faults of one kind and duration: mean joint errors, and their ratios to those of interpolation."""
+
+    faults: int
+    detected_share: float
+    linear_mm: float
+    known_mm: float
+    detected_mm: float
+    known_over_linear: float
+    detected_over_linear: float
+
+
+class RepairReport(TypedDict):
+    """Results of the benchmark.
+
+    rows     by kind and duration of faults
+    pooled   by duration: ratios to the error of interpolation over all faults, known and detected
+    alarms_per_minute  by kind, in the sound motions
+    changed_share  part of the values outside the faults that the repair changed
+    """
+
+    rows: dict[str, dict[str, RepairRow]]
+    pooled: dict[str, dict[str, float]]
+    alarms_per_minute: dict[str, float]
+    changed_share: float
 
 
 @dataclass
 class RepairScores:
-    """What is measured of one kind and length: mean joint errors of each fault by way, and how many faults were found."""
+    """Mean joint errors of each fault of one kind and duration, by repair, and the number of faults that were detected."""
 
-    errors_m: dict[str, list[float]] = field(default_factory=lambda: {way: [] for way in COMPARED_REPAIRS})
+    errors_m: dict[str, list[float]] = field(default_factory=lambda: {repair: [] for repair in COMPARED_REPAIRS})
     detected_count: int = 0
 
-    def summarise(self) -> dict[str, float]:
-        """-> faults, the part found, error in mm by way, and what each leaves of linear's."""
-        mean = {way: 1e3 * float(np.mean(each)) for way, each in self.errors_m.items()}
-        said = {"faults": len(self.errors_m["linear"]), "found": self.detected_count / len(self.errors_m["linear"])}
-        said |= {f"{way}_mm": mm for way, mm in mean.items()}
-        return said | {f"{way}_over_linear": mean[way] / mean["linear"] for way in COMPARED_REPAIRS[1:]}
+    def summarise(self) -> RepairRow:
+        """Return the means over the faults."""
+        count = len(self.errors_m["linear"])
+        mean_mm = {repair: MM_PER_M * float(np.mean(errors)) for repair, errors in self.errors_m.items()}
+        return RepairRow(
+            faults=count,
+            detected_share=self.detected_count / count,
+            linear_mm=mean_mm["linear"],
+            known_mm=mean_mm["known"],
+            detected_mm=mean_mm["detected"],
+            known_over_linear=mean_mm["known"] / mean_mm["linear"],
+            detected_over_linear=mean_mm["detected"] / mean_mm["linear"],
+        )
 
 
 def measure_animation_repair(
@@ -60,116 +105,138 @@ def measure_animation_repair(
     seed: int = 0,
     progress: ProgressCallback = lambda _: None,
     kinds: tuple[str, ...] = tuple(ANIMATION_FAULT_INJECTORS),
-) -> dict:
-    """-> `rows`: kind: length: a Tally's row; `pooled`: of all faults of a length what is left of linear's error, told and found;
-    `alarms_per_minute` by kind in the sound trials, and `touched`, the part of the sound samples that was changed.
+) -> RepairReport:
+    """Measure detection and repair of injected faults.
 
-    data  the folder that holds test.npz of motion; None composes motion. Raises SceneError or ReadError where there is none.
+    data    folder that contains test.npz of recorded motion; None for composed motion
+    trials  number of motions
+    kinds   of injected faults
+
+    Raises SceneError without trials, and ReadError if there is no motion in the folder.
     """
     if trials < 1:
         raise SceneError(f"At least one trial is needed, not {trials}.")
-    chosen, tallies, alarms, seconds = list(_iterate_performances(data, trials)), {}, {}, 0.0
-    touched: list[float] = []
-    for n, trial in enumerate(chosen):
-        progress(f"{trial.name}, {n + 1} of {len(chosen)}")
-        seconds += trial.motion.frame_count / trial.rate_hz
-        for fault in _detect_faults(trial.motion, trial.rate_hz):
+    performances = list(_iterate_performances(data, trials))
+    scores: dict[tuple[str, str], RepairScores] = {}
+    alarms: dict[str, int] = {}
+    changed_shares: list[float] = []
+    duration_s = 0.0
+    for n, performance in enumerate(performances):
+        progress(f"{performance.name}, {n + 1} of {len(performances)}")
+        duration_s += performance.motion.frame_count / performance.rate_hz
+        for fault in _detect_faults(performance.motion, performance.rate_hz):
             alarms[fault.kind] = alarms.get(fault.kind, 0) + 1
         for k, kind in enumerate(kinds):
-            for m, length in enumerate(FAULT_DURATION_RANGES_S):
-                if (kind, length) != SKIPPED_COMBINATION:
+            for m, duration_name in enumerate(FAULT_DURATION_RANGES_S):
+                if (kind, duration_name) != SKIPPED_COMBINATION:
                     rng = np.random.default_rng([seed, n, k, m])
-                    touched.append(_score_trial(trial, kind, length, rng, tallies.setdefault((kind, length), RepairScores())))
-    rows: dict[str, dict] = {}
-    for (kind, length), tally in tallies.items():
-        if tally.errors_m["linear"]:
-            rows.setdefault(kind, {})[length] = tally.summarise()
-    pooled = {}
-    for length in FAULT_DURATION_RANGES_S:
-        sums = {way: sum(sum(t.errors_m[way]) for (_, own), t in tallies.items() if own == length) for way in COMPARED_REPAIRS}
-        pooled[length] = {way: sums[way] / sums["linear"] for way in COMPARED_REPAIRS[1:]} if sums["linear"] else {}
-    per_minute = {kind: 60 * count / seconds for kind, count in sorted(alarms.items())}
-    return {"rows": rows, "pooled": pooled, "alarms_per_minute": per_minute, "touched": float(np.mean(touched))}
+                    own_scores = scores.setdefault((kind, duration_name), RepairScores())
+                    changed_shares.append(_score_trial(performance, kind, duration_name, rng, own_scores))
+    rows: dict[str, dict[str, RepairRow]] = {}
+    for (kind, duration_name), own_scores in scores.items():
+        if own_scores.errors_m["linear"]:
+            rows.setdefault(kind, {})[duration_name] = own_scores.summarise()
+    return RepairReport(
+        rows=rows,
+        pooled={duration_name: _pool_scores(scores, duration_name) for duration_name in FAULT_DURATION_RANGES_S},
+        alarms_per_minute={kind: SECONDS_PER_MINUTE * count / duration_s for kind, count in sorted(alarms.items())},
+        changed_share=float(np.mean(changed_shares)),
+    )
+
+
+def _pool_scores(scores: dict[tuple[str, str], RepairScores], duration_name: str) -> dict[str, float]:
+    """Return the ratios to the error of interpolation over all faults of a duration."""
+    selected = [own_scores for (_, own_duration), own_scores in scores.items() if own_duration == duration_name]
+    sums = {repair: sum(sum(each.errors_m[repair]) for each in selected) for repair in COMPARED_REPAIRS}
+    return {repair: sums[repair] / sums["linear"] for repair in COMPARED_REPAIRS[1:]} if sums["linear"] else {}
 
 
 def _iterate_performances(data: Path | None, count: int) -> Iterator[PerformedMotion]:
-    """Yield so many performances, of the test people's as unlike ones as may be."""
+    """Yield motions: composed ones, or recordings that are spread evenly over the test set."""
     if data is None:
         for n in range(count):
             subject = draw_subject(np.random.default_rng(n), asymmetric=True)
-            yield PerformedMotion(
-                motions.compose_motion(subject, 10.0 + n, TRAINING_RATE_HZ), TRAINING_RATE_HZ, f"composed {n + 1}"
-            )
+            motion = motions.compose_motion(subject, COMPOSED_MOTION_DURATION_S + n, TRAINING_RATE_HZ)
+            yield PerformedMotion(motion, TRAINING_RATE_HZ, f"composed {n + 1}")
         return
-    long = [
-        each
-        for each in read_performed_motions(Path(data) / "test.npz")
-        if each.motion.frame_count >= MIN_PERFORMANCE_DURATION_S * each.rate_hz
-    ]
-    for at in np.unique(np.linspace(0, len(long) - 1, min(count, len(long))).astype(int)):
-        yield long[at]
+    recordings = read_performed_motions(Path(data) / "test.npz")
+    long = [each for each in recordings if each.motion.frame_count >= MIN_MOTION_DURATION_S * each.rate_hz]
+    for index in np.unique(np.linspace(0, len(long) - 1, min(count, len(long))).astype(int)):
+        yield long[index]
 
 
 def _detect_faults(motion: Motion, rate: float) -> list[Fault]:
     names = load_cmu31_body().skeleton.names
-    return detected.detect_pose_faults(names, motion.root_position, motion.local_rotations, ["ZYX"] * len(names), rate)
+    return detect_pose_faults(names, motion.root_position, motion.local_rotations, ["ZYX"] * len(names), rate)
 
 
-def _score_trial(trial: PerformedMotion, kind: str, length: str, rng: np.random.Generator, scores: RepairScores) -> float:
-    """Add what becomes of a trial's faults to the tally; -> the part of the sound samples that was changed."""
-    skeleton, truth = load_cmu31_body().skeleton, trial.motion
-    struck, put = inject_animation_faults(truth, skeleton, trial.rate_hz, kind, length, rng)
-    if not put:
+def _score_trial(
+    performance: PerformedMotion, kind: str, duration_name: str, rng: np.random.Generator, scores: RepairScores
+) -> float:
+    """Add the errors of the faults injected into a motion to the scores. Returns the share of sound values that changed."""
+    skeleton, truth, rate = load_cmu31_body().skeleton, performance.motion, performance.rate_hz
+    damaged, injected = inject_animation_faults(truth, skeleton, rate, kind, duration_name, rng)
+    if not injected:
         return 0.0
-    orders, faults = ["ZYX"] * len(skeleton.names), _detect_faults(struck, trial.rate_hz)
-    given = (skeleton.parents, struck.root_position, struck.local_rotations, orders)
-    told = solved.repair_animation(*given, [each for p in put for each in build_expected_faults(p, len(orders))], trial.rate_hz)
-    mended = solved.repair_animation(*given, faults, trial.rate_hz)
-    poses = {
-        "linear": interpolate_faults(struck.root_position, struck.local_rotations, put),
-        "told": told[:2],
-        "found": mended[:2],
+    joint_count, detected_faults = len(skeleton.names), _detect_faults(damaged, rate)
+    known_faults = [fault for each in injected for fault in build_expected_faults(each, joint_count)]
+    poses = skeleton.parents, damaged.root_position, damaged.local_rotations, ["ZYX"] * joint_count
+    known, detected = (repair_animation(*poses, faults, rate) for faults in (known_faults, detected_faults))
+    positions = {
+        "linear": _compute_joint_positions(*interpolate_faults(damaged.root_position, damaged.local_rotations, injected)),
+        "known": _compute_joint_positions(known.root_position, known.local_rotations),
+        "detected": _compute_joint_positions(detected.root_position, detected.local_rotations),
     }
-    places = {way: _compute_joint_positions(*each) for way, each in poses.items()}
-    true, sound = _compute_joint_positions(truth.root_position, truth.local_rotations), np.ones(mended.method.shape, bool)
-    for each in put:
-        span, courses = slice(each.first, each.last + 1), build_expected_faults(each, len(orders))
-        struck_courses = [m for fault in courses for m in fault.markers]
-        sound[span, struck_courses] = False
+    expected = _compute_joint_positions(truth.root_position, truth.local_rotations)
+    is_sound = np.ones(detected.method.shape, bool)
+    for each in injected:
+        frames = slice(each.first, each.last + 1)
+        tracks = [track for fault in build_expected_faults(each, joint_count) for track in fault.markers]
+        is_sound[frames, tracks] = False
         scores.detected_count += any(
-            f.first <= each.last and each.first <= f.last and set(f.markers) & set(struck_courses) for f in faults
+            fault.first <= each.last and each.first <= fault.last and not set(tracks).isdisjoint(fault.markers)
+            for fault in detected_faults
         )
-        for way, found in places.items():
-            scores.errors_m[way].append(float(np.linalg.norm(found[span] - true[span], axis=-1).mean()))
-    return float((mended.method != solved.RepairMethod.UNCHANGED)[sound].mean())
+        for repair, found in positions.items():
+            error_m = np.linalg.norm(found[frames] - expected[frames], axis=-1).mean()
+            scores.errors_m[repair].append(float(error_m))
+    return float((detected.method != RepairMethod.UNCHANGED)[is_sound].mean())
 
 
 def build_expected_faults(injected: InjectedAnimationFault, joint_count: int) -> list[Fault]:
-    """-> what was put into a skeleton of so many joints, as detection would tell it."""
+    """Return an injected fault as detection would return it."""
     kind = DETECTED_KIND[injected.kind]
     if kind == "jitter":
-        return [Fault(kind, j, injected.first, injected.last, EXPECTED_JITTER_SD_RAD, "") for j in injected.joints]
-    markers = (joint_count,) if kind == "spike" else injected.joints + (joint_count,) * (len(injected.joints) == joint_count)
-    return [Fault(kind, markers[0], injected.first, injected.last, np.nan, "", 1.0, markers[1:])]
+        return [Fault(kind, joint, injected.first, injected.last, INJECTED_JITTER_SD_RAD, "") for joint in injected.joints]
+    if kind == "spike":
+        tracks = (joint_count,)
+    elif len(injected.joints) == joint_count:
+        tracks = (*injected.joints, joint_count)
+    else:
+        tracks = injected.joints
+    return [Fault(kind, tracks[0], injected.first, injected.last, np.nan, "", 1.0, tracks[1:])]
 
 
 def interpolate_faults(
-    root: np.ndarray, local: np.ndarray, injected: list[InjectedAnimationFault]
-) -> tuple[np.ndarray, np.ndarray]:
-    """-> places (T, 3) and local rotations (T, J, 3, 3) with every fault bridged from its last sound frame to its first, joint by
-    joint: spherically, and the root's place in a straight line where it is part of the fault."""
-    root, local = root.copy(), local.copy()
-    for each in injected:
-        span, ends = np.arange(each.first, each.last + 1), np.array([each.first - 1, each.last + 1])
-        for j in each.joints if each.kind != "root off" else ():
-            local[span, j] = Slerp(ends, Rotation.from_matrix(local[ends, j]))(span).as_matrix()
-        if each.kind == "root off" or len(each.joints) == local.shape[1]:
-            share = ((span - ends[0]) / (ends[1] - ends[0]))[:, None]
-            root[span] = (1 - share) * root[ends[0]] + share * root[ends[1]]
-    return root, local
+    root_position: Float[np.ndarray, "T 3"],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    injected: list[InjectedAnimationFault],
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]:
+    """Interpolate from the last frame before each fault to the first after it: rotations spherically, the position linearly."""
+    root_position, local_rotations = root_position.copy(), local_rotations.copy()
+    for fault in injected:
+        frames, ends = np.arange(fault.first, fault.last + 1), np.array([fault.first - 1, fault.last + 1])
+        for joint in fault.joints if fault.kind != "root offset" else ():
+            slerp = Slerp(ends, Rotation.from_matrix(local_rotations[ends, joint]))
+            local_rotations[frames, joint] = slerp(frames).as_matrix()
+        if fault.kind == "root offset" or len(fault.joints) == local_rotations.shape[1]:
+            weights = ((frames - ends[0]) / (ends[1] - ends[0]))[:, None]
+            root_position[frames] = (1 - weights) * root_position[ends[0]] + weights * root_position[ends[1]]
+    return root_position, local_rotations
 
 
-def _compute_joint_positions(root: np.ndarray, local: np.ndarray) -> np.ndarray:
-    return kinematics.compute_tree_poses(
-        kinematics.build_kinematic_tree(load_cmu31_body().skeleton), np.ascontiguousarray(root), np.ascontiguousarray(local)
-    )[0]
+def _compute_joint_positions(
+    root_position: Float[np.ndarray, "T 3"], local_rotations: Float[np.ndarray, "T J 3 3"]
+) -> Float[np.ndarray, "T J 3"]:
+    tree = kinematics.build_kinematic_tree(load_cmu31_body().skeleton)
+    return kinematics.compute_tree_poses(tree, np.ascontiguousarray(root_position), np.ascontiguousarray(local_rotations))[0]

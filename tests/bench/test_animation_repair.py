@@ -1,7 +1,8 @@
-"""The bench of animations: the baseline is what it says, and mending is better where nothing is hidden."""
+"""The benchmark of animation repair: its injected faults, the interpolation it compares with, and its results."""
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import animation_repair
 from mocapfix.bench.injected_animation_faults import (
@@ -12,56 +13,59 @@ from mocapfix.bench.injected_animation_faults import (
 )
 from mocapfix.errors import SceneError
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.synthetic import motions
+from mocapfix.synthetic.synthetic_takes import draw_subject
 
 SKELETON = load_cmu31_body().skeleton
+RATE = 30.0
+
+
+@pytest.fixture(scope="module")
+def sound_motion():
+    return motions.compose_motion(draw_subject(np.random.default_rng(0), asymmetric=True), 10.0, RATE)
 
 
 @pytest.mark.parametrize("kind", list(ANIMATION_FAULT_INJECTORS))
-def test_a_fault_is_where_it_says_and_nowhere_else(kind):
-    (trial,) = animation_repair._iterate_performances(None, 1)
-    struck, put = inject_animation_faults(trial.motion, SKELETON, trial.rate_hz, kind, "long", np.random.default_rng(0))
-    assert put
-    sound = np.ones(len(struck.root_position), bool)
-    for each in put:
-        seconds = (each.last - each.first + 1) / trial.rate_hz
-        assert FAULT_DURATION_RANGES_S["long"][0] - 0.04 < seconds < FAULT_DURATION_RANGES_S["long"][1] + 0.04
-        sound[each.first : each.last + 1] = False
-    assert (struck.root_position[sound] == trial.motion.root_position[sound]).all()
-    assert (struck.local_rotations[sound] == trial.motion.local_rotations[sound]).all()
-    same = (struck.local_rotations[~sound] == trial.motion.local_rotations[~sound]).all((1, 2, 3))
-    assert not (same & (struck.root_position[~sound] == trial.motion.root_position[~sound]).all(1)).all()
+def test_injected_faults_change_their_frames_only(sound_motion, kind: str):
+    damaged, injected = inject_animation_faults(sound_motion, SKELETON, RATE, kind, "long", np.random.default_rng(0))
+    assert injected
+    is_sound = np.ones(damaged.frame_count, bool)
+    min_duration_s, max_duration_s = FAULT_DURATION_RANGES_S["long"]
+    for fault in injected:
+        assert min_duration_s - 0.04 < (fault.last - fault.first + 1) / RATE < max_duration_s + 0.04
+        is_sound[fault.first : fault.last + 1] = False
+    same_rotations = (damaged.local_rotations == sound_motion.local_rotations).all((1, 2, 3))
+    same_position = (damaged.root_position == sound_motion.root_position).all(1)
+    np.testing.assert_array_equal(same_rotations & same_position, is_sound)
 
 
-def test_a_fault_of_one_frame_is_in_one_frame():
-    (trial,) = animation_repair._iterate_performances(None, 1)
-    put = inject_animation_faults(trial.motion, SKELETON, trial.rate_hz, "pop", "1 frame", np.random.default_rng(0))[1]
-    assert put
-    assert all(each.first == each.last for each in put)
+def test_fault_of_one_frame_changes_one_frame(sound_motion):
+    _, injected = inject_animation_faults(sound_motion, SKELETON, RATE, "pop", "1 frame", np.random.default_rng(0))
+    assert injected
+    assert all(fault.first == fault.last for fault in injected)
 
 
-def test_linear_interpolation_is_exact_on_steady_turns():
-    from scipy.spatial.transform import Rotation
-
-    t = np.arange(30)
-    local = np.tile(np.eye(3), (30, 31, 1, 1))
-    local[:, 3] = Rotation.from_euler("X", 0.02 * t[:, None]).as_matrix()
-    root = np.outer(t, [0.01, 0.0, 0.02])
-    put = [InjectedAnimationFault("figure lost", tuple(range(31)), 10, 19)]
-    struck_root, struck = root.copy(), local.copy()
-    struck_root[10:20], struck[10:20] = np.nan, np.nan
-    found = animation_repair.interpolate_faults(struck_root, struck, put)
-    assert np.abs(found[0] - root).max() < 1e-12
-    assert np.abs(found[1] - local).max() < 1e-12
+def test_interpolation_is_exact_for_constant_velocity():
+    time = np.arange(30)
+    local_rotations = np.tile(np.eye(3), (30, 31, 1, 1))
+    local_rotations[:, 3] = Rotation.from_euler("X", 0.02 * time[:, None]).as_matrix()
+    root_position = np.outer(time, [0.01, 0.0, 0.02])
+    injected = [InjectedAnimationFault("figure gap", tuple(range(31)), 10, 19)]
+    damaged_position, damaged_rotations = root_position.copy(), local_rotations.copy()
+    damaged_position[10:20], damaged_rotations[10:20] = np.nan, np.nan
+    position, rotations = animation_repair.interpolate_faults(damaged_position, damaged_rotations, injected)
+    assert np.abs(position - root_position).max() < 1e-12
+    assert np.abs(rotations - local_rotations).max() < 1e-12
 
 
-def test_what_is_turned_back_is_far_better_than_interpolated():
-    said = animation_repair.measure_animation_repair(None, 1, kinds=("flip", "root off"))
-    for lengths in said["rows"].values():
-        assert lengths["long"]["told_over_linear"] < 1 / 3
-        assert lengths["long"]["found"] == lengths["1 frame"]["found"] == 1
-    assert said["touched"] < 0.01
+def test_removed_offsets_are_more_accurate_than_interpolation():
+    report = animation_repair.measure_animation_repair(None, 1, kinds=("flip", "root offset"))
+    for by_duration in report["rows"].values():
+        assert by_duration["long"]["known_over_linear"] < 1 / 3
+        assert by_duration["long"]["detected_share"] == by_duration["1 frame"]["detected_share"] == 1
+    assert report["changed_share"] < 0.01
 
 
-def test_no_trial_is_refused():
+def test_zero_trials_are_refused():
     with pytest.raises(SceneError, match="At least one trial"):
         animation_repair.measure_animation_repair(None, 0)
