@@ -167,21 +167,21 @@ def run_bench_animations(
     if as_json:
         print_json(results)
         return EXIT_DONE
-    methods = ("told", "found")  # the repair of known and of detected faults
+    methods = ("known", "detected")  # the repair of known and of detected faults
     headings = ("repaired, faults known", "repaired, faults detected", "relative to linear: known", "detected")
     table = Table("joint error, mm", "faults", "detected", "linear", *headings)
     for kind, rows in results["rows"].items():
         for length, row in rows.items():
             errors = [f"{row[f'{method}_mm']:.1f}" for method in ("linear", *methods)]
             ratios = [f"{row[f'{method}_over_linear']:.2f}" for method in methods]
-            table.add_row(f"{kind}, {length}", str(row["faults"]), f"{row['found']:.0%}", *errors, *ratios)
+            table.add_row(f"{kind}, {length}", str(row["faults"]), f"{row['detected_share']:.0%}", *errors, *ratios)
     table.add_section()
     for length, row in results["pooled"].items():
         table.add_row(f"all, {length}", "", "", "", "", "", *(f"{row[method]:.2f}" for method in methods if row))
     stdout_console.print(table)
     alarms = ", ".join(f"{kind} {count:.1f}" for kind, count in results["alarms_per_minute"].items()) or "none"
     stdout_console.print(f"Short: 0.2 to 0.5 s; long: 0.5 to 1 s. False alarms per minute in the sound trials: {alarms}.")
-    stdout_console.print(f"Sound samples that were changed: {results['touched']:.2%}.")
+    stdout_console.print(f"Sound samples that were changed: {results['changed_share']:.2%}.")
     return EXIT_DONE
 
 

@@ -16,7 +16,7 @@ from mocapfix.synthetic.synthetic_takes import draw_subject
 
 RATE = 30.0
 SKELETON = load_cmu31_body().skeleton
-MOST = {"flip": 0.3, "pop": 0.3, "jitter": 0.5, "limb lost": 0.8, "figure lost": 0.9, "root off": 0.2}  # of linear's error
+MOST = {"flip": 0.3, "pop": 0.3, "jitter": 0.5, "limb gap": 0.8, "figure gap": 0.9, "root offset": 0.2}  # of linear's error
 
 
 @cache
@@ -69,7 +69,7 @@ def test_a_joint_that_is_never_there_stays_so_without_harm():
     local = truth.local_rotations.copy()
     local[:, 5] = np.nan
     gap = build_expected_faults(
-        inject_animation_faults(truth, SKELETON, RATE, "limb lost", "long", np.random.default_rng(0))[1][0], 31
+        inject_animation_faults(truth, SKELETON, RATE, "limb gap", "long", np.random.default_rng(0))[1][0], 31
     )[0]
     whole = type(gap)("gap", 5, 0, truth.frame_count - 1, np.nan, "")
     mended = repair.repair_animation(SKELETON.parents, truth.root_position, local, ["ZYX"] * 31, [whole], RATE)
