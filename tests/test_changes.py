@@ -50,11 +50,11 @@ def test_what_nothing_was_made_of_has_no_entry_but_a_move_has():
     assert [change.kind for change in entries(take(), take(), GAP, SWAP, knocked)] == ["moved"]
 
 
-def test_what_was_taken_out_is_said_to_be():
+def test_method_of_removed_samples():
     after = take()
     after.markers[3, 1] = NAN
     (change,) = entries(take(), after, Fault("ghost", 1, 3, 3, 0.1, ""))
-    assert (change.method, change.before.missing, change.after.missing) == ("taken out", 0, 1)
+    assert (change.method, change.before.missing, change.after.missing) == ("removed", 0, 1)
 
 
 def test_ids_name_label_and_frame_without_blanks_and_none_twice():
@@ -76,7 +76,7 @@ def test_a_fragment_names_its_donor_and_concerns_it_where_it_is_a_marker(donor, 
     if donor == 3:
         after.markers[5:9, 2] = before.markers[5:9, 2]
     (change,) = entries(before, after, piece)
-    assert (change.markers, change.method, change.samples) == (("A", name), f"samples of {name} taken over", count)
+    assert (change.markers, change.method, change.samples) == (("A", name), f"samples of {name} joined to the marker", count)
     assert list_affected_markers(piece, 3) == ([0, 2] if donor == 2 else [0])
 
 

@@ -48,10 +48,5 @@ def test_no_kind_of_gap_casts_doubt_on_a_sample(take, kind):
     assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).compute_faulty_mask(take).any()
 
 
-def test_counts(faults):
-    assert faults.counts() == {"gap": 1, "spike": 2, "leading gap": 1, "jitter": 1}
-    assert Faults().counts() == {}
-
-
 def test_a_take_without_faults_is_believed_where_seen(take):
     np.testing.assert_array_equal(Faults().compute_inlier_mask(take), take.visible)

@@ -7,7 +7,7 @@ from mocapfix.take import Take
 
 @pytest.fixture
 def take():
-    """Four markers at 100 Hz that go along x at 1 m/s: one whole, one with three gaps, one never seen, one island."""
+    """Four markers at 100 Hz that move along x at 1 m/s: one complete, one with three gaps, one absent, one visible once."""
     markers = np.zeros((50, 4, 3))
     markers[..., 0] = np.arange(50)[:, None] / 100
     markers[:5, 1] = markers[20:30, 1] = markers[48:, 1] = np.nan
@@ -27,22 +27,22 @@ def test_every_gap_is_named_with_its_frames(take):
     ]
 
 
-def test_severity_is_the_way_between_the_edges_where_there_are_two(take):
+def test_severity_is_the_distance_between_the_edges(take):
     severity = [f.severity for f in gaps.detect_gaps(take)]
     np.testing.assert_allclose(severity, [np.nan, 0.11, np.nan, np.nan, np.nan, np.nan])
 
 
 def test_reasons_are_sentences_with_the_bare_label_and_seconds(take):
     assert [f.reason for f in gaps.detect_gaps(take)][:4] == [
-        "RFHD is not seen for the take's first 0.05 s.",
-        "RFHD is not seen for 0.10 s and moves 110 mm meanwhile.",
-        "RFHD is not seen for the take's last 0.02 s.",
-        "C7 is never seen in this take.",
+        "RFHD is missing for the first 0.05 s of the take.",
+        "RFHD is missing for 0.10 s and moves by 110 mm meanwhile.",
+        "RFHD is missing for the last 0.02 s of the take.",
+        "C7 is missing in the whole take.",
     ]
 
 
 def flickering(rate, *gaps):
-    """One marker over 200 frames that is not seen in the gaps (first, last)."""
+    """One marker over 200 frames that is missing in the gaps (first, last)."""
     markers = np.zeros((200, 1, 3))
     for first, last in gaps:
         markers[first : last + 1] = np.nan
@@ -60,12 +60,12 @@ def test_short_gaps_at_the_ends_are_no_flickers():
     assert [f.kind for f in gaps.detect_gaps(flickering(100.0, (0, 0), (199, 199)))] == ["leading gap", "trailing gap"]
 
 
-def test_each_flicker_says_how_many_there_are():
+def test_each_flicker_states_how_many_there_are():
     found = gaps.detect_gaps(flickering(100.0, (10, 10), (50, 80), (100, 101)))
     assert [f.reason for f in found] == [
-        "LFIN is not seen for 1 frame and moves 0 mm meanwhile, one of its 2 flickers.",
-        "LFIN is not seen for 0.31 s and moves 0 mm meanwhile.",
-        "LFIN is not seen for 2 frames and moves 0 mm meanwhile, one of its 2 flickers.",
+        "LFIN is missing for 1 frame and moves by 0 mm meanwhile, one of its 2 flickers.",
+        "LFIN is missing for 0.31 s and moves by 0 mm meanwhile.",
+        "LFIN is missing for 2 frames and moves by 0 mm meanwhile, one of its 2 flickers.",
     ]
     (only,) = gaps.detect_gaps(flickering(100.0, (10, 10)))
-    assert only.reason == "LFIN is not seen for 1 frame and moves 0 mm meanwhile, its only flicker."
+    assert only.reason == "LFIN is missing for 1 frame and moves by 0 mm meanwhile, its only flicker."

@@ -19,7 +19,7 @@ def found(markers, rate=120.0):
     return jitter.detect_jitter(take, take.visible, min_amplitude_m=0.005, min_ratio=6.0, min_duration_s=0.1)
 
 
-def trembling(markers, first, last, size, seed=0):
+def add_jitter(markers, first, last, size, seed=0):
     shaken = markers.copy()
     shaken[first : last + 1] += np.random.default_rng(seed).normal(scale=size, size=shaken[first : last + 1].shape)
     return shaken
@@ -34,7 +34,7 @@ def trembling(markers, first, last, size, seed=0):
 )
 def test_a_burst_of_12_mm_is_found_to_within_a_few_frames(rate, start, seconds, seed):
     first, last = round(start * rate), round((start + seconds) * rate)
-    bursts = found(trembling(swinging(rate), first, last, 0.012, seed), rate)
+    bursts = found(add_jitter(swinging(rate), first, last, 0.012, seed), rate)
     assert {f.kind for f in bursts} == {"jitter"}
     struck = np.zeros(1000 + last, bool)
     for f in bursts:
@@ -43,39 +43,39 @@ def test_a_burst_of_12_mm_is_found_to_within_a_few_frames(rate, start, seconds, 
     assert struck[: first - 6].sum() + struck[last + 7 :].sum() == 0
 
 
-def test_the_size_is_that_of_the_noise():
+def test_severity_is_that_of_the_noise():
     """Normal noise of 12 mm per axis has a median length of 12 mm times that of a chi with three degrees of freedom."""
-    (burst,) = found(trembling(swinging(seconds=20), 1200, 1300, 0.012))
+    (burst,) = found(add_jitter(swinging(seconds=20), 1200, 1300, 0.012))
     assert 0.012 * 1.54 * 0.9 < burst.severity < 0.012 * 1.54 * 1.8  # the largest of the medians over a tenth of a second
-    assert burst.reason.startswith(f"LWRA trembles by {burst.severity * 1e3:.0f} mm for 0.8")
-    assert burst.reason.endswith("s; its usual tremble is 0.8 mm.")
+    assert burst.reason.startswith(f"LWRA has jitter of {burst.severity * 1e3:.0f} mm for 0.8")
+    assert burst.reason.endswith("s; its usual noise is 0.8 mm.")
 
 
 @pytest.mark.parametrize("rate", [30.0, 50.0, 60.0, 120.0, 250.0])
-def test_real_motion_is_left_alone(rate):
+def test_fast_motion_is_no_jitter(rate):
     t = np.arange(round(4 * rate)) / rate - 2
     punches = 0.3 * np.sin(2 * np.pi * 4 * t) * np.exp(-((t / 0.4) ** 2))  # four a second, amid rest
     dead_stop = 3.0 * np.minimum(t, 0)
     assert found((punches + dead_stop)[:, None, None] * [0.6, 0.0, 0.8], rate) == []
 
 
-def test_a_marker_that_always_trembles_is_no_burst():
+def test_permanent_noise_is_no_jitter():
     assert found(swinging(noise=0.012)) == []
 
 
-def test_too_short_or_too_small_a_tremble_is_left():
-    assert found(trembling(swinging(), 200, 206, 0.012)) == []
-    assert found(trembling(swinging(), 200, 260, 0.002)) == []
+def test_short_or_small_bursts_are_no_jitter():
+    assert found(add_jitter(swinging(), 200, 206, 0.012)) == []
+    assert found(add_jitter(swinging(), 200, 260, 0.002)) == []
 
 
-def test_a_change_of_place_is_no_jitter():
+def test_displacement_is_no_jitter():
     markers = swinging()
     markers[200:260] += [0.2, 0.0, 0.0]
     assert found(markers) == []
 
 
 def test_a_burst_goes_on_across_a_moment_unseen_or_calm_and_ends_at_a_gap():
-    markers, calm = trembling(swinging(), 200, 420, 0.012), swinging()
+    markers, calm = add_jitter(swinging(), 200, 420, 0.012), swinging()
     markers[230:233] = np.nan
     markers[260:269] = calm[260:269]
     markers[320:360] = np.nan

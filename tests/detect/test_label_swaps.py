@@ -47,13 +47,13 @@ def test_a_ring_of_three_is_found_the_right_way_round(ring):
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 99), (360, 479)])
-def test_of_a_swap_to_an_end_of_the_take_the_distances_tell_the_wrong_part(first, last):
+def test_distances_decide_which_part_is_swapped(first, last):
     (swap,) = label_swaps.detect_label_swaps(exchanged(turning(), (1, 3), first, last))
     assert where([swap]) == [((1, 3), first, last)]
     assert swap.confidence > 0.95
 
 
-def test_a_swap_that_begins_and_ends_in_gaps_is_told_by_distances():
+def test_swap_that_begins_and_ends_in_gaps():
     take = exchanged(turning(), (1, 3), 150, 250)
     for marker in (1, 3):
         take = hidden(hidden(take, marker, 120, 170), marker, 230, 290)
@@ -61,15 +61,15 @@ def test_a_swap_that_begins_and_ends_in_gaps_is_told_by_distances():
     assert where([swap]) == [((1, 3), 171, 229)]
 
 
-def test_a_label_that_follows_a_marker_whose_own_label_is_lost_goes_back():
+def test_swap_with_a_missing_marker():
     sound = turning()
-    take = hidden(exchanged(sound, (1, 3), 150, 250), 1, 150, 250)  # marker 3 is seen as 1 no more, marker 1 as 3
+    take = hidden(exchanged(sound, (1, 3), 150, 250), 1, 150, 250)  # marker 3 is missing, and marker 1 has its label
     (swap,) = label_swaps.detect_label_swaps(take)
     assert where([swap]) == [((1, 3), 150, 250)]
     np.testing.assert_array_equal(undone(take, [swap]).markers[:, 1], sound.markers[:, 1])
 
 
-def test_without_distances_the_shorter_part_is_the_likelier_and_halves_are_left_alone():
+def test_without_distances_the_shorter_part_is_assumed_to_be_swapped():
     t = np.arange(480) / 120
     apart = np.stack([np.sin(3 * t), np.cos(2 * t), 0.5 * t, -np.sin(5 * t), np.sin(4 * t), 0.2 * t], 1).reshape(-1, 2, 3)
     take = Take(apart, ("A", "B"), 120.0)
@@ -81,7 +81,7 @@ def test_without_distances_the_shorter_part_is_the_likelier_and_halves_are_left_
     np.testing.assert_array_equal(undone(unsure, [half]).markers, unsure.markers)
 
 
-def test_two_swaps_at_once_are_both_found():
+def test_two_simultaneous_swaps_are_found():
     sound = turning()
     take = exchanged(exchanged(sound, (0, 2), 100, 200), (6, 8), 150, 260)
     found = label_swaps.detect_label_swaps(take)
@@ -101,12 +101,12 @@ def test_gaps_spikes_and_jitter_are_no_swaps():
     assert label_swaps.detect_label_swaps(take) == label_swaps.detect_label_swaps(take.replace_markers(markers)) == []
 
 
-def test_the_reason_is_a_sentence_with_labels_seconds_and_millimetres():
+def test_reason_names_labels_duration_and_distance():
     (swap,) = label_swaps.detect_label_swaps(exchanged(turning(), (1, 3), 100, 159))
     apart = np.linalg.norm(turning().markers[100:160, 1] - turning().markers[100:160, 3], axis=-1)
     assert swap.severity == pytest.approx(np.median(apart))
     expected = f"M1 and M3 have exchanged their labels for 0.50 s (60 frames): their samples lie {swap.severity * 1e3:.0f} mm"
-    assert swap.reason == f"{expected} from where they belong."
+    assert swap.reason == f"{expected} from their markers."
 
 
 def test_takes_without_frames_or_markers_have_no_swaps():

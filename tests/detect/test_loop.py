@@ -1,176 +1,180 @@
-"""Looking: what the first look puts right and in which order, and what a look at the body adds and takes away."""
+"""The detection loop: which labels are corrected and in which order, and what the solved body adds and removes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mocapfix import marker_sets, repair
-from mocapfix.detect import loop
-from mocapfix.detect.loop import DetectionState
+from mocapfix import marker_sets
+from mocapfix.detect import body_checks, loop
 from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.options import CleanOptions
 from mocapfix.read import capture
-from mocapfix.state import BodyFit
+from mocapfix.state import BodyFit, CleaningState, DetectionState
 from mocapfix.take import Take
 from tests.muddled import columns
 
 NAN = np.nan
+OPTIONS = CleanOptions()
 
 
-def anything(fault):
-    return True
+def read_state(muddled, **fields) -> CleaningState:
+    take = capture.read_capture(muddled.path)
+    return replace(CleaningState(take, DetectionState(take)), **fields)
 
 
 @pytest.fixture(scope="module")
-def looked(muddled):
-    take = capture.read_capture(muddled.path)
-    return loop.detect_on_trajectories(take, marker_sets.build_subject_marker_set(muddled.subject), muddled.subject, anything)
+def detection(muddled) -> DetectionState:
+    marker_set = marker_sets.build_subject_marker_set(muddled.subject)
+    state = read_state(muddled, marker_set=marker_set, known_subject=muddled.subject)
+    return loop.detect_on_trajectories(state, OPTIONS).detection
 
 
-def test_labels_are_put_right_first_and_what_is_under_them_is_judged_then(muddled, looked):
-    labels = looked.take.labels
-    assert [(f.kind, labels[f.marker], f.first, f.last) for f in looked.label_faults] == [
+def test_labels_are_corrected_before_samples_are_judged(muddled, detection):
+    labels = detection.take.labels
+    assert [(f.kind, labels[f.marker], f.first, f.last) for f in detection.label_faults] == [
         ("fragment", "RFHD", 100, 159),
         ("fragment", "RHEE", 150, 199),
         ("swap", "LWRA", 220, 289),
     ]
-    assert {(f.kind, labels[f.marker], f.first, f.last) for f in looked.sample_faults.items} == {
+    assert {(f.kind, labels[f.marker], f.first, f.last) for f in detection.sample_faults.items} == {
         ("spike", "STRN", 20, 20),
         ("gap", "RELB", 40, 59),
         ("spike", "LWRB", 250, 250),  # in the file it is under LWRA
     }
-    off = np.linalg.norm(looked.take.markers[:, :-1] - muddled.truth, axis=-1)
-    assert np.nanmax(np.where(looked.inlier_take.visible[:, :-1], off, NAN)) < 1e-6
+    error_m = np.linalg.norm(detection.take.markers[:, :-1] - muddled.truth, axis=-1)
+    assert np.nanmax(np.where(detection.inlier_mask[:, :-1], error_m, NAN)) < 1e-6
 
 
-def test_what_only_names_a_piece_of_another_is_neither_judged_nor_believed_of_it(looked):
-    assert [looked.take.labels[m] for m in looked.donor_markers] == ["RFHD-1"]
-    assert not any(fault.marker in looked.donor_markers for fault in looked.sample_faults.items)
+def test_fragment_donors_are_not_judged(detection):
+    assert [detection.take.labels[m] for m in detection.donor_markers] == ["RFHD-1"]
+    assert not any(fault.marker in detection.donor_markers for fault in detection.sample_faults.items)
 
 
-def test_what_somebody_vouches_for_is_no_fault_and_stays(muddled):
-    take = capture.read_capture(muddled.path)
-    found = loop.detect_on_trajectories(take, None, None, lambda fault: fault.kind not in ("swap", "fragment", "spike"))
+def test_rejected_faults_change_nothing(muddled):
+    state = read_state(muddled, accepts_fault=lambda fault: fault.kind not in ("swap", "fragment", "spike"))
+    found = loop.detect_on_trajectories(state, OPTIONS).detection
     assert not {fault.kind for fault in found.faults.items} & {"swap", "fragment", "spike"}
-    np.testing.assert_array_equal(found.take.markers, take.markers)
+    np.testing.assert_array_equal(found.take.markers, state.original_take.markers)
 
 
-def test_every_sample_of_the_file_is_still_in_it_once(muddled, looked):
+def test_every_sample_of_the_file_is_kept_once(muddled, detection):
     take = capture.read_capture(muddled.path)
-    sources = looked.take.source_points[looked.take.visible].tolist()
-    frames = np.broadcast_to(np.arange(take.frame_count)[:, None], take.visible.shape)[looked.take.visible].tolist()
+    sources = detection.take.source_points[detection.take.visible].tolist()
+    frame_indices = np.broadcast_to(np.arange(take.frame_count)[:, None], take.visible.shape)
+    frames = frame_indices[detection.take.visible].tolist()
     assert len(set(zip(frames, sources, strict=True))) == len(sources)
     assert set(sources) <= set(columns(take).values())
 
 
-# by hand
+def test_unused_fragments_are_reported_once(muddled):
+    found = loop.detect_on_trajectories(read_state(muddled), OPTIONS).detection
+    fragments = [(f.donor, f.first) for f in found.label_faults if isinstance(f, Fragment)]
+    assert len(fragments) == len(set(fragments)) == 2
+
+
+# on a take and a body made by hand
 
 
 TAKE = Take(np.random.default_rng(0).normal(size=(100, 3, 3)), tuple("ABC"), 100.0)
 
 
-def on_body(columns, places) -> BodyFit:
-    """-> a body of which only its markers' places are asked"""
-    worn = type("Worn", (), {"marker_offsets": np.array(places, float)})()
-    return BodyFit(worn, worn, None, np.array(columns), np.zeros(0), np.zeros(0))  # pyright: ignore
+def build_body(marker_columns, marker_offsets) -> BodyFit:
+    """Build a body of which only the marker offsets are used."""
+    subject = type("OffsetsOnly", (), {"marker_offsets": np.array(marker_offsets, float)})()
+    return BodyFit(subject, subject, None, np.array(marker_columns, int), np.zeros(0), np.zeros(0))  # pyright: ignore
 
 
-@pytest.mark.parametrize(("apart", "dismissed"), [(0.0239, True), (0.0241, False)])
-def test_a_move_stands_where_the_body_bears_out_most_of_it(apart, dismissed):
-    move = MarkerShift("moved", 1, 50, 99, 0.04, "", settled_frame=50)
-    found = DetectionState(TAKE, (), Faults((move,)))
-    parts = repair.split_moved_markers(TAKE, [move])
-    body = on_body([0, 1, 2, 3], [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, apart, 0]])
-    assert loop.find_unconfirmed_shifts(found, parts, body) == ([move] if dismissed else [])
+@pytest.mark.parametrize(("change_m", "is_rejected"), [(0.0239, True), (0.0241, False)])
+def test_shift_is_confirmed_by_the_body(change_m, is_rejected):
+    shift = MarkerShift("moved", 1, 50, 99, 0.04, "", settled_frame=50)
+    body = build_body([0, 1, 2, 3], [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, change_m, 0]])
+    found = body_checks.find_unconfirmed_shifts(DetectionState(TAKE, (), Faults((shift,))), body)
+    assert found == ([shift] if is_rejected else [])
 
 
-def test_a_move_to_where_it_is_hardly_seen_is_dismissed_and_that_of_no_marker_of_the_body_is_not():
-    early, foreign = (
-        MarkerShift("moved", 1, 90, 99, 0.04, "", settled_frame=90),
-        MarkerShift("moved", 2, 50, 99, 0.04, "", settled_frame=50),
-    )
-    parts = repair.split_moved_markers(TAKE, [early, foreign])  # 0.1 s after the first
-    body = on_body([0, 1], [[0, 0, 0], [0, 0, 0]])
-    assert loop.find_unconfirmed_shifts(DetectionState(TAKE, (), Faults((early, foreign))), parts, body) == [early]
+def test_shift_to_a_rarely_visible_position_is_unconfirmed():
+    """A shift of a marker that is not on the body is not checked."""
+    late = MarkerShift("moved", 1, 90, 99, 0.04, "", settled_frame=90)
+    off_body = MarkerShift("moved", 2, 50, 99, 0.04, "", settled_frame=50)
+    body = build_body([0, 1], [[0, 0, 0], [0, 0, 0]])
+    detection = DetectionState(TAKE, (), Faults((late, off_body)))
+    assert body_checks.find_unconfirmed_shifts(detection, body) == [late]
 
 
-def seen_off(monkeypatch, *faults):
-    monkeypatch.setattr(loop, "detect_epoch_body_faults", lambda *_: list(faults))
+def mock_detectors(monkeypatch, *body_faults):
+    monkeypatch.setattr(loop, "detect_epoch_faults", lambda *_: list(body_faults))
     monkeypatch.setattr(loop, "find_unconfirmed_shifts", lambda *_: [])
-    monkeypatch.setattr(loop, "detect_remaining_faults", lambda take, worn_set, stands: Faults((Fault("gap", 2, 0, 3, 0.1, "anew"),)))
+    monkeypatch.setattr(loop, "detect_remaining_faults", lambda *_: Faults((Fault("gap", 2, 0, 3, 0.1, "new"),)))
 
 
-def again(found, stands=anything):
-    return loop.detect_on_body(
-        found, repair.split_moved_markers(TAKE, []), on_body([], []), marker_sets.load_marker_set("cmu41"), stands
-    )
+def detect_again(detection, **fields) -> DetectionState | None:
+    """Run one round of detection on the body; None if it finds nothing."""
+    state = replace(CleaningState(TAKE, detection, body=build_body([], np.zeros((0, 3)))), **fields)
+    advanced = loop.detect_on_body(state, OPTIONS)
+    return None if advanced is state else advanced.detection
 
 
 SPIKE, GHOST = Fault("spike", 0, 10, 10, 0.1, ""), Fault("ghost", 1, 30, 60, 0.1, "")
 SWAP = Fault("swap", 0, 20, 40, 0.1, "", 1.0, (1,))
 
 
-def test_nothing_new_is_none(monkeypatch):
-    seen_off(monkeypatch, SPIKE)
-    assert again(DetectionState(TAKE, (), Faults((SPIKE,)))) is None
-    assert again(DetectionState(TAKE, (), Faults()), lambda fault: False) is None
+def test_state_is_unchanged_without_new_faults(monkeypatch):
+    mock_detectors(monkeypatch, SPIKE)
+    assert detect_again(DetectionState(TAKE, (), Faults((SPIKE,)))) is None
+    assert detect_again(DetectionState(TAKE), accepts_fault=lambda fault: False) is None
 
 
-def test_what_the_body_shows_is_added_to_what_was_known(monkeypatch):
-    seen_off(monkeypatch, GHOST)
-    more = again(DetectionState(TAKE, (), Faults((SPIKE,))))
-    assert more is not None
-    assert (more.take, more.label_faults, more.sample_faults.items) == (TAKE, (), (SPIKE, GHOST))
+def test_body_faults_are_added(monkeypatch):
+    mock_detectors(monkeypatch, GHOST)
+    found = detect_again(DetectionState(TAKE, (), Faults((SPIKE,))))
+    assert found is not None
+    assert (found.take, found.label_faults, found.sample_faults.items) == (TAKE, (), (SPIKE, GHOST))
 
 
-def test_a_swap_is_undone_and_the_samples_are_judged_anew_without_what_it_explains(monkeypatch):
-    seen_off(monkeypatch, SWAP, GHOST, SPIKE)
-    more = again(DetectionState(TAKE, (), Faults()))
-    assert more is not None
-    np.testing.assert_array_equal(more.take.markers, TAKE.exchange_labels((0, 1), 20, 40).markers)
-    assert more.label_faults == (SWAP,)
-    assert {fault.kind for fault in more.sample_faults.items} == {"gap", "spike"}
+def test_swap_is_undone_and_samples_are_judged_again_without_what_it_explains(monkeypatch):
+    mock_detectors(monkeypatch, SWAP, GHOST, SPIKE)
+    found = detect_again(DetectionState(TAKE))
+    assert found is not None
+    np.testing.assert_array_equal(found.take.markers, TAKE.exchange_labels((0, 1), 20, 40).markers)
+    assert found.label_faults == (SWAP,)
+    assert {fault.kind for fault in found.sample_faults.items} == {"gap", "spike"}
 
 
-def test_what_the_body_showed_before_is_not_forgotten_when_a_swap_is_found(monkeypatch):
-    seen_off(monkeypatch, GHOST, SPIKE)
-    once = again(DetectionState(TAKE, (), Faults()))
+def test_earlier_body_faults_are_kept_when_a_swap_is_found(monkeypatch):
+    mock_detectors(monkeypatch, GHOST, SPIKE)
+    once = detect_again(DetectionState(TAKE))
     assert once is not None
-    seen_off(monkeypatch, replace(SWAP, first=15, last=25))
-    twice = again(once)
+    mock_detectors(monkeypatch, replace(SWAP, first=15, last=25))
+    twice = detect_again(once)
     assert twice is not None
     assert {fault.kind for fault in twice.sample_faults.items} == {"gap", "ghost", "spike"}
 
 
-def test_a_move_that_was_dismissed_stays_so(monkeypatch):
-    move = MarkerShift("moved", 2, 60, 99, 0.04, "", settled_frame=60)
-    seen_off(monkeypatch)
-    monkeypatch.setattr(loop, "find_unconfirmed_shifts", lambda found, *_: [f for f in found.sample_faults.items if f.kind == "moved"])
-    more = again(DetectionState(TAKE, (), Faults((SPIKE, move))))
-    assert more is not None
-    assert (more.sample_faults.items, more.rejected_shifts) == ((SPIKE,), (move,))
-    assert again(more) is None
+def test_rejected_shift_stays_rejected(monkeypatch):
+    shift = MarkerShift("moved", 2, 60, 99, 0.04, "", settled_frame=60)
+    mock_detectors(monkeypatch)
+    monkeypatch.setattr(
+        loop, "find_unconfirmed_shifts", lambda found, *_: [f for f in found.sample_faults.items if f.kind == "moved"]
+    )
+    found = detect_again(DetectionState(TAKE, (), Faults((SPIKE, shift))))
+    assert found is not None
+    assert (found.sample_faults.items, found.rejected_shifts) == ((SPIKE,), (shift,))
+    assert detect_again(found) is None
 
 
-def test_pieces_that_nothing_came_of_are_told_of_once(muddled):
-    take = capture.read_capture(muddled.path)
-    found = loop.detect_on_trajectories(take, None, None, anything)
-    told = [(f.donor, f.first) for f in found.label_faults if isinstance(f, Fragment)]
-    assert len(told) == len(set(told)) == 2
-
-
-def test_what_shows_only_beside_what_is_replaced_is_found_as_well(monkeypatch):
-    """Once the burst is not asked any more the spike beside it shows; then nothing more."""
+def test_faults_hidden_by_replaced_samples_are_found(monkeypatch):
+    """Without the samples of the burst the spike next to it shows; then nothing more."""
     burst, spike, gap = Fault("jitter", 0, 10, 19, 0.1, ""), Fault("spike", 0, 20, 20, 0.1, ""), Fault("gap", 1, 0, 3, 0.1, "")
-    asked = []
+    measured = []
 
-    def found(take, worn_set):
-        asked.append(take.measured)
-        worse = [burst] if take.measured[10, 0] else [spike] if take.measured[20, 0] else []
-        return Faults((gap, *worse))
+    def detect(take, *_):
+        measured.append(take.measured)
+        replaced = [burst] if take.measured[10, 0] else [spike] if take.measured[20, 0] else []
+        return Faults((gap, *replaced))
 
-    monkeypatch.setattr(loop, "detect_sample_faults", found)
-    assert loop.detect_remaining_faults(TAKE, None, anything).items == (burst, spike, gap)
-    assert len(asked) == 3
-    np.testing.assert_array_equal(np.flatnonzero(~asked[-1].all(1)), np.arange(10, 21))
+    monkeypatch.setattr(loop, "detect_sample_faults", detect)
+    assert loop.detect_remaining_faults(TAKE, None, lambda fault: True, OPTIONS).items == (burst, spike, gap)
+    assert len(measured) == 3
+    np.testing.assert_array_equal(np.flatnonzero(~measured[-1].all(1)), np.arange(10, 21))
     assert TAKE.computed is None

@@ -12,21 +12,21 @@ def where(take, found):
     return [([take.labels[m] for m in fault.markers], fault.first, fault.last) for fault in found]
 
 
-def test_a_whole_take_has_lost_nothing():
+def test_complete_take_has_no_lost_segments():
     assert gaps.detect_lost_segments(somebody(), CMU41) == []
 
 
-def test_a_segment_is_lost_where_all_its_markers_are():
+def test_segment_is_lost_if_all_its_markers_are_missing():
     take = without(without(without(somebody(), "RHEE", first=10, last=40), "RTOE", first=20, last=45), "RMT5", first=15, last=50)
     (fault,) = gaps.detect_lost_segments(take, CMU41)
     assert fault.kind == "segment lost"
     assert where(take, [fault]) == [(list(FOOT), 20, 40)]
     labels = "RHEE, RTOE, RMT5"
-    rest = "only its neighbours and people's usual poses tell where it is."
-    assert fault.reason == f"Nothing of RightFoot is seen for 0.70 s ({labels}): {rest}"
+    rest = "its pose is estimated from its neighbours and the pose prior."
+    assert fault.reason == f"All markers of RightFoot are missing for 0.70 s ({labels}): {rest}"
 
 
-def test_a_lost_limb_is_named_once_and_what_is_lost_longer_besides():
+def test_lost_limb_is_reported_once_and_longer_losses_separately():
     take = without(somebody(), *ARM, first=20, last=50)
     (arm,) = gaps.detect_lost_segments(take, CMU41)
     assert set(arm.markers) == set(columns(take, *ARM))
@@ -35,15 +35,15 @@ def test_a_lost_limb_is_named_once_and_what_is_lost_longer_besides():
     assert where(take, gaps.detect_lost_segments(take, CMU41)) == [(list(ARM), 20, 50), (["LFRM", "LWRA", "LWRB"], 20, 70)]
 
 
-def test_where_nobody_is_seen_the_body_is_lost_and_nothing_else_is_said():
+def test_lost_body_is_reported_alone():
     take = without(somebody(), *CMU41.labels, first=30, last=40)
     (body,) = gaps.detect_lost_segments(take, CMU41)
     assert (len(body.markers), body.first, body.last) == (41, 30, 40)
-    assert body.reason.startswith("Nothing of the body is seen for 0.37 s: ")
+    assert body.reason.startswith("All markers of the body are missing for 0.37 s: ")
 
 
 @pytest.mark.parametrize(("last", "count"), [(21, 0), (22, 1)])
-def test_what_is_lost_for_less_than_a_tenth_of_a_second_is_not_named(last, count):
+def test_short_losses_are_not_reported(last, count):
     assert len(gaps.detect_lost_segments(without(somebody(), *FOOT, first=20, last=last), CMU41)) == count
 
 
@@ -51,16 +51,16 @@ def test_a_single_marker_is_no_segment():
     assert gaps.detect_lost_segments(without(somebody(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
 
 
-def test_severity_is_how_far_the_segment_moved_meanwhile():
+def test_severity_is_the_travel_of_the_segment():
     sound = somebody()
     (fault,) = gaps.detect_lost_segments(without(sound, *FOOT, first=20, last=40), CMU41)
-    way = np.linalg.norm(sound.markers[41] - sound.markers[19], axis=-1)[list(columns(sound, *FOOT))]
-    assert fault.severity == pytest.approx(np.median(way))
+    travel_m = np.linalg.norm(sound.markers[41] - sound.markers[19], axis=-1)[list(columns(sound, *FOOT))]
+    assert fault.severity == pytest.approx(np.median(travel_m))
     (late,) = gaps.detect_lost_segments(without(sound, *FOOT, first=40), CMU41)
     assert np.isnan(late.severity)
     assert "for 1.67 s" in late.reason
 
 
-def test_what_is_never_seen_is_lost_in_the_whole_take():
+def test_segment_missing_in_the_whole_take():
     (fault,) = gaps.detect_lost_segments(without(somebody(), *FOOT), CMU41)
-    assert "Nothing of RightFoot is seen in the whole take" in fault.reason
+    assert "All markers of RightFoot are missing in the whole take" in fault.reason

@@ -6,7 +6,8 @@ import pytest
 
 from mocapfix import marker_sets, synthetic
 from mocapfix.detect import mislabelled
-from mocapfix.detect.mislabelled import find_permutation_cycles, select_fullest_frames
+from mocapfix.detect.mislabelled import select_fullest_frames
+from mocapfix.detect.swap_viterbi import find_permutation_cycles
 from mocapfix.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.read import capture
 from mocapfix.take import Take
@@ -24,7 +25,7 @@ def undone(take, found):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_people_who_are_not_average_are_labelled_right(seed):
+def test_correct_labels_of_subjects_off_the_average(seed):
     assert mislabelled.detect_mislabelled(somebody(seed), CMU41) == []
 
 
@@ -33,7 +34,7 @@ def test_people_who_are_not_average_are_labelled_right(seed):
     [("LTOE", "LMT5"), ("RWRA", "RWRB"), ("LKNE", "LANK"), ("LWRA", "LFIN"), ("RANK", "RHEE"), ("LFHD", "RFHD"), ("LFHD", "LBHD"),
      ("LBWT", "RBWT"), ("C7", "RBAC"), ("LFHD", "RTOE"), ("LTOE", "LMT5", "LHEE"), ("LMT5", "LTOE", "LHEE")],
 )  # fmt: skip
-def test_an_exchange_is_found_the_right_way_round(ring):
+def test_exchange_is_found_in_the_right_direction(ring):
     sound = somebody()
     take = relabelled(sound, *ring)
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
@@ -45,26 +46,26 @@ def test_an_exchange_is_found_the_right_way_round(ring):
 @pytest.mark.parametrize(
     "labels", [("FHD", "BHD"), ("UPA", "ELB", "FRM", "WRA", "WRB", "FIN"), ("HEE", "TOE", "MT5"), ("FWT", "BWT"), PAIRED]
 )
-def test_of_mirrored_parts_every_pair_is_found_and_one_sentence_tells_them_all(labels):
+def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
     sound = somebody(1)
     take = mirrored(sound, *labels)
     found = mislabelled.detect_mislabelled(take, CMU41)
     assert sorted(fault.markers for fault in found) == sorted(columns(take, f"L{label}", f"R{label}") for label in labels)
     np.testing.assert_array_equal(undone(take, found).markers, sound.markers)
     (reason,) = {fault.reason for fault in found}
-    assert reason.startswith("Left and right are exchanged over the whole take: ")
+    assert reason.startswith("Left and right are exchanged over the whole take (")
     assert all(f"L{label}" in reason for label in labels)
 
 
-def test_what_is_named_so_on_both_sides_is_the_studios_habit():
+def test_exchange_on_both_sides_is_a_naming_convention():
     sound = somebody(1)
-    habit = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
-    assert mislabelled.detect_mislabelled(habit, CMU41) == []
-    (fault,) = mislabelled.detect_mislabelled(relabelled(habit, "LWRA", "LFIN"), CMU41)
+    convention = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
+    assert mislabelled.detect_mislabelled(convention, CMU41) == []
+    (fault,) = mislabelled.detect_mislabelled(relabelled(convention, "LWRA", "LFIN"), CMU41)
     assert set(fault.markers) == set(columns(sound, "LWRA", "LFIN"))
 
 
-def test_what_is_not_in_the_take_is_not_exchanged():
+def test_absent_markers_are_not_exchanged():
     take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
     kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
     take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
@@ -82,7 +83,7 @@ def test_several_exchanges_are_found_among_gaps():
     }
 
 
-def test_labels_that_are_wrong_for_most_of_the_take_are_taken_for_wrong_all_along():
+def test_labels_wrong_for_most_of_the_take_are_mislabelled():
     sound = somebody()
     markers = relabelled(sound, "LKNE", "LANK").markers.copy()
     markers[70:] = sound.markers[70:]
@@ -96,44 +97,44 @@ def test_a_reason_is_a_sentence_with_labels_and_millimetres():
     take = relabelled(somebody(), "LKNE", "LANK")
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"
-    assert fault.reason.startswith(f"{start} where the marker set has them on a body, the other way round ")
+    assert fault.reason.startswith(f"{start} the marker set's positions on the body, and ")
     assert fault.severity > 0.15
 
 
 @pytest.mark.parametrize("scale", [0.6, 1.2])
-def test_children_and_giants_are_people(scale):
+def test_small_and_large_subjects(scale):
     take = somebody(3)
     take = take.replace_markers(take.markers * scale)
     assert mislabelled.detect_mislabelled(take, CMU41) == []
     assert len(mislabelled.detect_mislabelled(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
 
 
-def test_a_person_who_is_known_is_asked_instead_of_the_average_one():
+def test_known_subject_replaces_the_average_body():
     truth = synthetic.compose_take(3, 2.0, 30.0, asymmetric=True)
     small = replace(truth.subject.skeleton, offsets=truth.subject.skeleton.offsets * 0.6)
     subject = replace(truth.subject, skeleton=small, marker_offsets=truth.subject.marker_offsets * 0.6)
     child = Take(truth.marker_positions * 0.6, truth.labels, 30.0)
-    worn = marker_sets.build_subject_marker_set(subject)
-    assert mislabelled.detect_mislabelled(child, worn, subject) == []
-    (fault,) = mislabelled.detect_mislabelled(relabelled(child, "LBWT", "RBWT"), worn, subject)
+    marker_set = marker_sets.build_subject_marker_set(subject)
+    assert mislabelled.detect_mislabelled(child, marker_set, subject) == []
+    (fault,) = mislabelled.detect_mislabelled(relabelled(child, "LBWT", "RBWT"), marker_set, subject)
     assert fault.markers == columns(child, "LBWT", "RBWT")
-    assert "mm from where the marker set has them" in fault.reason
+    assert "mm from the marker set's positions" in fault.reason
 
 
-def test_markers_that_only_bear_the_names_are_left_alone():
+def test_other_markers_with_the_same_labels_are_not_judged():
     take = somebody()
     elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
     assert mislabelled.detect_mislabelled(take.replace_markers(elsewhere), CMU41) == []
 
 
-def test_what_is_hardly_seen_is_not_judged():
+def test_rarely_visible_markers_are_not_judged():
     take = relabelled(somebody(), "LTOE", "LMT5")
     assert mislabelled.detect_mislabelled(without(take, "LTOE", "LMT5", first=5), CMU41) == []
     assert mislabelled.detect_mislabelled(take.replace_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
     assert mislabelled.detect_mislabelled(take.replace_markers(take.markers[:0]), CMU41) == []
 
 
-def test_the_frames_that_show_most_are_looked_at():
+def test_fullest_frames_are_selected():
     markers = np.zeros((100, 20, 3)) + np.arange(100.0)[:, None, None]
     markers[:50, :10] = np.nan
     some = select_fullest_frames(markers)
@@ -142,7 +143,7 @@ def test_the_frames_that_show_most_are_looked_at():
     assert select_fullest_frames(markers[:, :11]).shape == (0, 11, 3)
 
 
-def test_rings_are_followed_by_whose_label_they_are_under():
+def test_permutation_cycles():
     assert find_permutation_cycles(np.array([0, 1, 2])) == []
     assert find_permutation_cycles(np.array([2, 1, 4, 3, 0])) == [(0, 2, 4)]
     assert find_permutation_cycles(np.array([1, 0, 3, 2])) == [(0, 1), (2, 3)]
@@ -152,8 +153,8 @@ def test_rings_are_followed_by_whose_label_they_are_under():
 @pytest.mark.parametrize(
     "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
 )
-def test_captures_are_labelled_right(name):
+def test_captures_have_correct_labels(name):
     take = capture.read_capture(CAPTURES / f"{name}.c3d")
-    worn_set = marker_sets.choose_marker_set(take.labels).marker_set
-    assert worn_set is not None
-    assert mislabelled.detect_mislabelled(take, worn_set) == []
+    marker_set = marker_sets.choose_marker_set(take.labels).marker_set
+    assert marker_set is not None
+    assert mislabelled.detect_mislabelled(take, marker_set) == []

@@ -32,7 +32,7 @@ def test_a_marker_far_noisier_than_the_others_is_found():
     (fault,) = jitter.detect_noise(swinging([0.0003, 0.0003, 0.004, 0.0004]))
     assert (fault.kind, fault.marker, fault.first, fault.last) == ("noise", 2, 0, 719)
     assert fault.severity == pytest.approx(0.004, rel=0.1)
-    assert fault.reason == f"M2 trembles by {fault.severity * 1e3:.1f} mm all along; the take's other markers do by 0.3 mm."
+    assert fault.reason == f"M2 has noise of {fault.severity * 1e3:.1f} mm throughout; the other markers have 0.3 mm."
 
 
 @pytest.mark.parametrize("sd", [[0.0001, 0.0001, 0.0008], [0.001, 0.001, 0.004], [0.004, 0.004, 0.004]])

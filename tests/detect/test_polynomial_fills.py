@@ -33,12 +33,12 @@ def filled(take, marker, first, last, degree):
     seconds=st.floats(0.2, 1.5),
     degree=st.sampled_from([1, 2, 3]),
 )
-def test_a_fill_is_found_to_a_few_frames_and_its_degree_told(rate, start, seconds, degree):
+def test_fill_is_found_with_its_degree(rate, start, seconds, degree):
     first, last = round(start * rate), round((start + seconds) * rate)
     (fault,) = external_fills.detect_polynomial_fills(as_floats(filled(walking(rate), 1, first, last, degree)))
     assert (fault.marker, fault.kind) == (1, "straight")
     assert POLYNOMIAL_NAMES[degree] in fault.reason
-    assert abs(fault.first - first) <= 1  # a cubic through four samples hits the outer ones too
+    assert abs(fault.first - first) <= 1  # a cubic may fit one more measured sample
     assert abs(fault.last - last) <= 1
 
 
@@ -58,16 +58,16 @@ def test_a_natural_spline_across_one_gap_is_a_cubic():
     assert "cubic" in fault.reason
 
 
-def test_what_is_said():
+def test_reason_and_confidence():
     (fault,) = external_fills.detect_polynomial_fills(filled(walking(), 1, 200, 259, 1))
-    off = f"{fault.severity * 1e3:.2g} mm"
     assert fault.reason == (
-        f"B lies on an exact line for 0.50 s, as other programs fill gaps; what was measured thereabouts is {off} off one."
+        "B lies on an exact line for 0.50 s, as other programs fill gaps; "
+        f"the measured samples around it deviate from one by {fault.severity * 1e3:.2g} mm."
     )
     assert 0.99 < fault.confidence <= 1
 
 
-def test_fills_side_by_side_and_beside_a_gap():
+def test_adjacent_fills_and_fills_next_to_a_gap():
     take = filled(filled(walking(), 1, 200, 230, 3), 1, 232, 280, 1)
     markers = take.markers.copy()
     markers[100:140, 1] = np.linspace(markers[100, 1], markers[140, 1], 40)

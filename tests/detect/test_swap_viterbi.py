@@ -1,4 +1,3 @@
-
 import pytest
 
 from mocapfix.detect import continuity, marker_distances

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mocapfix.faults import overlap_in_time
 from mocapfix.detect.trajectory_segments import find_loose_segments, find_namesakes, split_trajectory
+from mocapfix.faults import overlap_in_time
 from mocapfix.take import Take
 
 RATE = 120.0
