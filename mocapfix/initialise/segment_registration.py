@@ -20,9 +20,9 @@ def register_poses(
 ) -> Motion:
     """Return every frame's pose from its own markers alone.
 
-    The root is fitted to pelvis and chest in the mean pose. Then, down the tree, each joint that carries markers is rotated about its
-    own position to fit them, and the joints between it and the last such joint share the rotation. Without markers, the mean pose is
-    kept; a frame with fewer than three markers on the trunk takes its root from its neighbours in time.
+    The root is fitted to pelvis and chest in the mean pose. Then, down the tree, each joint that carries markers is rotated
+    about its own position to fit them, and the joints between it and the last such joint share the rotation. Without markers,
+    the mean pose is kept; a frame with fewer than three markers on the trunk takes its root from its neighbours in time.
 
     free     joints that may rotate
     markers  metres, in the subject's order, NaN where missing or rejected

@@ -1,8 +1,8 @@
 """The scaled orthographic camera of the keypoints (MNN-IK, Eq. 5.2), and the estimation of its scale.
 
-HybrIK-X (Eqs. 21-22) alternates: a pose for the scale, then the scale in closed form, by least squares over the image of that pose.
-As a pose can lean towards the camera or away from it until it fits nearly any scale that is large enough, the alternation converges
-slowly. Its fixed point, the scale that reproduces itself, is found by the secant method instead.
+HybrIK-X (Eqs. 21-22) alternates: a pose for the scale, then the scale in closed form, by least squares over the image of that
+pose. As a pose can lean towards the camera or away from it until it fits nearly any scale that is large enough, the alternation
+converges slowly. Its fixed point, the scale that reproduces itself, is found by the secant method instead.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,10 @@ def build_camera(rotation: Float[np.ndarray, "3 3"], scale_px_m: float, origin_p
 
 
 def build_camera_rotation(pitch_down_rad: float) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from world to camera of a camera that faces -Z, pitched down; it sees the front of a person facing +Z."""
+    """Return the rotation from world to camera of a camera that faces -Z, pitched down.
+
+    It sees the front of a person who faces +Z.
+    """
     sine, cosine = np.sin(pitch_down_rad), np.cos(pitch_down_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, -cosine, sine], [0.0, -sine, -cosine]])
 

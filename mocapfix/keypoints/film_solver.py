@@ -1,9 +1,9 @@
 """Poses and camera of a film, from its keypoints alone (MNN-IK, 5.2; HybrIK-X, Eqs. 21-22).
 
-One person and one camera: its scale is one for all frames, estimated on some of them by solving those again for every scale. An image
-does not determine whether a knee points towards the camera or away, nor always which way a person faces. So, at that scale, each frame
-is solved from several headings, the most likely sequence of the solutions is found (Viterbi's algorithm), and all frames are solved
-again, tracking that sequence made smooth.
+One person and one camera: its scale is one for all frames, estimated on some of them by solving those again for every scale. An
+image does not determine whether a knee points towards the camera or away, nor always which way a person faces. So, at that
+scale, each frame is solved from several headings, the most likely sequence of the solutions is found (Viterbi's algorithm), and
+all frames are solved again, tracking that sequence made smooth.
 """
 
 from dataclasses import replace
@@ -50,8 +50,8 @@ def solve_film(
     rotation     world to camera, see `build_camera_rotation`
     prior_scale  factor on the prior's standard deviations (2 = weaker prior)
 
-    The error of the camera's scale is that of the skeleton's size: an image does not distinguish a tall person far away from a short
-    one.
+    The error of the camera's scale is that of the skeleton's size: an image does not distinguish a tall person far away from a
+    short one.
 
     Raises TakeError if the keypoints are too few, or not those of an upright person, to determine the scale.
     """
@@ -99,7 +99,8 @@ def check_camera_scale(scale_px_m: float) -> float:
     """Return the scale. Raises TakeError if it is not positive: for points in one place, or an upside-down person."""
     if not scale_px_m > 0:
         raise TakeError(
-            "The keypoints do not determine the size of a body; pixels must count to the right and down, and the person be upright."
+            "The keypoints do not determine the size of a body; pixels must count to the right and down, "
+            "and the person must be upright."
         )
     return scale_px_m
 

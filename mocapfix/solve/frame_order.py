@@ -43,9 +43,9 @@ def order_in_windows(frames: int, joints: int, length: int) -> SolveOrder:
 def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
     """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
 
-    Joints that are uncertain start from the neighbour's rotations; the others, and the root, from their own. So where markers leave
-    two poses possible, as for a thigh without its knee, the continuous one is found. A gap at the take's beginning or end has one
-    end only. If a gap covers all frames, the first frame is its end, and is not solved again.
+    Joints that are uncertain start from the neighbour's rotations; the others, and the root, from their own. So where markers
+    leave two poses possible, as for a thigh without its knee, the continuous one is found. A gap at the take's beginning or end
+    has one end only. If a gap covers all frames, the first frame is its end, and is not solved again.
     """
     frames: list[int] = []
     start_frame: list[int] = []

@@ -1,9 +1,9 @@
 """Removal of an offset that is constant over a span of frames, so that the signal continues as smoothly as possible.
 
-A rotation can have a constant offset in the parent's axes (d R), in the joint's own (R d) or in the middle one of its three angles.
-In each case the corrected quaternion is linear in the correction: q = B(q') c, with c the conjugate of d where B has four columns,
-and (cos, sin) of half the angle where it has two. A position has an offset vector: p = p' + c. So the correction that makes the
-signal smoothest is a linear least squares problem.
+A rotation can have a constant offset in the parent's axes (d R), in the joint's own (R d) or in the middle one of its three
+angles. In each case the corrected quaternion is linear in the correction: q = B(q') c, with c the conjugate of d where B has
+four columns, and (cos, sin) of half the angle where it has two. A position has an offset vector: p = p' + c. So the correction
+that makes the signal smoothest is a linear least squares problem.
 """
 
 from typing import NamedTuple
@@ -32,8 +32,8 @@ class OffsetModel(NamedTuple):
 def build_rotation_offset_models(quaternions: Float[np.ndarray, "T 4"], order: str) -> tuple[OffsetModel, ...]:
     """Return the models of quaternions (x, y, z, w) without sign changes, each times two.
 
-    They are an offset in the parent's axes, in the joint's own and, if the joint has three axes, in the middle angle of an `order`
-    of intrinsic rotations such as "ZYX".
+    They are an offset in the parent's axes, in the joint's own and, if the joint has three axes, in the middle angle of an
+    `order` of intrinsic rotations such as "ZYX".
     """
     q, zeros, units = 2 * quaternions, np.zeros_like(quaternions), np.eye(4)
     in_parent, in_joint = multiply_quaternions(units[None], q[:, None]), multiply_quaternions(q[:, None], units[None])

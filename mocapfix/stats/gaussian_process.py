@@ -1,10 +1,10 @@
 """Gaussian process regression over a take's frames.
 
-The covariance of two frames depends on their distance in time, as motion is smooth (Matern-5/2), and on the similarity of the body's
-states. The latter has two parts: a linear one, for what always moves together, as both arms do, and a stationary one (Matern-3/2),
-for motion that recurs (Rasmussen and Williams 2006, Eqs. 2.25, 2.26, 4.16, 4.17). So the prediction is a cubic curve across a short
-gap, a regression on the take's own motion across a long one, and a weighted combination between. The linear part alone is the
-Gaussian over all measurements, in its dual form.
+The covariance of two frames depends on their distance in time, as motion is smooth (Matern-5/2), and on the similarity of the
+body's states. The latter has two parts: a linear one, for what always moves together, as both arms do, and a stationary one
+(Matern-3/2), for motion that recurs (Rasmussen and Williams 2006, Eqs. 2.25, 2.26, 4.16, 4.17). So the prediction is a cubic
+curve across a short gap, a regression on the take's own motion across a long one, and a weighted combination between. The
+linear part alone is the Gaussian over all measurements, in its dual form.
 """
 
 from typing import Literal, NamedTuple

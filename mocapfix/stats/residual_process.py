@@ -1,9 +1,9 @@
 """Interpolation of a residual across a gap, from the samples on both sides.
 
-The part of a marker's motion that its segment does not explain (skin, and the solve's own error), or of a joint's that a prediction
-does not, is a smooth random process about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams 2006, Eq. 4.17),
-of which a part is rough (Matern-1/2), as the residual itself shows. Given the samples on both sides of a gap, its mean continues
-them smoothly and decays towards zero in the middle of a long gap; its variance is the uncertainty.
+The part of a marker's motion that its segment does not explain (skin, and the solve's own error), or of a joint's that a
+prediction does not, is a smooth random process about zero: a Gaussian process with Matern-3/2 covariance (Rasmussen & Williams
+2006, Eq. 4.17), of which a part is rough (Matern-1/2), as the residual itself shows. Given the samples on both sides of a gap,
+its mean continues them smoothly and decays towards zero in the middle of a long gap; its variance is the uncertainty.
 """
 
 from typing import NamedTuple

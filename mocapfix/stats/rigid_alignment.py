@@ -70,8 +70,8 @@ def align_to_common_shape(
     """Return world rotation and origin of axes fixed to the markers' common shape, and whether a frame determines them.
 
     Markers are in metres, NaN where missing; a frame needs three or more. No skeleton is used. Each marker is weighted by the
-    inverse of its variance about the common shape, so the trunk dominates (Theobald & Wuttke 2006, PNAS 103, the maximum-likelihood
-    form of Procrustes alignment).
+    inverse of its variance about the common shape, so the trunk dominates (Theobald & Wuttke 2006, PNAS 103, the
+    maximum-likelihood form of Procrustes alignment).
     """
     is_visible = ~np.isnan(markers[..., 0])
     shape, variance = markers[np.argmax(is_visible.sum(1))], np.ones(markers.shape[1])

@@ -27,8 +27,8 @@ def group_gaps(missing: Bool[np.ndarray, "T J"]) -> dict[tuple[int, int], Int[np
 def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: int, rate: float) -> Int[np.ndarray, " N"]:
     """Return indices, rising, of the frames to train on for a gap first..last.
 
-    These are the frames `is_known` (T,) within the dense margin beside the gap, one each training step, and others evenly spaced, up
-    to the largest number of training frames.
+    These are the frames `is_known` (T,) within the dense margin beside the gap, one each training step, and others evenly
+    spaced, up to the largest number of training frames.
     """
     frames = np.flatnonzero(is_known)
     distance = np.where(frames < first, first - 1 - frames, frames - last - 1)  # frames from the gap's edge

@@ -1,7 +1,7 @@
 """A body over its feet: the pelvis follows the feet, the legs reach down to them, the upper body makes its gestures.
 
-A joint's "posture" is its world rotation relative to standing with hanging arms (see `gestures`), so its world rotation is posture
-times standing rotation, for any rest axes.
+A joint's "posture" is its world rotation relative to standing with hanging arms (see `gestures`), so its world rotation is
+posture times standing rotation, for any rest axes.
 """
 
 import numpy as np
@@ -84,7 +84,7 @@ def _compute_root_position(
     crouch: Float[np.ndarray, " T"],
     rate: float,
 ) -> Float[np.ndarray, "T 3"]:
-    """Return positions over the feet, nearer to the standing one, and as high as both legs can reach, which lets the pelvis bob."""
+    """Return positions over the feet, nearer to the standing one, and as high as both legs can reach."""
     share = 0.5 + SUPPORT_SHIFT * (feet.is_swinging @ [-1.0, 1.0])[:, None]
     support = share * feet.floor_position[:, 0] + (1 - share) * feet.floor_position[:, 1]
     middle = gaussian_filter1d(support, SUPPORT_SMOOTHING_S * rate, axis=0)

@@ -28,7 +28,7 @@ def build_equations(frame: Frame, scale2: float = np.inf, t: int = 0) -> tuple[f
 
 
 def solve_frames_from(frame: Frame, scales2: np.ndarray, frames: int = 1, most: int = 50, start=None):
-    """Return root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,), iterations (T,) from the frame's pose or another start."""
+    """Return root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,) and iterations (T,) from the frame's pose or a start."""
     root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
     ends = solve_in_order(
         frame_order.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
@@ -39,18 +39,18 @@ def solve_frames_from(frame: Frame, scales2: np.ndarray, frames: int = 1, most: 
 def solve_in_order(
     order: frame_order.SolveOrder, tree: KinematicTree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50
 ):
-    """Solve poses in place, as a plan says. -> status (T,), iterations (T,), -1 for frames that are not in the plan"""
+    """Solve poses in place, in an order. Return status (T,) and iterations (T,), -1 for frames that are not in the order."""
     status, iterations = np.full(len(root), -1), np.full(len(root), -1)
     run_over_frames(
-        solve_frames, len(order.chain_starts) - 1, tree, terms, order, scales2, INITIAL_DAMPING_RATIO, most, count_rows(terms), root, local, shared,
-        status, iterations,
+        solve_frames, len(order.chain_starts) - 1, tree, terms, order, scales2, INITIAL_DAMPING_RATIO, most, count_rows(terms),
+        root, local, shared, status, iterations,
     )  # fmt: skip
     return status, iterations
 
 
 def compute_uncertainty(frame: Frame, scale2: float, root=None, local=None, shared=None):
-    """Return standard deviation of markers (T, K) and of joints' places (T, J), variance of joints' turns (T, J) and of the root's
-    place (T,), at the frame's pose or at others.
+    """Return standard deviations of markers (T, K) and joints (T, J), variances of joints' rotations (T, J) and of the root's
+    position (T,), at the frame's pose or at others.
     """
     given = zip(frame[2:], (root, local, shared), strict=True)
     root, local, shared = (one[None] if many is None else many for one, many in given)

@@ -8,7 +8,7 @@ from tests.kernels import random_terms
 
 SD, EYES = 0.005, np.tile(np.eye(3), (2, 1, 1))
 ORIGIN = np.array([[0, 0, 0], [0.3, 0, 0]])  # of the segments, each in its parent's axes
-# eight markers each, as far to all sides of the joint, so that all its axes are as sure
+# eight markers each, symmetric about the joint, so that its variance is the same along all axes
 CORNERS = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 PLACE = np.concatenate([CORNERS + ORIGIN[1], CORNERS])
 MEETINGS = JointSegments(np.array([0, 1, 3]), np.array([0, 0, 1]), np.array([[0, 0, 0], [0.3, 0, 0], [0, 0, 0]]))
@@ -62,6 +62,7 @@ def test_missing_root_follows_from_the_child_and_the_joint():
     markers[:, :8] = np.nan
     position, variance = fit(markers, joint_information=1e4)
     np.testing.assert_allclose(position[:, 0], joints[:, 1] - rotation @ ORIGIN[1], atol=1e-6)
-    # its turn is the child's, 8 markers at a lever of 0.14 m across each axis, and the joint_information's, 0.01 rad; two axes lie across
-    turned = 1 / (8 * 0.02 / SD**2) + 1e-4
-    np.testing.assert_allclose(variance[:, 0], SD**2 / 8 + 2 / 3 * 0.09 * turned, rtol=0.02)
+    # the root's rotation variance is the child's, of 8 markers at a lever of 0.14 m about each axis, plus the joint's,
+    # (0.01 rad)^2; two of three axes move the root
+    rotation_variance = 1 / (8 * 0.02 / SD**2) + 1e-4
+    np.testing.assert_allclose(variance[:, 0], SD**2 / 8 + 2 / 3 * 0.09 * rotation_variance, rtol=0.02)

@@ -1,4 +1,4 @@
-"""How sure a pose is: against the inverse of the whole dense curvature, and against the errors of solves of known poses."""
+"""Pose uncertainty against the inverse of the dense curvature, and against the errors of solves of known poses."""
 
 import numpy as np
 from hypothesis import given

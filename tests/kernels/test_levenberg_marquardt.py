@@ -75,7 +75,7 @@ def test_exact_markers_recover_the_shape(seed, joints):
 
 @given(seeds)
 def test_markers_recover_the_code_of_a_decoded_pose(seed):
-    """Some joints have no markers: the decoder knows them from the others."""
+    """Some joints have no markers: the decoder determines them from the others."""
     rng, joints, size = np.random.default_rng(seed), 8, 3
     middle, slope = random_terms.draw_rotations(rng, joints), rng.normal(0, 0.2, (joints, 3, size))
     middle[0], slope[0, 1] = np.eye(3), 0.0  # the root's is a tilt
@@ -87,8 +87,8 @@ def test_markers_recover_the_code_of_a_decoded_pose(seed):
     markers.weight[:, np.isin(markers.joints, [3, 6])] = 0.0
     elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
     decoded = (slope @ elsewhere[0])[None]
-    sure = np.tile(1e8 * np.eye(3), (joints, 1, 1))
-    prior = LatentCodeTerm.build(middle, decoded, slope[None], elsewhere, sure, np.zeros(1), np.zeros(1, int))
+    information = np.tile(1e8 * np.eye(3), (joints, 1, 1))
+    prior = LatentCodeTerm.build(middle, decoded, slope[None], elsewhere, information, np.zeros(1), np.zeros(1, int))
     frame = frame._replace(terms=random_terms.build_terms(joints, points=markers, latent_code=prior))
     start = frame.root + 0.02, random_terms.draw_rotations(rng, joints, 0.1) @ local, np.zeros(size)
     _, found, shared, _, _ = solve_frames_from(frame, PLAIN, start=start)
@@ -105,12 +105,12 @@ def test_second_solve_from_the_solution_changes_the_cost_little(seed):
     *again, _, _ = solve_frames_from(frame, PLAIN, most=300, start=tuple(each[0] for each in first))
     costs = [dense_oracle.compute_cost(frame._replace(root=r[0], local=q[0], shared=s[0])) for r, q, s in (first, again)]
     assert status[0] == FrameStatus.CONVERGED
-    assert costs[0] - costs[1] < 0.01 + 1e-2 * costs[0]  # data that conflict can leave a kink, where only small steps help
+    assert costs[0] - costs[1] < 0.01 + 1e-2 * costs[0]  # conflicting data can leave a kink, where only small steps help
 
 
 @given(seeds, st.sampled_from([np.inf, 9.0]))
 def test_cost_never_increases(seed, scale2):
-    """More iterations go on from where fewer ended; only the last step, which promises too little to be checked, may cost."""
+    """More iterations continue from the end of fewer; only the last, negligible step is not checked and may increase the cost."""
     frame = random_terms.draw_frame(np.random.default_rng(seed), 5)
     ends = [solve_frames_from(frame, np.array([scale2]), most=most)[:3] for most in range(10)]
     costs = [dense_oracle.compute_cost(frame._replace(root=r[0], local=q[0], shared=s[0]), scale2) for r, q, s in ends]
@@ -119,9 +119,9 @@ def test_cost_never_increases(seed, scale2):
 
 
 def test_negligible_step_after_a_rejection_is_not_accepted():
-    """A joint pulled towards half a turn, where its rotation vector leaps to the other side: it ends just before, never beyond.
+    """A target beyond half a turn, where the rotation vector jumps to the other side: the solve ends just before half a turn.
 
-    Every step beyond is refused, until the damping is such that next to nothing is promised.
+    Every step beyond is rejected, until the damping is so large that the predicted decrease is negligible.
     """
     wanted, information = np.array([[[0, 0, 0], [np.pi + 2, 0, 0]]]), np.array([np.zeros((3, 3)), 9 * np.eye(3)])
     middle, none, row = np.tile(np.eye(3), (2, 1, 1)), np.zeros((1, 0)), np.zeros(1, int)
@@ -155,7 +155,7 @@ def test_every_end_has_its_status():
 
 @pytest.mark.parametrize("loss", [GEMAN_MCCLURE, HUBER])
 def test_outliers_are_rejected(loss):
-    """The wide scales first: a sound marker that the start is far from is not taken for a wild one."""
+    """With wide scales first, a good marker far from the start is not rejected as an outlier."""
     rng = np.random.default_rng(3)
     frame = random_terms.draw_frame(rng, 6, [])
     truth = draw_exact_markers(rng, frame, each=6, sd=0.01, loss=loss)
@@ -169,13 +169,13 @@ def test_outliers_are_rejected(loss):
             truth.joints, truth.offsets, dense_oracle.compute_world(frame.tree, root[0], local[0])
         )
         worst.append(np.abs(placed - truth.measured[0]).max())
-    assert worst[0] < (0.001 if loss == GEMAN_MCCLURE else 0.1)  # under Huber it pulls, but no harder than at the scale
+    assert worst[0] < (0.001 if loss == GEMAN_MCCLURE else 0.1)  # with Huber's loss its gradient is bounded, not zero
     assert worst[1] > 0.3
 
 
 def test_distance_term_keeps_the_length_of_a_held_stick():
-    tree = random_terms.KinematicTree(np.array([-1, 0, 1, 0, 3]), np.array([[0, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [-0.2, 0, 0], [-0.3, 0, 0]]),
-                      np.ones(5, bool))  # fmt: skip
+    offsets = np.array([[0, 0, 0], [0.2, 0, 0], [0.3, 0, 0], [-0.2, 0, 0], [-0.3, 0, 0]])
+    tree = random_terms.KinematicTree(np.array([-1, 0, 1, 0, 3]), offsets, np.ones(5, bool))
     local = np.tile(np.eye(3), (5, 1, 1))
     stick = DistanceTerm(np.array([[2, 4]]), np.zeros((1, 2, 3)), np.array([[0.8]]), np.array([[1e6]]))
     terms = random_terms.build_terms(5, tracking=build_tracking(local, 1.0), distances=stick)
@@ -183,7 +183,7 @@ def test_distance_term_keeps_the_length_of_a_held_stick():
         np.zeros(3),
         random_terms.draw_rotations(np.random.default_rng(1), 5, 0.1),
         np.zeros(0),
-    )  # a stretched body cannot tell which way
+    )  # a stretched body has no gradient
     root, local, *_ = solve_frames_from(dense_oracle.Frame(tree, terms, *start), PLAIN)
     position = dense_oracle.compute_world(tree, root[0], local[0]).position
     assert np.linalg.norm(position[2] - position[4]) == pytest.approx(0.8, abs=1e-4)  # 1 m without the stick
@@ -191,17 +191,17 @@ def test_distance_term_keeps_the_length_of_a_held_stick():
 
 
 def test_joint_limit_balances_a_tracking_term():
-    """Where two springs balance: the pull to 1 rad and the wall at 0.4 rad; the axis within its range follows the pull."""
-    local, (pull, wall) = np.tile(np.eye(3), (2, 1, 1)), (50.0, 1e4)
+    """Two springs in balance: the target at 1 rad and the limit at 0.4 rad; the axes within their ranges follow the target."""
+    local, (tracking, limit) = np.tile(np.eye(3), (2, 1, 1)), (50.0, 1e4)
     wanted = local.copy()
     wanted[1] = Rotation.from_rotvec([1.0, 0, 0]).as_matrix()
     bounds = np.full((2, 3), 0.4)
     terms = random_terms.build_terms(
-        2, tracking=build_tracking(wanted, pull), joint_limits=JointLimitTerm(local.copy(), -bounds, bounds, wall)
+        2, tracking=build_tracking(wanted, tracking), joint_limits=JointLimitTerm(local.copy(), -bounds, bounds, limit)
     )
     _, found, *_ = solve_frames_from(dense_oracle.Frame(build_chain(2), terms, np.zeros(3), local, np.zeros(0)), PLAIN)
     vector = Rotation.from_matrix(found[0, 1]).as_rotvec()
-    np.testing.assert_allclose(vector, [(pull * 1.0 + wall * 0.4) / (pull + wall), 0, 0], atol=1e-3)
+    np.testing.assert_allclose(vector, [(tracking * 1.0 + limit * 0.4) / (tracking + limit), 0, 0], atol=1e-3)
 
 
 def test_solutions_do_not_depend_on_the_blocks():

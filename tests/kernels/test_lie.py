@@ -103,10 +103,10 @@ def test_left_jacobian_inverse_is_finite_at_a_half_turn():
 def test_orthonormalisation_corrects_a_drifted_rotation():
     drifted = random_terms.draw_rotations(np.random.default_rng(1), 1)[0]
     worse = drifted + np.random.default_rng(2).normal(0, 1e-4, (3, 3))
-    mended = np.reshape(lie.orthonormalise_rotation(numbers(worse)), (3, 3))
-    np.testing.assert_allclose(mended @ mended.T, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(mended, drifted, atol=1e-3)
-    assert np.linalg.det(mended) == pytest.approx(1)
+    corrected = np.reshape(lie.orthonormalise_rotation(numbers(worse)), (3, 3))
+    np.testing.assert_allclose(corrected @ corrected.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(corrected, drifted, atol=1e-3)
+    assert np.linalg.det(corrected) == pytest.approx(1)
 
 
 def leant(vector):

@@ -15,7 +15,7 @@ ROUNDING = np.finfo(float).eps
 
 
 def random_work(rng, tree, unknowns, rows):
-    """Return a workspace whose system is random but for being positive semidefinite, sparse as terms on some bodies leave it."""
+    """Return a workspace with random positive semidefinite equations, sparse as with terms on some bodies only."""
     joints = len(tree.parents)
     work = allocate_workspace(joints, unknowns, rows)
     s = work.equations
@@ -35,9 +35,10 @@ def random_work(rng, tree, unknowns, rows):
 
 
 def check(tree, work, damping):
-    """The work's direction is the dense one, and promises the model's fall: to 1e-9 of its largest number or, where even the
-    dense solve cannot know it so well, to the rounding of its N numbers times the condition number; of the tree without its
-    rows if that is larger, for Woodbury's formula goes by way of it.
+    """Check that the direction is the dense one and predicts the model's decrease.
+
+    The tolerance is 1e-9 of the largest number or, where even the dense solve is less accurate, the rounding error of its N
+    numbers times the condition number; that of the tree without its rows if larger, as Woodbury's formula solves with it.
     """
     gradient, curvature = dense_oracle.assemble_equations(tree, work.equations)
     twist, turn, shared = dense_oracle.compute_twist_maps(tree, work.equations)
@@ -72,9 +73,9 @@ def test_direction_of_all_terms_with_a_code(seed, joints, codes, damping):
 
 @given(seeds, sizes, st.sampled_from([1e-4, 1e-7, 1e-10, 1e-12]), st.sampled_from([1e4, 1e8]))
 def test_direction_of_nearly_unconstrained_bodies(seed, joints, share, sharp):
-    """A few markers, some of them very sure: many unknowns are held by the damping alone, a `share` of the largest curvature.
+    """A few markers, some with small sd: many unknowns are constrained by the damping alone, a `share` of the largest curvature.
 
-    The tree's condition number is 1 / share, and the sweep shall lose no more digits by it than a dense solve does.
+    The condition number is 1 / share, and the sweep must lose no more digits by it than a dense solve does.
     """
     rng = np.random.default_rng(seed)
     frame = random_terms.draw_frame(rng, joints, ["points", "joint_limits", "distances"])
@@ -87,7 +88,7 @@ def test_direction_of_nearly_unconstrained_bodies(seed, joints, share, sharp):
 
 
 def test_unconstrained_joint_stays_and_does_not_spoil_the_others():
-    """Without damping: the joint's own block has no inverse."""
+    """Without damping the joint's own block is singular."""
     rng = np.random.default_rng(5)
     tree = random_terms.draw_tree(rng, 3)._replace(parents=np.array([-1, 0, 0]), free=np.ones(3, bool))
     work = random_work(rng, tree, 0, None)

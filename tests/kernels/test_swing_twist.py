@@ -72,14 +72,14 @@ def test_twist_does_not_depend_on_the_evidences_length(seed, angle, length):
 def test_twist_evidence_gives_the_least_squares_angle(seed):
     rng = np.random.default_rng(seed)
     t, points, seen = rng.normal(size=3), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
-    told = np.sum(
+    evidence = np.sum(
         [swing_twist.compute_twist_evidence(tuple(t), tuple(m), tuple(s)) for m, s in zip(points, seen, strict=True)], axis=0
     )
 
     def off(angle):
         return np.sum((Rotation.from_rotvec(angle * t / np.linalg.norm(t)).apply(points) - seen) ** 2)
 
-    best = np.arctan2(told[1], told[0])
+    best = np.arctan2(evidence[1], evidence[0])
     assert all(off(best) <= off(best + change) + 1e-9 for change in np.linspace(-np.pi, np.pi, 37))
 
 

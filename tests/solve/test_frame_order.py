@@ -1,4 +1,4 @@
-"""The order of frames and where each starts, told by hand; and solved where nothing, or nothing but a pull, moves a pose on."""
+"""The order in which frames are solved, and the poses from which they start."""
 
 import numpy as np
 import pytest
@@ -15,13 +15,13 @@ PLAIN = np.array([np.inf])
 
 
 def list_chains(order):
-    """Return a plan's chains, each a list of (frame, where it starts from)"""
+    """Return the chains of an order, each a list of (frame, start frame)."""
     turns = list(zip(order.frames.tolist(), order.start_frame.tolist(), strict=True))
     return [turns[a:b] for a, b in zip(order.chain_starts[:-1], order.chain_starts[1:], strict=True)]
 
 
-def unsure(frames, lost):
-    """Return (T, 3) bool: the root and the last joint of three are unsure where `lost` (first, last)"""
+def build_uncertain_joints(frames, lost):
+    """Return (T, 3) bool: the root and the last joint of three are uncertain in the gaps `lost` (first, last)."""
     found = np.zeros((frames, 3), bool)
     for first, last in lost:
         found[first : last + 1, [0, 2]] = True
@@ -64,31 +64,31 @@ def test_frames_without_own_pose_start_from_the_frame_before():
         ((0, 2), [(2, 3), (1, 2), (0, 1)]),  # from behind alone
         ((0, 0), [(0, 1)]),
         ((5, 7), [(5, 4), (6, 5), (7, 6)]),  # from before alone
-        ((0, 7), [(t, t - 1) for t in range(1, 8)]),  # no frame is sure: on from the first
+        ((0, 7), [(t, t - 1) for t in range(1, 8)]),  # all frames: from the first
     ],
 )
 def test_gap_is_solved_from_its_neighbours(run, chain):
-    assert list_chains(frame_order.order_from_gap_ends([run], unsure(8, [run]))) == [chain]
+    assert list_chains(frame_order.order_from_gap_ends([run], build_uncertain_joints(8, [run]))) == [chain]
 
 
 def test_only_uncertain_joints_are_copied_and_never_the_root():
-    given_ = unsure(8, [(2, 3)])
+    given_ = build_uncertain_joints(8, [(2, 3)])
     before = given_.copy()
     np.testing.assert_array_equal(frame_order.order_from_gap_ends([(2, 3)], given_).copied_joints, before & [False, True, True])
     np.testing.assert_array_equal(given_, before)
 
 
 def test_no_gap_gives_an_empty_order():
-    order = frame_order.order_from_gap_ends([], unsure(4, []))
+    order = frame_order.order_from_gap_ends([], build_uncertain_joints(4, []))
     assert list_chains(order) == []
     assert order.frames.dtype == order.start_frame.dtype == order.chain_starts.dtype == np.int64
 
 
 @given(st.integers(1, 30).flatmap(lambda n: st.lists(st.booleans(), min_size=n, max_size=n)))
 def test_gap_frames_start_from_certain_or_solved_frames(lost):
-    """Every unsure frame has its turn once, but for the first of a take that is not sure anywhere."""
+    """Every uncertain frame is solved once, except the first frame of a take without certain frames."""
     inside = find_runs(np.array(lost))
-    chains = list_chains(frame_order.order_from_gap_ends(inside, unsure(len(lost), inside)))
+    chains = list_chains(frame_order.order_from_gap_ends(inside, build_uncertain_joints(len(lost), inside)))
     for (first, last), chain in zip(inside, chains, strict=True):
         solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
         assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
@@ -146,9 +146,12 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     tree = random_terms.KinematicTree(np.arange(-1, joints - 1), rng.normal(0, 0.3, (joints, 3)), np.ones(joints, bool))
     rest = random_terms.draw_rotations(rng, joints)
     wanted = np.stack([random_terms.draw_rotations(rng, joints, 0.5) @ rest for _ in range(frames)])
-    pull = random_terms.TrackingTerm(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
+    tracking = random_terms.TrackingTerm(wanted, np.full((frames, joints), 1e4), np.zeros((frames, 3)), np.full(frames, 1e4))
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
-    terms, order = random_terms.build_terms(joints, frames, tracking=pull), frame_order.order_in_windows(frames, joints, frames)
+    terms, order = (
+        random_terms.build_terms(joints, frames, tracking=tracking),
+        frame_order.order_in_windows(frames, joints, frames),
+    )
     status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
     assert (status == FrameStatus.CONVERGED).all()
     assert (iterations > 1).all()

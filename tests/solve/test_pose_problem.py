@@ -21,7 +21,7 @@ PLAIN = (np.inf,)
 
 
 def problem(seed=0):
-    """Return a problem whose four markers a joint lie exactly where some poses put them, and the poses"""
+    """Return a problem with four exact markers per joint, and its true poses."""
     rng = np.random.default_rng(seed)
     tree = random_terms.draw_tree(rng, JOINTS)._replace(free=np.ones(JOINTS, bool))
     root, local = rng.normal(size=(FRAMES, 3)), np.tile(random_terms.draw_rotations(rng, JOINTS), (FRAMES, 1, 1, 1))
@@ -32,12 +32,12 @@ def problem(seed=0):
             for pose in zip(root, local, strict=True)
         ]
     )
-    silent, listened = (
+    ignored, solver_mask = (
         build_pose_prior_term(MeanPosePrior("none", local[0], *np.zeros((3, JOINTS, 3, 3)))),
         np.ones(markers.shape[:2], bool),
     )
     return (
-        PoseProblem(tree, MarkerAttachment(joints, places), markers, listened, SD, silent, build_no_joint_limits(JOINTS)),
+        PoseProblem(tree, MarkerAttachment(joints, places), markers, solver_mask, SD, ignored, build_no_joint_limits(JOINTS)),
         root,
         local,
     )
@@ -96,9 +96,9 @@ def test_uncertain_joints_start_from_their_neighbours():
     body, root, local = problem()
     found = root.copy(), local.copy()
     found[1][2:4] = off(root, local)[1][2:4]
-    listened, unsure = body.solver_mask.copy(), np.zeros((FRAMES, JOINTS), bool)
-    unsure[2:4, 3], listened[2:4] = True, False
-    replace(body, solver_mask=listened).solve_from_neighbours(*found, build_no_tracking(JOINTS), unsure, 0.05)
+    solver_mask, uncertain_joints = body.solver_mask.copy(), np.zeros((FRAMES, JOINTS), bool)
+    uncertain_joints[2:4, 3], solver_mask[2:4] = True, False
+    replace(body, solver_mask=solver_mask).solve_from_neighbours(*found, build_no_tracking(JOINTS), uncertain_joints, 0.05)
     np.testing.assert_array_equal(found[1][2:4, 3], local[[1, 4], 3])
     np.testing.assert_array_equal(found[1][2:4, :3], off(root, local)[1][2:4, :3])
     np.testing.assert_array_equal(found[0], root)

@@ -223,7 +223,7 @@ def test_damage_matches_its_masks(seed):
 def test_arm_gap_and_late_marker(take):
     first, end = (round(second * RATE) for second in damage.ARM_GAP_S)
     assert 0 < damage.ARM_GAP_S[0] < damage.ARM_GAP_S[1] <= gestures.REACH_LEFT_TIMES_S[0]
-    lost = {label for label, gone in zip(take.labels, take.missing_mask[first:end].all(axis=0), strict=True) if gone}
+    lost = {label for label, missing in zip(take.labels, take.missing_mask[first:end].all(axis=0), strict=True) if missing}
     assert lost >= {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"}
     assert take.missing_mask[: round(damage.LATE_START_S * RATE)].all(axis=0).sum() >= 1
 

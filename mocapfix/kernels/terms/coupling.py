@@ -68,8 +68,8 @@ def add_distance_term(term, t, scale2, tree, pose, equations):
 class ScalarTerm(NamedTuple):
     """Residual: (value + sum over joints of gradient . rotation vector from `reference` to the joint) / standard deviation.
 
-    One number that depends on all joints, as MNN-IK's naturalness does (Eq. 3.3, the scalar g): the paper puts a squared norm into
-    the residual vector, so that the energy contains its square, one dense row of rank one. The number and its gradient are
+    One number that depends on all joints, as MNN-IK's naturalness does (Eq. 3.3, the scalar g): the paper puts a squared norm
+    into the residual vector, so that the energy contains its square, one dense row of rank one. The number and its gradient are
     computed at a pose and updated between solves.
     """
 

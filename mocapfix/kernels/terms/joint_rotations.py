@@ -10,7 +10,7 @@ from mocapfix.kernels.terms.contract import register_term, select_frame
 
 
 class TrackingTerm(NamedTuple):
-    """Residual: the rotation vectors from tracked rotations to the joints, and the root's distance, over their standard deviations.
+    """Residual: rotation vectors from tracked rotations to the joints and the root's distance, over their standard deviations.
 
     The tracked pose is one for all frames, or one per frame, and so are the weights. A joint of weight zero is not tracked.
     """

@@ -122,8 +122,8 @@ def update_code_curvature(term, rows, updated):
 def update_linearisations(term, rows, codes, decoded, updated):
     """Move linearisations `rows` to `codes` (B, P), whose decoded values are `decoded` (B, J, 3).
 
-    The derivative to the code's first `updated` numbers gets the smallest change that makes it agree with the step (Broyden 1965);
-    the derivative to the others stays.
+    The derivative to the code's first `updated` numbers gets the smallest change that makes it agree with the step (Broyden
+    1965); the derivative to the others stays.
     """
     for i in range(len(rows)):
         row, code, value = rows[i], codes[i], decoded[i]

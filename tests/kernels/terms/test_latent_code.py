@@ -1,4 +1,4 @@
-"""Linearisations of a decoder mended by what a step found: true to the step, and nothing else changed."""
+"""Linearisations of a decoder, updated so that they explain a step with the least change."""
 
 import numpy as np
 import pytest
