@@ -32,7 +32,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def found(truth):
-    return calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.marker_positions))
+    return calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
 
 
 def test_bones_and_places_come_nearer_to_the_person(truth, found):
@@ -56,7 +56,7 @@ def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
 
 
 def test_the_same_take_gives_the_same_subject(truth, found):
-    again = calibrated(np.where((truth.missing_mask | truth.moved)[..., None], np.nan, truth.marker_positions))
+    again = calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
     np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
     np.testing.assert_array_equal(again.marker_offsets, found.marker_offsets)
 
@@ -65,7 +65,7 @@ def test_the_same_take_gives_the_same_subject(truth, found):
 def test_children_and_giants_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
     somebody = replace(truth.subject, skeleton=skeleton, marker_offsets=WORN.marker_offsets * factor)
-    motion = replace(truth.motion, root=truth.motion.root_position * factor)
+    motion = replace(truth.motion, root_position=truth.motion.root_position * factor)
     found = calibrated(kinematics.compute_joint_and_marker_positions(somebody, motion)[1])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.016)
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
@@ -80,7 +80,7 @@ def test_scaling_takes_every_length():
 def test_a_take_without_three_markers_in_any_frame_is_refused():
     markers = np.full((20, 41, 3), np.nan)
     markers[:, :2] = 1.0
-    with pytest.raises(TakeError, match="the take: no frame shows three markers of the body; there is nothing to calibrate from"):
+    with pytest.raises(TakeError, match="the take: no frame shows three markers of the body, so it cannot be calibrated"):
         calibrated(markers)
 
 
@@ -95,5 +95,5 @@ def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
 @pytest.mark.parametrize("noise", [0.0, 0.004])
 def test_a_body_of_no_size_is_no_body(truth, noise):
     cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
-    with pytest.raises(TakeError, match="too near together for a person's"):
+    with pytest.raises(TakeError, match="too near together for a person"):
         calibrated(cloud)

@@ -69,9 +69,9 @@ def test_what_is_held_is_left_out_but_not_a_wand_whose_label_tells_its_segment()
 def test_what_is_seldom_or_never_seen_is_left_out():
     marker = riding("Head", [0, 0.2, 0])
     marker[5:] = np.nan
-    assert "seen in 5 of the frames" in one(marker).rejection_reasons[0]
+    assert "visible in 5 of the frames" in one(marker).rejection_reasons[0]
     found = one(np.full_like(marker, np.nan))
-    assert (found.rejection_reasons, found.joints[0]) == (("is never seen",), -1)
+    assert (found.rejection_reasons, found.joints[0]) == (("is never visible",), -1)
     assert np.isnan(found.log_likelihood[0])
 
 

@@ -27,12 +27,12 @@ def truth():
 
 @pytest.fixture(scope="module")
 def take(truth):
-    return Take(truth.damaged, truth.labels, truth.rate)
+    return Take(truth.damaged_positions, truth.labels, truth.rate)
 
 
 def part(kept: list[str]):
     rows = [CMU.labels.index(label) for label in kept]
-    where = {"joints": CMU.joints[rows], "places": CMU.marker_offsets[rows], "spread": CMU.marker_spread[rows]}
+    where = {"joints": CMU.joints[rows], "marker_offsets": CMU.marker_offsets[rows], "marker_spread": CMU.marker_spread[rows]}
     return replace(CMU, labels=tuple(kept), aliases=((),) * len(rows), **where)
 
 

@@ -36,7 +36,7 @@ def test_a_new_place_is_found_exactly_though_nearly_half_of_it_is_wrong(walk, ma
     moved = np.linalg.norm(grown.marker_offsets[count:] - place, axis=1)
     np.testing.assert_array_less(moved, 1e-9)
     assert grown.labels[count:] == tuple(walk.subject.labels[m] for m in markers)
-    for name in ("joints", "spread", "marker_sd"):
+    for name in ("joints", "marker_spread", "marker_sd"):
         np.testing.assert_array_equal(getattr(grown, name)[count:], getattr(walk.subject, name)[markers])
 
 
@@ -46,7 +46,7 @@ def test_the_person_stays_as_it_was(walk):
     assert grown.skeleton is walk.subject.skeleton
     count = len(walk.subject.labels)
     assert grown.labels[:count] == walk.subject.labels
-    for name in ("joints", "places", "spread", "marker_sd"):
+    for name in ("joints", "marker_offsets", "marker_spread", "marker_sd"):
         np.testing.assert_array_equal(getattr(grown, name)[:count], getattr(walk.subject, name))
 
 

@@ -55,14 +55,14 @@ def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
 
 def test_places_shift_in_their_joints_axes():
     shifts = np.random.default_rng(0).normal(0, 0.02, WORN.marker_offsets.shape)
-    offsets, places, _ = FREE.compute_body(unknowns(marker_offsets=shifts))
+    offsets, places, _ = FREE.compute_body(unknowns(places=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_allclose(places, WORN.marker_offsets + shifts)
 
 
 def test_a_bone_is_a_part_of_the_body_it_starts_from():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
-    offsets, *_ = parameters.build_calibration_parameters(tall, BODY, MEAN).body(unknowns(RightFoot=0.05))
+    offsets, *_ = parameters.build_calibration_parameters(tall, BODY, MEAN).compute_body(unknowns(RightFoot=0.05))
     shin = BODY.skeleton.find_joint("RightFoot")
     np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
 

@@ -28,8 +28,8 @@ metres = st.floats(-2, 2)
 
 @given(
     offsets=arrays(float, (31, 3), elements=metres),
-    marker_offsets=arrays(float, (41, 3), elements=metres),
-    marker_spread=arrays(float, 41, elements=st.floats(0, 0.1)),
+    places=arrays(float, (41, 3), elements=metres),
+    spread=arrays(float, 41, elements=st.floats(0, 0.1)),
     frames=st.integers(0, 10_000),
     joint_sd=arrays(float, 31, elements=st.floats(0, 0.1)),
     marker_sd=arrays(float, 41, elements=st.floats(0, 0.1)),
@@ -65,7 +65,7 @@ def test_it_can_be_read_by_people(tmp_path):
     subject_file.write_subject(path, SUBJECT)
     lines = path.read_text().splitlines()
     assert lines[0].startswith("# A subject of mocapfix")
-    assert "metres" in lines[1]
+    assert "metres" in lines[0]
     assert "  LeftLeg: {parent: LeftUpLeg, offset: [0.143, -0.3929, 0.0], sd: 0.0}" in lines
     assert "  LFHD: {joint: Head, place: [0.078, 0.164, 0.073], spread: 0.013, sd: 0.0}" in lines
 
@@ -94,7 +94,7 @@ def test_the_order_of_bones_does_not_matter(tmp_path):
         ("  Head: {parent", "  Skull: {parent", r"bones\.Skull: the skeleton has no such bone"),
         ("  Hips: {parent: null, offset: [0.0, 0.0, 0.0], sd: 0.0}\n", "", r"bones\.Hips: is missing"),
         (", end: [0.0, 0.1017, -0.0073]", "", r"bones\.Head\.end: is missing"),
-        ("0.3929, 0.0], ", "0.3929, 0.0], end: [0, 0, 1], ", r"bones\.LeftLeg\.end: only a last bone"),
+        ("0.3929, 0.0], ", "0.3929, 0.0], end: [0, 0, 1], ", r"bones\.LeftLeg\.end: only the last bone"),
         ("[0.143, -0.3929, 0.0]", "[0.143, high, 0.0]", r"bones\.LeftLeg\.offset\.1: "),
         ("LFHD: {joint: Head", "LFHD: {joint: Skull", r"markers\.LFHD\.joint: there is no joint 'Skull'"),
         ("[0.078, 0.164, 0.073]", "[0.078, .inf, 0.073]", r"markers\.LFHD\.place\.1: "),
