@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -102,13 +102,12 @@ class Take:
         """Index of the file's point that each sample comes from."""
         return np.tile(self.point_indices, (self.frame_count, 1)) if self.relabelled_points is None else self.relabelled_points
 
-    def get_label(self, index: int) -> str:
+    def get_label(self, index: SupportsIndex) -> str:
         """Return the label of a marker or, for an index beyond the markers, of an unlabelled trajectory."""
-        if index < len(self.labels) or self.unlabelled is None:
-            return self.labels[index]
-        return self.unlabelled.labels[index - len(self.labels)]
+        beyond = int(index) - len(self.labels)
+        return self.labels[index] if beyond < 0 or self.unlabelled is None else self.unlabelled.labels[beyond]
 
-    def get_frame_number(self, index: int) -> int:
+    def get_frame_number(self, index: SupportsIndex) -> int:
         """Return the number that the file gives to the frame at `index`."""
         return self.first_frame + int(index)
 

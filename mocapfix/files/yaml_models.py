@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import read_yaml
@@ -34,22 +34,27 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-def read_yaml_model(model: type[YamlModel] | TypeAdapter[YamlModel], path: Path) -> YamlModel:
+def read_yaml_model(model: type[YamlModel], path: Path) -> YamlModel:
+    """Read a YAML file and validate it by a model. Raise SceneError as `read_validated_yaml` does."""
+    return read_validated_yaml(model.model_validate, path)
+
+
+def read_validated_yaml(validate: Callable[[Any], YamlModel], path: Path) -> YamlModel:
     """Read a YAML file and validate it.
 
     Args:
-        model: The model, or a TypeAdapter of a union of models.
+        validate: Converts the content of the file, or raises pydantic's ValidationError.
         path: The file.
 
     Returns:
-        The content of the file.
+        The converted content.
 
     Raises:
         SceneError: If the file is invalid. The message names the file and the first invalid key, and says what is wrong.
     """
     data = read_yaml(path)
     try:
-        return model.validate_python(data) if isinstance(model, TypeAdapter) else model.model_validate(data)
+        return validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         context: dict[str, Any] = first.get("ctx", {})

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
 
-from mocapfix.files.yaml_models import StrictModel, read_yaml_model
+from mocapfix.files.yaml_models import StrictModel, read_validated_yaml, read_yaml_model
 
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -122,7 +122,7 @@ PRIOR_SETTINGS_ADAPTER: TypeAdapter[PriorSettings] = TypeAdapter(Annotated[Prior
 
 def read_prior_settings(path: Path) -> PriorSettings:
     """Return the training settings of a pose prior. Raises SceneError that names the file and the first invalid key."""
-    return read_yaml_model(PRIOR_SETTINGS_ADAPTER, path)
+    return read_validated_yaml(PRIOR_SETTINGS_ADAPTER.validate_python, path)
 
 
 def read_twist_settings(path: Path) -> TwistSettings:

@@ -70,8 +70,8 @@ def test_a_patch_changes_only_the_edited_numbers(tmp_path):
     before = read(tmp_path)
     patch_animation(tmp_path / "same.amc", before, before.values)
     assert (tmp_path / "same.amc").read_text() == AMC
-    values = before.replace_rotations(np.array([3]), np.array([1]), before.compute_local_rotations()[:1, 3:4])
-    patch_animation(tmp_path / "out.amc", before, values)
+    after = before.replace_rotations(np.array([3]), np.array([1]), before.compute_local_rotations()[:1, 3:4])
+    patch_animation(tmp_path / "out.amc", before, after.values)
     assert (tmp_path / "out.amc").read_text() == AMC.replace("lfoot 7.5 8.5", "lfoot 7.0 8.0")
 
 
@@ -161,9 +161,9 @@ def test_invalid_asf_files_are_refused_with_the_line(tmp_path, old, new, message
 
 def map_to_31_joints(animation: Animation) -> np.ndarray:
     """Return the animation's joint for each of the 31 joints."""
-    choice = joint_mapping.map_joints(animation.names, animation.parents)
-    assert choice.mapping is not None
-    return choice.mapping.file_joints
+    file_joints = joint_mapping.map_joints(animation.names, animation.parents).file_joints
+    assert file_joints is not None
+    return file_joints
 
 
 @with_captures
