@@ -12,9 +12,9 @@ import numpy as np
 
 from mocapfix.detect.body_outliers import BodyOutlier
 from mocapfix.detect.body_residuals import BodyResiduals
-from mocapfix.detect.continuity import build_trajectories, compute_own_leaps
-from mocapfix.detect.swap_viterbi import MAX_SMOOTH_LEAP
+from mocapfix.detect.continuity import build_trajectories
 from mocapfix.faults import Fault
+from mocapfix.kernels.label_evidence import MAX_SMOOTH_LEAP, compute_own_leaps
 from mocapfix.take import Take
 
 # A marker within this distance, in standard deviations, is at its position.

@@ -1,8 +1,9 @@
 """Continuity: whether one sample, or one trajectory, continues another.
 
-`compute_leap` compares two samples. Both are extrapolated with their own velocities to the moment half way between them, where
-a constant acceleration cancels. As a velocity may be corrupted by a leap of its own, extrapolating one of them all the way
-is tried as well, and the smallest mismatch counts. After some tenths of a second nothing can be concluded.
+Leaps (`kernels.label_evidence.compute_leap`) compare two samples. Both are extrapolated with their own velocities to the
+moment half way between them, where a constant acceleration cancels. As a velocity may be corrupted by a leap of its own,
+extrapolating one of them all the way is tried as well, and the smallest mismatch counts. After some tenths of a second
+nothing can be concluded.
 
 `compute_join_cost` compares a trajectory segment with the trajectory that precedes and follows it.
 """
@@ -11,18 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 
 from mocapfix.detect.trajectory_segments import TrajectorySegment
 
-# Mismatch that noise and skin cause in an arbitrarily short time.
-LEAP_TOLERANCE_M = 0.010
-# Growth of the tolerance with the time between the samples (measured: 99 of 100 mismatches are smaller).
-LEAP_TOLERANCE_M_PER_S = 1.0
-# Possible speed of a marker of which only one sample is visible.
-UNKNOWN_SPEED_M_PER_S = 2.0
-# Samples farther apart in time are not compared.
-MAX_LEAP_GAP_S = 0.3
 # Number of frame steps over which a velocity is computed, if all samples between are visible.
 MAX_VELOCITY_STEPS = 2
 
@@ -69,46 +61,6 @@ def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> Mark
     previous_frame = np.full(visible.shape, -1)
     previous_frame[1:] = latest[:-1]
     return MarkerTrajectories(markers, velocity_before, velocity_after, previous_frame, float(rate))
-
-
-@njit(cache=True)
-def compute_leap(trajectories, frame, source, target):
-    """Compute how much of a leap it is from the last sample of `source` before `frame` to the sample of `target` in it.
-
-    Returns a value in 0..1: 0 if there is nothing to compare, 1 for a mismatch of the tolerance or more.
-    """
-    markers, velocity_before, velocity_after, previous_frame, rate = trajectories
-    start = previous_frame[frame, source]
-    if start < 0 or np.isnan(markers[frame, target, 0]):
-        return 0.0
-    seconds = (frame - start) / rate
-    if seconds > MAX_LEAP_GAP_S:
-        return 0.0
-    has_before = not np.isnan(velocity_before[start, source, 0])
-    has_after = not np.isnan(velocity_after[frame, target, 0])
-    nearest = np.inf
-    for share in (0.5, 0.0, 1.0):
-        miss = 0.0
-        for x in range(3):
-            forward = share * seconds * velocity_before[start, source, x] if has_before else 0.0
-            backward = (1 - share) * seconds * velocity_after[frame, target, x] if has_after else 0.0
-            miss += (markers[frame, target, x] - backward - markers[start, source, x] - forward) ** 2
-        nearest = min(nearest, miss)
-    tolerance = LEAP_TOLERANCE_M + seconds * (
-        LEAP_TOLERANCE_M_PER_S + UNKNOWN_SPEED_M_PER_S / 2 * ((not has_before) + (not has_after))
-    )
-    return min(1.0, nearest / tolerance**2)
-
-
-@njit(cache=True)
-def compute_own_leaps(trajectories):
-    """Compute the leap (T, M), 0..1, of each label between its previous sample and the present one."""
-    frames, count = trajectories.previous_frame.shape
-    own = np.zeros((frames, count))
-    for t in range(frames):
-        for m in range(count):
-            own[t, m] = compute_leap(trajectories, t, m, m)
-    return own
 
 
 def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float, max_gap_s: float) -> float:

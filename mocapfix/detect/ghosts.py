@@ -13,10 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect.continuity import build_trajectories, compute_own_leaps
-from mocapfix.detect.marker_distances import MarkerDistances, compute_own_contradictions, estimate_distances
-from mocapfix.detect.swap_viterbi import CONTRADICTION_S_PER_LEAP, MAX_SMOOTH_LEAP, SMOOTH_CHANGE_COST
+from mocapfix.detect.continuity import build_trajectories
+from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
 from mocapfix.faults import Fault
+from mocapfix.kernels.label_evidence import (
+    CONTRADICTION_S_PER_LEAP,
+    MAX_SMOOTH_LEAP,
+    SMOOTH_CHANGE_COST,
+    compute_own_contradictions,
+    compute_own_leaps,
+)
 from mocapfix.stats.runs import find_runs
 from mocapfix.stats.viterbi import find_cheapest_states
 from mocapfix.take import Take

@@ -11,17 +11,18 @@ them.
 """
 
 import numpy as np
-from numba import njit
 
-from mocapfix.detect.continuity import MarkerTrajectories, build_trajectories, compute_leap, compute_own_leaps
-from mocapfix.detect.marker_distances import (
-    MarkerDistances,
-    compute_contradiction,
-    compute_own_contradictions,
-    estimate_distances,
-)
+from mocapfix.detect.continuity import MarkerTrajectories, build_trajectories
+from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
 from mocapfix.detect.swap_viterbi import LabelExchange, find_exchanges
 from mocapfix.faults import MIN_LABEL_CONFIDENCE, Fault, overlap_in_time
+from mocapfix.kernels.label_evidence import (
+    MIN_SWAP_CONTRADICTION,
+    compute_mean_contradictions,
+    compute_own_contradictions,
+    compute_own_leaps,
+    mark_continuations,
+)
 from mocapfix.stats.runs import find_runs
 from mocapfix.take import Take
 
@@ -30,18 +31,10 @@ MAX_SWAP_PASSES = 5
 # Smallest cost, in leaps, that an exchange saves.
 MIN_SWAP_GAIN = 0.7
 
-# A label with a larger leap may have changed its marker.
-MIN_CANDIDATE_LEAP = 0.5
-# A label that continues another one with a smaller leap may have the same marker.
-MAX_CONTINUATION_LEAP = 0.3
-# Samples with a larger contradiction of a marker's distances may be another marker's.
-MIN_SWAP_CONTRADICTION = 0.3
 # Largest contradiction of the other marker's distances, relative to that of the own ones.
 MAX_RELATIVE_CONTRADICTION = 0.85
 # Shortest stretch of contradictions that makes a candidate.
 MIN_CONTRADICTION_DURATION_S = 0.05
-# Longest time for which a marker may be missing before a label continues it: later almost every label may do so.
-MAX_UNSEEN_DURATION_S = 0.1
 # A label that is visible in a smaller fraction of the take is a fragment, not a marker.
 MIN_LABEL_VISIBLE_FRACTION = 0.5
 # Number of frames of a stretch at which other labels are compared.
@@ -114,7 +107,7 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
     count = trajectories.previous_frame.shape[1]
     is_candidate = np.zeros((count, count), bool)
     own = compute_own_contradictions(trajectories.markers, distances, 1.0)
-    _mark_continuations(trajectories, distances, compute_own_leaps(trajectories), own, is_candidate)
+    mark_continuations(trajectories, distances, compute_own_leaps(trajectories), own, is_candidate)
     _mark_distance_matches(trajectories, distances, own, is_candidate)
     is_rare = np.isnan(trajectories.markers[..., 0]).mean(0) > 1 - MIN_LABEL_VISIBLE_FRACTION
     is_candidate[is_rare] = is_candidate[:, is_rare] = False
@@ -127,31 +120,6 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
     return sorted(pairs) + sorted(triples)
 
 
-@njit(cache=True)
-def _mark_continuations(trajectories, distances, leaps, own_contradiction, is_candidate):
-    """Mark in `is_candidate` (M, M) that label j may continue marker i: one leaps to where the other was going.
-
-    A sample that contradicts the distances of marker i is no continuation.
-    """
-    frames, count = leaps.shape
-    is_excluded = np.zeros(count, np.bool_)
-    for t in range(1, frames):
-        for j in range(count):
-            appears = trajectories.previous_frame[t, j] != t - 1
-            if np.isnan(trajectories.markers[t, j, 0]) or not (leaps[t, j] > MIN_CANDIDATE_LEAP or appears):
-                continue
-            for i in range(count):
-                is_missing = np.isnan(trajectories.markers[t, i, 0])
-                is_late = t - trajectories.previous_frame[t, i] > MAX_UNSEEN_DURATION_S * trajectories.rate
-                if i == j or is_candidate[i, j] or not (is_missing or leaps[t, i] > MIN_CANDIDATE_LEAP):
-                    continue
-                if trajectories.previous_frame[t, i] < 0 or is_late:
-                    continue
-                if compute_leap(trajectories, t, i, j) < MAX_CONTINUATION_LEAP:
-                    contradiction = compute_contradiction(trajectories.markers, distances, t, j, i, is_excluded, 1.0)
-                    is_candidate[i, j] = contradiction <= own_contradiction[t, j] + MIN_SWAP_CONTRADICTION
-
-
 def _mark_distance_matches(
     trajectories: MarkerTrajectories, distances: MarkerDistances, own_contradiction: np.ndarray, is_candidate: np.ndarray
 ) -> None:
@@ -162,18 +130,7 @@ def _mark_distance_matches(
             if last - first + 1 < MIN_CONTRADICTION_DURATION_S * trajectories.rate:
                 continue
             frames = np.unique(np.linspace(first, last, MAX_COMPARED_FRAMES).astype(int))
-            misfit = _compute_mean_contradictions(trajectories.markers, distances, frames, j)
+            misfit = compute_mean_contradictions(trajectories.markers, distances, frames, j)
             is_better = misfit < MAX_RELATIVE_CONTRADICTION * own_contradiction[frames, j].mean()
             is_candidate[:, j] |= is_better & (own_contradiction[frames].mean(0) > MIN_SWAP_CONTRADICTION)
             is_candidate[j, j] = False
-
-
-@njit(cache=True)
-def _compute_mean_contradictions(markers, distances, frames, label):
-    """Compute how badly, on average, the samples under a label fit as each marker: (M,), 0..1."""
-    count = markers.shape[1]
-    is_excluded, mean = np.zeros(count, np.bool_), np.zeros(count)
-    for m in range(count):
-        for t in frames:
-            mean[m] += compute_contradiction(markers, distances, t, label, m, is_excluded, 1.0) / len(frames)
-    return mean

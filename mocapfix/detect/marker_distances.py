@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit
 from scipy.special import ndtri
 
 # Number of partners of a marker.
@@ -92,41 +91,6 @@ def estimate_distance_statistics(
             # the standard deviation of a normal distribution with the same central interval
             sd[i, j] = sd[j, i] = width[start] / 2 / ndtri((1 + min_correct_fraction) / 2)
     return centre, sd
-
-
-@njit(cache=True)
-def compute_contradiction(markers, distances, frame, label, marker, is_excluded, unseen_vote):
-    """Compute how badly the sample under `label` fits as the `marker`: 0 (well) to 1.
-
-    The value is the weighted mean over the marker's partners. Partners with `is_excluded` (M,) have no vote. Missing partners
-    vote `unseen_vote`: 1 where labels are compared, because a marker that may be anywhere explains the samples no better than
-    chance.
-    """
-    contradiction, votes = 0.0, 0.0
-    for k in range(distances.partner.shape[1]):
-        p = distances.partner[marker, k]
-        if p < 0 or is_excluded[p] or p == label:
-            continue
-        square = 0.0
-        for x in range(3):
-            square += (markers[frame, label, x] - markers[frame, p, x]) ** 2
-        weight = 1 / distances.tolerance_m[marker, k] ** 2
-        votes += weight
-        deviation = (np.sqrt(square) - distances.length_m[marker, k]) / distances.tolerance_m[marker, k]
-        contradiction += weight * (unseen_vote if np.isnan(square) else min(1.0, deviation * deviation))
-    return contradiction / votes if votes else unseen_vote
-
-
-@njit(cache=True)
-def compute_own_contradictions(markers, distances, unseen_vote):
-    """Compute how badly each sample fits under its own label: (T, M), 0..1."""
-    frames, count = markers.shape[:2]
-    is_excluded = np.zeros(count, np.bool_)
-    own = np.empty((frames, count))
-    for t in range(frames):
-        for m in range(count):
-            own[t, m] = compute_contradiction(markers, distances, t, m, m, is_excluded, unseen_vote)
-    return own
 
 
 def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, "M M"]:

@@ -11,21 +11,13 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from mocapfix.detect.continuity import MarkerTrajectories, compute_leap
-from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction
+from mocapfix.detect.continuity import MarkerTrajectories
+from mocapfix.detect.marker_distances import MarkerDistances
+from mocapfix.kernels.label_evidence import compute_exchange_costs
 from mocapfix.stats.runs import find_runs
 from mocapfix.stats.viterbi import find_cheapest_states
 
-# Cost, in leaps, of assigning a label to another marker.
-LABEL_CHANGE_COST = 0.5
-# A label with a smaller leap from one frame to the next continues smoothly, and has not changed its marker.
-MAX_SMOOTH_LEAP = 0.25
-# Cost, in leaps, of a change of a label that continues smoothly.
-SMOOTH_CHANGE_COST = 1000.0
-# Duration of a full contradiction that costs as much as one leap.
-CONTRADICTION_S_PER_LEAP = 0.05
 # Shortest exchange with a label that is missing meanwhile: a shorter one may be a spike.
 MIN_PARTIAL_SWAP_DURATION_S = 0.1
 # Cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct.
@@ -53,7 +45,7 @@ class LabelExchange(NamedTuple):
 def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[LabelExchange]:
     """Find the exchanges of labels in a group of two or three markers, ordered by first frame."""
     states = np.array(list(permutations(range(len(group)))))  # marker i has the samples of label states[s, i]
-    step_cost, state_cost = _compute_exchange_costs(states, np.array(group), trajectories, distances)
+    step_cost, state_cost = compute_exchange_costs(states, np.array(group), trajectories, distances)
     doubt = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
     state = find_cheapest_states(step_cost[1:], state_cost + doubt)
     visible = ~np.isnan(trajectories.markers[:, group, 0])
@@ -93,40 +85,3 @@ def _compute_saved_step_cost(step_cost: np.ndarray, state: np.ndarray, first: in
     unchanged[first : last + 1] = 0
     t = np.arange(max(first, 1), min(last + 2, len(state)))
     return float((step_cost[t, unchanged[t - 1], unchanged[t]] - step_cost[t, state[t - 1], state[t]]).sum())
-
-
-@njit(cache=True)
-def _compute_exchange_costs(states, group, trajectories, distances):
-    """Compute the costs in leaps of the step (T, S, S) into a frame's state from the one before, and of the state (T, S)."""
-    frames, count = trajectories.previous_frame.shape
-    size, n = len(group), len(states)
-    is_excluded = np.zeros(count, np.bool_)
-    for marker in group:
-        is_excluded[marker] = True
-    step_cost, state_cost = np.zeros((frames, n, n)), np.zeros((frames, n))
-    leaps, is_smooth, misfit = np.zeros((size, size)), np.zeros(size, np.bool_), np.zeros((size, size))
-    for t in range(frames):
-        for j in range(size):
-            visible = not np.isnan(trajectories.markers[t, group[j], 0])
-            leaps[j, j] = compute_leap(trajectories, t, group[j], group[j])
-            is_consecutive = trajectories.previous_frame[t, group[j]] == t - 1
-            is_smooth[j] = visible and is_consecutive and leaps[j, j] < MAX_SMOOTH_LEAP
-            for i in range(size):
-                contradiction = 0.0
-                if visible:
-                    contradiction = compute_contradiction(
-                        trajectories.markers, distances, t, group[j], group[i], is_excluded, 1.0
-                    )
-                misfit[i, j] = contradiction / (CONTRADICTION_S_PER_LEAP * trajectories.rate)
-        if not is_smooth.all():
-            for i in range(size):
-                for j in range(size):
-                    leaps[i, j] = compute_leap(trajectories, t, group[i], group[j])
-        for s in range(n):
-            for i in range(size):
-                state_cost[t, s] += misfit[i, states[s, i]]
-                for r in range(n):
-                    before, now = states[r, i], states[s, i]
-                    change_cost = LABEL_CHANGE_COST + SMOOTH_CHANGE_COST * is_smooth[before]
-                    step_cost[t, r, s] += leaps[before, now] + (before != now) * change_cost
-    return step_cost, state_cost

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import continuity
-from mocapfix.detect.continuity import compute_leap, compute_own_leaps
+from mocapfix.kernels.label_evidence import compute_leap, compute_own_leaps
 
 RATE = 100.0
 

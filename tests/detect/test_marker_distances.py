@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import marker_distances
-from mocapfix.detect.marker_distances import MarkerDistances, compute_contradiction, compute_own_contradictions
+from mocapfix.detect.marker_distances import MarkerDistances
+from mocapfix.kernels.label_evidence import compute_contradiction, compute_own_contradictions
 from tests.detect.bodies import hidden, turning
 
 NOBODY = np.zeros(3, bool)
