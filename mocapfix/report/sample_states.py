@@ -35,7 +35,12 @@ class SampleOutcome(IntEnum):
         return self.name.lower()
 
 
-GREEN, RED, AMBER, VIOLET, BLUE = "#1f9d57", "#d93a3a", "#e08a00", "#7a5bd0", "#3f7fc4"
+# Colours of the reports.
+GREEN = "#1f9d57"
+RED = "#d93a3a"
+AMBER = "#e08a00"
+VIOLET = "#7a5bd0"
+BLUE = "#3f7fc4"
 
 
 def classify_samples(input_take: Take, relabelled_take: Take, cleaned_take: Take, faults: Faults) -> Int[np.ndarray, "T M"]:
