@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.prior.test_autoencoder import MIDDLE, SKELETON, drawn
-from tests.prior.test_naturalness import people
 from tests.solve.test_poses import given
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
@@ -13,17 +11,19 @@ from mocapfix.kernels.terms import PointTerm
 from mocapfix.pose_prior.autoencoder import NaturalnessModel
 from mocapfix.solve import pose_solver
 from tests.kernels import dense_oracle
+from tests.pose_prior.test_autoencoder import REFERENCE, SKELETON, draw_model
+from tests.pose_prior.test_naturalness import draw_rotations
 
 TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
 ROOT = np.zeros((4, 3))
-START = ROOT + 0.02, np.tile(MIDDLE, (4, 1, 1, 1))
-LOCAL = people(4)
+START = ROOT + 0.02, np.tile(REFERENCE, (4, 1, 1, 1))
+LOCAL = draw_rotations(4)
 HANDS_AND_FEET = np.array([0, 5, 10, 16, 22, 29])
 
 
 @pytest.fixture(scope="module")
 def model():
-    return NaturalnessModel(replace(drawn("euler", "relu"), sigma=np.full(31, 0.5)))
+    return NaturalnessModel(replace(draw_model("euler", "relu"), sigma=np.full(31, 0.5)))
 
 
 def points(joints, places) -> PointTerm:

@@ -1,4 +1,4 @@
-"""HybrIK's ways from joints that are off: what the papers found, and the figures themselves by known answers."""
+"""HybrIK's variants with noisy joints: the findings of the papers, and known errors."""
 
 import numpy as np
 import pytest
@@ -7,40 +7,40 @@ from mocapfix.bench import joint_noise, unseen_poses
 from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M
 from mocapfix.skeleton import load_cmu31_body
 
-IN_A_CUBE = 0.9606  # the mean distance from its middle, as a part of half its edge
+MEAN_CUBE_DISTANCE = 0.9606  # mean distance of a uniform point in a cube from its centre, in halves of its edge
 
 
 @pytest.fixture(scope="module")
-def said():
-    return joint_noise.measure_joint_noise(unseen_poses.load_unseen_poses()[::2], lambda what: None)
+def results():
+    return joint_noise.measure_joint_noise(unseen_poses.load_unseen_poses()[::2], lambda text: None)
 
 
-def test_exact_joints_are_met_by_every_way(said):
-    assert all(row["all_mm"] < 0.1 for row in said["jitter_mm"]["0"].values())
-    assert said["given_mm"]["0"]["all_mm"] == 0
+def test_exact_joints_are_met_by_every_variant(results):
+    assert all(row["all_mm"] < 0.1 for row in results["jitter_mm"]["0"].values())
+    assert results["given_mm"]["0"]["all_mm"] == 0
 
 
-def test_adaptive_halves_the_error_of_naive_and_x_that_of_the_hands_again_by_a_tenth(said):
-    for ratios in joint_noise.compute_noise_ratios(said["jitter_mm"]).values():
+def test_adaptive_reduces_the_error_of_naive_and_x_that_of_the_hands(results):
+    for ratios in joint_noise.compute_noise_ratios(results["jitter_mm"]).values():
         assert ratios["adaptive_over_naive_all"] < 0.6
         assert ratios["adaptive_over_naive_body"] < 0.66
         assert ratios["x_over_adaptive_hands"] < 0.9
 
 
-def test_no_way_but_the_naive_leaves_joints_farther_off_than_they_were_given(said):
+def test_only_naive_increases_the_error_of_the_given_joints(results):
     for amount in ("10", "20", "30"):
-        given = said["given_mm"][amount]
-        assert given["all_mm"] == pytest.approx(IN_A_CUBE * int(amount), rel=0.02)
+        given = results["given_mm"][amount]
+        assert given["all_mm"] == pytest.approx(MEAN_CUBE_DISTANCE * int(amount), rel=0.02)
         for way, worse in (("naive", True), ("adaptive", False), ("x", False)):
-            assert all((said["jitter_mm"][amount][way][part] > given[part]) == worse for part in given)
+            assert all((results["jitter_mm"][amount][way][part] > given[part]) == worse for part in given)
 
 
-def test_with_anothers_bones_the_hands_are_met_by_x_alone(said):
-    exact = said["wrong_bones_mm"]["0"]
+def test_only_x_meets_the_hands_with_wrong_bones(results):
+    exact = results["wrong_bones_mm"]["0"]
     assert exact["x"]["hands_mm"] < 0.4 * exact["adaptive"]["hands_mm"] < 0.4 * exact["naive"]["hands_mm"]
 
 
-def test_hands_are_eight_joints_and_the_body_is_the_rest():
+def test_hands_have_eight_joints():
     names = load_cmu31_body().skeleton.names
     true = np.zeros((2, len(names), 3))
     for name, part in (("LThumb", "hands_mm"), ("LeftForeArm", "body_mm")):
@@ -50,7 +50,7 @@ def test_hands_are_eight_joints_and_the_body_is_the_rest():
         assert joint_noise.summarise_body_parts(found, true) == pytest.approx(expected)
 
 
-def test_joints_are_shaken_within_their_cube_and_always_alike():
+def test_noise_is_uniform_and_reproducible():
     true = np.random.default_rng(3).normal(size=(500, 31, 3))
     task = joint_noise.add_joint_noise(true, 20)
     off = task.given_positions - true
@@ -60,7 +60,7 @@ def test_joints_are_shaken_within_their_cube_and_always_alike():
     assert joint_noise.add_joint_noise(true, 0).sd_m == DEFAULT_JOINT_SD_M
 
 
-def test_ratios_are_of_what_is_off_only():
+def test_ratios_omit_zero_noise():
     rows = {"naive": (4.0, 5.0, 8.0), "adaptive": (2.0, 3.0, 4.0), "x": (1.0, 3.0, 3.0)}
     ways = {
         way: {f"{part}_mm": far for part, far in zip(("all", "body", "hands"), row, strict=True)} for way, row in rows.items()
