@@ -63,7 +63,7 @@ def test_errors_are_root_mean_squares_by_damage():
     truth = np.zeros((200, 8, 3))
     missing, spiked = np.zeros((200, 8), bool), np.zeros((200, 8), bool)
     missing[20:30, 0], missing[100:150, 1], missing[10:65, 2:], spiked[70:72, 0] = True, True, True, True
-    damaged = np.mask(missing[..., None], np.nan, truth)
+    damaged = np.where(missing[..., None], np.nan, truth)
     damaged[spiked] = [0.3, 0.4, 0.0]
     ours = truth.copy()
     ours[20:30, 0, 1] = np.tile([0.003, -0.004], 5)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mocapfix import write
 from mocapfix.motion import Motion
 from mocapfix.skeleton import load_cmu31_skeleton
-from mocapfix.write import bvh
 
 
 def draw_motion(seed: int, frames: int = 24, spread: float = 0.3) -> np.ndarray:
@@ -23,4 +23,4 @@ def write_bvh(path: Path, rotations: np.ndarray, rate: float = 30.0) -> None:
     frames = len(rotations)
     empty = np.zeros((frames, 0))
     motion = Motion(np.zeros((frames, 3)), rotations, np.zeros(frames, int), np.zeros(frames, int), empty, empty)
-    bvh(path, load_cmu31_skeleton(), motion, rate)
+    write.write_bvh(path, load_cmu31_skeleton(), motion, rate)

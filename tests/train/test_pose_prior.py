@@ -67,7 +67,7 @@ def test_trained_prior_loads_and_has_a_card(tmp_path, motion, capsys, name, chan
     assert "held out, for standard deviations and scores | 03 (24) |" in card
     assert "72 frames" in card
     assert not list(tmp_path.glob("*.checkpoint"))
-    assert "mine.safetensors: gives poses back to" in capsys.readouterr().out
+    assert "mine.safetensors: reconstructs training poses to" in capsys.readouterr().out
 
 
 def test_interleaved_split_trains_on_all_subjects(tmp_path, motion):

@@ -42,9 +42,9 @@ def test_incomplete_frames_are_skipped(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("JOINT LeftArm", "JOINT LeftWing", "which lacks LeftArm"),
+        ("JOINT LeftArm", "JOINT LeftWing", "lacks LeftArm"),
         ("MOTION", "NOTION", "has no line MOTION"),
-        ("\n0.0", "\n0.0 1 ", "is torn there"),
+        ("\n0.0", "\n0.0 1 ", "the file is damaged there"),
     ],
 )
 def test_unknown_skeleton_or_truncated_file_raises(tmp_path, old, new, message):

@@ -67,7 +67,7 @@ def test_trained_regressor_loads_and_has_a_card(command, tmp_path):
     names = [BODY.names[j] for j in np.flatnonzero(twist_examples.HAS_TWIST)]
     assert [row.split(" | ")[0] for row in table] == ["| " + name for name in names if name[0] != "R"] + ["| mean"]
     assert "mine.safetensors: " in output
-    assert "degrees off the twists of people that were kept from it" in output
+    assert "mean twist error of held-out people" in output
 
 
 def test_existing_weights_are_not_overwritten(command, tmp_path):
