@@ -162,7 +162,7 @@ def predict_gap_bias(
     if len(starts) < MIN_TRAINING_STRETCHES or not has_edges:
         return None
     starts = starts[sample_evenly(len(starts), MAX_TRAINING_STRETCHES)]
-    biases = np.array([_measure_gap_bias(motion, weights, offsets, start, length) for start in starts])
+    biases = np.array([_measure_gap_bias(motion, weights, offsets, start, length) for start in starts.tolist()])
     features = compute_edge_features(motion, np.r_[starts, span.first], length, half_span, span.rate)
     no_time = np.zeros(len(starts))
     process = fit_gaussian_process(biases, features[:-1], no_time, no_time, GAP_BIAS_KERNEL)

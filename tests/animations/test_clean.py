@@ -237,9 +237,9 @@ def test_marker_options_are_refused(walk, mocapfix, tmp_path, option, value):
 
 
 def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
-    torn = tmp_path / "torn.bvh"
-    torn.write_bytes(walk.path.read_bytes()[:-200])
-    check_error(mocapfix("clean", torn), "torn.bvh, line ", "the file is torn there")
+    truncated = tmp_path / "truncated.bvh"
+    truncated.write_bytes(walk.path.read_bytes()[:-200])
+    check_error(mocapfix("clean", truncated), "truncated.bvh, line ", "the file is damaged there")
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("name: x\ntitle: x\njoints: {Hip: [Hips]}\n")
     clean = ("clean", walk.path, "--out", tmp_path)
@@ -255,7 +255,7 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
     check_error(mocapfix(*clean, "--keep", "Tail"), "has no joint Tail to keep; its joints are Hips")
     check_error(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
     check_error(mocapfix("clean", walk.path, "--out", walk.path.parent), "would replace the input file")
-    assert {path.name for path in tmp_path.iterdir()} == {"torn.bvh", "wrong.yaml"}
+    assert {path.name for path in tmp_path.iterdir()} == {"truncated.bvh", "wrong.yaml"}
 
 
 def test_single_frame_does_not_change(walk, tmp_path):
