@@ -7,6 +7,7 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+from mocapfix.bench.baseline import get_baseline_path, read_baseline
 from mocapfix.options import CleanOptions, Option, list_options
 
 DOCS = Path(__file__).parent
@@ -40,7 +41,15 @@ def format_default(value: object, option: Option) -> str:
     return " ".join([", ".join(texts), option.unit]).strip()
 
 
-TABLES = {"options": build_option_table}
+def build_baseline_table() -> str:
+    """Return the committed baseline as a table."""
+    rows = ["| quantity | value | tolerance |", "|---|---:|---:|"]
+    for name, entry in read_baseline(get_baseline_path()).items():
+        rows.append(f"| {name} | {entry.value:.4g} | {entry.tolerance_percent:g} % |")
+    return "\n".join(rows)
+
+
+TABLES = {"options": build_option_table, "baseline": build_baseline_table}
 
 
 def fill_tables(text: str) -> str:

@@ -138,6 +138,9 @@ def run_command_line(arguments: list[str] | None = None) -> None:
 
     arguments  without the program's name; None for those of the process
     """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:2] == ["bench", "--baseline"]:
+        arguments = ["bench", "baseline", *arguments[2:]]
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
         app.command(name=name)(command)

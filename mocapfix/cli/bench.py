@@ -10,7 +10,7 @@ from rich.table import Table
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_hybrik import run_bench_hybrik
 from mocapfix.cli.bench_prior import run_bench_hands, run_bench_prior
-from mocapfix.cli.console import EXIT_DONE, print_json, show_progress, stdout_console
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, show_progress, stdout_console
 
 FAULT_COLUMNS = (
     ("recall", "detected", ".0%"),
@@ -185,7 +185,40 @@ def run_bench_animations(
     return EXIT_DONE
 
 
+def run_bench_baseline(
+    file: Annotated[Path | None, tyro.conf.arg(metavar="FILE.json", help="baseline; by default the shipped one")] = None,
+    update: Annotated[FlagOption, tyro.conf.arg(help="write the measured values as the new baseline")] = False,
+    as_json: JsonOption = False,
+) -> int:
+    """Compare accuracy and speed with a baseline; the status is 1 if anything became worse than its tolerance.
+
+    `mocapfix bench --baseline` is the same.
+    """
+    from mocapfix.bench import baseline
+
+    path = file or baseline.get_baseline_path()
+    known = {} if update else baseline.read_baseline(path)
+    with show_progress("baseline") as progress:
+        measured = baseline.measure_baseline(progress)
+    if update:
+        baseline.write_baseline(path, measured)
+        stdout_console.print(f"Wrote {len(measured)} values to {path}.")
+        return EXIT_DONE
+    rows = baseline.compare_with_baseline(measured, known)
+    is_worse = any(row.is_worse for row in rows)
+    if as_json:
+        print_json([{**vars(row), "is_worse": row.is_worse} for row in rows])
+        return EXIT_FAILED if is_worse else EXIT_DONE
+    table = Table("quantity", "baseline", "now", "worse by, %", "tolerance, %", "")
+    for row in rows:
+        values = (f"{row.baseline:.4g}", f"{row.value:.4g}", f"{row.change_percent:.1f}", f"{row.tolerance_percent:.0f}")
+        table.add_row(row.name, *values, "[bold red]worse[/]" if row.is_worse else "")
+    stdout_console.print(table)
+    return EXIT_FAILED if is_worse else EXIT_DONE
+
+
 BENCH_COMMANDS = {
+    "baseline": run_bench_baseline,
     "solver": run_bench_solver,
     "uncertainty": run_bench_uncertainty,
     "calibration": run_bench_calibration,
