@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool
@@ -32,6 +32,7 @@ MIN_LABEL_CONFIDENCE = 0.6
 JOINED_RELATIONS: tuple[FragmentRelation, ...] = ("continues", "replaces")
 
 
+@runtime_checkable
 class FrameInterval(Protocol):
     """Anything over the frames first..last, inclusive."""
 
