@@ -11,6 +11,10 @@ INTEL_PROCESSOR = 84  # little endian, IEEE floats
 DEC_PROCESSOR = 85  # little endian, VAX F floats
 SGI_PROCESSOR = 86  # big endian, IEEE floats
 
+C3D_BLOCK_BYTES = 512  # sections of a C3D begin at multiples of a block
+MAX_C3D_WORD = 65_535  # largest value of a 16-bit word
+MAX_RESIDUAL_COUNTS = 255  # largest residual: a residual word has cameras in its high byte and the residual in its low byte
+
 
 @dataclass(frozen=True)
 class C3dLayout:

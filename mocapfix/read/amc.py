@@ -15,7 +15,7 @@ from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
-from mocapfix.read.file_content import read_file_bytes
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
@@ -26,7 +26,6 @@ BONE_SECTION_KEYWORD = b":bonedata"
 AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginning of a file; a cut-off one may have no more
 # Comments, keywords, the first frame's number, then a bone with its values.
 AMC_HEAD_PATTERN = re.compile(rb"\s*(?:[#:][^\n]*\n\s*)*\d+[ \t]*\r?\n[ \t]*[A-Za-z]\S*(?:[ \t]+[-+.\d]\S*)+[ \t]*\r?(?:\n|$)")
-MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
 
 
 @dataclass(frozen=True)

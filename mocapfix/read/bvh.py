@@ -16,13 +16,12 @@ from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_axis
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
-from mocapfix.read.file_content import read_file_bytes
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAME_COUNT_PATTERN = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 FRAME_TIME_PATTERN = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
-MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
 
 
 class _Timing(NamedTuple):

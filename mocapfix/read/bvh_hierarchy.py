@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS
 
 # Separators of the items of a line, of which there may be several.
 ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)
 CHANNEL_PATTERN = re.compile(r"([XYZ])(position|rotation)", re.IGNORECASE)
-MAX_QUOTED_CHARACTERS = 40  # of the file, in messages
 
 
 @dataclass(frozen=True)

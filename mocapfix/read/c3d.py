@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
-from mocapfix.files.layouts import C3dLayout
-from mocapfix.read.c3d_parameters import C3D_BLOCK_BYTES, C3dParameters, read_c3d_parameters
+from mocapfix.files.layouts import C3D_BLOCK_BYTES, C3dLayout
+from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
     MAX_INSPECTED_FRAMES,
     METRES_PER_UNIT,

@@ -8,11 +8,9 @@ from typing import Any
 import c3d
 import numpy as np
 
-from mocapfix.files.layouts import DEC_PROCESSOR, INTEL_PROCESSOR, SGI_PROCESSOR
+from mocapfix.files.layouts import C3D_BLOCK_BYTES, DEC_PROCESSOR, INTEL_PROCESSOR, MAX_C3D_WORD, SGI_PROCESSOR
 
 PROCESSOR_TYPES = (INTEL_PROCESSOR, DEC_PROCESSOR, SGI_PROCESSOR)
-C3D_BLOCK_BYTES = 512  # sections of a C3D begin at multiples of a block
-MAX_HEADER_WORD = 65_535  # largest value of a word in the header
 VICON_OUTPUT_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
 
 
@@ -81,7 +79,7 @@ def _parse_parameters(data: bytes) -> C3dParameters:
     last = _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
     trial_frame_count = last - first + 1 if last and first is not None else None
     header_frame_count = header.last_frame - header.first_frame + 1
-    if first is not None and first > MAX_HEADER_WORD:  # the header's words are cut off or have overflowed
+    if first is not None and first > MAX_C3D_WORD:  # the header's words are cut off or have overflowed
         header_frame_count = trial_frame_count or 0
     counts = (
         header_frame_count,
@@ -107,7 +105,7 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         first_frame=header.first_frame if first is None else first,
         header_frame_count=header_frame_count,
         declared_frame_count=declared_frame_count,
-        is_count_saturated=header.last_frame == MAX_HEADER_WORD and declared_frame_count <= MAX_HEADER_WORD,
+        is_count_saturated=header.last_frame == MAX_C3D_WORD and declared_frame_count <= MAX_C3D_WORD,
     )
 
 

@@ -16,6 +16,7 @@ ARCHIVE_SIGNATURES = {
     b"\xfd7zXZ": "xz",
     b"Rar!": "rar",
 }
+MAX_QUOTED_CHARACTERS = 40  # of a file, in messages
 BYTE_ORDER_MARK = "\ufeff"
 UTF_16_ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 DELIMITERS = "\t;,"

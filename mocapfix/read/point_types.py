@@ -6,6 +6,8 @@ from collections.abc import Sequence, Set
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.files.layouts import MAX_RESIDUAL_COUNTS
+
 # Names that Vicon, Qualisys, Motive and Cortex give to unlabelled trajectories. So is a label without any letter ("*12").
 UNLABELLED_PATTERN = re.compile(r"(uname|unlabell?ed|unnamed|unidentified|new |c_)[\s_*]*\d*", re.IGNORECASE)
 # Qualisys' default name of an identified trajectory. These are markers if no point has a better name.
@@ -15,7 +17,6 @@ MODEL_OUTPUT_PATTERN = re.compile(r".*(Angles?|Forces?|Moments?|Powers?|GRF|Cent
 SEGMENT_SUFFIXES = ("O", "A", "L", "P")
 MIN_COMPUTED_OUTPUTS = 3  # fewer computed points at the end of a file may be markers that were edited throughout
 
-MAX_RESIDUAL_COUNTS = 255  # largest residual word without cameras: cameras are in its high byte, the residual in its low byte
 MIN_CAMERA_FRACTION = 0.9  # of the samples: if so many have cameras, the file records them, and the others were uncaptured
 MAX_COMPUTED_FRACTION = 0.5  # of the samples: if more have a residual only, the file records no cameras: all were measured
 

@@ -1,8 +1,7 @@
-"""Writing what cleaning gives.
+"""Writers: changed copies of source files, takes and motions as new files, and the list of output formats.
 
-c3d, table, patched  a copy of the input, C3D, text or animation, with what was mended in it and nothing else changed
-new_c3d, trc, csv    a take as a new file of that kind, whatever it was read from
-bvh, bvh_for, gltf, asf_amc   a motion;  npz  all that is known, for programs
+`patch_*` functions write a copy of the source file in which only the changed samples differ. `write_*` functions write new files,
+whatever the take was read from.
 """
 
 from mocapfix.write.animation_patch import patch_animation

@@ -13,14 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.errors import WriteError
-from mocapfix.files.layouts import INTEL_PROCESSOR
+from mocapfix.files.layouts import C3D_BLOCK_BYTES, INTEL_PROCESSOR, MAX_C3D_WORD, MAX_RESIDUAL_COUNTS
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.take import Take
 from mocapfix.write.source_file import FileFrame, get_file_frame
 
-BLOCK_BYTES = 512
 RESIDUAL_COUNT_M = 1e-4  # metres per count of the residual
-MAX_RESIDUAL_COUNTS = 255  # largest residual in the low byte of a residual word
 MISSING_RESIDUAL = -1  # residual word of a missing sample
 MEASURED_RESIDUAL = 0  # residual word of a measured sample
 UNKNOWN_SD_RESIDUAL = 1  # residual word of an estimated sample without a standard deviation
@@ -28,8 +26,6 @@ MAX_LABEL_BYTES = 255
 MAX_LABELS_PER_PARAMETER = 255
 MAX_PARAMETER_BYTES = 32_000
 MAX_PARAMETER_BLOCKS = 255
-MAX_C3D_POINTS = 65_535
-MAX_UINT16 = 65_535  # largest frame number in the header
 UP_AXIS_NAMES = {0: "+X", 1: "+Y", 2: "+Z"}
 RIGHT_AXIS_NAMES = {0: "+Y", 1: "+X", 2: "+X"}  # axis that points right, by the index of the up axis
 
@@ -60,17 +56,17 @@ def write_c3d(target: str | Path, take: Take) -> None:
         raise WriteError(f"{target}: {problem}; shorten it.")
     first = take.first_frame if take.first_frame >= 0 else 1
     last, point_count = first + take.frame_count - 1, len(labels)
-    data_block = 2 + len(_encode_parameters(frame, take, encoded, first, 0)) // BLOCK_BYTES
-    if point_count > MAX_C3D_POINTS or data_block - 2 > MAX_PARAMETER_BLOCKS:
+    data_block = 2 + len(_encode_parameters(frame, take, encoded, first, 0)) // C3D_BLOCK_BYTES
+    if point_count > MAX_C3D_WORD or data_block - 2 > MAX_PARAMETER_BLOCKS:
         problem = f"{point_count} points with such labels are more than a C3D can hold"
         raise WriteError(f"{target}: {problem}; write another format.")
-    scale, ends = RESIDUAL_COUNT_M / frame.unit_m, (min(first, MAX_UINT16), min(last, MAX_UINT16))
+    scale, ends = RESIDUAL_COUNT_M / frame.unit_m, (min(first, MAX_C3D_WORD), min(last, MAX_C3D_WORD))
     header = struct.pack("<BBHHHHHfHHf", 2, 80, point_count, 0, *ends, 0, -scale, data_block, 0, take.rate)
     with replace_atomically(target) as part, part.open("wb") as file:
         file.write(_pad_to_block(header) + _encode_parameters(frame, take, encoded, first, data_block))
         data = _build_words(frame, take).tobytes()
         # If the header cannot give the last frame, ezc3d reads padding in the last block as frames.
-        file.write(data if last > MAX_UINT16 else _pad_to_block(data))
+        file.write(data if last > MAX_C3D_WORD else _pad_to_block(data))
 
 
 def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], first: int, data_block: int) -> bytes:
@@ -78,7 +74,7 @@ def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], fi
     last, up = first + take.frame_count - 1, int(np.abs(frame.rotation_y_up_file[1]).argmax())
     point = [
         _encode_number("USED", "H", len(labels)),
-        _encode_number("FRAMES", "H", min(take.frame_count, MAX_UINT16)),
+        _encode_number("FRAMES", "H", min(take.frame_count, MAX_C3D_WORD)),
         _encode_number("LONG_FRAMES", "f", take.frame_count),
         _encode_number("DATA_START", "H", data_block),
         _encode_number("SCALE", "f", -RESIDUAL_COUNT_M / frame.unit_m),
@@ -95,13 +91,13 @@ def _encode_parameters(frame: FileFrame, take: Take, labels: Sequence[bytes], fi
         _encode_number("CAMERA_RATE", "f", take.rate),
     ]
     groups = _encode_group(1, "POINT", point) + _encode_group(2, "TRIAL", trial)
-    blocks = len(_pad_to_block(bytes(4) + groups)) // BLOCK_BYTES
+    blocks = len(_pad_to_block(bytes(4) + groups)) // C3D_BLOCK_BYTES
     return _pad_to_block(struct.pack("BBBB", 1, 80, min(blocks, MAX_PARAMETER_BLOCKS), INTEL_PROCESSOR) + groups)
 
 
 def _pad_to_block(data: bytes) -> bytes:
     """Return the data followed by zeros up to the end of its last block."""
-    return data + bytes(-len(data) % BLOCK_BYTES)
+    return data + bytes(-len(data) % C3D_BLOCK_BYTES)
 
 
 def _encode_group(number: int, name: str, parameters: Sequence[_Parameter]) -> bytes:

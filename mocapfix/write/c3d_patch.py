@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.errors import WriteError
-from mocapfix.files.layouts import C3dLayout
+from mocapfix.files.layouts import MAX_RESIDUAL_COUNTS, C3dLayout
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.take import Take
 from mocapfix.write.source_file import (
@@ -19,7 +19,6 @@ from mocapfix.write.source_file import (
 
 MISSING_SAMPLE = (0.0, 0.0, 0.0, -1.0)  # coordinates and residual word
 MAX_INT16_COUNT = 32_767  # largest coordinate in an integer file, in counts
-MAX_RESIDUAL_COUNT = 255  # largest residual in the low byte of a residual word
 
 
 def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, int]]:
@@ -67,7 +66,7 @@ def _build_samples(
     is_stored = np.all(np.abs(counts) <= largest, axis=-1) & np.any(counts != 0, axis=-1)
     sample_sd = np.full(len(frames), np.nan) if after.sample_sd is None else after.sample_sd[frames, markers]
     residual = np.nan_to_num(np.rint(sample_sd / layout.unit_m / layout.scale_factor), nan=1.0)
-    samples = np.c_[counts, np.clip(residual, 1, MAX_RESIDUAL_COUNT)]
+    samples = np.c_[counts, np.clip(residual, 1, MAX_RESIDUAL_COUNTS)]
     samples[~is_stored] = MISSING_SAMPLE
     return samples, is_stored
 
