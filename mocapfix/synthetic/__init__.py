@@ -3,8 +3,7 @@
 footsteps        where the feet are: they do not slide
 gestures         rotations of arms, spine and head
 motions          a body over those feet, making those gestures
-damage           gaps and spikes
-synthetic_takes  a person, their motion, their markers before and after the damage, and the C3D file
+synthetic_takes  a person, their motion, their markers before and after damage by gaps and spikes, and the C3D file
 """
 
 from mocapfix.synthetic.synthetic_takes import SyntheticTake, compose_take, write_synthetic_take

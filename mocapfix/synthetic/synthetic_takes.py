@@ -12,8 +12,8 @@ from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.motion import Motion
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_world_poses
+from mocapfix.stats.runs import find_runs
 from mocapfix.subject import Subject
-from mocapfix.synthetic.damage import DAMAGED_ARM_JOINTS, draw_gaps, draw_spikes
 from mocapfix.synthetic.motions import compose_motion
 from mocapfix.take import Take
 from mocapfix.write.c3d import write_c3d
@@ -26,6 +26,17 @@ MARKER_PLACEMENT_SD_M = 0.012  # per axis, of a marker's offset on the person
 SKIN_SLIDE_SD_M = 0.004  # per axis, of a marker's motion with the skin
 SKIN_SLIDE_TIME_S = 0.3  # after which its correlation has fallen to 1/e
 CAMERA_NOISE_SD_M = 0.0003  # per axis, of a sample
+
+DAMAGED_ARM_JOINTS = ("LeftArm", "LeftForeArm", "LeftHand")
+ARM_GAP_S = (1.0, 2.5)  # while the arm swings
+LATE_START_S = 0.5  # until one of the markers is first visible
+SHORT_GAP_RATE_HZ = 0.12  # gaps a second and marker
+SHORT_GAP_DURATION_S = (0.03, 0.2)
+LONG_GAP_RATE_HZ = 0.6  # gaps a second, over all markers
+LONG_GAP_DURATION_S = (0.5, 3.0)
+SPIKE_RATE_HZ = 1.5  # spikes a second, over all markers
+SPIKE_DURATION_S = (0.008, 0.025)
+MIN_SPIKE_M = 0.03  # a spike's displacement is up to ten times this
 
 
 @dataclass(frozen=True)
@@ -128,3 +139,39 @@ def _simulate_skin_motion(rng: np.random.Generator, frames: int, markers: int, r
     white = rng.normal(size=(frames + 2 * margin, markers, 3))
     smooth = gaussian_filter1d(white, sigma, axis=0)[margin : margin + frames]
     return smooth * SKIN_SLIDE_SD_M * np.sqrt(2 * np.sqrt(np.pi) * sigma)
+
+
+def draw_gaps(
+    rng: np.random.Generator, frames: int, rate: float, is_arm_marker: Bool[np.ndarray, " M"]
+) -> Bool[np.ndarray, "T M"]:
+    """Return a mask of the missing samples; the arm's markers are lost together."""
+    missing = np.zeros((frames, len(is_arm_marker)), bool)
+    seconds = frames / rate
+    short_gaps = (SHORT_GAP_RATE_HZ * len(is_arm_marker), *SHORT_GAP_DURATION_S)
+    for gap_rate_hz, shortest_s, longest_s in (short_gaps, (LONG_GAP_RATE_HZ, *LONG_GAP_DURATION_S)):
+        for _ in range(rng.poisson(gap_rate_hz * seconds)):
+            first, marker = rng.integers(frames), rng.integers(len(is_arm_marker))
+            duration_s = shortest_s * (longest_s / shortest_s) ** rng.random()
+            missing[first : first + max(1, round(duration_s * rate)), marker] = True
+    first, end = (round(time_s * rate) for time_s in ARM_GAP_S)
+    missing[first:end, is_arm_marker] = True
+    late_marker = rng.integers(len(is_arm_marker))
+    missing[: round(LATE_START_S * rate), late_marker] = True
+    return missing
+
+
+def draw_spikes(rng: np.random.Generator, is_visible: Bool[np.ndarray, "T M"], rate: float) -> Float[np.ndarray, "T M 3"]:
+    """Return displacements in metres of the visible samples: 0 for nearly all."""
+    frames, count = is_visible.shape
+    shift = np.zeros((frames, count, 3))
+    for _ in range(rng.poisson(SPIKE_RATE_HZ * frames / rate)):
+        marker = rng.integers(count)
+        visible_runs = find_runs(is_visible[:, marker])
+        if not visible_runs:
+            continue
+        first, last = visible_runs[rng.integers(len(visible_runs))]
+        start = rng.integers(first, last + 1)
+        stop = min(last + 1, start + max(1, round(rng.uniform(*SPIKE_DURATION_S) * rate)))
+        direction = rng.normal(size=3)
+        shift[start:stop, marker] = direction / np.linalg.norm(direction) * MIN_SPIKE_M * 10 ** rng.random()
+    return shift

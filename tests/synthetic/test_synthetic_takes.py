@@ -14,7 +14,7 @@ from mocapfix.read.capture import read_capture
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.runs import find_runs
-from mocapfix.synthetic import damage, footsteps, gestures, motions
+from mocapfix.synthetic import footsteps, gestures, motions, synthetic_takes
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))
@@ -221,11 +221,11 @@ def test_damage_matches_its_masks(seed):
 
 
 def test_arm_gap_and_late_marker(take):
-    first, end = (round(second * RATE) for second in damage.ARM_GAP_S)
-    assert 0 < damage.ARM_GAP_S[0] < damage.ARM_GAP_S[1] <= gestures.REACH_LEFT_TIMES_S[0]
+    first, end = (round(second * RATE) for second in synthetic_takes.ARM_GAP_S)
+    assert 0 < synthetic_takes.ARM_GAP_S[0] < synthetic_takes.ARM_GAP_S[1] <= gestures.REACH_LEFT_TIMES_S[0]
     lost = {label for label, missing in zip(take.labels, take.missing_mask[first:end].all(axis=0), strict=True) if missing}
     assert lost >= {"LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"}
-    assert take.missing_mask[: round(damage.LATE_START_S * RATE)].all(axis=0).sum() >= 1
+    assert take.missing_mask[: round(synthetic_takes.LATE_START_S * RATE)].all(axis=0).sum() >= 1
 
 
 def test_take_depends_on_the_seed_only():
