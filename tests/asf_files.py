@@ -1,4 +1,4 @@
-"""ASF/AMC as CMU has them, of a few bones with all that a skeleton may have, for the tests of what reads and writes them."""
+"""An ASF/AMC pair in CMU's layout with a few bones of every kind, for tests of readers and writers."""
 
 ASF = """\
 # as CMU's, of some bones

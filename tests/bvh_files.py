@@ -1,4 +1,4 @@
-"""BVH as it comes: a small figure with joints of all kinds, for the tests of what reads, changes and writes animations."""
+"""A BVH of a small figure with joints of every kind, for tests of readers, repairs and writers."""
 
 HIERARCHY = """\
 HIERARCHY

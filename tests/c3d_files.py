@@ -1,4 +1,4 @@
-"""C3D files made byte by byte, in all six encodings, for tests to read and patch."""
+"""C3D files in all six encodings, built byte by byte, for tests of readers and patches."""
 
 import math
 import struct
@@ -19,11 +19,11 @@ def c3d_bytes(
     first: int = 1,
     extra: Mapping[str, Value | None] | None = None,
 ) -> bytes:
-    """-> a C3D of coordinates `xyz` (T, P, 3) in file units, counts times `scale` in an integer file.
+    """Return a C3D of coordinates `xyz` (T, P, 3) in file units, stored as counts of `scale` in an integer file.
 
-    words are the (T, P) residual words, 0 unless given. `extra` adds parameters or replaces them by "GROUP:NAME"; None
-    takes one away. Every frame ends in three analog words of noise, the data in half a block of noise, and the header
-    holds an event: bytes for a copy to keep.
+    `words` are the residual words (T, P), by default 0. `extra` adds parameters or replaces them, by "GROUP:NAME"; None removes
+    one. Every frame ends with three analog words of noise and the data with half a block of noise, and the header has an event:
+    bytes that a copy must keep.
     """
     processor, is_float = encoding
     order = ">" if processor == 86 else "<"
@@ -44,7 +44,7 @@ def c3d_bytes(
 
 
 def vax(value: float) -> bytes:
-    """A DEC F float: sign, exponent + 128, fraction in 0.5..1 without its leading bit; the high 16-bit word first."""
+    """Return a DEC F float: sign, exponent + 128, fraction in 0.5..1 without its leading bit, the high 16-bit word first."""
     if value == 0:
         return bytes(4)
     fraction, exponent = math.frexp(abs(value))
@@ -95,7 +95,7 @@ def _parameter_section(values: Mapping[str, Value | None], processor: int, order
 
 
 def _stored(value: Value, processor: int, order: str) -> tuple[int, list[int], bytes]:
-    """-> a parameter's type, dimensions and bytes; whole numbers are 16-bit words."""
+    """Return type, dimensions and bytes of a parameter; whole numbers are 16-bit words."""
     if isinstance(value, str):
         return -1, [len(value)], value.encode()
     if isinstance(value, float):

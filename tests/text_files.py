@@ -1,4 +1,4 @@
-"""Text files of marker takes as each vendor writes them, made for tests to read and patch."""
+"""Text files of marker takes in the layout of each vendor, for tests of readers and patches."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ STANDING = np.array([[[10, 20, 1700], [0.5, 30, 80], [400, 20.5, 1000]]], float)
 
 
 def cells(row: np.ndarray, missing: str = "", decimals: int = 3) -> list[str]:
-    """-> a frame's coordinates (P, 3) as fields."""
+    """Return the coordinates of a frame (P, 3) as fields."""
     return [missing if np.isnan(x) else f"{x:.{decimals}f}" for x in row.ravel()]
 
 
@@ -28,13 +28,13 @@ def trc(
     end: str = "\r\n",
     blank: bool = True,
     between: str = "\t",
-    **facts: object,
+    **header_values: object,
 ) -> str:
-    """-> a TRC of `xyz` (T, P, 3); `facts` replaces values of the header by key."""
-    said: dict[str, object] = {"DataRate": f"{rate:.2f}", "CameraRate": f"{rate:.2f}", "NumFrames": len(xyz)}
-    said |= {"NumMarkers": len(labels), "Units": units, "OrigDataRate": rate, "OrigDataStartFrame": 1, "OrigNumFrames": len(xyz)}
-    said |= facts
-    lines = [["PathFileType", "4", "(X/Y/Z)", "walk.trc"], list(said), [str(value) for value in said.values()]]
+    """Return a TRC of `xyz` (T, P, 3); `header_values` replaces values of the header by key."""
+    header: dict[str, object] = {"DataRate": f"{rate:.2f}", "CameraRate": f"{rate:.2f}", "NumFrames": len(xyz)}
+    header |= {"NumMarkers": len(labels), "Units": units, "OrigDataRate": rate, "OrigDataStartFrame": 1, "OrigNumFrames": len(xyz)}
+    header |= header_values
+    lines = [["PathFileType", "4", "(X/Y/Z)", "walk.trc"], list(header), [str(value) for value in header.values()]]
     lines.append(["Frame#", "Time", *(cell for label in labels for cell in (label, "", ""))])
     lines.append(["", "", *(f"{axis}{i + 1}" for i in range(len(labels)) for axis in "XYZ")])
     lines += [[""]] if blank else []
@@ -52,11 +52,11 @@ def motive(
     first: int = 0,
     rate: float = 120,
 ) -> str:
-    """-> a Motive CSV 1.2x: a rigid body with quaternion and error, then a column for each coordinate of the markers."""
+    """Return a Motive CSV 1.2x: a rigid body with quaternion and error, then a column for each coordinate of the markers."""
     kinds = kinds or ["Marker"] * len(labels)
-    facts = ["Format Version", "1.23", "Take Name", '"Walk, first"', "Capture Frame Rate", "240.000000"]
-    facts += ["Export Frame Rate", f"{rate:.6f}", "Total Exported Frames", str(len(xyz)), "Rotation Type", "Quaternion"]
-    facts += ["Length Units", units, "Coordinate Space", space]
+    header = ["Format Version", "1.23", "Take Name", '"Walk, first"', "Capture Frame Rate", "240.000000"]
+    header += ["Export Frame Rate", f"{rate:.6f}", "Total Exported Frames", str(len(xyz)), "Rotation Type", "Quaternion"]
+    header += ["Length Units", units, "Coordinate Space", space]
     body = 8
     kind = ["Rigid Body"] * body + [each for each in kinds for _ in range(3)]
     name = ["Box"] * body + [each for each in labels for _ in range(3)]
@@ -64,7 +64,7 @@ def motive(
     what = ["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * (3 * len(labels))
     axes = [*"XYZWXYZ", "", *("XYZ" * len(labels))]
     head = [("Type", kind), ("Name", name), ("ID", number), ("", what)]
-    lines = [facts, [], *(["", what_row if labelled_rows else "", *row] for what_row, row in head)]
+    lines = [header, [], *(["", what_row if labelled_rows else "", *row] for what_row, row in head)]
     lines.append(["Frame", "Time (Seconds)", *axes])
     pose = ["0.1", "0.2", "0.3", "0.9", "1.5", "0.7", "-0.2", "0.0004"]
     lines += [[str(first + t), f"{t / rate:.6f}", *pose, *cells(row, "", 6)] for t, row in enumerate(xyz)]
@@ -81,7 +81,7 @@ def nexus(
     units: str = "mm",
     velocities: bool = False,
 ) -> str:
-    """-> a Nexus CSV, with sections before and behind its trajectories."""
+    """Return a Nexus CSV with sections before and after its trajectories."""
     axes = ["X", "Y", "Z", "X'", "Y'", "Z'"] if velocities else ["X", "Y", "Z"]
     more = [""] * (len(axes) - 1)
     lines = [["Trajectories"], [rate], ["", "", *(cell for label in labels for cell in (label, *more))]]
@@ -94,7 +94,7 @@ def nexus(
 
 
 def workstation(xyz: np.ndarray = STANDING, labels: Sequence[str] = LABELS) -> str:
-    """-> an ASCII export as Vicon Workstation wrote it before Nexus."""
+    """Return an ASCII export of Vicon Workstation, the predecessor of Nexus."""
     lines = [["Title"], ["Date:"], [""], ["TRAJECTORIES"], ["100", "Hz"], ["", *(c for label in labels for c in (label, "", ""))]]
     lines.append(["Field #", *("XYZ" * len(labels))])
     lines += [[str(1 + t), *cells(row)] for t, row in enumerate(xyz)]
@@ -110,10 +110,10 @@ def qualisys(
     trailing: str = "",
     first: int = 1,
 ) -> str:
-    """-> a QTM TSV with the `columns` before the markers', and a line of column names where `named`."""
-    facts = [["NO_OF_FRAMES", str(len(xyz))], ["NO_OF_CAMERAS", "10"], ["NO_OF_MARKERS", str(len(labels))], ["FREQUENCY", "100"]]
-    facts += [["TIME_STAMP", "2026-01-19, 10:19:43.755", "2063631.9"], ["DATA_INCLUDED", "3D"], ["EVENT", "jump", "3", "0.02"]]
-    lines = [*facts, ["MARKER_NAMES", *labels]]
+    """Return a QTM TSV with `columns` before those of the markers, and a line of column names if `named`."""
+    header = [["NO_OF_FRAMES", str(len(xyz))], ["NO_OF_CAMERAS", "10"], ["NO_OF_MARKERS", str(len(labels))], ["FREQUENCY", "100"]]
+    header += [["TIME_STAMP", "2026-01-19, 10:19:43.755", "2063631.9"], ["DATA_INCLUDED", "3D"], ["EVENT", "jump", "3", "0.02"]]
+    lines = [*header, ["MARKER_NAMES", *labels]]
     lines += [[*columns, *(f"{label} {axis}" for label in labels for axis in "XYZ")]] if named else []
     for t, row in enumerate(xyz):
         lead = {"Frame": str(first + t), "Time": f"{(first - 1 + t) / 100:.5f}"}
@@ -122,7 +122,7 @@ def qualisys(
 
 
 def motive_rows(xyz: np.ndarray, names: Sequence[str], hand: str = "righthanded", bodies: int = 1) -> str:
-    """-> an OptiTrack CSV 1.1, which lists in each frame the markers that are there."""
+    """Return an OptiTrack CSV 1.1, which lists the visible markers of each frame."""
     lines = ['comment,"OptiTrack Export Data"', hand, "info,version,1.1", f"info,framecount,{len(xyz)}"]
     for t, row in enumerate(xyz):
         there = [f"{x:.8f},{y:.8f},{z:.8f},{40 + i},{names[i]}" for i, (x, y, z) in enumerate(row) if not np.isnan(x)]
@@ -132,10 +132,10 @@ def motive_rows(xyz: np.ndarray, names: Sequence[str], hand: str = "righthanded"
     return "\r\n".join(lines) + "\r\n"
 
 
-def assert_refused(take_of: Callable[[Path, str], object], folder: Path, text: str, words: str) -> None:
-    """What `take_of` makes of a text in a folder is one sentence that names the file there and says `words`."""
+def assert_refused(read: Callable[[Path, str], object], folder: Path, text: str, words: str) -> None:
+    """Check that reading a text is refused with a message that names the file and contains `words`."""
     with pytest.raises(ReadError) as error:
-        take_of(folder, text)
+        read(folder, text)
     assert str(error.value).startswith(str(folder / "walk."))
     assert words in str(error.value)
     assert "\n" not in str(error.value)

@@ -6,7 +6,7 @@ from mocapfix.errors import WriteError
 from mocapfix.files.output_files import replace_atomically
 
 
-def test_target_holds_what_was_written(tmp_path):
+def test_the_target_is_replaced_at_the_end(tmp_path):
     target = tmp_path / "walk.bvh"
     target.write_text("old")
     with replace_atomically(target) as part:
@@ -22,7 +22,7 @@ def write_half(target):
         raise RuntimeError("in the middle")
 
 
-def test_failure_leaves_everything_as_it_was(tmp_path):
+def test_a_failure_keeps_the_target(tmp_path):
     target = tmp_path / "walk.bvh"
     target.write_text("old")
     with pytest.raises(RuntimeError, match="in the middle"):
@@ -31,7 +31,7 @@ def test_failure_leaves_everything_as_it_was(tmp_path):
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_missing_folder_is_named_with_what_to_do(tmp_path):
+def test_a_missing_folder_is_refused_with_a_remedy(tmp_path):
     target = tmp_path / "nowhere" / "walk.bvh"
     with pytest.raises(WriteError) as error, replace_atomically(target):
         pass
@@ -47,7 +47,7 @@ def test_a_full_disk_is_a_write_error(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
-def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
+def test_a_new_file_has_the_usual_permissions(tmp_path):
     usual, target = tmp_path / "usual", tmp_path / "target"
     usual.touch()
     with replace_atomically(target):

@@ -62,13 +62,13 @@ def test_frames_that_are_there_are_picked_bit_for_bit(rate, fps):
     )
 
 
-def test_at_its_own_rate_it_is_the_motion_itself():
+def test_the_same_rate_returns_the_motion_itself():
     before = walking(10)
     assert resample_motion(before, 120.0, 120.0) is before
 
 
 @pytest.mark.parametrize(("rate", "fps"), [(120.0, 25.0), (30.0, 120.0), (120.0, 50.0)])
-def test_frames_that_are_not_there_are_not_said_to_be_picked(rate, fps):
+def test_a_rate_with_other_frames_is_not_a_subset(rate, fps):
     assert not is_frame_subset(rate, fps)
 
 
