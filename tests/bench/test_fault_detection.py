@@ -87,7 +87,7 @@ class Result:
     """The fields of a result that the benchmark needs."""
 
     input_take: Take
-    rerelabelled_take: Take
+    relabelled_take: Take
     take: Take
     faults: Faults
 
@@ -107,13 +107,13 @@ def build_result(damaged_take, *items) -> Any:
     take = Take(damaged_take.markers, damaged_take.labels, damaged_take.rate_hz)
     filled = np.where(np.isnan(damaged_take.markers), damaged_take.true_markers + [0.003, 0.0, 0.0], damaged_take.markers)
     relabelled = take
-    for each in Faults(items).select_kinds("swap", "misrelabelled"):
+    for each in Faults(items).select_kinds("swap", "mislabelled"):
         relabelled = relabelled.exchange_labels(each.markers, each.first, each.last)
     return Result(take, relabelled, take.replace_markers(filled, np.where(take.visible, np.nan, 0.001)), Faults(items))
 
 
 def test_exchanges_are_merged_to_their_net_effect(damaged_take):
-    always, part, spike = fault("misrelabelled", 0, 239, 2, 3), fault("swap", 0, 29, 3, 2), fault("spike", 5, 6, 1)
+    always, part, spike = fault("mislabelled", 0, 239, 2, 3), fault("swap", 0, 29, 3, 2), fault("spike", 5, 6, 1)
     ring, back = fault("swap", 10, 39, 4, 5, 6), fault("swap", 20, 29, 6, 5, 4)
     left = merge_label_exchanges(build_result(damaged_take, spike, always, part, ring, back)).items
     rows = [(min(each.markers), each.first, each.last) for each in left]

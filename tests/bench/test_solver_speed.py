@@ -61,7 +61,7 @@ def test_tables_show_the_results(results, monkeypatch, capsys):
     shown = capsys.readouterr().out
     assert exited.value.code == 0
     assert f"{results['joint_error_mm']['noisy']:.2f}" in shown
-    assert f"51 joints cost {results['k51_over_k23']:.2f} times 23" in shown
+    assert f"51 joints take {results['k51_over_k23']:.2f} times as long as 23" in shown
     assert len(re.findall(r"│ 3 +│ 51 +│ 416 ", shown)) == 11
 
 
