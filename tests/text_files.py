@@ -32,7 +32,8 @@ def trc(
 ) -> str:
     """Return a TRC of `xyz` (T, P, 3); `header_values` replaces values of the header by key."""
     header: dict[str, object] = {"DataRate": f"{rate:.2f}", "CameraRate": f"{rate:.2f}", "NumFrames": len(xyz)}
-    header |= {"NumMarkers": len(labels), "Units": units, "OrigDataRate": rate, "OrigDataStartFrame": 1, "OrigNumFrames": len(xyz)}
+    header |= {"NumMarkers": len(labels), "Units": units, "OrigDataRate": rate, "OrigDataStartFrame": 1}
+    header |= {"OrigNumFrames": len(xyz)}
     header |= header_values
     lines = [["PathFileType", "4", "(X/Y/Z)", "walk.trc"], list(header), [str(value) for value in header.values()]]
     lines.append(["Frame#", "Time", *(cell for label in labels for cell in (label, "", ""))])
