@@ -71,7 +71,7 @@ class KeypointResult:
             "camera": {
                 "pixels_per_metre": round(self.camera.scale, 3),
                 "origin_px": [round(float(x), 2) for x in self.camera.centre],
-                "looks_down_deg": round(float(np.degrees(np.arcsin(-self.camera.rotation[2, 1]))), 3),
+                "pitch_down_deg": round(float(np.degrees(np.arcsin(-self.camera.rotation[2, 1]))), 3),
             },
             "reprojection_px": {
                 "mean": round(float(np.nanmean(error_px)), 2),

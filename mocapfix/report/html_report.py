@@ -20,7 +20,7 @@ from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.html_page import write_page
 from mocapfix.report.report import ErrorSummary, Report, SolveSection, SubjectSection
 from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
-from mocapfix.report.stick_figures import draw_stick_figures, find_worst_frame
+from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
 from mocapfix.report.summary import describe_changes, describe_faults, describe_remaining
 from mocapfix.report.terms import FAULT_GROUPS, JOINT_TERMS, format_number, get_fault_group
 from mocapfix.report.timeline import (
@@ -35,7 +35,6 @@ from mocapfix.take import Take
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption
 MIN_BAR_SCALE = 1e-9  # mm or m; avoids a division by zero if all values are zero
-CM_PER_M = 100
 
 # CSS classes and their meaning.
 Legend = tuple[tuple[str, str], ...]

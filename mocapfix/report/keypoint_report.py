@@ -36,7 +36,7 @@ class CameraEntry(TypedDict):
 
     pixels_per_metre: float
     origin_px: list[float]
-    looks_down_deg: float
+    pitch_down_deg: float
 
 
 class ReprojectionSummary(TypedDict):

@@ -19,7 +19,6 @@ MIN_STRAY_DURATION_S = 0.05
 MAX_IMPORTED_FILL_DISTANCE_M = 0.02  # from the body; compared with the median over the fill of another program
 MISLABELLED_MARKER_DISTANCE_M = 0.06  # from the body; a marker farther away in most of its frames probably has a wrong label
 MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
-MM_PER_M = 1e3
 
 
 def build_body_notes(
@@ -66,18 +65,14 @@ def describe_stray_markers(take: Take, residual_m: Float[np.ndarray, "T M"]) -> 
     for m in np.flatnonzero((residual_m > MISLABELLED_MARKER_DISTANCE_M).any(0)):
         compared = ~np.isnan(residual_m[:, m])
         if (residual_m[:, m] > MISLABELLED_MARKER_DISTANCE_M).sum() > MISLABELLED_MARKER_SHARE * compared.sum():
-            distance_mm = MISLABELLED_MARKER_DISTANCE_M * MM_PER_M
-            notes.append(
-                f"{take.labels[m]} is more than {distance_mm:.0f} mm from the body in most of its frames; check its label."
-            )
+            distance = _format_mm(MISLABELLED_MARKER_DISTANCE_M)
+            notes.append(f"{take.labels[m]} is more than {distance} from the body in most of its frames; check its label.")
             continue
         for first, last in find_runs(residual_m[:, m] > MIN_STRAY_DISTANCE_M):
             if (last - first + 1) / take.rate >= MIN_STRAY_DURATION_S:
                 frames = f"frames {take.get_frame_number(first)} to {take.get_frame_number(last)}"
-                distance_mm = np.median(residual_m[first : last + 1, m]) * MM_PER_M
-                notes.append(
-                    f"{take.labels[m]}, {frames}: {distance_mm:.0f} mm from the body, left unchanged; check for swapped labels."
-                )
+                distance = _format_mm(float(np.median(residual_m[first : last + 1, m])))
+                notes.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; check for swapped labels.")
     return notes
 
 
@@ -90,9 +85,9 @@ def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndar
         return []
     distance, worst = max(far, key=lambda pair: pair[0])
     first, last = (detection.take.get_frame_number(frame) for frame in (worst.first, worst.last))
-    farthest = f"{detection.take.labels[worst.marker]}, frames {first} to {last}, {distance * MM_PER_M:.0f} mm"
+    farthest = f"{detection.take.labels[worst.marker]}, frames {first} to {last}, {_format_mm(distance)}"
     return [
-        f"{len(far)} of {len(fills)} fills by another program are more than {MAX_IMPORTED_FILL_DISTANCE_M * MM_PER_M:.0f} mm "
+        f"{len(far)} of {len(fills)} fills by another program are more than {_format_mm(MAX_IMPORTED_FILL_DISTANCE_M)} "
         f"from the body (the farthest: {farthest}) and are left unchanged; --refill replaces them."
     ]
 
@@ -105,5 +100,9 @@ def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERM
     if not uncertain.any():
         return []
     labels = ", ".join(cleaned_take.labels[m] for m in np.flatnonzero(uncertain.any(0)))
-    limit = f"a predicted standard deviation above {MAX_RELIABLE_FILL_SD_M * MM_PER_M:.0f} mm"
+    limit = f"a predicted standard deviation above {_format_mm(MAX_RELIABLE_FILL_SD_M)}"
     return [f"{uncertain.sum()} filled {terms.samples} are unreliable, with {limit}: {labels}."]
+
+
+def _format_mm(distance_m: float) -> str:
+    return f"{distance_m * 1e3:.0f} mm"
