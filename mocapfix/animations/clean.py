@@ -24,9 +24,10 @@ from mocapfix.animations.repair import MappedPriorConditioner, repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults
+from mocapfix.files.option_definitions import StageOptions, list_options
 from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.motion import FrameStatus, Motion
-from mocapfix.options import CleanOptions, StageOptions, SubjectOptions, list_options
+from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report import notes, report_data, review_file
 from mocapfix.report.report import InspectionReport, Report

@@ -11,7 +11,8 @@ from typing import Annotated, Any, cast, get_args
 import tyro
 
 from mocapfix.errors import OptionError
-from mocapfix.options import CleanOptions, Option, StageOptions, list_stages
+from mocapfix.files.option_definitions import Option, StageOptions
+from mocapfix.options import CleanOptions, list_stages
 
 FRAME_LIMIT = 2**62
 """beyond the number of any frame: the end of a range that is left open"""

@@ -1,8 +1,8 @@
 """The detection loop: labels are corrected and faults are detected, until nothing new is found.
 
-`detect_on_trajectories` sees the trajectories alone, `detect_on_body` holds them against the solved body. Labels come first, since a
-label error looks like every other fault; then swaps before spikes, and spikes before gaps. A correction can uncover further faults, so
-detection is repeated after it.
+`detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body. Labels come first, since a
+label error looks like every other fault; then swaps before spikes, and spikes before gaps. A correction can uncover further
+faults, so detection is repeated after it.
 """
 
 from collections.abc import Callable
@@ -93,15 +93,15 @@ def detect_remaining_faults(
 ) -> Faults:
     """Detect the faults of the samples of a take whose labels are right.
 
-    Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Without that, cleaning the
-    cleaned take again would change it again. Markers whose labels name fragments of other markers are not judged.
+    Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Without that, cleaning
+    the cleaned take again would change it again. Markers whose labels name fragments of other markers are not judged.
     """
     donors, known = find_namesakes(take), Faults()
     for _ in range(options.detect.max_rounds):
         remaining = replace(take, computed=take.visible & ~take.measured | known.compute_faulty_mask(take))
         faults = [
             fault
-            for fault in detect_sample_faults(remaining, marker_set).items
+            for fault in detect_sample_faults(remaining, marker_set, options.detect).items
             if fault.marker not in donors and accepts_fault(fault)
         ]
         replaced = [fault for fault in faults if fault.kind in REPLACED_SAMPLE_KINDS]

@@ -1,30 +1,17 @@
 """Faults of the samples under correct labels, detected from the trajectories alone."""
 
-from dataclasses import dataclass
-
 from mocapfix.detect import external_fills, frozen, gaps, ghosts, jitter, spikes
 from mocapfix.faults import Faults, build_fault_mask
 from mocapfix.marker_set import MarkerSet
+from mocapfix.options import DetectOptions
 from mocapfix.take import Take
 
-
-@dataclass(frozen=True)
-class DetectOptions:
-    """Thresholds of the detection. Faulty samples are replaced, so the defaults favour the measurement."""
-
-    min_spike_m: float = 0.02
-    """Smallest distance of a spike from the marker's path, in metres."""
-    max_spike_duration_s: float = 0.05
-    """Longest spike, in seconds."""
-    min_jitter_m: float = 0.005
-    """Smallest noise in a burst of jitter, in metres."""
-    min_jitter_ratio: float = 6.0
-    """Smallest noise in a burst of jitter, in multiples of the marker's noise in the rest of the take."""
-    min_jitter_duration_s: float = 0.1
-    """Shortest burst of jitter, in seconds."""
+DEFAULT_DETECT_OPTIONS = DetectOptions()
 
 
-def detect_sample_faults(take: Take, marker_set: MarkerSet | None = None, options: DetectOptions = DetectOptions()) -> Faults:
+def detect_sample_faults(
+    take: Take, marker_set: MarkerSet | None = None, options: DetectOptions = DEFAULT_DETECT_OPTIONS
+) -> Faults:
     """Detect the faults of the samples under each label. The labels have to be correct.
 
     Samples that a program filled are not judged. A spike within a burst of jitter is part of the burst.

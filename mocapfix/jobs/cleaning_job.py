@@ -13,9 +13,10 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
 from mocapfix.errors import MocapfixError, OptionError, SceneError
+from mocapfix.files.option_definitions import Option
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.options import CleanOptions, Option, build_clean_options, list_stages
+from mocapfix.options import CleanOptions, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from mocapfix.write.output_options import list_output_formats
 

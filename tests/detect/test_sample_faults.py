@@ -5,6 +5,7 @@ import pytest
 
 from mocapfix.detect import sample_faults
 from mocapfix.faults import Fault
+from mocapfix.options import DetectOptions
 from mocapfix.take import Take
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -55,7 +56,7 @@ def test_a_sound_take_has_no_faults():
 
 
 def test_options_move_the_thresholds():
-    options = sample_faults.DetectOptions(min_spike_m=0.2, min_jitter_m=0.1)
+    options = DetectOptions(min_spike_m=0.2, min_jitter_m=0.1)
     faults = sample_faults.detect_sample_faults(damaged(), options=options)
     assert {fault.kind for fault in faults.items} == {"gap", "leading gap", "spike"}
     assert all(f.severity >= 0.2 for f in faults.items if f.kind == "spike")
