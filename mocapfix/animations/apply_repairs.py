@@ -18,7 +18,7 @@ from mocapfix.report.review_file import ReviewedChange
 from mocapfix.take import Take
 
 LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information
-REJECTED_CHANGE_REASON = "its change was rejected"
+UNAPPLIED_CHANGE_REASON = "its change was not applied"  # not among the kinds to repair, or rejected by a reviewer
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def apply_repairs(
     joint_take = joint_points.build_joint_take(repaired)
     joint_take = _add_sd(repaired, joint_take, variance, np.ones(joint_take.visible.shape, bool))
     applied = _list_changes(before, after, selected, repair, is_repaired)
-    unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", REJECTED_CHANGE_REASON, rejection_reasons))
+    unfilled = find_unfilled_runs(after, np.where(rejection_reasons == "", UNAPPLIED_CHANGE_REASON, rejection_reasons))
     return RepairedAnimation(
         repaired,
         before,
