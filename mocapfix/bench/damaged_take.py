@@ -86,8 +86,10 @@ class DamagedTake:
     def is_free(self, place: FaultPlace) -> bool:
         """Return whether a place and its surroundings have no faults."""
         margin = round(MIN_FAULT_DISTANCE_S * self.rate_hz)
-        markers = [*place.markers, *self.neighbours[list(place.markers), :NEIGHBOUR_COUNT].flat]
-        return not self._has_fault[max(0, place.first - margin) : place.last + margin + 1, markers].any()
+        own = np.array(place.markers)
+        markers = np.concatenate([own, self.neighbours[own, :NEIGHBOUR_COUNT].ravel()])
+        frames = slice(max(0, place.first - margin), place.last + margin + 1)
+        return not self._has_fault[frames, markers].any()
 
     def record_fault(self, fault: Fault, *, is_main: bool = True) -> None:
         """Record a fault; one that is not a main fault need not be found."""

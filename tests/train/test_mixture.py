@@ -9,9 +9,17 @@ from mocapfix.train.settings import MixtureSettings
 
 NAMES, IDENTITY = ("Hips", "Spine", "Head"), np.tile(np.eye(3), (3, 1, 1))
 SETTINGS = MixtureSettings(
-    model="mixture", title="", test_subjects=frozenset(), held_out_subjects=frozenset(), seed=0, variance_share=0.99, components=2, restarts=2, tolerance=1e-4,
+    model="mixture",
+    title="",
+    test_subjects=frozenset(),
+    held_out_subjects=frozenset(),
+    seed=0,
+    variance_share=0.99,
+    components=2,
+    restarts=2,
+    tolerance=1e-4,
     max_iterations=200,
-)  # fmt: skip
+)
 
 
 def draw_poses(count=3000):
