@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import tyro
 from rich.table import Table
@@ -96,7 +96,7 @@ def run_bench_calibration(as_json: JsonOption = False) -> int:
     from mocapfix.bench.calibration import measure_calibration
 
     with show_progress("calibration"):
-        rows: list[Any] = list(measure_calibration())
+        rows = cast("list[Any]", measure_calibration())
     if as_json:
         print_json({"people": rows[:-1], "mean": rows[-1]})
         return EXIT_DONE
@@ -120,7 +120,7 @@ def run_bench_faults(
     from mocapfix.bench.fault_detection import measure_fault_detection
 
     with show_progress("faults") as progress:
-        results: Mapping[str, Any] = measure_fault_detection(data, takes, progress)
+        results = cast("Mapping[str, Any]", measure_fault_detection(data, takes, progress))
     if as_json:
         print_json(results)
         return EXIT_DONE
@@ -163,7 +163,7 @@ def run_bench_animations(
     from mocapfix.bench.animation_repair import measure_animation_repair
 
     with show_progress("animations") as progress:
-        results: Mapping[str, Any] = measure_animation_repair(data, trials, seed, progress)
+        results = cast("Mapping[str, Any]", measure_animation_repair(data, trials, seed, progress))
     if as_json:
         print_json(results)
         return EXIT_DONE
