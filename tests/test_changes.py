@@ -15,7 +15,7 @@ FRAMES = 20
 
 
 def take() -> Take:
-    """-> A (missing in 5-8), B, and A-1 (seen in 5-8 only), numbered from 101; *4 that nobody named"""
+    """A (missing in 5-8), B and A-1 (visible in 5-8 only), numbered from 101, and the unlabelled *4."""
     markers = np.zeros((FRAMES, 3, 3))
     markers[5:9, 0] = markers[:5, 2] = markers[9:, 2] = NAN
     loose = Take(np.ones((FRAMES, 1, 3)), ("*4",), 100.0, point_columns=np.array([3]))
@@ -31,7 +31,7 @@ GAP = Fault("gap", 0, 5, 8, 0.1, "A is not seen.")
 SWAP = Fault("swap", 0, 12, 15, 0.1, "Exchanged.", 1.0, (1,))
 
 
-def test_an_entry_in_the_files_own_frames_with_numbers_before_and_after():
+def test_change_has_file_frame_numbers_and_states():
     before, after = take(), take()
     after.markers[5:9, 0] = [0.003, 0.0, 0.0]
     deviation = np.full((FRAMES, 3), NAN)
@@ -45,7 +45,7 @@ def test_an_entry_in_the_files_own_frames_with_numbers_before_and_after():
     assert change.method == "estimated, mostly from the body"
 
 
-def test_what_nothing_was_made_of_has_no_entry_but_a_move_has():
+def test_fault_without_effect_is_no_change_unless_it_is_a_shift():
     knocked = MarkerShift("moved", 1, 10, 19, 0.04, "Knocked.", settled_frame=10)
     assert [change.kind for change in entries(take(), take(), GAP, SWAP, knocked)] == ["moved"]
 
@@ -57,7 +57,7 @@ def test_method_of_removed_samples():
     assert (change.method, change.before.missing, change.after.missing) == ("removed", 0, 1)
 
 
-def test_ids_name_label_and_frame_without_blanks_and_none_twice():
+def test_change_ids_are_unique_and_without_blanks():
     before, after = take(), take()
     after.markers[:, 1] = 1.0
     twice = [Fault("stuck", 1, 3, 6, 0.1, ""), Fault("stuck", 1, 3, 9, 0.1, ""), Fault("leading gap", 1, 0, 2, NAN, "")]
@@ -69,7 +69,7 @@ def test_ids_name_label_and_frame_without_blanks_and_none_twice():
 
 
 @pytest.mark.parametrize(("donor", "name", "count"), [(2, "A-1", 8), (3, "*4", 4)])
-def test_a_fragment_names_its_donor_and_concerns_it_where_it_is_a_marker(donor, name, count):
+def test_fragment_change_names_its_donor(donor, name, count):
     piece, before = Fragment("fragment", 0, 5, 8, 0.0, "Goes on.", donor=donor, relation="continues"), take()
     after = take()
     after.markers[5:9, 0], after.markers[5:9, 2] = 0.0, NAN
@@ -80,8 +80,8 @@ def test_a_fragment_names_its_donor_and_concerns_it_where_it_is_a_marker(donor, 
     assert list_affected_markers(piece, 3) == ([0, 2] if donor == 2 else [0])
 
 
-def test_a_spike_in_a_swap_is_told_by_the_sample_that_is_its_markers():
-    """Under A's label lies B's sample, 1 m off; A's own, under B's, is 0.2 m off."""
+def test_spike_within_a_swap_is_measured_on_the_markers_own_sample():
+    """B's sample is under A's label, 1 m off; A's own sample, under B's label, is 0.2 m off."""
     before = take()
     before.markers[12:16, 0], before.markers[12:16, 1, 1] = 1.0, 0.2
     labelled = before.exchange_labels((0, 1), 12, 15)
@@ -91,7 +91,7 @@ def test_a_spike_in_a_swap_is_told_by_the_sample_that_is_its_markers():
     assert (change.before, change.after) == (SampleState(0, 200.0), SampleState(0, 0.0))
 
 
-def test_samples_that_came_from_elsewhere_differ_though_they_lie_in_one_place():
+def test_samples_from_another_point_differ():
     before = take()
     assert compare_samples(before, before.exchange_labels((0, 1), 12, 15)).sum() == 8
     assert (
@@ -100,7 +100,7 @@ def test_samples_that_came_from_elsewhere_differ_though_they_lie_in_one_place():
     assert not compare_samples(before, take()).any()
 
 
-def test_what_is_missing_on_both_sides_does_not_differ():
+def test_samples_missing_in_both_takes_do_not_differ():
     before = take()
     before.markers[5:9, 1] = NAN
     assert not compare_samples(before, before.exchange_labels((0, 1), 5, 8)).any()
@@ -116,7 +116,7 @@ masks = arrays(bool, (FRAMES, 3), elements=st.booleans())
     a=st.integers(0, 19),
     b=st.integers(0, 19),
 )
-def test_a_faults_samples_are_its_markers_over_its_frames_and_what_is_missing_among_faulty_ones_is_not(seen, kind, marker, a, b):
+def test_affected_mask_excludes_missing_samples_of_faulty_kinds(seen, kind, marker, a, b):
     fault = Fault(kind, marker, min(a, b), max(a, b), 0.1, "")
     shown = Take(np.where(seen[..., None], 1.0, NAN).repeat(3, 2), tuple("ABC"), 100.0)
     wanted = np.zeros(seen.shape, bool)

@@ -25,18 +25,18 @@ def faults():
     )
 
 
-def test_doubted_are_the_faulty_samples_that_are_there(take, faults):
+def test_faulty_mask_holds_visible_samples_only(take, faults):
     found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_faulty_mask(take))}
     assert found == {(6, 0), (3, 1), (4, 1), (9, 2)}
 
 
-def test_every_sample_is_missing_doubted_or_believed_and_only_one_of_them(take, faults):
+def test_samples_are_missing_faulty_or_inliers(take, faults):
     together = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.compute_inlier_mask(take)
     np.testing.assert_array_equal(together, 1)
     assert faults.compute_inlier_mask(take).sum() == 30 - 5 - 4
 
 
-def test_the_body_listens_to_what_trembles_but_not_to_spikes(take, faults):
+def test_solver_mask_includes_jitter_but_not_spikes(take, faults):
     assert faults.compute_solver_mask(take)[3:5, 1].all()
     found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_solver_mask(take) & faults.compute_faulty_mask(take))}
     assert found == {(3, 1), (4, 1)}
@@ -44,9 +44,9 @@ def test_the_body_listens_to_what_trembles_but_not_to_spikes(take, faults):
 
 
 @pytest.mark.parametrize("kind", MISSING_KINDS)
-def test_no_kind_of_gap_casts_doubt_on_a_sample(take, kind):
+def test_gaps_make_no_sample_faulty(take, kind):
     assert not Faults((Fault(kind, 2, 0, 9, np.nan, ""),)).compute_faulty_mask(take).any()
 
 
-def test_a_take_without_faults_is_believed_where_seen(take):
+def test_inliers_of_a_take_without_faults(take):
     np.testing.assert_array_equal(Faults().compute_inlier_mask(take), take.visible)

@@ -11,7 +11,7 @@ def take(seen):
     return Take(np.where(seen[..., None], 1.0, np.nan).repeat(3, 2), tuple("ABCDE")[: seen.shape[1]], 100.0)
 
 
-def test_runs_of_one_reason_each_by_marker_and_first_frame():
+def test_unfilled_runs_have_one_reason_each():
     seen = np.ones((10, 3), bool)
     seen[2:7, 2] = seen[8:, 2] = seen[5, 0] = False
     said = np.full(seen.shape, "", object)
@@ -31,7 +31,7 @@ shape = (12, 3)
 
 
 @given(seen=arrays(bool, shape, elements=st.booleans()), said=arrays(np.int8, shape, elements=st.integers(0, 2)))
-def test_what_is_missing_is_named_once_with_its_reason(seen, said):
+def test_every_missing_sample_is_in_one_unfilled_run(seen, said):
     words = np.array(["", "too far", "unsure"], object)[said]
     left = find_unfilled_runs(take(seen), words)
     again = expand_unfilled_reasons(left, shape)
@@ -43,5 +43,5 @@ def test_what_is_missing_is_named_once_with_its_reason(seen, said):
     assert len({(each.marker, each.first) for each in left}) == len(left)
 
 
-def test_nothing_missing_is_nothing_left():
+def test_complete_take_has_no_unfilled_runs():
     assert find_unfilled_runs(take(np.ones((4, 2), bool)), np.full((4, 2), "", object)) == ()

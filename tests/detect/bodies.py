@@ -7,7 +7,7 @@ from mocapfix.take import Take
 
 
 def turning(seconds=4.0, rate=120.0, segments=2, each=5, noise=0.0005, seed=0) -> Take:
-    """-> `segments` rigid segments of `each` markers, some 10 to 25 cm apart, that swing about and travel beside one another."""
+    """Build `segments` rigid segments of `each` markers, 10 to 25 cm apart, that rotate and move next to one another."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate)) / rate
     places = []
@@ -23,7 +23,7 @@ def turning(seconds=4.0, rate=120.0, segments=2, each=5, noise=0.0005, seed=0) -
 
 
 def exchanged(take: Take, ring: tuple[int, ...], first: int, last: int) -> Take:
-    """-> over first..last the samples of each marker in the ring are under the next one's label."""
+    """Move the samples of each marker in the cycle over first..last to the next one's label."""
     markers, frames = take.markers.copy(), slice(first, last + 1)
     markers[frames, list(ring[1:] + ring[:1])] = markers[frames, list(ring)]
     return take.replace_markers(markers)

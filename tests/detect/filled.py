@@ -1,4 +1,4 @@
-"""A segment that moves, and takes of it as files keep them."""
+"""Takes of a moving segment at the resolutions of files."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,7 +9,7 @@ LABELS = ("A", "B", "C", "D")
 
 
 def walking(rate=120.0, seconds=4.0, noise=0.0003):
-    """-> a take of four markers on one segment that swings and walks, with camera noise (metres)."""
+    """Build a take of four markers on one segment that rotates and moves, with camera noise (metres)."""
     t = np.arange(round(rate * seconds)) / rate
     rng = np.random.default_rng(0)
     places = rng.normal(0, 0.12, (4, 3))
@@ -20,10 +20,10 @@ def walking(rate=120.0, seconds=4.0, noise=0.0003):
 
 
 def as_floats(take):
-    """-> the take as a file of 32-bit floats in millimetres keeps it."""
+    """Round the take to 32-bit floats in millimetres."""
     return take.replace_markers((take.markers * 1000).astype(np.float32).astype(float) / 1000)
 
 
 def as_integers(take, scale=1e-4):
-    """-> the take as a file of integers keeps it, in counts of `scale` metres."""
+    """Round the take to multiples of `scale` metres."""
     return take.replace_markers(np.rint(take.markers / scale) * scale)

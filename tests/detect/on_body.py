@@ -1,4 +1,4 @@
-"""A composed take as the solve leaves it: the true person, the true motion, and samples to be made faulty."""
+"""A synthetic take with its true subject and motion, to which faults are added."""
 
 from dataclasses import replace
 from functools import cache
@@ -23,7 +23,7 @@ class Solved(NamedTuple):
 
 @cache
 def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
-    """-> undamaged markers that slide with the skin, and the body that carries them."""
+    """Return sound markers with skin motion, and the body that carries them."""
     truth = synthetic.compose_take(seed, seconds, RATE)
     motion = truth.motion
     sure = np.full(truth.missing_mask.shape, FAR)
@@ -32,7 +32,7 @@ def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
 
 
 def displaced(take: Take, marker: int, first: int, last: int, shift) -> Take:
-    """-> the marker's samples over first..last lie `shift` (3,) metres from where they were."""
+    """Displace the marker's samples over first..last by `shift` (3,) metres."""
     markers = take.markers.copy()
     markers[first : last + 1, marker] += np.array(shift)
     return take.replace_markers(markers)

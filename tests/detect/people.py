@@ -1,4 +1,4 @@
-"""Somebody in the CMU 41, briefly, and the same with labels put wrong."""
+"""A subject with the CMU 41 marker set, and the same with wrong labels."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ CMU41 = marker_sets.load_marker_set("cmu41")
 
 @cache
 def somebody(seed: int = 0, seconds: float = 3.0) -> Take:
-    """-> a person who is not the average one, walking and reaching, at 30 Hz; sound."""
+    """Return a sound take, at 30 Hz, of a subject off the average who walks and reaches."""
     truth = synthetic.compose_take(seed, seconds, 30.0, asymmetric=True)
     return Take(truth.marker_positions, truth.labels, truth.rate)
 
@@ -22,21 +22,21 @@ def columns(take: Take, *labels: str) -> tuple[int, ...]:
 
 
 def relabelled(take: Take, *labels: str) -> Take:
-    """-> the samples of each marker are under the next one's label, all along; of the last under the first's."""
+    """Move the samples of each marker to the next one's label, and those of the last to the first's."""
     ring, markers = columns(take, *labels), take.markers.copy()
     markers[:, ring[1:] + ring[:1]] = take.markers[:, ring]
     return take.replace_markers(markers)
 
 
 def mirrored(take: Take, *labels: str) -> Take:
-    """-> left and right of these markers are exchanged, which are named without L and R."""
+    """Exchange left and right of these markers, given without L and R."""
     for label in labels:
         take = relabelled(take, f"L{label}", f"R{label}")
     return take
 
 
 def without(take: Take, *labels: str, first: int = 0, last: int | None = None) -> Take:
-    """-> these markers are not seen over first..last."""
+    """Remove the samples of these markers over first..last."""
     markers = take.markers.copy()
     markers[first : None if last is None else last + 1, columns(take, *labels)] = np.nan
     return take.replace_markers(markers)

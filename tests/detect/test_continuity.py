@@ -10,13 +10,13 @@ RATE = 100.0
 
 
 def falling(frames=60):
-    """-> (T, 2, 3): two markers, 0.2 m apart, thrown with the same constant acceleration."""
+    """Return (T, 2, 3) two markers, 0.2 m apart, with the same constant acceleration."""
     t = np.arange(frames)[:, None] / RATE
     path = np.array([1.0, 2.0, 0.5]) * t - np.array([0, 4.9, 0]) * t**2
     return np.stack([path, path + [0.2, 0, 0]], axis=1)
 
 
-def test_velocities_arrive_and_leave_over_two_samples():
+def test_velocities_span_two_steps():
     courses = continuity.build_trajectories(falling(), RATE)
     t = 30 / RATE
     np.testing.assert_allclose(courses.velocity_before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
@@ -25,7 +25,7 @@ def test_velocities_arrive_and_leave_over_two_samples():
     assert np.isnan(courses.velocity_after[-1]).all()
 
 
-def test_beside_a_gap_one_step_must_do_and_across_it_none_does():
+def test_velocities_next_to_gaps():
     markers = falling()
     markers[20:30, 0] = np.nan
     courses = continuity.build_trajectories(markers, RATE)
@@ -35,7 +35,7 @@ def test_beside_a_gap_one_step_must_do_and_across_it_none_does():
     assert np.isfinite(courses.velocity_before[19, 0]).all()
 
 
-def test_the_last_sample_before_is_known_through_gaps():
+def test_previous_frame_across_gaps():
     markers = falling(10)
     markers[:2, 0] = markers[5:8, 0] = np.nan
     last = continuity.build_trajectories(markers, RATE).previous_frame
@@ -44,13 +44,13 @@ def test_the_last_sample_before_is_known_through_gaps():
 
 
 @given(first=st.integers(4, 40), length=st.integers(0, 15))
-def test_a_constant_acceleration_is_no_leap_even_through_a_gap(first, length):
+def test_constant_acceleration_is_no_leap(first, length):
     markers = falling()
     markers[first : first + length, 0] = np.nan
     assert compute_own_leaps(continuity.build_trajectories(markers, RATE)).max() < 0.01
 
 
-def test_a_leap_counts_as_far_as_it_goes_and_at_most_once():
+def test_leap_grows_with_the_distance_up_to_one():
     for off, least, most in ((0.005, 0.01, 0.15), (0.018, 0.5, 1.0), (0.3, 1.0, 1.0)):
         markers = falling()
         markers[30:, 0] += [0, 0, off]
@@ -59,7 +59,7 @@ def test_a_leap_counts_as_far_as_it_goes_and_at_most_once():
         assert leaps[np.r_[:29, 32:60]].max() < 0.01
 
 
-def test_a_leap_to_where_another_goes_on_is_none_for_that_other():
+def test_leap_to_another_trajectory_continues_that_one():
     markers = falling()
     markers[30:] = markers[30:, ::-1].copy()
     courses = continuity.build_trajectories(markers, RATE)
@@ -68,7 +68,7 @@ def test_a_leap_to_where_another_goes_on_is_none_for_that_other():
     assert compute_leap(courses, 30, 1, 0) < 0.01
 
 
-def test_nothing_is_told_where_there_is_nothing_to_compare():
+def test_leap_is_zero_without_samples_to_compare():
     markers = falling()
     markers[10:50, 0] = np.nan  # 0.4 s: forgotten
     markers[50:, 0] += 1.0
@@ -78,7 +78,7 @@ def test_nothing_is_told_where_there_is_nothing_to_compare():
     assert compute_leap(courses, 20, 1, 0) == 0.0  # not seen
 
 
-def test_a_lone_sample_is_judged_leniently():
+def test_isolated_sample_has_a_larger_tolerance():
     markers = falling()
     markers[30:34, 0] = np.nan
     markers[35:, 0] = np.nan
@@ -91,7 +91,7 @@ def test_a_lone_sample_is_judged_leniently():
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
-def test_the_shortest_takes_have_courses(frames):
+def test_trajectories_of_the_shortest_takes(frames):
     courses = continuity.build_trajectories(np.zeros((frames, 3, 3)), RATE)
     assert courses.velocity_before.shape == (frames, 3, 3)
     assert compute_own_leaps(courses).shape == (frames, 3)

@@ -4,7 +4,7 @@ from mocapfix.detect.marker_distances import estimate_distance_changes
 from tests.detect.filled import walking
 
 
-def test_rigid_markers_keep_their_distances_and_others_do_not():
+def test_distance_changes_of_rigid_and_other_markers():
     take = walking(noise=0.0)
     loose = estimate_distance_changes(take.markers, take.rate)
     assert np.isinf(np.diag(loose)).all()
@@ -17,7 +17,7 @@ def test_rigid_markers_keep_their_distances_and_others_do_not():
     np.testing.assert_array_equal(loose, loose.T)
 
 
-def test_a_marker_that_moves_once_is_still_near():
+def test_single_shift_hardly_affects_distance_changes():
     take = walking(noise=0.0, seconds=12)
     markers = take.markers.copy()
     markers[700:, 0] += [0.1, 0.0, 0.0]
@@ -29,7 +29,7 @@ def test_a_marker_that_moves_once_is_still_near():
     assert estimate_distance_changes(markers, take.rate)[0, 1] < 1e-12
 
 
-def test_what_is_hardly_seen_together_is_not_known():
+def test_distance_changes_of_rarely_visible_pairs_are_unknown():
     take = walking()
     markers = take.markers.copy()
     markers[:240, 0], markers[240:, 1] = np.nan, np.nan

@@ -6,14 +6,14 @@ from tests.detect.filled import as_floats, as_integers, walking
 
 
 @pytest.mark.parametrize("scale", [5e-5, 1e-4, 5e-4])
-def test_a_file_of_integers_shows_its_scale(scale):
+def test_resolution_of_an_integer_file(scale):
     np.testing.assert_allclose(exact_samples.estimate_resolution(as_integers(walking(), scale).markers), scale, rtol=1e-6)
     np.testing.assert_allclose(
         exact_samples.estimate_resolution(as_floats(as_integers(walking(), scale)).markers), scale, rtol=0.03
     )
 
 
-def test_a_file_of_floats_shows_a_part_of_its_largest_coordinate():
+def test_resolution_of_a_float_file():
     markers = as_floats(walking()).markers
     assert (
         exact_samples.estimate_resolution(markers)
@@ -22,7 +22,7 @@ def test_a_file_of_floats_shows_a_part_of_its_largest_coordinate():
     )
 
 
-def test_what_a_polynomial_misses():
+def test_polynomial_misfits():
     path = np.arange(20.0)[:, None] ** 2 * [1.0, 0.5, 0.0]
     assert exact_samples.compute_polynomial_misfits(path, 2, 12, np.array([0, 5])).max() < 1e-10
     line = exact_samples.compute_polynomial_misfits(
@@ -31,7 +31,7 @@ def test_what_a_polynomial_misses():
     np.testing.assert_allclose(line, [2 / 3], rtol=1e-12)
 
 
-def test_stretches_end_where_the_rule_does():
+def test_exact_stretches_end_with_the_polynomial():
     path = np.random.default_rng(0).normal(0, 1e-3, (60, 3))
     path[10:30] = np.arange(20.0)[:, None] * [0.01, 0.02, 0.0]
     path[45:] = 0.5
@@ -42,11 +42,11 @@ def test_stretches_end_where_the_rule_does():
 
 
 @pytest.mark.parametrize(("first", "last", "ends"), [(0, 9, (0, 9)), (2, 7, (3, 6)), (5, 9, (6, 9)), (0, 4, (0, 3))])
-def test_measured_samples_are_joined_where_there_are_any(first, last, ends):
+def test_connected_measured_samples_are_trimmed(first, last, ends):
     assert exact_samples.trim_measured_ends(np.ones(10, bool), first, last) == ends
 
 
-def test_nothing_is_joined_beside_a_gap():
+def test_nothing_is_trimmed_next_to_a_gap():
     seen = np.ones(10, bool)
     seen[[1, 8]] = False
     assert exact_samples.trim_measured_ends(seen, 2, 7) == (2, 7)

@@ -16,7 +16,7 @@ def take():
     return Take(markers, ("LFHD", "Jim:RFHD", "C7", "T10"), 100.0)
 
 
-def test_every_gap_is_named_with_its_frames(take):
+def test_every_gap_is_reported_with_its_frames(take):
     assert [(f.kind, f.marker, f.first, f.last) for f in gaps.detect_gaps(take)] == [
         ("leading gap", 1, 0, 4),
         ("gap", 1, 20, 29),
@@ -50,7 +50,7 @@ def flickering(rate, *gaps):
 
 
 @pytest.mark.parametrize(("rate", "longest"), [(30.0, 1), (50.0, 1), (100.0, 2), (120.0, 2), (250.0, 5)])
-def test_a_flicker_lasts_a_fiftieth_of_a_second_or_one_frame(rate, longest):
+def test_longest_flicker_is_a_fiftieth_of_a_second_or_one_frame(rate, longest):
     for length, kind in ((longest, "flicker"), (longest + 1, "gap")):
         (fault,) = gaps.detect_gaps(flickering(rate, (50, 50 + length - 1)))
         assert (fault.kind, fault.first, fault.last) == (kind, 50, 50 + length - 1)

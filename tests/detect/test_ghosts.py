@@ -14,7 +14,7 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 
 
 def haunted(take: Take, marker: int, first: int, last: int, away=(0.0, 0.25, 0.0)) -> Take:
-    """-> the label stays over first..last where it was at first, and `away` (3,) from there."""
+    """Keep the label over first..last at its first position plus `away` (3,)."""
     markers = take.markers.copy()
     markers[first : last + 1, marker] = markers[first, marker] + np.array(away)
     return take.replace_markers(markers)
@@ -25,19 +25,19 @@ def where(found):
 
 
 @given(seed=st.integers(0, 20), marker=st.integers(0, 9), first=st.integers(1, 300), length=st.integers(10, 90))
-def test_a_ghost_that_comes_back_is_found_to_the_frame(seed, marker, first, length):
+def test_ghost_that_comes_back_is_found_to_the_frame(seed, marker, first, length):
     (ghost,) = ghosts.detect_ghosts(haunted(turning(seed=seed), marker, first, first + length - 1))
     assert where([ghost]) == [(marker, first, first + length - 1)]
     assert ghost.confidence > 0.6
 
 
-def test_a_ghost_between_gaps_and_one_that_never_comes_back():
+def test_ghost_between_gaps_and_persistent_ghost():
     between = hidden(hidden(haunted(turning(), 3, 150, 200), 3, 120, 149), 3, 201, 240)
     assert where(ghosts.detect_ghosts(between)) == [(3, 150, 200)]
     assert where(ghosts.detect_ghosts(haunted(turning(), 3, 410, 479))) == [(3, 410, 479)]
 
 
-def test_a_marker_that_sits_elsewhere_on_its_segment_from_then_on_is_no_ghost():
+def test_shift_on_the_segment_is_no_ghost():
     take = turning(seconds=4.0)
     markers = take.markers.copy()
     markers[420:, 3] = markers[420:, [0, 1, 2]].mean(1)  # rides on the segment as before
@@ -50,7 +50,7 @@ def test_spikes_gaps_and_a_sound_take_are_no_ghosts():
     assert ghosts.detect_ghosts(hidden(haunted(take, 2, 100, 104), 2, 200, 290)) == []
 
 
-def test_the_reason_is_a_sentence_with_label_seconds_and_millimetres():
+def test_reason_names_label_duration_and_distance():
     (ghost,) = ghosts.detect_ghosts(haunted(turning(), 4, 100, 159))
     assert ghost.reason.startswith(f"M4 is {ghost.severity * 1e3:.0f} mm off its segment for 0.50 s (60 frames), ")
     assert ghost.reason.endswith("and comes back.")
@@ -63,7 +63,7 @@ def test_takes_without_frames_or_markers_have_no_ghosts():
     assert ghosts.detect_ghosts(Take(np.full((50, 3, 3), np.nan), ("A", "B", "C"), 100.0)) == []
 
 
-def test_exchanged_labels_are_off_their_segments_too_so_swaps_go_first():
+def test_swapped_labels_look_like_ghosts():
     assert {ghost.marker for ghost in ghosts.detect_ghosts(exchanged(turning(), (1, 7), 100, 160))} == {1, 7}
 
 

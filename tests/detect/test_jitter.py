@@ -8,7 +8,7 @@ from mocapfix.take import Take
 
 
 def swinging(rate=120.0, seconds=4.0, noise=0.0005):
-    """-> (T, 1, 3): a hand on a swinging arm, with camera noise (metres)."""
+    """Return (T, 1, 3) a hand on a swinging arm, with camera noise (metres)."""
     t = np.arange(round(rate * seconds)) / rate
     path = np.stack([0.6 * np.sin(9 * t), 0.3 * np.cos(13 * t), 1.5 * t], -1)[:, None]
     return path + np.random.default_rng(0).normal(scale=noise, size=path.shape)
@@ -32,7 +32,7 @@ def add_jitter(markers, first, last, size, seed=0):
     seconds=st.floats(0.3, 1.0),
     seed=st.integers(0, 999),
 )
-def test_a_burst_of_12_mm_is_found_to_within_a_few_frames(rate, start, seconds, seed):
+def test_burst_of_12_mm_is_found_to_a_few_frames(rate, start, seconds, seed):
     first, last = round(start * rate), round((start + seconds) * rate)
     bursts = found(add_jitter(swinging(rate), first, last, 0.012, seed), rate)
     assert {f.kind for f in bursts} == {"jitter"}
@@ -74,7 +74,7 @@ def test_displacement_is_no_jitter():
     assert found(markers) == []
 
 
-def test_a_burst_goes_on_across_a_moment_unseen_or_calm_and_ends_at_a_gap():
+def test_burst_continues_across_short_pauses_and_ends_at_a_gap():
     markers, calm = add_jitter(swinging(), 200, 420, 0.012), swinging()
     markers[230:233] = np.nan
     markers[260:269] = calm[260:269]
@@ -85,14 +85,14 @@ def test_a_burst_goes_on_across_a_moment_unseen_or_calm_and_ends_at_a_gap():
 
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
-def test_a_single_sample_is_no_burst(rate):
+def test_single_sample_is_no_jitter(rate):
     markers = np.zeros((100, 1, 3))
     markers[50] = 0.3
     assert found(markers, rate) == []
 
 
 @pytest.mark.parametrize("seen", [0, 1, 5, 11])
-def test_hardly_any_samples(seen):
+def test_takes_with_few_samples(seen):
     markers = swinging()
     markers[seen:] = np.nan
     assert found(markers) == []

@@ -19,7 +19,7 @@ def without(first, last):
     return path
 
 
-def test_a_parabola_is_followed_exactly():
+def test_join_error_of_a_parabola_is_zero():
     t = FRAMES / RATE
     fall = np.stack([2 * t, 3 * t - 4.905 * t**2, 0 * t], axis=-1)
     missed, seconds = measure_join_error(FRAMES[:50], fall[:50], FRAMES[56:], fall[56:], RATE)
@@ -27,7 +27,7 @@ def test_a_parabola_is_followed_exactly():
     assert missed == pytest.approx(0, abs=1e-3 + 9.81 * 0.0125 * 2 * seconds)  # its velocities are means over 30 ms
 
 
-def test_the_right_course_costs_little_and_a_shifted_one_much():
+def test_join_cost_of_true_and_shifted_paths():
     path = without(95, 165)
     assert compute_join_cost(piece(100, 160), path, RATE, 0.3) < 1
     assert compute_join_cost(piece(100, 160, off=0.05), path, RATE, 0.3) > 9
@@ -36,19 +36,19 @@ def test_the_right_course_costs_little_and_a_shifted_one_much():
     )  # an end has no more say than that
 
 
-def test_far_from_both_ends_nothing_is_told():
+def test_join_cost_is_nan_far_from_both_ends():
     assert np.isnan(compute_join_cost(piece(100, 160), without(50, 210), RATE, 0.3))
     assert compute_join_cost(piece(100, 160), without(50, 210), RATE, 0.5) < 1
     assert np.isnan(compute_join_cost(piece(100, 160), without(0, 239), RATE, 0.3))
 
 
-def test_seen_together_they_must_agree():
+def test_join_cost_of_simultaneous_paths():
     path = without(110, 239)
     assert compute_join_cost(piece(100, 160, off=0.005), path, RATE, 0.3) == pytest.approx(1.0)
     assert compute_join_cost(piece(100, 160, off=0.02), path, RATE, 0.3) == np.inf
 
 
-def test_which_of_two_is_smoother():
+def test_smoother_of_two_paths():
     shifted = PATH.copy()
     shifted[100:161] += [0.0, 0.0, 0.005]
     assert is_smoother(piece(100, 160), shifted, RATE)

@@ -31,7 +31,7 @@ def where(found):
     first=st.integers(1, 300),
     length=st.integers(12, 170),
 )
-def test_a_swap_in_full_sight_is_found_to_the_frame(seed, pair, first, length):
+def test_visible_swap_is_found_to_the_frame(seed, pair, first, length):
     take = exchanged(turning(seed=seed), pair, first, first + length - 1)
     (swap,) = label_swaps.detect_label_swaps(take)
     assert where([swap]) == [(pair, first, first + length - 1)]
@@ -39,7 +39,7 @@ def test_a_swap_in_full_sight_is_found_to_the_frame(seed, pair, first, length):
 
 
 @pytest.mark.parametrize("ring", [(0, 1, 2), (0, 2, 1), (1, 6, 3)])
-def test_a_ring_of_three_is_found_the_right_way_round(ring):
+def test_cycle_of_three_is_found_in_the_right_direction(ring):
     sound = turning()
     (swap,) = label_swaps.detect_label_swaps(exchanged(sound, ring, 100, 180))
     assert where([swap]) == [(ring, 100, 180)]
@@ -116,7 +116,7 @@ def test_takes_without_frames_or_markers_have_no_swaps():
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
-def test_a_real_swap_of_a_single_frame():
+def test_single_frame_swap_of_a_capture():
     take = capture.read_capture(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
     (swap,) = label_swaps.detect_label_swaps(take)
     assert [take.labels[m] for m in swap.markers] == ["Foot_Marker3", "Foot_Marker5"]

@@ -47,7 +47,7 @@ def test_short_losses_are_not_reported(last, count):
     assert len(gaps.detect_lost_segments(without(somebody(), *FOOT, first=20, last=last), CMU41)) == count
 
 
-def test_a_single_marker_is_no_segment():
+def test_single_marker_is_no_lost_segment():
     assert gaps.detect_lost_segments(without(somebody(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
 
 

@@ -21,7 +21,7 @@ def moved(marker, by):
     return markers
 
 
-def test_partners_are_those_of_the_same_segment_at_their_distances():
+def test_partners_are_markers_of_the_same_segment():
     take = turning(noise=0.0)
     known = marker_distances.estimate_distances(take.markers)
     for m in range(10):
@@ -31,7 +31,7 @@ def test_partners_are_those_of_the_same_segment_at_their_distances():
         np.testing.assert_allclose(known.tolerance_m[m, :4], 0.009, rtol=1e-6)  # three times what even rigid things vary by
 
 
-def test_the_steadiest_come_first_and_the_loose_are_none():
+def test_partners_are_ordered_by_steadiness():
     take, rng = turning(), np.random.default_rng(0)
     markers = take.markers.copy()
     markers[:, 1] += rng.normal(0, 0.01, (480, 3))
@@ -44,7 +44,7 @@ def test_the_steadiest_come_first_and_the_loose_are_none():
     assert (known.partner[1] == -1).all()
 
 
-def test_distances_are_learnt_from_the_part_of_the_take_that_agrees():
+def test_distances_are_estimated_from_the_consistent_part_of_the_take():
     take = turning(noise=0.0)
     markers = take.markers.copy()
     markers[:200, 0] += np.random.default_rng(0).normal(0, 0.3, (200, 3))  # 280 of 480 frames are sound
@@ -55,18 +55,18 @@ def test_distances_are_learnt_from_the_part_of_the_take_that_agrees():
     assert not (marker_distances.estimate_distances(markers, 0.9).partner[0] >= 0).any()
 
 
-def test_what_is_hardly_seen_has_no_partners():
+def test_rarely_visible_marker_has_no_partners():
     assert (marker_distances.estimate_distances(hidden(turning(), 2, 5, 479).markers).partner[2] == -1).all()
     assert marker_distances.estimate_distances(np.zeros((0, 4, 3))).partner.shape == (4, 4)
 
 
 @pytest.mark.parametrize("off", [0.0, 0.005, 0.02])
-def test_a_sample_contradicts_as_its_distances_are_off(off):
+def test_contradiction_grows_with_the_distance_error(off):
     markers = moved(2, [0, off, 0])  # marker 2 has one partner only, 0
     assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 1.0) == pytest.approx(min(1.0, (off / 0.01) ** 2))
 
 
-def test_partners_vote_by_how_steady_they_are():
+def test_votes_are_weighted_by_steadiness():
     markers = moved(1, [0.1, 0, 0])  # breaks both; asked of marker 1 where 0 is left out, only 2 votes
     assert compute_contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == 1.0
     markers = TRIANGLE.copy()
@@ -75,21 +75,21 @@ def test_partners_vote_by_how_steady_they_are():
     assert compute_contradiction(markers, KNOWN, 0, 1, 1, np.array([True, False, False]), 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_what_is_not_seen_votes_as_chance_does():
+def test_missing_partners_have_the_unseen_vote():
     markers = TRIANGLE.copy()
     markers[0, 0] = np.nan
     assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 0.25) == 0.25
     assert compute_contradiction(TRIANGLE, KNOWN, 0, 2, 2, np.array([True, False, False]), 0.25) == 0.25  # nobody is left to vote
 
 
-def test_under_another_label_a_sample_is_asked_for_the_others_distances():
+def test_contradiction_under_another_label():
     assert compute_contradiction(TRIANGLE, KNOWN, 0, 1, 2, NOBODY, 1.0) == 1.0  # 0.3 m from 0, where marker 2 keeps 0.4
     own = compute_own_contradictions(TRIANGLE, KNOWN, 1.0)
     assert own.shape == (1, 3)
     np.testing.assert_allclose(own, 0, atol=1e-12)
 
 
-def test_usual_is_the_shortest_interval_that_holds_enough():
+def test_distance_statistics_use_the_shortest_interval():
     apart = np.r_[np.linspace(0.2, 0.21, 60), np.linspace(0.5, 0.9, 40)]  # six tenths of the frames agree
     markers = np.zeros((100, 2, 3))
     markers[:, 1, 0] = apart

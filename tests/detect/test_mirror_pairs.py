@@ -9,7 +9,7 @@ SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_twins_bear_each_others_names(name):
+def test_twins_have_mirrored_labels(name):
     worn = marker_sets.load_marker_set(name)
     twin = mislabelled.find_twins(worn)
     for label, other in zip(worn.labels, twin, strict=True):
@@ -18,7 +18,7 @@ def test_twins_bear_each_others_names(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_each_group_exchanges_twins_and_leaves_the_rest(name):
+def test_mirror_exchanges_move_twins_only(name):
     worn = marker_sets.load_marker_set(name)
     own, twin = np.arange(len(worn.labels)), mislabelled.find_twins(worn)
     for exchange in mislabelled.list_mirror_exchanges(worn):
@@ -26,7 +26,7 @@ def test_each_group_exchanges_twins_and_leaves_the_rest(name):
         np.testing.assert_array_equal(exchange[exchange], own)
 
 
-def test_the_whole_body_its_limbs_and_its_segments_are_groups():
+def test_mirror_exchanges_of_body_limbs_and_segments():
     groups = {
         frozenset(CMU41.labels[k] for k in np.flatnonzero(each > np.arange(41)))
         for each in mislabelled.list_mirror_exchanges(CMU41)
@@ -39,7 +39,7 @@ def test_the_whole_body_its_limbs_and_its_segments_are_groups():
     assert {"LFIN"} not in groups  # a pair like any other
 
 
-def test_what_both_sides_twins_do_alike_is_a_habit():
+def test_cycles_on_both_sides_are_removed():
     twin = np.array([3, 4, 2, 0, 1, 6, 5])
     assert mislabelled.select_one_sided_cycles([(0, 1), (3, 4)], twin) == []
     assert mislabelled.select_one_sided_cycles([(0, 1), (5, 6), (0, 3)], twin) == [(0, 1), (5, 6), (0, 3)]

@@ -73,7 +73,7 @@ def test_absent_markers_are_not_exchanged():
     assert {fault.markers for fault in found} == {columns(take, f"L{b}", f"R{b}") for b in ("UPA", "ELB", "FRM", "WRA", "WRB")}
 
 
-def test_several_exchanges_are_found_among_gaps():
+def test_several_exchanges_are_found_despite_gaps():
     take = relabelled(relabelled(somebody(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
     take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
     found = mislabelled.detect_mislabelled(take, CMU41)
@@ -93,7 +93,7 @@ def test_labels_wrong_for_most_of_the_take_are_mislabelled():
     assert mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41) == []
 
 
-def test_a_reason_is_a_sentence_with_labels_and_millimetres():
+def test_reason_names_labels_and_distances():
     take = relabelled(somebody(), "LKNE", "LANK")
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"

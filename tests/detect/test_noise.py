@@ -6,7 +6,7 @@ from mocapfix.take import Take
 
 
 def swinging(sd, rate=120.0, seconds=6.0, seed=0):
-    """-> a take of markers that swing 0.3 m to and fro, each with white noise of its own level `sd` (M,) metres per axis."""
+    """Build a take of markers that oscillate by 0.3 m, each with white noise of its own `sd` (M,) metres per axis."""
     t = np.arange(round(rate * seconds)) / rate
     path = 0.3 * np.stack([np.sin(6 * t), np.cos(4 * t), np.sin(3 * t)], -1)[:, None] * np.ones((1, len(sd), 1))
     wobble = np.random.default_rng(seed).normal(0, 1, path.shape) * np.array(sd)[:, None]
@@ -14,12 +14,12 @@ def swinging(sd, rate=120.0, seconds=6.0, seed=0):
 
 
 @pytest.mark.parametrize("rate", [60.0, 120.0, 250.0])
-def test_the_level_is_the_noise_s_standard_deviation_whatever_the_motion(rate):
+def test_noise_level_is_the_standard_deviation(rate):
     sd = np.array([0.0002, 0.001, 0.005])
     np.testing.assert_allclose(jitter.estimate_noise_levels(swinging(sd, rate)), sd, rtol=0.12)
 
 
-def test_the_level_is_deaf_to_spikes_gaps_and_bursts():
+def test_noise_level_ignores_spikes_gaps_and_bursts():
     take = swinging([0.001, 0.001])
     markers, rng = take.markers.copy(), np.random.default_rng(1)
     markers[::40, 0] += 0.2
@@ -28,7 +28,7 @@ def test_the_level_is_deaf_to_spikes_gaps_and_bursts():
     assert jitter.estimate_noise_levels(take.replace_markers(markers))[0] == pytest.approx(0.001, rel=0.5)
 
 
-def test_a_marker_far_noisier_than_the_others_is_found():
+def test_noisy_marker_is_found():
     (fault,) = jitter.detect_noise(swinging([0.0003, 0.0003, 0.004, 0.0004]))
     assert (fault.kind, fault.marker, fault.first, fault.last) == ("noise", 2, 0, 719)
     assert fault.severity == pytest.approx(0.004, rel=0.1)
@@ -36,11 +36,11 @@ def test_a_marker_far_noisier_than_the_others_is_found():
 
 
 @pytest.mark.parametrize("sd", [[0.0001, 0.0001, 0.0008], [0.001, 0.001, 0.004], [0.004, 0.004, 0.004]])
-def test_what_is_small_or_like_the_others_is_no_fault(sd):
+def test_small_or_common_noise_is_no_fault(sd):
     assert jitter.detect_noise(swinging(sd)) == []
 
 
-def test_a_marker_hardly_seen_has_no_level():
+def test_rarely_visible_marker_has_no_noise_level():
     take = swinging([0.0003, 0.004, 0.0003])
     markers = take.markers.copy()
     markers[10:, 1] = np.nan
@@ -49,12 +49,12 @@ def test_a_marker_hardly_seen_has_no_level():
     assert jitter.detect_noise(take.replace_markers(markers)) == []
 
 
-def test_a_lone_marker_has_nothing_to_be_noisier_than():
+def test_single_marker_is_not_noisy():
     assert jitter.detect_noise(swinging([0.01])) == []
     assert jitter.detect_noise(Take(np.zeros((0, 0, 3)), (), 100.0)) == []
 
 
-def test_tremble_is_what_a_cubic_leaves():
+def test_cubic_residuals():
     t = np.sort(np.random.default_rng(0).uniform(0, 1, 30))
     cubic = np.stack([t**3, 1 - t**2, 2 * t], -1)
     assert jitter.compute_cubic_residuals(t, cubic).max() < 1e-9

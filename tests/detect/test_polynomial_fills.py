@@ -16,7 +16,7 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 
 
 def filled(take, marker, first, last, degree):
-    """-> the take with first..last of a marker laid on a polynomial that joins the samples beside them."""
+    """Fill first..last of a marker with a polynomial through the adjacent samples."""
     markers = take.markers.copy()
     gap, beside = np.arange(first, last + 1), {1: [-1, 1], 2: [-2, -1, 1], 3: [-2, -1, 1, 2]}[degree]
     at = np.array([first + k if k < 0 else last + k for k in beside])
@@ -43,12 +43,12 @@ def test_fill_is_found_with_its_degree(rate, start, seconds, degree):
 
 
 @pytest.mark.parametrize("degree", [1, 3])
-def test_a_fill_in_a_file_of_tenths_of_millimetres(degree):
+def test_fill_in_an_integer_file(degree):
     (fault,) = external_fills.detect_polynomial_fills(as_integers(filled(walking(), 1, 200, 259, degree)))
     np.testing.assert_allclose([fault.first, fault.last], [200, 259], rtol=0, atol=3)
 
 
-def test_a_natural_spline_across_one_gap_is_a_cubic():
+def test_spline_across_one_gap_is_a_cubic():
     take = walking()
     markers, gap = take.markers.copy(), np.arange(200, 240)
     others = np.delete(np.arange(len(markers)), gap)
@@ -77,7 +77,7 @@ def test_adjacent_fills_and_fills_next_to_a_gap():
     np.testing.assert_allclose(ends, [(100, 138), (200, 230), (232, 280)], rtol=0, atol=1)
 
 
-def test_measured_motion_is_not_straight():
+def test_measured_motion_is_no_fill():
     """Also a body in free fall, on a parabola but for the noise; and one at rest, in a file of coarse integers."""
     for rate in (50.0, 120.0, 250.0):
         assert external_fills.detect_polynomial_fills(as_floats(walking(rate, noise=1e-4))) == []
@@ -93,14 +93,14 @@ def test_measured_motion_is_not_straight():
     assert external_fills.detect_polynomial_fills(as_integers(Take(rest, ("A", "B", "C"), 120.0))) == []
 
 
-def test_a_marker_held_at_one_value_stands():
+def test_frozen_marker_is_no_polynomial_fill():
     take = walking()
     markers = take.markers.copy()
     markers[200:260, 0] = markers[200, 0]
     assert external_fills.detect_polynomial_fills(take.replace_markers(markers)) == []
 
 
-def test_too_short_a_stretch_is_left():
+def test_short_stretch_is_no_fill():
     assert external_fills.detect_polynomial_fills(filled(walking(), 1, 200, 206, 1)) == []
 
 
@@ -116,6 +116,6 @@ def test_empty_takes():
     ("name", "filled"),
     [("cmu/01_01", 7), ("cmu/85_02", 0), ("c3d/tennis_serve_motive", 2), ("c3d/HDM_bd_05-01_01_120", 0), ("c3d/squat", 0)],
 )
-def test_what_studios_filled(name, filled):
+def test_fills_in_captures(name, filled):
     """01_01 was filled with cubics, RFRM over 0.4 s; the serve with two lines; 85_02 is smoothed, HDM05 coarse: both measured."""
     assert len(external_fills.detect_polynomial_fills(capture.read_capture(CAPTURES / f"{name}.c3d"))) == filled

@@ -6,12 +6,12 @@ from mocapfix.detect.ramp_fit import regress_out
 
 
 def made(off, features):
-    """-> a place that is `off` (N, 3) beside neighbours' shapes (N, F)."""
+    """Regress features (N, F) out of a path `off` (N, 3)."""
     return regress_out(features, off, np.arange(len(off)), 0.003)
 
 
 @pytest.mark.parametrize(("start", "end"), [(99, 100), (60, 140), (0, 199), (150, 198)])
-def test_a_ramp_beside_a_change_of_shape_is_found_exactly(start, end):
+def test_ramp_with_a_change_of_pose_is_found_exactly(start, end):
     rng = np.random.default_rng(0)
     shape = np.cumsum(rng.normal(0, 0.01, (200, 4)), axis=0)
     ramp, way = np.clip((np.arange(200) - start) / (end - start), 0, 1), np.array([0.03, -0.01, 0.02])
@@ -24,7 +24,7 @@ def test_a_ramp_beside_a_change_of_shape_is_found_exactly(start, end):
     assert ramp_fit.compute_residual_rms(there, change, 1) < 1e-10
 
 
-def test_what_is_gained_is_what_least_squares_gain():
+def test_gain_equals_that_of_least_squares():
     rng = np.random.default_rng(1)
     off = rng.normal(size=(80, 3))
     off -= off.mean(0)
@@ -35,7 +35,7 @@ def test_what_is_gained_is_what_least_squares_gain():
     np.testing.assert_allclose(change.displacement, off[30:].mean(0) - off[:30].mean(0), rtol=1e-10)
 
 
-def test_too_short_a_place_has_no_change():
+def test_short_path_has_no_ramp():
     there = made(np.zeros((10, 3)), np.zeros((10, 1)))
     assert ramp_fit.fit_step(there, 6) is None
     assert ramp_fit.fit_slow_ramp(there, 12, 2) is None

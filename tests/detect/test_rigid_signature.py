@@ -8,14 +8,14 @@ PLACES = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.25, 0.0], [0.15, 0.
 
 
 def rigid(frames=300, noise=0.0005):
-    """-> (T, 5, 3): one thing that turns and travels."""
+    """Return (T, 5, 3) a rigid segment that rotates and moves."""
     t = np.arange(frames) / 100
     turn = Rotation.from_rotvec(np.stack([np.sin(t), t, np.cos(2 * t)], -1)).as_matrix()
     path = np.einsum("tab,mb->tma", turn, PLACES) + np.stack([t, 0 * t, np.sin(t)], -1)[:, None]
     return path + np.random.default_rng(0).normal(0, noise, path.shape), turn
 
 
-def test_a_marker_bears_its_own_fingerprint_and_no_others():
+def test_marker_matches_its_own_signature_only():
     markers, _ = rigid()
     prints, frames = RigidSignatures(markers), np.arange(100, 150)
     for m in range(5):
@@ -30,7 +30,7 @@ def test_a_marker_bears_its_own_fingerprint_and_no_others():
             assert like.distance_sd > 5
 
 
-def test_a_mirror_image_has_the_distances_and_not_the_side():
+def test_mirror_image_matches_the_distances_but_not_the_side():
     markers, turn = rigid()
     image = markers[:, 4] - 2 * 0.12 * turn[:, :, 2]
     markers[:, 3] += 5 * np.random.default_rng(1).normal(size=(300, 3))  # out of the plane, so not asked
@@ -43,7 +43,7 @@ def test_a_mirror_image_has_the_distances_and_not_the_side():
     assert like.side_sd > 20
 
 
-def test_how_far_off_is_in_metres():
+def test_distance_error_is_in_metres():
     markers, turn = rigid(noise=0.0)
     away = markers[:, 0] - 0.03 * turn[:, :, 0]  # away from marker 1, along the line to it
     like = RigidSignatures(markers[:, :4]).match_samples(np.arange(300), away, 0)
@@ -53,7 +53,7 @@ def test_how_far_off_is_in_metres():
     assert set(like.partners) == {1, 2, 3}
 
 
-def test_partners_missing_or_moving_apart_are_not_asked():
+def test_missing_or_loose_partners_are_ignored():
     markers, _ = rigid()
     markers[:, 2] += 0.3 * np.sin(np.arange(300) / 20)[:, None]
     markers[100:150, 1] = np.nan
@@ -64,7 +64,7 @@ def test_partners_missing_or_moving_apart_are_not_asked():
     assert set(later.partners) == {1, 3, 4}
 
 
-def test_a_partners_spike_has_no_say():
+def test_spike_of_a_partner_is_ignored():
     markers, _ = rigid()
     prints = RigidSignatures(markers)
     markers[110:113, 1] += 0.5
@@ -73,12 +73,12 @@ def test_a_partners_spike_has_no_say():
     assert like.distance_sd < 1
 
 
-def test_what_is_hardly_seen_has_no_fingerprint():
+def test_rarely_visible_marker_has_no_signature():
     markers, _ = rigid()
     markers[10:, 0] = np.nan
     assert RigidSignatures(markers).match_samples(np.arange(50, 60), markers[50:60, 1], 0) is None
 
 
-def test_heights_are_signed_and_in_metres():
+def test_plane_heights_are_signed_and_in_metres():
     corners = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 3, 0]]] * 2)
     np.testing.assert_allclose(compute_plane_heights(np.array([[5.0, 7, 0.4], [1, 1, -0.2]]), corners), [0.4, -0.2])

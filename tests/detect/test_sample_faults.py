@@ -12,7 +12,7 @@ CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "cap
 
 
 def standing(frames=480, markers=3):
-    """-> a take of markers that stand still but for a millimetre of sway, at 120 Hz."""
+    """Build a take of markers at rest with a millimetre of sway, at 120 Hz."""
     t = np.arange(frames)[:, None, None] / 120
     places = np.random.default_rng(2).normal(size=(markers, 3))
     return Take(places + 0.001 * np.sin(3 * t + places), tuple(f"M{m}" for m in range(markers)), 120.0)
@@ -30,19 +30,19 @@ def damaged():
     return take.replace_markers(markers)
 
 
-def test_all_kinds_ordered_by_marker_and_first_frame():
+def test_faults_are_ordered_by_marker_and_first_frame():
     faults = sample_faults.detect_sample_faults(damaged()).items
     assert list(faults) == sorted(faults, key=lambda f: (f.marker, f.first))
     lone = [(f.marker, f.first, f.kind) for f in faults if not 300 <= f.first < 360]
     assert lone == [(0, 50, "spike"), (0, 100, "gap"), (2, 0, "leading gap"), (2, 20, "spike")]
 
 
-def test_a_spike_within_a_burst_is_part_of_the_burst():
+def test_spike_within_a_burst_is_part_of_the_burst():
     over = [f for f in sample_faults.detect_sample_faults(damaged()).items if f.marker == 0 and f.first <= 330 <= f.last]
     assert [f.kind for f in over] == ["jitter"]
 
 
-def test_what_is_doubted_was_seen_and_damaged():
+def test_faulty_mask_covers_the_damaged_samples():
     take = damaged()
     doubted = sample_faults.detect_sample_faults(take).compute_faulty_mask(take)
     assert np.flatnonzero(doubted[:, 2]).tolist() == [20, 21]
@@ -51,7 +51,7 @@ def test_what_is_doubted_was_seen_and_damaged():
     assert not (doubted & ~take.visible).any()
 
 
-def test_a_sound_take_has_no_faults():
+def test_sound_take_has_no_faults():
     assert sample_faults.detect_sample_faults(standing()).items == ()
 
 
@@ -62,14 +62,14 @@ def test_options_move_the_thresholds():
     assert all(f.severity >= 0.2 for f in faults.items if f.kind == "spike")
 
 
-def test_a_take_without_markers_or_frames_has_no_faults():
+def test_empty_take_has_no_faults():
     assert sample_faults.detect_sample_faults(Take(np.zeros((10, 0, 3)), (), 120.0)).items == ()
     assert sample_faults.detect_sample_faults(Take(np.zeros((0, 2, 3)), ("a", "b"), 120.0)).items == ()
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize(("name", "glitches"), [("02_05", 1), ("85_02", 0), ("06_01", 0)])
-def test_studio_captures_of_blows_acrobatics_and_a_dribble(name, glitches):
+def test_captures_of_fast_motion(name, glitches):
     """LBHD really jumps by 30 mm once in 02_05; everything else is motion."""
     ezc3d = pytest.importorskip("ezc3d")
     points = ezc3d.c3d(str(CAPTURES / "cmu" / f"{name}.c3d"))["data"]["points"][:3].transpose(2, 1, 0) / 1000

@@ -11,7 +11,7 @@ SMALLEST, LONGEST = 0.02, 0.05
 
 
 def swinging(rate=120.0, seconds=2.0, markers=1):
-    """-> (T, M, 3): hands on swinging arms, 80 m/s2 at most, with half a millimetre of camera noise."""
+    """Return (T, M, 3) hands on swinging arms, up to 80 m/s2, with half a millimetre of camera noise."""
     t = np.arange(round(rate * seconds))[:, None] / rate
     phase = np.arange(markers)
     path = np.stack([0.6 * np.sin(9 * t + phase), 0.3 * np.cos(13 * t + phase), 1.5 * t + 0 * phase], -1)
@@ -34,7 +34,7 @@ def spans(faults):
     size=st.floats(0.05, 0.5),
     seed=st.integers(0, 999),
 )
-def test_a_spike_is_found_wherever_it_is_and_nothing_else(rate, frame, length, size, seed):
+def test_spike_is_found_anywhere(rate, frame, length, size, seed):
     markers = swinging(rate)
     direction = np.random.default_rng(seed).normal(size=3)
     markers[frame : frame + length, 0] += size * direction / np.linalg.norm(direction)
@@ -43,7 +43,7 @@ def test_a_spike_is_found_wherever_it_is_and_nothing_else(rate, frame, length, s
     assert spike.severity == pytest.approx(size, abs=0.02)
 
 
-def test_the_reason_says_how_far_and_how_long():
+def test_reason_names_distance_and_duration():
     markers = np.zeros((100, 1, 3))
     markers[40:42, 0, 1] = 0.084
     assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 2 frames and comes back."]
@@ -52,7 +52,7 @@ def test_the_reason_says_how_far_and_how_long():
 
 
 @pytest.mark.parametrize("rate", [30.0, 50.0, 60.0, 120.0, 250.0])
-def test_real_motion_is_left_alone(rate):
+def test_fast_motion_has_no_spikes(rate):
     t = np.arange(round(2 * rate)) / rate - 1
     punch = 0.5 / (1 + np.exp(-t / 0.016))  # 8 m/s, 190 m/s2
     strike = 3.0 * np.minimum(t, 0)  # a foot that falls at 3 m/s and stops dead
@@ -61,7 +61,7 @@ def test_real_motion_is_left_alone(rate):
     assert found(markers, rate) == []
 
 
-def test_a_change_of_place_is_no_spike_at_either_edge():
+def test_displacement_is_no_spike():
     """Two markers whose labels are swapped for a third of a second: a later stage's task."""
     markers = swinging(markers=2)
     markers[60:100] = markers[60:100, ::-1]
@@ -69,14 +69,14 @@ def test_a_change_of_place_is_no_spike_at_either_edge():
     assert found(markers) == []
 
 
-def test_a_spike_longer_than_the_longest_is_left():
+def test_long_excursion_is_no_spike():
     markers = swinging()
     markers[60:68] += 0.2  # 67 ms
     assert found(markers) == []
 
 
 @pytest.mark.parametrize("frame", [59, 80])
-def test_a_spike_beside_a_gap(frame):
+def test_spike_next_to_a_gap(frame):
     markers = swinging()
     markers[60:80] = np.nan
     markers[frame] += [0.1, 0.0, 0.0]
@@ -84,14 +84,14 @@ def test_a_spike_beside_a_gap(frame):
 
 
 @pytest.mark.parametrize("island", [1, 2])
-def test_islands_between_gaps_are_believed(island):
-    """A sample or two with nothing near to hold them against are not called faulty, however fast the marker is."""
+def test_samples_between_gaps_are_no_spikes(island):
+    """One or two samples without neighbours are no faults, however fast the marker is."""
     markers = swinging(markers=3)
     markers[np.arange(len(markers)) % 12 >= island] = np.nan
     assert found(markers) == []
 
 
-def test_a_fifth_of_all_samples_are_spikes():
+def test_spikes_in_a_fifth_of_all_samples():
     rng, markers = np.random.default_rng(5), swinging(seconds=5, markers=8)
     hurt = rng.random(markers.shape[:2]) < 0.2
     markers[hurt] += rng.uniform(-0.3, 0.3, (hurt.sum(), 3))
@@ -102,7 +102,7 @@ def test_a_fifth_of_all_samples_are_spikes():
     assert doubted[~hurt & take.visible].mean() < 0.005
 
 
-def test_where_the_take_stands_and_how_it_is_turned_does_not_matter():
+def test_result_does_not_depend_on_position_and_rotation():
     markers, turn = swinging(), np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     markers[[20, 50, 51, 200]] += [0.0, 0.12, 0.05]
     there = found(markers)
@@ -112,13 +112,13 @@ def test_where_the_take_stands_and_how_it_is_turned_does_not_matter():
 
 
 @pytest.mark.parametrize("seen", [0, 1, 2, 3, 4])
-def test_hardly_any_samples(seen):
+def test_takes_with_few_samples(seen):
     markers = swinging()
     markers[seen:] = np.nan
     assert found(markers) == []
 
 
-def test_the_local_fit_knows_a_parabola_and_its_own_ignorance():
+def test_local_fit_and_its_standard_deviation():
     times = np.arange(-10, 11) / 120
     times = times[times != 0]
     path = np.array([[1.0, 2.0, 3.0]]) + times[:, None] * [1.0, 0.0, -2.0] + times[:, None] ** 2 / 2 * [0.0, 50.0, -9.81]

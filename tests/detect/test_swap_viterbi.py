@@ -11,7 +11,7 @@ def among(take, group):
     )
 
 
-def test_right_labels_are_left_alone():
+def test_correct_labels_have_no_exchanges():
     take = turning()
     assert among(take, (0, 1)) == among(take, (0, 1, 2)) == []
 
@@ -19,7 +19,7 @@ def test_right_labels_are_left_alone():
 @pytest.mark.parametrize(
     ("ring", "group"), [((0, 3), (0, 3)), ((0, 3), (0, 1, 3)), ((0, 1, 2), (0, 1, 2)), ((0, 2, 1), (0, 1, 2))]
 )
-def test_an_exchange_is_found_among_its_group(ring, group):
+def test_exchange_is_found_in_its_group(ring, group):
     (exchange,) = among(exchanged(turning(), ring, 100, 180), group)
     assert (exchange.cycle, exchange.first, exchange.last) == (ring, 100, 180)
 
@@ -29,7 +29,7 @@ def test_two_exchanges_of_a_pair_are_two():
     assert [(each.first, each.last) for each in among(take, (0, 3))] == [(50, 90), (300, 400)]
 
 
-def test_what_leaps_less_gains_less():
+def test_gain_decreases_with_the_leap():
     near, far = turning(), turning()
     for take, apart in ((near, 0.02), (far, 0.2)):
         take.markers[:, 3] = take.markers[:, 0] + [apart, 0, 0]
@@ -37,7 +37,7 @@ def test_what_leaps_less_gains_less():
     assert 0 < little.gain < much.gain
 
 
-def test_distances_tell_which_part_is_wrong():
+def test_distances_decide_which_part_is_exchanged():
     take = exchanged(turning(), (0, 3), 300, 479)
     (exchange,) = among(take, (0, 3))
     assert (exchange.first, exchange.last) == (300, 479)
@@ -47,7 +47,7 @@ def test_distances_tell_which_part_is_wrong():
     assert abs(blind.counter_evidence) < 1e-9
 
 
-def test_an_exchange_begins_and_ends_where_something_is_seen():
+def test_exchange_begins_and_ends_with_visible_samples():
     take = exchanged(turning(), (0, 3), 100, 180)
     for marker in (0, 3):
         take = hidden(hidden(take, marker, 90, 110), marker, 170, 190)

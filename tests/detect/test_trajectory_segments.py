@@ -14,26 +14,26 @@ def spans(path, rate=RATE):
     return [(int(each[0]), int(each[-1])) for each in split_trajectory(frames, path, rate)]
 
 
-def test_a_smooth_path_is_one_piece():
+def test_smooth_path_is_one_segment():
     assert spans(MOVING) == [(0, 99)]
     assert spans(MOVING[:1]) == [(0, 0)]
     assert spans(MOVING[:0]) == []
 
 
-def test_a_pause_ends_a_piece_and_a_flicker_does_not():
+def test_pause_ends_a_segment_and_a_flicker_does_not():
     path = MOVING.copy()
     path[[20, 21, 50, 51, 52]] = np.nan
     assert spans(path) == [(0, 49), (53, 99)]
 
 
 @pytest.mark.parametrize("frame", [3, 40, 97])
-def test_a_leap_to_another_course_ends_a_piece(frame):
+def test_leap_ends_a_segment(frame):
     path = MOVING.copy()
     path[frame:] += [0.0, 0.06, 0.0]
     assert spans(path) == [(0, frame - 1), (frame, 99)]
 
 
-def test_a_sharp_bend_is_no_leap():
+def test_sharp_bend_is_no_leap():
     assert spans(3.0 * np.abs(MOVING - MOVING[50])) == [(0, 99)]
 
 
@@ -44,24 +44,24 @@ def take_of(*labels, seen=None):
     return Take(markers, labels, RATE)
 
 
-def test_whose_name_a_label_bears():
+def test_namesakes_of_labels():
     assert find_namesakes(take_of("RBAC", "RBAC-1", "Jim:C7", "Jim:C7_2", "Stick 1", "LMT5", "LMT1", "P1")) == {1: 0, 3: 2}
     assert find_namesakes(take_of("T10", "C7 (2)", "C7", "C7.001", "C7*3")) == {1: 2, 3: 2, 4: 2}
 
 
-def test_of_one_label_twice_the_longer_is_the_marker():
+def test_longest_of_equal_labels_is_the_marker():
     take = take_of("LELB", "LELB", "LELB", seen={0: 20, 2: 0})
     assert find_namesakes(take) == {0: 1, 2: 1}
     assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in find_loose_segments(take)] == [(0, 1, 20)]
 
 
-def test_unlabelled_ones_are_counted_on_from_the_labels():
+def test_unlabelled_donors_follow_the_labels():
     take = Take(MOVING[:, None], ("LELB",), RATE, unlabelled=take_of("*1", "*2"))
     assert [(piece.donor, piece.namesake) for piece in find_loose_segments(take)] == [(1, -1), (2, -1)]
     np.testing.assert_array_equal(find_loose_segments(take)[1].points, MOVING + 1)
 
 
-def test_who_is_seen_at_one_time():
+def test_overlap_in_time():
     one, other = find_loose_segments(Take(MOVING[:, None], ("A",), RATE, unlabelled=take_of("*1", "*2", seen={0: 50})))
     assert overlap_in_time(one, other)
     late = type(other)(other.donor, -1, other.frames[50:], other.points[50:])

@@ -16,5 +16,5 @@ def test_virtual_samples_are_detected_but_not_those_of_this_program():
     assert found[0].reason == "M2 was captured by no camera for 0.08 s according to the file: another program filled it."
 
 
-def test_files_that_keep_no_cameras_say_nothing():
+def test_file_without_camera_counts_has_no_virtual_samples():
     assert external_fills.detect_virtual_samples(turning(seconds=0.5)) == []

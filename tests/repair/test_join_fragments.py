@@ -10,7 +10,7 @@ NAN = np.nan
 
 @pytest.fixture
 def take():
-    """-> A, missing in 10-19 and computed in 5; B throughout; A-1 in 8-21; *3 and *7 throughout"""
+    """A is missing in 10-19 and computed in 5, B is complete, A-1 is visible in 8-21, *3 and *7 are complete."""
     rng = np.random.default_rng(0)
     markers, computed = rng.normal(size=(30, 3, 3)), np.zeros((30, 3), bool)
     markers[10:20, 0] = markers[:8, 2] = markers[22:, 2] = NAN
@@ -23,7 +23,7 @@ def piece(marker, first, last, donor, relation):
     return Fragment("fragment", marker, first, last, 0.0, "", donor=donor, relation=relation)
 
 
-def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(take):
+def test_continuation_fills_missing_samples_only(take):
     joined = repair.join_fragments(take, [piece(0, 8, 21, 2, "continues")])
     np.testing.assert_array_equal(joined.markers[10:20, 0], take.markers[10:20, 2])
     kept = np.r_[0:10, 20:30]
@@ -36,7 +36,7 @@ def test_what_continues_a_marker_fills_it_where_it_is_missing_and_nowhere_else(t
     assert not joined.measured[5, 0]
 
 
-def test_what_replaces_a_marker_takes_its_place_throughout(take):
+def test_replacement_takes_the_markers_place(take):
     joined = repair.join_fragments(take, [piece(0, 4, 12, 3, "replaces")])
     assert take.unlabelled is not None
     assert joined.unlabelled is not None
@@ -49,16 +49,16 @@ def test_what_replaces_a_marker_takes_its_place_throughout(take):
 
 
 @pytest.mark.parametrize("relation", ["doubles", "other"])
-def test_what_is_none_of_the_markers_stays(take, relation):
+def test_other_fragments_are_not_joined(take, relation):
     assert repair.join_fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
 
 
-def test_of_two_pieces_the_first_has_what_both_could_fill(take):
+def test_first_of_two_fragments_fills_common_frames(take):
     joined = repair.join_fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
     assert joined.source_points[10:20, 0].tolist() == [0] * 6 + [4] * 4
 
 
-def test_the_take_that_was_given_stays_as_it_was(take):
+def test_input_take_is_unchanged(take):
     was = take.markers.copy()
     repair.join_fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
     np.testing.assert_array_equal(take.markers, was)

@@ -29,14 +29,14 @@ moves = st.lists(
 )
 
 
-def test_without_a_move_each_marker_is_one_part():
+def test_without_shifts_each_marker_has_one_column():
     parts = repair.split_moved_markers(take(), [Fault("spike", 1, 100, 101, 0.1, "")])
     assert (parts.take.labels, parts.column_marker.tolist(), parts.added_columns.tolist()) == (("A", "B", "C"), [0, 1, 2], [])
     assert parts.is_active.all()
 
 
 @pytest.mark.parametrize(("first", "own_column"), [(300, slice(0, 300)), (100, slice(100, 400))])
-def test_a_knocked_markers_own_column_is_that_of_its_longer_stay(first, own_column):
+def test_original_column_holds_the_longer_epoch(first, own_column):
     whole, parts = take(), repair.split_moved_markers(take(), [moved(1, first)])
     assert (parts.take.labels, parts.column_marker.tolist(), parts.added_columns.tolist()) == (
         ("A", "B", "C", "B"),
@@ -53,7 +53,7 @@ def test_a_knocked_markers_own_column_is_that_of_its_longer_stay(first, own_colu
     assert parts.find_column(1, first) != parts.find_column(1, first - 1)
 
 
-def test_while_a_marker_slides_no_part_has_its_samples_and_each_speaks_for_half_of_the_way():
+def test_sliding_samples_are_in_no_column():
     parts = repair.split_moved_markers(take(), [moved(1, 150, 190)])
     assert not parts.take.visible[150:190, [1, 3]].any()
     assert parts.take.visible[[149, 190]][:, [1, 3]].any(1).all()
@@ -61,14 +61,14 @@ def test_while_a_marker_slides_no_part_has_its_samples_and_each_speaks_for_half_
     assert parts.find_column(1, 170) == parts.find_column(1, 190)
 
 
-def test_a_place_that_is_hardly_seen_is_none():
+def test_short_epochs_are_ignored():
     assert len(repair.split_moved_markers(take(), [moved(1, 400 - 49)]).added_columns) == 0
     assert len(repair.split_moved_markers(take(), [moved(1, 400 - 50)]).added_columns) == 1
     assert len(repair.split_moved_markers(take(), [moved(1, 200), moved(1, 230)]).added_columns) == 1
 
 
 @given(moves)
-def test_one_part_speaks_for_each_marker_in_each_frame_and_they_make_it_up_again(faults):
+def test_columns_partition_the_frames_and_merge_to_the_take(faults):
     whole, parts = take(), repair.split_moved_markers(take(), faults)
     for m in range(3):
         np.testing.assert_array_equal(parts.is_active[:, parts.column_marker == m].sum(1), 1)

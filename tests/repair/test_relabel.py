@@ -19,7 +19,7 @@ swaps = st.builds(
 )
 
 
-def test_what_is_not_sure_or_no_matter_of_labels_is_left():
+def test_uncertain_and_other_faults_are_ignored():
     faults = [
         Fault("swap", 0, 5, 9, 0.1, "", 0.59, (1,)),
         Fault("spike", 0, 5, 9, 0.1, ""),
@@ -28,7 +28,7 @@ def test_what_is_not_sure_or_no_matter_of_labels_is_left():
     assert repair.undo_label_exchanges(TAKE, faults) is TAKE
 
 
-def test_exchanges_are_put_right_in_the_order_given():
+def test_exchanges_are_undone_in_the_given_order():
     """A's samples are under B's label, then what is under B's is exchanged with C's: undone the other way round."""
     wrong = TAKE.exchange_labels((0, 1), 0, 19).exchange_labels((1, 2), 10, 29)
     late, early = Fault("swap", 1, 10, 29, 0.1, "", 1.0, (2,)), Fault("mislabelled", 0, 0, 19, 0.1, "", 1.0, (1,))
@@ -37,7 +37,7 @@ def test_exchanges_are_put_right_in_the_order_given():
 
 
 @given(st.lists(swaps, max_size=5))
-def test_no_sample_is_lost_or_doubled(faults):
+def test_samples_are_permuted(faults):
     right = repair.undo_label_exchanges(TAKE, faults)
     np.testing.assert_array_equal(np.sort(right.markers[..., 0]), np.sort(TAKE.markers[..., 0]))
     order = np.argsort(right.source_points, axis=1)
@@ -47,11 +47,11 @@ def test_no_sample_is_lost_or_doubled(faults):
 
 
 @given(st.lists(swaps, max_size=5))
-def test_one_after_the_other_is_the_same_as_all_at_once(faults):
+def test_undoing_one_by_one_equals_undoing_all(faults):
     np.testing.assert_array_equal(repair.relabel_samples(TAKE, faults).markers, repair.undo_label_exchanges(TAKE, faults).markers)
 
 
-def test_a_fragment_is_joined_before_the_swap_that_it_shows():
+def test_fragment_is_joined_before_a_later_swap():
     markers = TAKE.markers.copy()
     markers[10:20, 3] = markers[10:20, 0]
     markers[10:20, 0] = np.nan
