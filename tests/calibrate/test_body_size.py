@@ -21,7 +21,9 @@ def seen(motion, factor, rng):
     """-> markers (T, K, 3) of a body `factor` times the average one in motion, a third of the samples missing, 2 mm of noise"""
     skeleton = replace(SKELETON, offsets=SKELETON.offsets * factor)
     subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets * factor, WORN.marker_spread)
-    markers = kinematics.compute_joint_and_marker_positions(subject, replace(motion, root_position=motion.root_position * factor))[1]
+    markers = kinematics.compute_joint_and_marker_positions(
+        subject, replace(motion, root_position=motion.root_position * factor)
+    )[1]
     markers += rng.normal(0, 0.002, markers.shape)
     markers[rng.random(markers.shape[:2]) < 1 / 3] = np.nan
     return markers

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_sets
 from mocapfix.bench import unseen_poses
-from mocapfix.bench.common_task import build_pose_motion
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import ConstraintError
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import FrameStatus
@@ -30,7 +30,7 @@ def people():
     rng = np.random.default_rng(0)
     rotations, places = unseen_poses.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
     rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
-    motion = build_pose_motion(places, rotations)
+    motion = build_known_motion(places, rotations)
     return motion, *kinematics.compute_joint_and_marker_positions(SUBJECT, motion)
 
 
@@ -190,7 +190,13 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
     take[1, hips] = np.nan
     take[3] = np.nan
     found = initial_motion.solve_hybrik(take, SUBJECT, twists=STRAIGHT)
-    assert found.status.tolist() == [FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.PLACED, FrameStatus.GUESSED, FrameStatus.PLACED]
+    assert found.status.tolist() == [
+        FrameStatus.PLACED,
+        FrameStatus.PLACED,
+        FrameStatus.PLACED,
+        FrameStatus.GUESSED,
+        FrameStatus.PLACED,
+    ]
     turned = Rotation.from_matrix(motion.local_rotations[0, 0].T @ found.local_rotations[:, 0]).magnitude()
     assert turned[1] < 0.7  # people bend
     assert turned[3] < 1e-3
@@ -221,15 +227,15 @@ def test_another_skeleton_is_refused():
         ({"markers": np.zeros((5, 3, 3))}, r"markers must be of shape \(5, 41, 3\)"),
         ({"markers": np.full((5, 41, 3), np.inf)}, "markers holds a number"),
         ({"twists": np.zeros((5, 31))}, r"twists must be of shape \(any, 31, 2\)"),
-        ({"twists": np.zeros((4, 31, 2))}, "for all 5 frames, or one for every frame; they are for 4"),
+        ({"twists": np.zeros((4, 31, 2))}, "twists must have 1 or 5 frames, not 4"),
         ({"twists": np.full((5, 31, 2), np.nan)}, "twists holds a number that is not finite"),
-        ({"deviation": np.zeros((4, 31))}, r"deviation must be of shape \(5, 31\)"),
-        ({"deviation": 0.0}, "1e-06 metres or more"),
-        ({"deviation": np.inf}, "deviation holds a number"),
-        ({"deviation": "small"}, "deviation must be an array of numbers"),
-        ({"held": np.zeros(5, bool)}, r"held must be of shape \(31\)"),
-        ({"way": "best"}, "naive, adaptive, x"),
-        ({"way": ["x"]}, "naive, adaptive, x"),
+        ({"joint_sd": np.zeros((4, 31))}, r"joint_sd must be of shape \(5, 31\)"),
+        ({"joint_sd": 0.0}, "1e-06 metres or more"),
+        ({"joint_sd": np.inf}, "joint_sd holds a number"),
+        ({"joint_sd": "small"}, "joint_sd must be an array of numbers"),
+        ({"held_joints": np.zeros(5, bool)}, r"held_joints must be of shape \(31\)"),
+        ({"variant": "best"}, "naive, adaptive, x"),
+        ({"variant": ["x"]}, "naive, adaptive, x"),
     ],
 )
 def test_what_cannot_be_is_told_in_a_sentence(wrong, said):
@@ -298,7 +304,7 @@ def test_a_subject_whose_markers_never_stray_can_be_posed(people):
 def test_a_marker_that_is_far_off_turns_nothing():
     """End to end: where joints are placed without it, it must not turn the head, the hips or a forearm either."""
     rotations = unseen_poses.load_unseen_poses()[::20]
-    true = build_pose_motion(np.zeros((len(rotations), 3)), rotations)
+    true = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     markers = kinematics.compute_joint_and_marker_positions(SUBJECT, true)[1] + np.random.default_rng(0).normal(
         0, 0.002, (len(rotations), 41, 3)
     )

@@ -31,7 +31,9 @@ def started(truth, markers, by):
 
 def off(truth, motion):
     """-> (T,) metres: the joint that is farthest from the truth"""
-    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions, axis=-1).max(axis=1)
+    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions, axis=-1).max(
+        axis=1
+    )
 
 
 @pytest.mark.parametrize(("unseen", "first"), [(0, 0), (7, 7)])

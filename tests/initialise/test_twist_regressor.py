@@ -193,9 +193,9 @@ def test_a_network_comes_back(tmp_path):
         (lambda tensors: tensors.update({"weights.2": np.ones((9, 46), np.float16)}), "its layers are not 174 by 8 by 8 by 46"),
         (lambda tensors: tensors.update({"offsets.2": np.ones(44, np.float16)}), "a cosine and a sine for the 23 of 31 joints"),
         (lambda tensors: tensors["offsets.0"].__setitem__(3, np.nan), "not finite"),
-        (lambda tensors: tensors["sigma"].__setitem__(0, 1.0), "a sigma of a joint without a bone"),
+        (lambda tensors: tensors["sigma"].__setitem__(0, 1.0), "a sigma for a joint without a bone"),
         (lambda tensors: tensors["sigma"].__setitem__(2, 0.0), "sigma"),
-        (lambda tensors: tensors.update(more=np.ones(3, np.float16)), "it holds more, too"),
+        (lambda tensors: tensors.update(more=np.ones(3, np.float16)), "unexpected tensors: more"),
     ],
 )
 def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change, message):
@@ -204,18 +204,18 @@ def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change,
     tensors = load_file(path)
     change(tensors)
     save_file(tensors, path)
-    with pytest.raises(SceneError, match=rf"mine\.safetensors: is no regressor of twists .*({message})"):
+    with pytest.raises(SceneError, match=rf"mine\.safetensors: is not a twist regressor .*({message})"):
         read_twist_regressor(path)
 
 
 def test_another_file_and_no_file_are_refused(tmp_path):
     (tmp_path / "text.safetensors").write_text("not that")
     for name in ("text", "none"):
-        with pytest.raises(SceneError, match=rf"{name}\.safetensors: is no regressor of twists"):
+        with pytest.raises(SceneError, match=rf"{name}\.safetensors: is not a twist regressor"):
             read_twist_regressor(tmp_path / f"{name}.safetensors")
 
 
 def test_to_regress_needs_no_torch():
-    code = "import sys, numpy as np; from mocapfix.initialise.twist_regressor import regressor; "
-    code += "regressor().regressed(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
+    code = "import sys, numpy as np; from mocapfix.initialise.twist_regressor import load_shipped_regressor; "
+    code += "load_shipped_regressor().predict_twists(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_sets
 from mocapfix.bench import unseen_poses
-from mocapfix.bench.common_task import build_pose_motion
+from mocapfix.bench.common_task import build_known_motion
 from mocapfix.initialise import initial_motion
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
@@ -24,7 +24,7 @@ def test_only_the_neck_is_such_a_chain():
 
 def test_head_and_chest_are_turned_as_before_and_each_joint_between_by_the_same_angle():
     rotations = unseen_poses.load_unseen_poses()[::50]
-    before = build_pose_motion(np.zeros((len(rotations), 3)), rotations)
+    before = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     after = initial_motion.bend_unmarked_chains(before, SUBJECT, HABITS)
     worlds = [kinematics.compute_world_poses(SKELETON, motion)[1] for motion in (before, after)]
     others = [j for j in range(31) if j not in NECK[:2]]
@@ -36,11 +36,11 @@ def test_head_and_chest_are_turned_as_before_and_each_joint_between_by_the_same_
 
 
 def test_the_mean_pose_stays_as_it_is_and_its_motion_is_not_touched():
-    standing = build_pose_motion(np.zeros((1, 3)), HABITS.mean_rotations[None].copy())
+    standing = build_known_motion(np.zeros((1, 3)), HABITS.mean_rotations[None].copy())
     np.testing.assert_allclose(
         initial_motion.bend_unmarked_chains(standing, SUBJECT, HABITS).local_rotations, standing.local_rotations, atol=1e-12
     )
-    folded = build_pose_motion(np.zeros((1, 3)), standing.local_rotations.copy())
+    folded = build_known_motion(np.zeros((1, 3)), standing.local_rotations.copy())
     folded.local_rotations[0, NECK[0]] = Rotation.from_euler("x", 1.0).as_matrix()
     kept = folded.local_rotations.copy()
     initial_motion.bend_unmarked_chains(folded, SUBJECT, HABITS)

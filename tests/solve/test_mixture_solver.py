@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.solve.test_poses import CODE, JOINTS, body, given, posed, unbent
 
 from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.mixture import MixtureModel
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.solve import pose_solver
+from tests.solve.test_pose_solver import CODE, JOINTS, body, given, posed, unbent
 
 
 def mixed(rng, count=2) -> MixtureModel:
@@ -86,7 +86,7 @@ def test_a_mixture_of_one_is_a_gaussian(scale):
 
 def test_of_poses_that_fit_alike_the_one_in_the_likelier_component_costs_less():
     rng = np.random.default_rng(4)
-    model = replace(mixed(rng), weights=np.array([0.9, 0.1]))
+    model = replace(mixed(rng), component_weights=np.array([0.9, 0.1]))
     model = replace(model, component_cholesky=model.component_cholesky[[0, 0]])
     tree, (one, other) = body(rng), (posed(replace(model, component_index=np.array([c])), np.zeros((1, CODE))) for c in (0, 1))
     local, root = np.concatenate([one, other]), np.zeros((2, 3))
@@ -101,7 +101,7 @@ def test_frames_neither_know_their_batch_nor_their_order(monkeypatch):
     tree, points, start = case(rng, model, [0, 1, 1, 0, 1])
     found = pose_solver.solve_poses(tree, (points,), model, *start)
     order = rng.permutation(5)
-    turned = points._replace(seen=points.measured[order], weight=points.weight[order])
-    monkeypatch.setattr(pose_solver, "BATCH", 2)
+    turned = points._replace(measured=points.measured[order], weight=points.weight[order])
+    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 2)
     again = pose_solver.solve_poses(tree, (turned,), model, *(each[order] for each in start))
     np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-9)

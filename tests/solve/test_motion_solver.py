@@ -43,7 +43,9 @@ def solved(truth, markers, habits=NONE, limits=LIMITS):
 
 def off(truth, motion, frames=slice(None)):
     """-> (T, J) metres: the joints from the true ones"""
-    return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions[frames], axis=-1)
+    return np.linalg.norm(
+        kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions[frames], axis=-1
+    )
 
 
 def check(motion: Motion):
@@ -166,13 +168,13 @@ def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
     worn = Take(markers, truth.labels, truth.rate)
     start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
-    with_model, without = motion_solver.solve_motion(*given, never), motion_solver.solve_motion(*given)
+    with_model, without = motion_solver.solve_motion(*given, load_pose_model=never), motion_solver.solve_motion(*given)
     for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
-    monkeypatch.setattr(occluded_joints, "SURE", 0.0)  # this take is quiet, and would not ask
+    monkeypatch.setattr(occluded_joints, "MIN_QUERY_SD_RAD", 0.0)  # this take is quiet, and would not ask
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
@@ -181,7 +183,7 @@ def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
     start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
     given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
-        motion_solver.solve_motion(*given, lambda: io.load_pose_model("gaussian", BODY.skeleton)),
+        motion_solver.solve_motion(*given, load_pose_model=lambda: io.load_pose_model("gaussian", BODY.skeleton)),
         motion_solver.solve_motion(*given),
     )
     moved = np.linalg.norm(

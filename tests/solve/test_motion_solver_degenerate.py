@@ -24,7 +24,7 @@ def solved(truth, markers):
 
 def finite(motion):
     assert np.isfinite(motion.root_position).all()
-    assert np.isfinite(motion.deviation).all()
+    assert np.isfinite(motion.marker_sd).all()
     unit = motion.local_rotations @ np.swapaxes(motion.local_rotations, 2, 3)
     np.testing.assert_allclose(unit, np.broadcast_to(np.eye(3), unit.shape), atol=1e-12)
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.solve.test_poses import given
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
@@ -13,6 +12,7 @@ from mocapfix.solve import pose_solver
 from tests.kernels import dense_oracle
 from tests.pose_prior.test_autoencoder import REFERENCE, SKELETON, draw_model
 from tests.pose_prior.test_naturalness import draw_rotations
+from tests.solve.test_pose_solver import given
 
 TREE = KinematicTree(SKELETON.parents, SKELETON.offsets, np.ones(31, bool))
 ROOT = np.zeros((4, 3))
@@ -23,16 +23,16 @@ HANDS_AND_FEET = np.array([0, 5, 10, 16, 22, 29])
 
 @pytest.fixture(scope="module")
 def model():
-    return NaturalnessModel(replace(draw_model("euler", "relu"), sigma=np.full(31, 0.5)))
+    return NaturalnessModel(replace(draw_model("euler", "relu"), residual_sd_rad=np.full(31, 0.5)))
 
 
 def points(joints, places) -> PointTerm:
-    return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, marker_offsets=places)
+    return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, places=places)
 
 
 def costs(model, seen, root, local, scale=1.0):
     """-> (T,) half the squares of points and number over their deviations"""
-    frames = [seen._replace(seen=seen.seen[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
+    frames = [seen._replace(measured=seen.measured[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
     away = [
         dense_oracle.compute_residual(each, dense_oracle.compute_world(TREE, root[t], local[t])) for t, each in enumerate(frames)
     ]
@@ -66,7 +66,7 @@ def test_frames_neither_know_their_batch_nor_their_order(model, monkeypatch):
     seen = points(HANDS_AND_FEET, 1)
     found = pose_solver.solve_poses(TREE, (seen,), model, *START)
     order = np.array([2, 0, 3, 1])
-    monkeypatch.setattr(pose_solver, "BATCH", 3)
-    turned = seen._replace(seen=seen.measured[order], weight=seen.weight[order])
+    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 3)
+    turned = seen._replace(measured=seen.measured[order], weight=seen.weight[order])
     again = pose_solver.solve_poses(TREE, (turned,), model, *(each[order] for each in START))
     np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-4)

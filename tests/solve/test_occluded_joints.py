@@ -127,10 +127,10 @@ class Oracle:
     """Somebody who knows the lost arm, but for its elbow a constant turn, and counts how often he is asked."""
 
     def __init__(self, truth, scale=1.0):
-        self.truth, self.scale, self.asked = truth.copy(), scale, 0
+        self.truth, self.prior_scale, self.asked = truth.copy(), scale, 0
         self.truth[:, LEFT[1]] = self.truth[:, LEFT[1]] @ Rotation.from_rotvec([0.2, 0.1, 0.0]).as_matrix()
 
-    def turns(self, local, told, lost, frames, near):
+    def predict_rotations(self, local, told, lost, frames, near):
         self.asked += 1
         quaternions = Rotation.from_matrix(self.truth[frames][:, lost].reshape(-1, 3, 3)).as_quat().reshape(len(frames), -1, 4)
         other = (quaternions * near.reshape(quaternions.shape)).sum(-1, keepdims=True) < 0
@@ -147,7 +147,9 @@ def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_
     oracle = Oracle(truth, scale)
     found, variance = truth.copy(), np.full(gone.shape, 1e-4)
     found[gone] = np.eye(3)
-    occluded_joints.infer_occluded_joints(root, found, variance, gone, BODY.free_joints, RATE, cast(PriorConditioner, oracle))
+    occluded_joints.infer_occluded_joints(
+        root, found, variance, gone, BODY.free_joints, RATE, conditioner=cast(PriorConditioner, oracle)
+    )
     alone = recalled(root, truth, gone)[0]
     assert oracle.asked == 1
     for j in LEFT:
@@ -160,6 +162,6 @@ def test_nobody_is_asked_of_a_gap_that_the_take_is_sure_of():
     gone[300:306, LEFT] = True
     oracle = Oracle(truth)
     occluded_joints.infer_occluded_joints(
-        root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free_joints, RATE, cast(PriorConditioner, oracle)
+        root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free_joints, RATE, conditioner=cast(PriorConditioner, oracle)
     )
     assert oracle.asked == 0

@@ -34,7 +34,7 @@ class Bent(GaussianModel):
 
     asked: list
     height: float = 0.3
-    linear = False
+    is_linear = False
 
     def decode(self, codes):
         return super().decode(codes) + self.height * np.sin(2 * super().decode(codes))
@@ -45,7 +45,7 @@ class Bent(GaussianModel):
         return self.decode(codes), slopes * (1 + 2 * self.height * np.cos(2 * decoded))[..., None]
 
     @property
-    def size(self):
+    def code_size(self):
         return len(self.components)
 
 
@@ -63,7 +63,7 @@ def posed(model: PoseModel, codes):
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3) @ model.reference_rotations
 
 
-def given(rng, tree, root, local, joints, sd=0.005, marker_offsets=4) -> PointTerm:
+def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
     """-> exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
@@ -89,7 +89,7 @@ def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
     rows, residuals = np.zeros(1, int), (code / scale)[None]
     prior = LatentCodeTerm.build(model.reference_rotations, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
                          model.residual_information / scale**2, np.zeros(1), rows)  # fmt: skip
-    seen = points._replace(seen=points.seen[t : t + 1], weight=points.weight[t : t + 1])
+    seen = points._replace(measured=points.measured[t : t + 1], weight=points.weight[t : t + 1])
     return dense_oracle.compute_cost(dense_oracle.Frame(tree, (seen, prior), root, local, code / scale))
 
 
@@ -121,7 +121,7 @@ def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
         slopes = 1.5 * np.moveaxis(model.components, 0, -1)[None]
         prior = LatentCodeTerm.build(model.reference_rotations, model.mean_vectors[None], slopes, np.zeros((1, CODE)), model.residual_information / 1.5**2,
                              np.zeros(1), np.zeros(1, int))  # fmt: skip
-        seen = points._replace(seen=points.measured[t : t + 1], weight=points.weight[t : t + 1])
+        seen = points._replace(measured=points.measured[t : t + 1], weight=points.weight[t : t + 1])
         frame = dense_oracle.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
 
         def residuals(x, frame=frame):
@@ -173,8 +173,8 @@ def test_frames_neither_know_their_batch_nor_their_order(make, monkeypatch):
     tree, points, start, _ = case(rng, model, frames=7)
     found = pose_solver.solve_poses(tree, (points,), model, *start)
     order = rng.permutation(7)
-    turned = points._replace(seen=points.measured[order], weight=points.weight[order])
-    monkeypatch.setattr(pose_solver, "BATCH", 2)
+    turned = points._replace(measured=points.measured[order], weight=points.weight[order])
+    monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 2)
     for name, again in vars(pose_solver.solve_poses(tree, (turned,), model, *(each[order] for each in start))).items():
         np.testing.assert_allclose(again, getattr(found, name)[order], atol=1e-9)
 
@@ -197,7 +197,7 @@ def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
     with monkeypatch.context() as finer:
-        finer.setattr(latent_solver, "ENOUGH", 1e-4)
+        finer.setattr(latent_solver, "MIN_ROUND_COST_DECREASE", 1e-4)
         first = pose_solver.solve_poses(tree, (points,), model, *start, max_iterations=200)
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end

@@ -61,12 +61,12 @@ def scene():
 
 def foretold(scene, course_sd=None, subject=None):
     person, motion, problem = scene
-    alone = problem.compute_uncertainty(motion.root_position, motion.mean_rotations, build_no_tracking(31), 0.05).markers
+    alone = problem.compute_uncertainty(motion.root_position, motion.local_rotations, build_no_tracking(31), 0.05).marker_sd
     time = build_no_tracking(31)
     if course_sd is not None:
         weight = np.zeros((1, 31))
         weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / course_sd**2
-        time = time._replace(mean_rotations=motion.mean_rotations[:1], scale=weight)
+        time = time._replace(rotations=motion.local_rotations[:1], weight=weight)
     return compute_pose_sd(problem, motion, subject or person, MEAN, alone, time, 0.05)
 
 
@@ -74,7 +74,7 @@ def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scen
     _, free = foretold(scene)
     _, held = foretold(scene, course_sd=0.1)
     lost, seen = NAMES.index("LeftHand"), NAMES.index("RightHand")
-    assert free.shape == (scene[1].frames, 31)
+    assert free.shape == (scene[1].frame_count, 31)
     assert (free[:, lost] > 10 * free[:, seen]).all()
     assert (held[:, lost] < 0.8 * free[:, lost]).all()
     np.testing.assert_allclose(held[:, NAMES.index("LeftLeg")], free[:, NAMES.index("LeftLeg")], rtol=1e-3)
@@ -82,8 +82,10 @@ def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scen
 
 def test_markers_that_stray_less_make_surer_joints(scene):
     subject, motion, problem = scene
-    markers = problem.markers - 0.5 * (problem.markers - kinematics.compute_joint_and_marker_positions(subject, motion)[1])
-    _, near = foretold((subject, motion, replace(problem, markers=markers)))
+    markers = problem.marker_positions - 0.5 * (
+        problem.marker_positions - kinematics.compute_joint_and_marker_positions(subject, motion)[1]
+    )
+    _, near = foretold((subject, motion, replace(problem, marker_positions=markers)))
     _, far = foretold(scene)
     knee = NAMES.index("LeftLeg")
     assert np.median(near[:, knee] / far[:, knee]) == pytest.approx(0.5, abs=0.1)

@@ -37,7 +37,7 @@ def somebody(seed=0, heading=0.0):
 
 
 def at(found, joint):
-    return found.joints[INDEX(joint)]
+    return found.joint_positions[INDEX(joint)]
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
@@ -145,36 +145,42 @@ HAND = PositionConstraint("LeftHand", (0.5, 1.4, 0.3))
     ("wrong", "why"),
     [
         ([], "There is no constraint"),
-        ([HAND, "head"], "'head' is no constraint; choose of: Position, Direction, Orientation, Distance, Seen."),
+        (
+            [HAND, "head"],
+            "'head' is not a constraint; choose from: PositionConstraint, DirectionConstraint, OrientationConstraint",
+        ),
         (
             [PositionConstraint("LeftHnd", (0, 0, 0))],
-            "Position of LeftHnd: there is no joint 'LeftHnd'; the skeleton has: Hips, LHipJoint",
+            "PositionConstraint of LeftHnd: there is no joint 'LeftHnd'; the skeleton has: Hips, LHipJoint",
         ),
-        ([PositionConstraint("Head", (0, np.nan, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, nan, 0\)."),
-        ([PositionConstraint("Head", (0, 0))], r"Position of Head: at must be 3 finite numbers, and is \(0, 0\)."),
-        ([PositionConstraint("Head", (0, 0, 0), 0.0)], "Position of Head: sd must be more than 0, and is 0.0."),
+        (
+            [PositionConstraint("Head", (0, np.nan, 0))],
+            r"PositionConstraint of Head: position must be 3 finite numbers, not \(0, nan, 0\).",
+        ),
+        ([PositionConstraint("Head", (0, 0))], r"PositionConstraint of Head: position must be 3 finite numbers, not \(0, 0\)."),
+        ([PositionConstraint("Head", (0, 0, 0), 0.0)], "PositionConstraint of Head: sd must be greater than 0, not 0.0."),
         (
             [PositionConstraint("Head", (0, 0, 0), cast("float", "x"))],
-            "Position of Head: sd must be one finite number, and is 'x'.",
+            "PositionConstraint of Head: sd must be one finite number, not 'x'.",
         ),
         (
             [DirectionConstraint("LeftArm", "Head", (0, 1, 0))],
-            "Direction of LeftArm: Head is no child of LeftArm; its parent is Neck1.",
+            "DirectionConstraint of LeftArm: Head is no child of LeftArm; its parent is Neck1.",
         ),
         ([DirectionConstraint("Hips", "Hips", (0, 1, 0))], "its parent is none."),
         (
             [DirectionConstraint("LeftArm", "LeftForeArm", (0, 0, 0))],
-            "Direction of LeftArm: seen has no length, and so no direction.",
+            "DirectionConstraint of LeftArm: direction has length zero and therefore no direction.",
         ),
-        ([OrientationConstraint("Head", -np.eye(3))], "Orientation of Head: rotation must have rows of length one"),
-        ([DistanceConstraint(("Head", "Foot"), 1.0)], "Distance of Head and Foot: there is no joint 'Foot'"),
-        ([DistanceConstraint(("Head", "Neck"), np.inf)], "length must be one finite number, and is inf."),
-        ([DistanceConstraint(("Head",), 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
-        ([DistanceConstraint("Head", 1.0)], "Distance of Head: joints must be the names of two."),  # type: ignore[arg-type]
-        ([PixelConstraint("Head", None, (1, 2))], "Seen of Head: camera must be a solve.Camera, and is None."),  # type: ignore[arg-type]
+        ([OrientationConstraint("Head", -np.eye(3))], "OrientationConstraint of Head: rotation must be a right-handed matrix"),
+        ([DistanceConstraint(("Head", "Foot"), 1.0)], "DistanceConstraint of Head and Foot: there is no joint 'Foot'"),
+        ([DistanceConstraint(("Head", "Neck"), np.inf)], "distance must be one finite number, not inf."),
+        ([DistanceConstraint(("Head",), 1.0)], "DistanceConstraint of Head: joints must be the names of two joints."),  # type: ignore[arg-type]
+        ([DistanceConstraint("Head", 1.0)], "DistanceConstraint of Head: joints must be the names of two joints."),  # type: ignore[arg-type]
+        ([PixelConstraint("Head", None, (1, 2))], "PixelConstraint of Head: camera must be a Camera, not None."),  # type: ignore[arg-type]
         (
             [PixelConstraint("Head", Camera(np.eye(3), (0, 0, 4), 0.0), (1, 2))],
-            "Seen of Head: camera.scale must be more than 0",
+            "PixelConstraint of Head: camera.scale must be greater than 0",
         ),
     ],
 )
@@ -186,20 +192,21 @@ def test_what_cannot_be_meant_is_said(wrong, why):
 def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
     with pytest.raises(SceneError, match="There is no trained prior 'gauss'"):
         single_pose.solve_pose([HAND], "gauss")
-    with pytest.raises(ConstraintError, match=re.escape("A start is a root (3,) and rotations (31, 3, 3)")):
+    with pytest.raises(ConstraintError, match=re.escape("start must be a root (3,) and rotations (31, 3, 3)")):
         single_pose.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.zeros((31, 3))))
-    with pytest.raises(ConstraintError, match="A start's rotations must have rows of length one"):
+    with pytest.raises(ConstraintError, match="The rotations of start must be right-handed matrices"):
         single_pose.solve_pose([HAND], GAUSSIAN, start=(np.zeros(3), np.ones((31, 3, 3))))
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_a_scale_that_is_none_is_said(scale):
-    with pytest.raises(ConstraintError, match=f"scale must be more than 0 and finite, and is {scale!r}"):
+    with pytest.raises(ConstraintError, match=f"prior_scale must be greater than 0 and finite, not {scale!r}"):
         single_pose.solve_pose([HAND], GAUSSIAN, prior_scale=scale)
 
 
 def test_the_papers_network_is_refused_by_its_name():
     with pytest.raises(
-        SceneError, match=r"Only mocapfix bench prior asks 'mnn-ik', .* choose one of: autoencoder, gaussian, mixture, pca\."
+        SceneError,
+        match=r"The prior 'mnn-ik' is available in mocapfix bench prior only; choose one of: autoencoder, gaussian, mixture, pca\.",
     ):
         single_pose.solve_pose([HAND], "mnn-ik")
