@@ -68,16 +68,22 @@ def fit_marker_set(
     frames, atlas = select_candidate_frames(take.markers), build_marker_atlas(load_shipped_marker_sets())
     log_odds = np.zeros((len(labels), len(body.skeleton.names)))
     log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
-    marker_set = guess
-    for _ in range(MAX_ATTACHMENT_ROUNDS):
+
+    def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, MarkerSet]:
         fit = calibrate_on_frames(take, labels, marker_set, body, prior, frames)
         size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
         attachment = attach_markers(
             take.markers[frames], fit.joint_positions, fit.joint_rotations, atlas.scale(size), body.skeleton.names, log_odds
         )
-        previous, marker_set = marker_set, build_marker_set(attachment, labels, guess, size)
+        return fit, attachment, build_marker_set(attachment, labels, guess, size)
+
+    previous = guess
+    fit, attachment, marker_set = calibrate_and_attach(guess)
+    for _ in range(MAX_ATTACHMENT_ROUNDS - 1):
         if marker_set.labels == previous.labels and (marker_set.joints == previous.joints).all():
             break
+        previous = marker_set
+        fit, attachment, marker_set = calibrate_and_attach(marker_set)
     return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m)
 
 

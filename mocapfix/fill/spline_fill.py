@@ -123,7 +123,7 @@ def measure_spline_error(
 
 
 @njit(cache=True)
-def find_complete_stretches(is_visible, frame_offsets, step):
+def find_complete_stretches(is_visible: np.ndarray, frame_offsets: np.ndarray, step: int) -> np.ndarray:
     """Return the frames, of every `step`th, for which all frames at the given offsets (N,) are visible (T,)."""
     starts, count = np.empty(len(is_visible), np.int64), 0
     for start in range(-frame_offsets.min(), len(is_visible) - frame_offsets.max(), step):

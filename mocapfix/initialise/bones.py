@@ -1,5 +1,6 @@
 """The points that each joint's rotation moves, for HybrIK: child joints, markers, and joints beyond a stiff child."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,16 +31,17 @@ class MarkedSubject(NamedTuple):
     has_markers: bool
 
 
-class BonePoint(NamedTuple):
+@dataclass(frozen=True)
+class BonePoint:
     """A point that a joint's rotation moves.
 
-    index          index among J joints and K markers
+    point_index    index among J joints and K markers
     rest_position  (3,) m in the joint's axes
     is_child       whether it is a child joint, which determines the swing
     variance       m^2 per axis about the rest position
     """
 
-    index: int
+    point_index: int
     rest_position: np.ndarray
     is_child: bool
     variance: float
@@ -48,7 +50,7 @@ class BonePoint(NamedTuple):
 class BonePointArrays(NamedTuple):
     """P bone points as arrays for the kernels."""
 
-    index: np.ndarray
+    point_index: np.ndarray
     rest_position: np.ndarray
     is_child: np.ndarray
     variance: np.ndarray
@@ -89,19 +91,19 @@ def build_bones(
         skeleton.offsets,
         np.array([any(point.is_child for point in each) for each in points]) & ~is_held,
         np.cumsum([0, *map(len, points)]),
-        arrays.index,
+        arrays.point_index,
         arrays.rest_position,
         arrays.is_child,
         np.concatenate([find_off_axis_points(each) for each in points]),
         arrays.variance,
         conflict_joint,
     )
-    near_root = {point.index for point in root_points}
-    trunk = [point for point in list_trunk_points(skeleton, prior) if point.index not in near_root]
+    near_root = {point.point_index for point in root_points}
+    trunk = [point for point in list_trunk_points(skeleton, prior) if point.point_index not in near_root]
     arrays = stack_points(root_points + trunk)
     distance = np.linalg.norm(arrays.rest_position[:, None] - arrays.rest_position, axis=2)
     first_coincident = (distance < MIN_JOINT_DISTANCE_M).argmax(axis=1)
-    return bones, RootPoints(arrays.index, arrays.rest_position, arrays.variance, first_coincident)
+    return bones, RootPoints(arrays.point_index, arrays.rest_position, arrays.variance, first_coincident)
 
 
 def list_bone_points(j: int, skeleton: Skeleton, prior: MeanPosePrior, marked_subject: MarkedSubject) -> list[BonePoint]:
@@ -112,15 +114,17 @@ def list_bone_points(j: int, skeleton: Skeleton, prior: MeanPosePrior, marked_su
     for c in np.flatnonzero(skeleton.parents == j):
         is_separate = find_separate_joints(skeleton)[c]
         if is_separate or j == 0:
-            joints.append(BonePoint(c, offsets[c], is_separate, 0.0))
+            joints.append(BonePoint(int(c), offsets[c], bool(is_separate), 0.0))
         if find_stiff_joints(prior)[c]:
             for g in np.flatnonzero(skeleton.parents == c):
                 position = offsets[c] + prior.mean_rotations[c] @ offsets[g]
                 variance = (STIFF_JOINT_SD_RAD * np.linalg.norm(offsets[g])) ** 2 if is_separate else 0.0
-                joints.append(BonePoint(g, position, False, float(variance)))
+                joints.append(BonePoint(int(g), position, False, float(variance)))
     own_markers = np.flatnonzero(subject.joints == j) if marked_subject.has_markers else []
     is_leaf = not joints
-    markers = [BonePoint(len(skeleton.names) + k, subject.marker_offsets[k], is_leaf, BONE_MARKER_SD_M**2) for k in own_markers]
+    markers = [
+        BonePoint(len(skeleton.names) + int(k), subject.marker_offsets[k], is_leaf, BONE_MARKER_SD_M**2) for k in own_markers
+    ]
     return root + joints + markers
 
 
@@ -148,7 +152,9 @@ def list_trunk_points(skeleton: Skeleton, prior: MeanPosePrior) -> list[BonePoin
 
 def stack_points(points: list[BonePoint]) -> BonePointArrays:
     """Return points as contiguous arrays."""
-    index, rest_position, is_child, variance = zip(*points, strict=True)
     return BonePointArrays(
-        np.array(index), np.ascontiguousarray(rest_position, float), np.array(is_child, bool), np.array(variance, float)
+        np.array([point.point_index for point in points]),
+        np.array([point.rest_position for point in points], float),
+        np.array([point.is_child for point in points], bool),
+        np.array([point.variance for point in points], float),
     )

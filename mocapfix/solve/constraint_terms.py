@@ -137,8 +137,8 @@ def find_joint(constraint: Constraint, joint: str, skeleton: Skeleton) -> int:
 
 def check_joint_pair(constraint: DistanceConstraint) -> tuple[str, str]:
     """Return the two joints of a constraint. Raises ConstraintError unless there are two."""
-    joints: object = constraint.joints
-    if not isinstance(joints, tuple | list) or len(constraint.joints) != 2:
+    joints: object = constraint.joints  # users may give something else
+    if not isinstance(joints, tuple | list) or len(constraint.joints) != 2:  # pyright: ignore[reportUnnecessaryIsInstance]
         raise build_constraint_error(constraint, "joints must be the names of two joints")
     return constraint.joints
 
