@@ -101,7 +101,7 @@ def attach_markers(
     order = (-np.nan_to_num(log_likelihood, nan=-np.inf)).argsort(0, kind="stable")
     best, second = order[0], order[1]
     frame_count = (~np.isnan(markers[..., 0])).sum(0)
-    min_frames = min(MIN_ATTACHMENT_FRAMES, MIN_ATTACHMENT_FRAME_SHARE * len(markers))
+    min_frames = min(float(MIN_ATTACHMENT_FRAMES), MIN_ATTACHMENT_FRAME_SHARE * len(markers))
     atlas_distance = np.where(label_log_odds[each, candidates[best]] > 0, 0.0, distance[best, each])
     candidate_names = [joint_names[j] for j in candidates]
     reasons = [

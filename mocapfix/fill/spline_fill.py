@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from numba import njit
 
+from mocapfix.kernels.complete_stretches import find_complete_stretches
 from mocapfix.stats.runs import find_runs
 from mocapfix.stats.sampling import sample_evenly
 
@@ -120,19 +120,3 @@ def measure_spline_error(
     starts = starts[sample_evenly(len(starts), MAX_TRIAL_STRETCHES)][:, None]
     errors = path[starts + gap] - spline_map @ path[starts + context_frames]
     return np.sqrt((errors**2).mean((0, 2)))
-
-
-@njit(cache=True)
-def find_complete_stretches(is_visible: np.ndarray, frame_offsets: np.ndarray, step: int) -> np.ndarray:
-    """Return the frames, of every `step`th, for which all frames at the given offsets (N,) are visible (T,)."""
-    starts, count = np.empty(len(is_visible), np.int64), 0
-    for start in range(-frame_offsets.min(), len(is_visible) - frame_offsets.max(), step):
-        is_complete = True
-        for offset in frame_offsets:
-            if not is_visible[start + offset]:
-                is_complete = False
-                break
-        if is_complete:
-            starts[count] = start
-            count += 1
-    return starts[:count]

@@ -44,8 +44,8 @@ def solve_hybrik(
     positions: ArrayLike,
     subject: Subject,
     *,
-    variant: HybrikVariant = "x",
-    joint_sd: ArrayLike = DEFAULT_JOINT_SD_M,
+    variant: HybrikVariant | str = "x",
+    joint_sd: ArrayLike | float = DEFAULT_JOINT_SD_M,
     twists: ArrayLike | None = None,
     markers: ArrayLike | None = None,
     held_joints: ArrayLike | None = None,
@@ -156,7 +156,7 @@ def get_cmu_skeleton(subject: Subject) -> Skeleton:
     return subject.skeleton
 
 
-def check_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], allow_nan: bool = True) -> np.ndarray:
+def check_array(name: str, values: ArrayLike | float, shape: tuple[int | None, ...], allow_nan: bool = True) -> np.ndarray:
     """Return an argument as a contiguous array of floats.
 
     Raises ConstraintError if its shape differs from `shape` (None: any length), or if it has infinite or forbidden NaN values.
@@ -175,7 +175,7 @@ def check_array(name: str, values: ArrayLike, shape: tuple[int | None, ...], all
 
 
 def compute_point_variances(
-    joint_sd: ArrayLike, positions: Float[np.ndarray, "T J 3"], point_count: int
+    joint_sd: ArrayLike | float, positions: Float[np.ndarray, "T J 3"], point_count: int
 ) -> Float[np.ndarray, "N Q"]:
     """Return the variances (T or 1, Q) in m^2 per axis: of joints from their standard deviation, 0 for all other points.
 
