@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.bench.initialisation_takes import InitialisationTake
-from mocapfix.bench.uncertainty import find_informative_markers
+from mocapfix.bench.sound_takes import find_informative_markers
 from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.motion import FrameStatus, Motion

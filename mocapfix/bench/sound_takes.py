@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -20,6 +21,7 @@ from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import ReadError, SceneError
 from mocapfix.motion import Motion
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
 from mocapfix.train.shard_recordings import read_shard_recordings
@@ -125,3 +127,17 @@ def resample_performance(performance: PerformedMotion) -> Motion:
 
 def _compute_duration_s(performance: PerformedMotion) -> float:
     return performance.motion.frame_count / performance.rate_hz
+
+
+def find_informative_markers(subject: Subject) -> Bool[np.ndarray, "J K"]:
+    """Return the markers on the segments on either side of each joint, or those on the nearest ancestor with markers."""
+    parents = subject.skeleton.parents
+    is_attached = subject.joints == np.arange(len(subject.skeleton.names))[:, None]
+    is_informative = is_attached.copy()
+    for j in range(1, len(parents)):
+        ancestor = parents[j]
+        is_informative[j] |= is_attached[ancestor]
+        while not is_informative[j].any() and ancestor > 0:
+            ancestor = parents[ancestor]
+            is_informative[j] |= is_attached[ancestor]
+    return is_informative

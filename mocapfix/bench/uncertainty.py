@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
-from mocapfix import pipeline, synthetic
+import mocapfix
+from mocapfix import synthetic
+from mocapfix.bench.sound_takes import find_informative_markers
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.runs import find_runs
-from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
@@ -35,6 +35,8 @@ class PredictedErrors(NamedTuple):
 
 ErrorGroups = dict[str, PredictedErrors]
 
+DEFAULT_OPTIONS = CleanOptions()
+
 
 def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, dict[str, Any]]:
     """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`."""
@@ -48,12 +50,12 @@ def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, d
     return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(fills)}
 
 
-def clean_composed_take(truth: SyntheticTake, options: CleanOptions = pipeline.DEFAULT_OPTIONS) -> CleaningResult:
+def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_OPTIONS) -> CleaningResult:
     """Return the result of the pipeline for a composed take, which is written to a file and read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         synthetic.write_synthetic_take(path, truth)
-        return pipeline.clean(path, options)
+        return mocapfix.clean(path, options)
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
@@ -69,20 +71,6 @@ def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGr
         "all missing": missing_share == 1,
     }
     return {name: PredictedErrors(error_m[group], sd_m[group]) for name, group in groups.items()}
-
-
-def find_informative_markers(subject: Subject) -> Bool[np.ndarray, "J K"]:
-    """Return the markers on the segments on either side of each joint, or those on the nearest ancestor with markers."""
-    parents = subject.skeleton.parents
-    is_attached = subject.joints == np.arange(len(subject.skeleton.names))[:, None]
-    is_informative = is_attached.copy()
-    for j in range(1, len(parents)):
-        ancestor = parents[j]
-        is_informative[j] |= is_attached[ancestor]
-        while not is_informative[j].any() and ancestor > 0:
-            ancestor = parents[ancestor]
-            is_informative[j] |= is_attached[ancestor]
-    return is_informative
 
 
 def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
