@@ -114,7 +114,7 @@ def _find_rejection_reasons(
     lost_faults = [fault for fault in faults if fault.kind in LOST_KINDS]
     is_lost = build_fault_mask(lost_faults, editable.shape)
     fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
-    sd = joint_points.compute_point_sd(fully_repaired, joint_points.build_tip_take(fully_repaired), repair.variance)
+    sd = joint_points.compute_joint_point_sd(fully_repaired, joint_points.build_tip_take(fully_repaired), repair.variance)
     sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
     reasons = explain_rejections(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
     for fault in lost_faults:
@@ -127,7 +127,7 @@ def _add_sd(
     animation: Animation, points: Take, variance: Float[np.ndarray, "T N"], is_estimated: Bool[np.ndarray, "T M"]
 ) -> Take:
     """Return the take of joints or tips with the standard deviations of the estimated points (variances of N tracks)."""
-    sd = joint_points.compute_point_sd(animation, points, variance)
+    sd = joint_points.compute_joint_point_sd(animation, points, variance)
     return replace(points, sample_sd=np.where(is_estimated & (sd > 0), sd, np.nan))
 
 

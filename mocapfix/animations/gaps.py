@@ -70,7 +70,7 @@ def detect_animation_gaps(motion: TrackMotion, is_absent: Bool[np.ndarray, "T N"
         if is_inside and (_detect_jumps(steps[first - 1 :: -1], tracks) & _detect_jumps(steps[last:], tracks)).any():
             gaps.append(AnimationGap(tracks, first, last, GapAppearance.ZERO))
     for (first, last), tracks in _group_tracks(is_held & ~is_zero & ~_build_gap_mask(gaps, is_zero.shape), is_moving):
-        # Two joints do not come to rest to the last digit in the same frame.
+        # Two moving joints do not stop in the same frame, to the last digit.
         is_long_enough = last - first + 1 >= min_held_frames or len(tracks) > 1
         if is_long_enough and last < last_frame and _detect_jumps(steps[last:], tracks).any():
             gaps.append(AnimationGap(tracks, first, last, GapAppearance.HELD))

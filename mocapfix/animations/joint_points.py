@@ -35,7 +35,7 @@ def list_track_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     return (*joint_names, f"{joint_names[0]} position")
 
 
-def compute_point_sd(animation: Animation, points: Take, variance: Float[np.ndarray, "T N"]) -> Float[np.ndarray, "T M"]:
+def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[np.ndarray, "T N"]) -> Float[np.ndarray, "T M"]:
     """Compute the standard deviations per axis, in metres, of an animation's joints or tips from those of its tracks.
 
     points    as from `build_joint_take` or `build_tip_take`

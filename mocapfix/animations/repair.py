@@ -42,10 +42,10 @@ class RepairMethod(IntEnum):
     @property
     def description(self) -> str:
         """The source of the repaired value, as a phrase for reports; "" if it is unchanged."""
-        return _DESCRIPTIONS[self]
+        return _REPAIR_DESCRIPTIONS[self]
 
 
-_DESCRIPTIONS = {
+_REPAIR_DESCRIPTIONS = {
     RepairMethod.UNCHANGED: "",
     RepairMethod.OFFSET_REMOVED: "its own motion, offset removed",
     RepairMethod.JITTER_SMOOTHED: "its own motion, smoothed",

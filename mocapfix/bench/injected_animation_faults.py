@@ -21,7 +21,7 @@ FAULT_DURATION_RANGES_S = {"1 frame": (0.0, 0.0), "short": (0.2, 0.5), "long": (
 INJECTED_JITTER_SD_RAD = np.radians(3.0)
 MIN_POP_DEG, MAX_POP_DEG = 10, 60
 MIN_ROOT_OFFSET_M, MAX_ROOT_OFFSET_M = 0.1, 0.5
-LIMB_JOINT_NAMES = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"), ("ForeArm", "Hand"), ("Leg", "Foot"))
+INJECTED_LIMB_JOINT_NAMES = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"), ("ForeArm", "Hand"), ("Leg", "Foot"))
 # Suffixes of the joints that get faults.
 INJECTABLE_JOINT_NAMES = ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand", "Neck", "Head", "LowerBack", "Spine", "Shoulder")
 
@@ -146,7 +146,7 @@ def _draw_joint(target: _Target) -> int:
 
 def _draw_limb(target: _Target) -> tuple[int, ...]:
     side = ("Left", "Right")[target.rng.integers(2)]
-    names = LIMB_JOINT_NAMES[target.rng.integers(len(LIMB_JOINT_NAMES))]
+    names = INJECTED_LIMB_JOINT_NAMES[target.rng.integers(len(INJECTED_LIMB_JOINT_NAMES))]
     return tuple(target.skeleton.find_joint(side + name) for name in names)
 
 

@@ -38,7 +38,7 @@ def test_sd_of_points_equals_that_of_sampled_rotations(figure: Animation):
     variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[1, 3] = sd**2
     tips = joint_points.build_tip_take(figure)
-    predicted = joint_points.compute_point_sd(figure, tips, variance)
+    predicted = joint_points.compute_joint_point_sd(figure, tips, variance)
     assert not predicted[[0, 2]].any()
     assert (predicted[1] > 0).tolist() == [False, False, False, True, True, False]
     positions = figure.compute_world_poses()[0][1]
@@ -52,7 +52,7 @@ def test_sd_of_root_position_applies_to_all_points(figure: Animation):
     variance = np.zeros((figure.frame_count, len(figure.names) + 1))
     variance[:, -1] = 0.02**2
     take = joint_points.build_joint_take(figure)
-    np.testing.assert_allclose(joint_points.compute_point_sd(figure, take, variance), 0.02)
+    np.testing.assert_allclose(joint_points.compute_joint_point_sd(figure, take, variance), 0.02)
 
 
 def test_joint_skeleton_is_in_metres(figure: Animation):
