@@ -27,7 +27,7 @@ def entries(before, after, *faults, labelled=None, body=None):
     return [change for change, _ in build_changes(before, labelled or before, after, faults, body, ways)]
 
 
-GAP = Fault("gap", 0, 5, 8, 0.1, "A is not seen.")
+GAP = Fault("gap", 0, 5, 8, 0.1, "A is missing.")
 SWAP = Fault("swap", 0, 12, 15, 0.1, "Exchanged.", 1.0, (1,))
 
 
@@ -39,7 +39,7 @@ def test_change_has_file_frame_numbers_and_states():
     body = np.zeros((FRAMES, 3, 3))
     (change,) = entries(before, replace(after, sample_sd=deviation), GAP, body=body)
     assert (change.id, change.kind, change.markers, change.first, change.last) == ("gap-A-106", "gap", ("A",), 106, 109)
-    assert (change.samples, change.why, change.decision) == (4, "A is not seen.", "accept")
+    assert (change.samples, change.why, change.decision) == (4, "A is missing.", "accept")
     assert (change.before, change.after) == (SampleState(4, None), SampleState(0, 3.0))
     assert change.predicted_mm == pytest.approx(np.sqrt(3) * 2.0, abs=0.05)  # a distance: three axes
     assert change.method == "estimated, mostly from the body"
@@ -70,14 +70,14 @@ def test_change_ids_are_unique_and_without_blanks():
 
 @pytest.mark.parametrize(("donor", "name", "count"), [(2, "A-1", 8), (3, "*4", 4)])
 def test_fragment_change_names_its_donor(donor, name, count):
-    piece, before = Fragment("fragment", 0, 5, 8, 0.0, "Goes on.", donor=donor, relation="continues"), take()
+    fragment, before = Fragment("fragment", 0, 5, 8, 0.0, "Goes on.", donor=donor, relation="continues"), take()
     after = take()
     after.markers[5:9, 0], after.markers[5:9, 2] = 0.0, NAN
     if donor == 3:
         after.markers[5:9, 2] = before.markers[5:9, 2]
-    (change,) = entries(before, after, piece)
+    (change,) = entries(before, after, fragment)
     assert (change.markers, change.method, change.samples) == (("A", name), f"samples of {name} joined to the marker", count)
-    assert list_affected_markers(piece, 3) == ([0, 2] if donor == 2 else [0])
+    assert list_affected_markers(fragment, 3) == ([0, 2] if donor == 2 else [0])
 
 
 def test_spike_within_a_swap_is_measured_on_the_markers_own_sample():

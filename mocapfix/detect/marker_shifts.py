@@ -124,7 +124,7 @@ def select_dominant_shifts(shifts: list[ShiftEstimate], subject: Subject) -> lis
 def are_joints_adjacent(subject: Subject, one: int, other: int) -> bool:
     """Return whether two markers are on the same joint, or on a joint and its parent."""
     a, b = int(subject.joints[one]), int(subject.joints[other])
-    return a == b or subject.skeleton.parents[a] == b or subject.skeleton.parents[b] == a
+    return bool(a == b or subject.skeleton.parents[a] == b or subject.skeleton.parents[b] == a)
 
 
 def build_shift_fault(shift: ShiftEstimate, take: Take) -> MarkerShift:

@@ -22,10 +22,10 @@ def turning(seconds=4.0, rate=120.0, segments=2, each=5, noise=0.0005, seed=0) -
     return Take(markers, tuple(f"M{m}" for m in range(markers.shape[1])), rate)
 
 
-def exchanged(take: Take, ring: tuple[int, ...], first: int, last: int) -> Take:
+def exchanged(take: Take, cycle: tuple[int, ...], first: int, last: int) -> Take:
     """Move the samples of each marker in the cycle over first..last to the next one's label."""
     markers, frames = take.markers.copy(), slice(first, last + 1)
-    markers[frames, list(ring[1:] + ring[:1])] = markers[frames, list(ring)]
+    markers[frames, list(cycle[1:] + cycle[:1])] = markers[frames, list(cycle)]
     return take.replace_markers(markers)
 
 

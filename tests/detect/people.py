@@ -23,8 +23,8 @@ def columns(take: Take, *labels: str) -> tuple[int, ...]:
 
 def relabelled(take: Take, *labels: str) -> Take:
     """Move the samples of each marker to the next one's label, and those of the last to the first's."""
-    ring, markers = columns(take, *labels), take.markers.copy()
-    markers[:, ring[1:] + ring[:1]] = take.markers[:, ring]
+    cycle, markers = columns(take, *labels), take.markers.copy()
+    markers[:, cycle[1:] + cycle[:1]] = take.markers[:, cycle]
     return take.replace_markers(markers)
 
 

@@ -38,12 +38,12 @@ def test_visible_swap_is_found_to_the_frame(seed, pair, first, length):
     assert swap.confidence > 0.9
 
 
-@pytest.mark.parametrize("ring", [(0, 1, 2), (0, 2, 1), (1, 6, 3)])
-def test_cycle_of_three_is_found_in_the_right_direction(ring):
+@pytest.mark.parametrize("cycle", [(0, 1, 2), (0, 2, 1), (1, 6, 3)])
+def test_cycle_of_three_is_found_in_the_right_direction(cycle):
     sound = turning()
-    (swap,) = label_swaps.detect_label_swaps(exchanged(sound, ring, 100, 180))
-    assert where([swap]) == [(ring, 100, 180)]
-    np.testing.assert_array_equal(undone(exchanged(sound, ring, 100, 180), [swap]).markers, sound.markers)
+    (swap,) = label_swaps.detect_label_swaps(exchanged(sound, cycle, 100, 180))
+    assert where([swap]) == [(cycle, 100, 180)]
+    np.testing.assert_array_equal(undone(exchanged(sound, cycle, 100, 180), [swap]).markers, sound.markers)
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 99), (360, 479)])

@@ -30,15 +30,15 @@ def test_correct_labels_of_subjects_off_the_average(seed):
 
 
 @pytest.mark.parametrize(
-    "ring",
+    "cycle",
     [("LTOE", "LMT5"), ("RWRA", "RWRB"), ("LKNE", "LANK"), ("LWRA", "LFIN"), ("RANK", "RHEE"), ("LFHD", "RFHD"), ("LFHD", "LBHD"),
      ("LBWT", "RBWT"), ("C7", "RBAC"), ("LFHD", "RTOE"), ("LTOE", "LMT5", "LHEE"), ("LMT5", "LTOE", "LHEE")],
 )  # fmt: skip
-def test_exchange_is_found_in_the_right_direction(ring):
+def test_exchange_is_found_in_the_right_direction(cycle):
     sound = somebody()
-    take = relabelled(sound, *ring)
+    take = relabelled(sound, *cycle)
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
-    assert set(fault.markers) == set(columns(take, *ring))
+    assert set(fault.markers) == set(columns(take, *cycle))
     assert (fault.kind, fault.first, fault.last) == ("mislabelled", 0, take.frame_count - 1)
     np.testing.assert_array_equal(undone(take, [fault]).markers, sound.markers)
 

@@ -17,11 +17,11 @@ def test_correct_labels_have_no_exchanges():
 
 
 @pytest.mark.parametrize(
-    ("ring", "group"), [((0, 3), (0, 3)), ((0, 3), (0, 1, 3)), ((0, 1, 2), (0, 1, 2)), ((0, 2, 1), (0, 1, 2))]
+    ("cycle", "group"), [((0, 3), (0, 3)), ((0, 3), (0, 1, 3)), ((0, 1, 2), (0, 1, 2)), ((0, 2, 1), (0, 1, 2))]
 )
-def test_exchange_is_found_in_its_group(ring, group):
-    (exchange,) = among(exchanged(turning(), ring, 100, 180), group)
-    assert (exchange.cycle, exchange.first, exchange.last) == (ring, 100, 180)
+def test_exchange_is_found_in_its_group(cycle, group):
+    (exchange,) = among(exchanged(turning(), cycle, 100, 180), group)
+    assert (exchange.cycle, exchange.first, exchange.last) == (cycle, 100, 180)
 
 
 def test_two_exchanges_of_a_pair_are_two():

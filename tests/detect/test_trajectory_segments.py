@@ -52,12 +52,12 @@ def test_namesakes_of_labels():
 def test_longest_of_equal_labels_is_the_marker():
     take = take_of("LELB", "LELB", "LELB", seen={0: 20, 2: 0})
     assert find_namesakes(take) == {0: 1, 2: 1}
-    assert [(piece.donor, piece.namesake, len(piece.frames)) for piece in find_loose_segments(take)] == [(0, 1, 20)]
+    assert [(segment.donor, segment.namesake, len(segment.frames)) for segment in find_loose_segments(take)] == [(0, 1, 20)]
 
 
 def test_unlabelled_donors_follow_the_labels():
     take = Take(MOVING[:, None], ("LELB",), RATE, unlabelled=take_of("*1", "*2"))
-    assert [(piece.donor, piece.namesake) for piece in find_loose_segments(take)] == [(1, -1), (2, -1)]
+    assert [(segment.donor, segment.namesake) for segment in find_loose_segments(take)] == [(1, -1), (2, -1)]
     np.testing.assert_array_equal(find_loose_segments(take)[1].points, MOVING + 1)
 
 

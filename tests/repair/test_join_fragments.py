@@ -19,12 +19,12 @@ def take():
     return Take(markers, ("A", "B", "A-1"), 100.0, point_columns=np.array([1, 2, 3]), unlabelled=loose, computed=computed)
 
 
-def piece(marker, first, last, donor, relation):
+def build_fragment(marker, first, last, donor, relation):
     return Fragment("fragment", marker, first, last, 0.0, "", donor=donor, relation=relation)
 
 
 def test_continuation_fills_missing_samples_only(take):
-    joined = repair.join_fragments(take, [piece(0, 8, 21, 2, "continues")])
+    joined = repair.join_fragments(take, [build_fragment(0, 8, 21, 2, "continues")])
     np.testing.assert_array_equal(joined.markers[10:20, 0], take.markers[10:20, 2])
     kept = np.r_[0:10, 20:30]
     np.testing.assert_array_equal(joined.markers[kept, 0], take.markers[kept, 0])
@@ -37,7 +37,7 @@ def test_continuation_fills_missing_samples_only(take):
 
 
 def test_replacement_takes_the_markers_place(take):
-    joined = repair.join_fragments(take, [piece(0, 4, 12, 3, "replaces")])
+    joined = repair.join_fragments(take, [build_fragment(0, 4, 12, 3, "replaces")])
     assert take.unlabelled is not None
     assert joined.unlabelled is not None
     np.testing.assert_array_equal(joined.markers[4:13, 0], take.unlabelled.markers[4:13, 0])
@@ -50,17 +50,17 @@ def test_replacement_takes_the_markers_place(take):
 
 @pytest.mark.parametrize("relation", ["doubles", "other"])
 def test_other_fragments_are_not_joined(take, relation):
-    assert repair.join_fragments(take, [piece(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
+    assert repair.join_fragments(take, [build_fragment(0, 8, 21, 2, relation), Fault("gap", 0, 10, 19, 0.1, "")]) is take
 
 
 def test_first_of_two_fragments_fills_common_frames(take):
-    joined = repair.join_fragments(take, [piece(0, 10, 15, 3, "continues"), piece(0, 13, 19, 4, "continues")])
+    joined = repair.join_fragments(take, [build_fragment(0, 10, 15, 3, "continues"), build_fragment(0, 13, 19, 4, "continues")])
     assert joined.source_points[10:20, 0].tolist() == [0] * 6 + [4] * 4
 
 
 def test_input_take_is_unchanged(take):
     was = take.markers.copy()
-    repair.join_fragments(take, [piece(0, 8, 21, 2, "continues"), piece(0, 4, 12, 3, "replaces")])
+    repair.join_fragments(take, [build_fragment(0, 8, 21, 2, "continues"), build_fragment(0, 4, 12, 3, "replaces")])
     np.testing.assert_array_equal(take.markers, was)
     assert take.unlabelled is not None
     assert take.unlabelled.visible.all()

@@ -56,7 +56,9 @@ def test_fragment_is_joined_before_a_later_swap():
     markers[10:20, 3] = markers[10:20, 0]
     markers[10:20, 0] = np.nan
     wrong = TAKE.replace_markers(markers).exchange_labels((0, 1), 5, 24)
-    piece = Fragment("fragment", 1, 10, 19, 0.0, "", donor=3, relation="continues")  # what is missing of A is so under B's label
-    right = repair.relabel_samples(wrong, [piece, Fault("swap", 0, 5, 24, 0.1, "", 1.0, (1,))])
+    fragment = Fragment(
+        "fragment", 1, 10, 19, 0.0, "", donor=3, relation="continues"
+    )  # what is missing of A is so under B's label
+    right = repair.relabel_samples(wrong, [fragment, Fault("swap", 0, 5, 24, 0.1, "", 1.0, (1,))])
     np.testing.assert_array_equal(right.markers[:, :3], TAKE.markers[:, :3])
     assert np.isnan(right.markers[10:20, 3]).all()
