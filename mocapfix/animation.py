@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.kernels import euler_angles
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 AXIS_LETTERS = "XYZ"
 

@@ -216,9 +216,7 @@ def _count_unlabelled(take: Take) -> int:
 
 def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:
     """Return a fault of a part as one of the whole take; `trajectories` are the whole take's indices of the part's trajectories."""
-    mapped = replace(
-        fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers)
-    )
+    mapped = replace(fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers))
     if isinstance(mapped, Fragment) and isinstance(fault, Fragment) and fault.donor >= 0:
         return replace(mapped, donor=trajectories[fault.donor])
     return mapped

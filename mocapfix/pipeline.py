@@ -27,9 +27,8 @@ from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
-from mocapfix.report.build_report import build_report
+from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.report import InspectionReport
-from mocapfix.report.report_data import build_inspection_report
 from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read_review_files
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult

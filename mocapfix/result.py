@@ -16,13 +16,19 @@ from mocapfix.faults import Faults
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
 from mocapfix.motion import Motion
 from mocapfix.options import OutputOptions
+from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
-from mocapfix.report.report_data import build_fill_section
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.subject import Subject
 from mocapfix.take import Take
-from mocapfix.write.output_formats import OutputFormat, get_source_suffixes, write_cleaned_copy
-from mocapfix.write.output_options import build_exported_motion, build_output_notes, list_output_formats
+from mocapfix.write.output_formats import (
+    OutputFormat,
+    build_exported_motion,
+    build_output_notes,
+    get_source_suffixes,
+    list_output_formats,
+    write_cleaned_copy,
+)
 
 if TYPE_CHECKING:
     from mocapfix.report.comparison import CleaningComparison

@@ -1,7 +1,7 @@
 """The state of a cleaning: everything that the stages of the pipeline have found so far.
 
-A stage takes a `CleaningState` and returns it with more fields filled. The fields are listed in the order in which the stages fill
-them. Nothing is changed in place.
+A stage takes a `CleaningState` and returns it with more fields filled. The fields are listed in the order in which the stages
+fill them. Nothing is changed in place.
 """
 
 from collections.abc import Callable
@@ -96,7 +96,7 @@ class BodyFit:
     subject: Subject
     extended_subject: Subject
     motion: Motion
-    marker_columns: Int[np.ndarray, "K"]
+    marker_columns: Int[np.ndarray, " K"]
     joint_positions: Float[np.ndarray, "T J 3"]
     marker_positions: Float[np.ndarray, "T K 3"]
 
@@ -158,7 +158,7 @@ class CleaningState:
     notes: tuple[str, ...] = ()
     subject: Subject | None = None
     extended_subject: Subject | None = None
-    marker_columns: Int[np.ndarray, "K"] | None = None
+    marker_columns: Int[np.ndarray, " K"] | None = None
     initial_motion: Motion | None = None
     body: BodyFit | None = None
     fill: FillProposal | None = None

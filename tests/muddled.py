@@ -8,7 +8,7 @@ import numpy as np
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.take import Take

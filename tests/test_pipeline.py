@@ -18,7 +18,7 @@ from mocapfix.read import capture
 from mocapfix.report import review_file
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from tests.conftest import FIRST, as_c3d
 
 KINDS = {"c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd"}

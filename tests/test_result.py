@@ -12,8 +12,7 @@ from mocapfix.files.layouts import TableLayout
 from mocapfix.options import RIG_NAMES, OutputOptions
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
-from mocapfix.write.output_formats import OPTIONAL_FORMATS
-from mocapfix.write.output_options import list_output_formats
+from mocapfix.write.output_formats import OPTIONAL_FORMATS, list_output_formats
 from tests.conftest import FIRST
 from tests.write.read_back import Bvh, smooth_rotations
 

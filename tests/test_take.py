@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 

@@ -20,7 +20,7 @@ from mocapfix.animations.rotation_repair import FrameSpan, make_quaternions_cont
 from mocapfix.solve import state_features
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import sample_evenly
 
 INTERPOLATION_TIMESCALE_S = 0.45
 """Time scale of the interpolated signals."""

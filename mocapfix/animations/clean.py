@@ -1,6 +1,6 @@
-"""The stages of cleaning an animation.
+"""Clean an animation: detect, repair, apply decisions, report.
 
-    body      = find_body(animation, ...)              its joints that correspond to the 31-joint skeleton, by their names
+body      = find_body(animation, ...)              its joints that correspond to the 31-joint skeleton, by their names
     faults    = detect_animation_faults(animation)     lost values, pops, flips, jitter
     repair    = repair_animation(..., faults, ...)     by the method that suits each kind of fault
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected
@@ -8,18 +8,21 @@
 All other values stay as they are. Faults and changes refer to the joint tips (see `joint_points.build_tip_take`).
 """
 
+import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mocapfix.animation import Animation
 from mocapfix.animations import joint_mapping, joint_points
-from mocapfix.animations.animation_result import AnimationResult
 from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.joint_mapping import find_ancestor
+from mocapfix.animations.joint_points import build_joint_skeleton
 from mocapfix.animations.repair import MappedPriorConditioner, repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.errors import SceneError, TakeError
@@ -29,12 +32,55 @@ from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.model import PoseModel
-from mocapfix.report import notes, report_data, review_file
+from mocapfix.report import build_report, notes, review_file
 from mocapfix.report.report import InspectionReport, Report
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
+from mocapfix.result import CleaningResult
 from mocapfix.subject import Subject
 from mocapfix.take import Take
+from mocapfix.write.animation_patch import patch_animation
+
+if TYPE_CHECKING:
+    from mocapfix.report.comparison import CleaningComparison
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimationResult(CleaningResult):
+    """A cleaned animation.
+
+    The takes `input_take`, `relabelled_take` and `take` hold the joint tips (see `joint_points.build_tip_take`). Subject and
+    motion are those of the 31-joint skeleton, None if the joint names are not those of a body.
+
+    input_animation, animation  as read, and cleaned
+    joint_take  joint positions of the cleaned animation
+    """
+
+    input_animation: Animation
+    animation: Animation
+    joint_take: Take
+
+    @property
+    def output_take(self) -> Take:
+        """The points that files of points hold: the joint positions of the cleaned animation."""
+        return self.joint_take
+
+    def write_source_copy(self, target: Path) -> list[tuple[int, int]]:
+        """Write a copy of the input file with the changed values replaced; for an AMC also a copy of its ASF.
+
+        Returns an empty list: the file stores every value, or WriteError is raised.
+        """
+        patch_animation(target, self.input_animation, self.animation.values)
+        if self.input_animation.skeleton_path:
+            shutil.copyfile(self.input_animation.skeleton_path, target.with_suffix(".asf"))
+        return []
+
+    @cached_property
+    def comparison(self) -> "CleaningComparison":
+        """The animation before and after cleaning, for the report and the recording."""
+        skeleton, positions = build_joint_skeleton(self.animation)
+        return replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
+
 
 MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "method", "refill")  # field names of options without use for joints
 
@@ -134,12 +180,12 @@ def clean_animation(
         body_motion = body.compute_motion(repaired.animation, repaired.joint_take) if body else None
     before, after = repaired.tips_before, repaired.tips_after
     report: Report = {
-        "take": report_data.build_take_section(repaired.joint_take, None),
-        "faults": report_data.build_fault_entries(before, repaired.faults),
+        "take": build_report.build_take_section(repaired.joint_take, None),
+        "faults": build_report.build_fault_entries(before, repaired.faults),
         "changes": review_file.serialize_changes(repaired.changes),
         "subject": None,
         "solve": None,
-        "fill": report_data.build_fill_section(before, before, after, repaired.unfilled),
+        "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
         "seconds": timer.stage_seconds,
         "notes": [*animation.notes, mapping_note, *notes.describe_uncertain_fills(after, JOINT_TERMS)],
     }
@@ -171,7 +217,7 @@ def inspect_animation(animation: Animation, options: CleanOptions) -> Inspection
     _, mapping_note = find_body(animation, options.subject.hierarchy)
     tips, faults = joint_points.build_tip_take(animation), Faults(tuple(detect_animation_faults(animation)))
     joint_take = joint_points.build_joint_take(animation)
-    return report_data.build_inspection_report(joint_take, None, tips, faults, [*animation.notes, mapping_note])
+    return build_report.build_inspection_report(joint_take, None, tips, faults, [*animation.notes, mapping_note])
 
 
 def reject_marker_options(animation: Animation, options: CleanOptions) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 MIN_HELD_DURATION_S = 0.1  # of one value in one track; if several tracks are held together, one frame is enough
 MIN_HELD_FRAMES = 2

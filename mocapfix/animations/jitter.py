@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.stats.constant_offsets import multiply_quaternions
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 POWER_WINDOW_S = 0.2  # over which the size of jitter is measured
 MIN_POWER_WINDOW_FRAMES = 7  # a kink, as of a foot that lands, shows in three differences

@@ -22,7 +22,7 @@ from mocapfix.faults import Fault, build_fault_mask
 from mocapfix.kernels import quaternions
 from mocapfix.solve import occluded_joints, state_features
 from mocapfix.solve.prior_conditioner import PriorConditioner
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 EXACT_VARIANCE_RAD2 = 1e-8
 """Variance of rotations without a fault."""

@@ -14,7 +14,7 @@ from mocapfix.solve import state_features
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.constant_offsets import OffsetModel
 from mocapfix.stats.gaussian_process import fit_gaussian_process
-from mocapfix.stats.sampling import select_training_frames
+from mocapfix.stats.sequences import select_training_frames
 
 MIN_STEADY_FRAMES = 3
 """Frames without jitter that the smoothing requires."""

@@ -8,13 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench.compared_priors import (
-    ComparedPriors,
-    PlacedPoses,
-    build_joint_task,
-    place_known_poses,
-    solve_joint_task,
-)
+from mocapfix.bench.compared_priors import ComparedPriors, PlacedPoses, build_joint_task, place_known_poses, solve_joint_task
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import Skeleton
 

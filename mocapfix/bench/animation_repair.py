@@ -31,7 +31,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
-from mocapfix.train.shard_recordings import TRAINING_RATE_HZ
+from mocapfix.train.recordings import TRAINING_RATE_HZ
 
 MIN_MOTION_DURATION_S = 3.4  # of a motion that has room for a fault
 COMPOSED_MOTION_DURATION_S = 10.0  # of the first composed motion; each further one is a second longer

@@ -9,12 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix import marker_sets, synthetic
-from mocapfix.calibrate.calibration import (
-    calibrate_subject,
-    scale_average_subject,
-    select_candidate_frames,
-    select_varied_poses,
-)
+from mocapfix.calibrate.calibration import calibrate_subject, scale_average_subject, select_candidate_frames, select_varied_poses
 from mocapfix.calibrate.parameters import CalibratedBody, build_calibration_parameters
 from mocapfix.calibrate.refinement import build_calibration_problem, compute_calibration_sd, linearise_frames
 from mocapfix.initialise import initial_motion

@@ -17,7 +17,7 @@ from mocapfix.pose_prior.autoencoder import AutoencoderModel, NaturalnessModel
 from mocapfix.pose_prior.io import MNN_IK, load_pose_model
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton, load_cmu31_body
-from mocapfix.solve import frame_order, kinematics, latent_solver, pose_solver
+from mocapfix.solve import kinematics, latent_solver, parallel, pose_solver
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_solver import PoseSolution
 
@@ -163,7 +163,7 @@ def solve_without_prior(
     status, iterations = np.zeros((2, frame_count), int)
     codes, cost = np.zeros((frame_count, 0)), np.zeros(frame_count)
     solution = PoseSolution(root_position.copy(), local.copy(), codes, status, iterations, cost)
-    order = frame_order.order_independently(frame_count, joint_count)
+    order = parallel.order_independently(frame_count, joint_count)
     run_over_frames(
         solve_frames, frame_count, tree, (points,), order, np.array([np.inf]), latent_solver.INITIAL_CODE_DAMPING,
         max_iterations, None, solution.root_position, solution.local_rotations, solution.codes, status, iterations,

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from scipy.interpolate import make_interp_spline
 
 from mocapfix.result import CleaningResult
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.synthetic import SyntheticTake
 
 MIN_ARM_MARKERS = 6  # missing at the same time: a whole arm

@@ -33,7 +33,7 @@ from mocapfix.faults import (
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
 REFILL_OPTIONS = CleanOptions(fill=FillOptions(refill=True))  # other programs' fills are estimated as well

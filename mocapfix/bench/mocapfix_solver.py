@@ -25,7 +25,7 @@ from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.terms import PointTerm, TrackingTerm
 from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
-from mocapfix.solve import frame_order
+from mocapfix.solve import parallel
 from mocapfix.solve.parallel import run_over_frames
 
 WINDOW_S = 0.625  # frames of a window are solved in sequence, windows in parallel
@@ -60,7 +60,7 @@ def solve_with_mocapfix(task: CommonTask, take_name: str, *, use_all_cores: bool
     tree, points, tracking = build_task_problem(task, take_name)
     frame_count, joint_count = len(points.measured), len(task.mean_angles)
     root, local = task.root_starts[take_name].copy(), np.tile(tracking.rotations, (frame_count, 1, 1, 1))
-    order = frame_order.order_in_windows(frame_count, joint_count, round(WINDOW_S * task.rate_hz))
+    order = parallel.order_in_windows(frame_count, joint_count, round(WINDOW_S * task.rate_hz))
     status, iterations = np.zeros((2, frame_count), int)
     arguments = (
         tree, (points, tracking), order, np.array([np.inf]), WARM_START_DAMPING, MAX_FRAME_ITERATIONS, None,

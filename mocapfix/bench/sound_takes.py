@@ -24,7 +24,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.synthetic.synthetic_takes import draw_subject, simulate_markers
-from mocapfix.train.shard_recordings import read_shard_recordings
+from mocapfix.train.recordings import read_shard_recordings
 from mocapfix.train.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints
 
 CMU_UNIT_M = 0.0254 / 0.45  # the unit of positions in CMU's own releases

@@ -20,7 +20,7 @@ from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
-from mocapfix.train.recording_folders import read_recordings
+from mocapfix.train.recordings import read_recordings
 from mocapfix.train.training_poses import find_longest_jump_free_slice
 
 TWIST_MARKER_NOISE_SD_M = 0.01  # per axis

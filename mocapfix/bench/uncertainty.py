@@ -16,7 +16,7 @@ from mocapfix import synthetic
 from mocapfix.bench.sound_takes import find_informative_markers
 from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.synthetic import SyntheticTake
 
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
@@ -55,7 +55,7 @@ def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_OP
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         synthetic.write_synthetic_take(path, truth)
-        return mocapfix.clean(path, options)
+        return mocapfix.pipeline.clean(path, options)
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:

@@ -14,8 +14,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior.model import remove_heading
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train.recording_folders import read_recordings
-from mocapfix.train.shard_recordings import Recording
+from mocapfix.train.recordings import Recording, read_recordings
 from mocapfix.train.training_poses import find_longest_jump_free_slice, find_weakly_observed_joints, select_interleaved_frames
 
 UNSEEN_SUBJECTS = frozenset({"02", "05", "06", "16", "49", "85"})  # `test_subjects` of all settings in priors/

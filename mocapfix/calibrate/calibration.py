@@ -18,7 +18,7 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.state import CleaningState
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

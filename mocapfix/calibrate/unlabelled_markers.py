@@ -33,7 +33,7 @@ from mocapfix.solve.pose_problem import (
     build_no_tracking,
     build_pose_prior_term,
 )
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

@@ -17,15 +17,7 @@ from mocapfix.cli.arguments import (
     describe_option,
     parse_options,
 )
-from mocapfix.cli.console import (
-    EXIT_DONE,
-    EXIT_FAILED,
-    print_error,
-    print_json,
-    print_line,
-    print_usage_error,
-    show_progress,
-)
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_error, print_json, print_line, print_usage_error, show_progress
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.options import CleanOptions
 
@@ -56,7 +48,7 @@ def run_clean(
 
     Writes the cleaned file, a BVH, the list of changes, a report and a before/after recording.
     """
-    from mocapfix.write.output_options import list_output_formats
+    from mocapfix.write.output_formats import list_output_formats
 
     if not takes:
         return print_usage_error("clean: name at least one take.")

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 # Relative resolution of the 32-bit floats in which files store coordinates.
 FLOAT32_RESOLUTION = 2.0**-23

@@ -20,7 +20,7 @@ from mocapfix.detect.exact_samples import (
     trim_measured_ends,
 )
 from mocapfix.faults import Fault
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}

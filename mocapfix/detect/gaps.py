@@ -12,7 +12,7 @@ import numpy as np
 from mocapfix.faults import Fault, FaultKind
 from mocapfix.marker_set import LIMB_JOINT_NAMES, MarkerSet
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 # Longest flicker. A gap of one frame is always one.

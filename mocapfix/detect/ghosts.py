@@ -23,8 +23,7 @@ from mocapfix.kernels.label_evidence import (
     compute_own_contradictions,
     compute_own_leaps,
 )
-from mocapfix.stats.runs import find_runs
-from mocapfix.stats.viterbi import find_cheapest_states
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
 from mocapfix.take import Take
 
 # Fraction of the take in which a marker is assumed to be in place. It is larger than for swaps: a rare pose is no ghost.

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.faults import Fault
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 # The neighbours of a sample through which the cubic goes.

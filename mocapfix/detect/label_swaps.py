@@ -23,7 +23,7 @@ from mocapfix.kernels.label_evidence import (
     compute_own_leaps,
     mark_continuations,
 )
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 # Number of passes over the take: a corrected swap lets the next pass estimate the distances better.

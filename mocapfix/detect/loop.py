@@ -14,15 +14,7 @@ from mocapfix.detect.label_swaps import detect_label_swaps
 from mocapfix.detect.mislabelled import detect_mislabelled
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.detect.trajectory_segments import find_namesakes
-from mocapfix.faults import (
-    EXTERNAL_FILL_KINDS,
-    LABEL_KINDS,
-    MIN_LABEL_CONFIDENCE,
-    REPLACED_SAMPLE_KINDS,
-    Fault,
-    Faults,
-    Fragment,
-)
+from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.options import CleanOptions
 from mocapfix.repair.relabel import join_fragments, undo_label_exchanges

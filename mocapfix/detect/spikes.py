@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.faults import Fault
-from mocapfix.kernels.sample_chain import find_cheapest_chain
-from mocapfix.stats.runs import find_runs
+from mocapfix.kernels.viterbi import find_cheapest_chain
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 # Measurement noise of the local fit, per axis.

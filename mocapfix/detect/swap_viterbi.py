@@ -15,8 +15,7 @@ import numpy as np
 from mocapfix.detect.continuity import MarkerTrajectories
 from mocapfix.detect.marker_distances import MarkerDistances
 from mocapfix.kernels.label_evidence import compute_exchange_costs
-from mocapfix.stats.runs import find_runs
-from mocapfix.stats.viterbi import find_cheapest_states
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
 # Shortest exchange with a label that is missing meanwhile: a shorter one may be a spike.
 MIN_PARTIAL_SWAP_DURATION_S = 0.1

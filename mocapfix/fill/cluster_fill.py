@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.stats.residual_process import interpolate_residual
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations, transform_to_body_axes
-from mocapfix.stats.runs import find_runs
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MAX_DISTANCE_CHANGE_M = 0.1
 """Variation of the distance of two markers above which one does not predict the other."""

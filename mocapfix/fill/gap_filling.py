@@ -9,15 +9,10 @@ from jaxtyping import Bool, Float, Int, Shaped
 from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
-from mocapfix.fill.marker_estimates import (
-    FillMethod,
-    MarkerEstimate,
-    build_marker_estimate,
-    estimate_missing_samples,
-)
+from mocapfix.fill.marker_estimates import FillMethod, MarkerEstimate, build_marker_estimate, estimate_missing_samples
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 

@@ -4,7 +4,7 @@ trajectories in human motion data using marker intercorrelations", PLoS ONE 11),
 that also uses time and recurrence (see `stats.gaussian_process`). Positions are relative to axes fixed to the whole marker set,
 dominated by the trunk. The variance is validated: stretches as long as the gap are predicted elsewhere in the take, and the error
 there is expected in the gap.  The units and covariances below minimise the error on lost limbs of captures and of CMU's training
-subjects. """
+subjects."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
 from mocapfix.stats.rigid_alignment import align_to_common_shape, transform_to_body_axes
-from mocapfix.stats.sampling import group_gaps, select_training_frames
+from mocapfix.stats.sequences import group_gaps, select_training_frames
 
 MAX_SETTLED_SD_M = 0.01
 """Standard deviation of other estimates below which a gap is not filled here, if it holds throughout the gap."""

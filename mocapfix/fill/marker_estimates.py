@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from mocapfix.fill.cluster_fill import fill_from_clusters
 from mocapfix.fill.gaussian_process_fill import fill_from_gaussian_process
 from mocapfix.fill.spline_fill import fill_with_splines
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 ESTIMATE_CORRELATION = 0.5

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.complete_stretches import find_complete_stretches
-from mocapfix.stats.runs import find_runs
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 SPLINE_CONTEXT_S = 0.06
 """Time on either side of a gap whose samples determine position and velocity at the edge."""

@@ -18,7 +18,7 @@ from mocapfix.files.output_files import check_outputs_absent, make_output_folder
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.options import CleanOptions, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
-from mocapfix.write.output_options import list_output_formats
+from mocapfix.write.output_formats import list_output_formats
 
 WILDCARD_CHARACTERS = set("*?[")
 COMPOSED_FOLDER = "composed"

@@ -19,13 +19,7 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels.forward_kinematics import copy_array
-from mocapfix.kernels.small_matrices import (
-    factor_cholesky,
-    invert_cholesky,
-    invert_symmetric_3x3,
-    multiply_rows,
-    solve_cholesky,
-)
+from mocapfix.kernels.small_matrices import factor_cholesky, invert_cholesky, invert_symmetric_3x3, multiply_rows, solve_cholesky
 
 MIN_INFORMATION = 1e-3  # 1/m^2 or 1/rad^2, added to every unknown: keeps the variance of an unconstrained one finite
 

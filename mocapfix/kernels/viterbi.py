@@ -1,7 +1,66 @@
-"""Viterbi's algorithm, compiled; `stats.viterbi` documents it."""
+"""Viterbi's algorithm, compiled: the cheapest sequence of states, and the cheapest smooth chain of samples."""
 
 import numpy as np
 from numba import njit
+
+BEND_TOLERANCE_M_PER_S2 = 200.0
+BEND_TOLERANCE_M = 0.010
+# Cost of omitting one sample, and the additional cost of the longest run that may be omitted.
+OMITTED_SAMPLE_COST = 1.5
+OMITTED_RUN_LENGTH_COST = 1.5
+# Cost of omitting one sample next to a gap or at the ends of the take, where it causes only one bend.
+OMITTED_EDGE_SAMPLE_COST = 0.75
+
+
+@njit(cache=True)
+def _compute_bend(frames, points, rate, a, b, c):
+    """Compute how sharply, 0..1, the path bends at sample b between a and c; 1 for the tolerance or more."""
+    before, after = (frames[b] - frames[a]) / rate, (frames[c] - frames[b]) / rate
+    share, square = before / (before + after), 0.0
+    for x in range(3):
+        square += (points[a, x] + share * (points[c, x] - points[a, x]) - points[b, x]) ** 2
+    return min(1.0, square / (BEND_TOLERANCE_M + BEND_TOLERANCE_M_PER_S2 * before * after / 2) ** 2)
+
+
+@njit(cache=True)
+def find_cheapest_chain(frames, points, rate, max_omitted):
+    """Return the mask (N,) of the samples on the cheapest chain that omits at most `max_omitted` samples in a row.
+
+    cost[i, g] is the cost of the cheapest chain that ends in samples i - g - 1 and i; predecessor[i, g] is its g before.
+    """
+    count, steps = len(frames), max_omitted + 1
+    cost, predecessor = np.full((count, steps), np.inf), np.full((count, steps), -1)
+    price = np.array([0.0] + [OMITTED_SAMPLE_COST + OMITTED_RUN_LENGTH_COST * n / max_omitted for n in range(max_omitted)])
+    edge_price = price.copy()
+    edge_price[1] = OMITTED_EDGE_SAMPLE_COST
+    for i in range(1, count):
+        for g in range(min(steps, i)):
+            j = i - g - 1
+            step_price = edge_price[g] if frames[i] - frames[j] > i - j else price[g]
+            if j < steps:
+                cost[i, g] = edge_price[j] + step_price
+            for h in range(min(steps, j)):
+                total = cost[j, h] + step_price + _compute_bend(frames, points, rate, j - h - 1, j, i)
+                if total < cost[i, g]:
+                    cost[i, g], predecessor[i, g] = total, h
+    best, i, g = np.inf, count - 1, 0
+    for end in range(max(1, count - steps), count):
+        for step in range(steps):
+            total = cost[end, step] + edge_price[count - 1 - end]
+            if total < best:
+                best, i, g = total, end, step
+    return _trace_chain(predecessor, i, g)
+
+
+@njit(cache=True)
+def _trace_chain(predecessor, i, g):
+    """Return the mask (N,) of the samples on the chain that ends in i - g - 1 and i."""
+    is_kept = np.zeros(len(predecessor), np.bool_)
+    is_kept[i] = True
+    while g >= 0:
+        i, g = i - g - 1, predecessor[i, g]
+        is_kept[i] = True
+    return is_kept
 
 
 @njit(cache=True)

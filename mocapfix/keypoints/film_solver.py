@@ -25,7 +25,7 @@ from mocapfix.solve.constraints import Camera
 from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.solve.pose_solver import PoseSolution
 from mocapfix.solve.smoothing import smooth_poses
-from mocapfix.stats.viterbi import find_cheapest_states
+from mocapfix.stats.sequences import find_cheapest_states
 
 HEADING_COUNT = 6  # start headings of each frame, in equal steps
 JOINT_SPEED_SD_M_S = 1.0  # per axis, of a joint relative to the root

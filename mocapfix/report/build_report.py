@@ -1,9 +1,172 @@
-"""The report of one subject's take, built from the state at the end of its cleaning."""
+"""Build the report of one subject's take, section by section, from the state at the end of its cleaning."""
 
+from collections import Counter
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.changes import UnfilledRun
+from mocapfix.faults import Fault, Faults
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions
-from mocapfix.report import notes, report_data, review_file
-from mocapfix.report.report import Report
+from mocapfix.report import notes, review_file
+from mocapfix.report.report import (
+    ErrorSummary,
+    FaultEntry,
+    FillSection,
+    InspectionReport,
+    Report,
+    SolveSection,
+    SubjectSection,
+    TakeSection,
+)
 from mocapfix.state import CleaningState
+from mocapfix.subject import Subject
+from mocapfix.take import Take
+
+
+def build_take_section(take: Take, marker_set: str | None) -> TakeSection:
+    """Return the section on the input; `marker_set` is None if none matches."""
+    section: TakeSection = {
+        "file": take.path.name if take.path else take.name,
+        "frames": take.frame_count,
+        "first_frame": take.first_frame,
+        "rate_hz": take.rate,
+        "markers": len(take.labels),
+        "marker_set": marker_set,
+        "labels": list(take.labels),
+    }
+    if take.subject_name:
+        section["person"] = take.subject_name
+    if take.point_kind == "joint":
+        section["animation"] = True
+    return section
+
+
+def build_fault_entries(take: Take, faults: Faults) -> list[FaultEntry]:
+    """Return the entries of all faults, with the labels and frame numbers of `take`."""
+    return [_build_fault_entry(take, fault) for fault in faults.items]
+
+
+def _build_fault_entry(take: Take, fault: Fault) -> FaultEntry:
+    entry: FaultEntry = {
+        "kind": fault.kind,
+        "marker": take.get_label(fault.marker),
+        "first": take.get_frame_number(fault.first),
+        "last": take.get_frame_number(fault.last),
+        "severity_m": _round_or_none(fault.severity, 5) if fault.severity_unit == "m" else None,
+        "confidence": round(fault.confidence, 3),
+        "reason": fault.reason,
+    }
+    if fault.severity_unit == "rad":
+        entry["severity_deg"] = _round_or_none(float(np.degrees(fault.severity)), 2)
+    return entry
+
+
+def _round_or_none(value: float, digits: int) -> float | None:
+    return None if np.isnan(value) else round(float(value), digits)
+
+
+def build_inspection_report(
+    take: Take, marker_set: str | None, fault_take: Take, faults: Faults, notes: list[str]
+) -> InspectionReport:
+    """Return the report of a take that was inspected only.
+
+    fault_take  the take whose markers the faults index
+    """
+    return {"take": build_take_section(take, marker_set), "faults": build_fault_entries(fault_take, faults), "notes": notes}
+
+
+def build_subject_section(subject: Subject) -> SubjectSection:
+    """Return the section on the calibrated subject."""
+    lengths = np.linalg.norm(subject.skeleton.offsets, axis=1)
+    return {
+        "marker_set": subject.marker_set,
+        "frames": subject.frame_count,
+        "bones_m": {name: round(float(x), 4) for name, x in zip(subject.skeleton.names, lengths, strict=True) if x > 0},
+        "spread_m": {label: round(float(x), 4) for label, x in zip(subject.labels, subject.marker_spread, strict=True)},
+    }
+
+
+def build_solve_section(
+    take: Take,
+    subject: Subject,
+    motion: Motion,
+    residual_m: Float[np.ndarray, "T M"],
+    prior_name: str,
+    prior_scale: float,
+    start_name: str,
+) -> SolveSection:
+    """Return the section on the solve.
+
+    residual_m   distance of each inlier marker from the body in metres, NaN for other samples
+    prior_name   pose prior for occluded limbs, "none" without one
+    prior_scale  factor of the prior's standard deviations
+    start_name   method that initialises each pose
+    """
+    compared = np.flatnonzero(~np.isnan(residual_m).all(0))
+    repeated = {label for label, count in Counter(take.labels).items() if count > 1}
+    names = [f"{label} #{m + 1}" if label in repeated else label for m, label in enumerate(take.labels)]
+    overall = _summarise_errors(residual_m)
+    joint_sd = zip(subject.skeleton.names, motion.joint_sd.T, strict=True)
+    return {
+        "marker_residual_mm": {
+            "mean": overall["mean"],
+            "p95": overall["p95"],
+            "by_marker": {names[m]: _summarise_errors(residual_m[:, m]) for m in compared},
+        },
+        "joint_deviation_mm": {name: _summarise_errors(sd) for name, sd in joint_sd},
+        "start": start_name,
+        "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},
+        "iterations_mean": round(float(motion.iterations.mean()), 2),
+        "status": {FrameStatus(code).description: count for code, count in sorted(Counter(motion.status.tolist()).items())},
+    }
+
+
+def _summarise_errors(error_m: Float[np.ndarray, "*shape"]) -> ErrorSummary:
+    """Return the mean and the 95th percentile in millimetres; NaN samples are ignored."""
+    known = error_m[~np.isnan(error_m)] * 1e3
+    if len(known) == 0:
+        return {"mean": None, "p95": None}
+    return {"mean": round(float(known.mean()), 3), "p95": round(float(np.percentile(known, 95)), 3)}
+
+
+def build_fill_section(
+    input_take: Take,
+    relabelled_take: Take,
+    cleaned_take: Take,
+    unfilled_runs: Sequence[UnfilledRun],
+    fragment_donors: Collection[int] = (),
+) -> FillSection:
+    """Return the numbers of filled, replaced, relabelled and empty samples.
+
+    input_take, relabelled_take, cleaned_take  the take as read, with corrected labels, and cleaned
+    fragment_donors  markers whose samples are fragments of other markers; they are not counted
+    """
+    counts = np.ones(len(input_take.labels), bool)
+    counts[list(fragment_donors)] = False
+    sample_sd = cleaned_take.sample_sd
+    estimated = np.zeros(input_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
+    visible = relabelled_take.visible
+    relabelled = cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points)
+    return {
+        "missing_before": int((~input_take.visible & counts).sum()),
+        "filled": int((estimated & ~visible & counts).sum()),
+        "replaced": int((estimated & visible & counts).sum()),
+        "relabelled": int((relabelled & counts).sum()),
+        "left_empty": int((~cleaned_take.visible & counts).sum()),
+        "unfilled": [
+            {
+                "marker": input_take.labels[run.marker],
+                "first": input_take.get_frame_number(run.first),
+                "last": input_take.get_frame_number(run.last),
+                "reason": run.reason,
+            }
+            for run in unfilled_runs
+            if counts[run.marker]
+        ],
+    }
 
 
 def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dict[str, float]) -> Report:
@@ -12,7 +175,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
     take, detection, body, residual_m = state.original_take, state.detection, state.body, state.residual_m
     solve, body_notes = None, list[str]()
     if body and residual_m is not None:
-        solve = report_data.build_solve_section(
+        solve = build_solve_section(
             take,
             body.subject,
             body.motion,
@@ -23,14 +186,12 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m)
     return {
-        "take": report_data.build_take_section(take, state.marker_set.name if state.marker_set else None),
-        "faults": report_data.build_fault_entries(take, detection.faults),
+        "take": build_take_section(take, state.marker_set.name if state.marker_set else None),
+        "faults": build_fault_entries(take, detection.faults),
         "changes": review_file.serialize_changes(state.changes),
-        "subject": report_data.build_subject_section(body.subject) if body else None,
+        "subject": build_subject_section(body.subject) if body else None,
         "solve": solve,
-        "fill": report_data.build_fill_section(
-            take, detection.take, state.cleaned_take, state.unfilled_runs, detection.donor_markers
-        ),
+        "fill": build_fill_section(take, detection.take, state.cleaned_take, state.unfilled_runs, detection.donor_markers),
         "seconds": stage_seconds,
         "notes": [*take.notes, *state.notes, *body_notes, *notes.describe_uncertain_fills(state.cleaned_take)],
     }

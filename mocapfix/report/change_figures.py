@@ -9,7 +9,7 @@ from markupsafe import Markup
 from mocapfix.report.change_curves import ChangeCurves, MarkerCurve
 from mocapfix.report.terms import format_frame_range
 from mocapfix.report.timeline import compute_round_step
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 # Sizes in units of the SVG.
 CHANGE_FIGURE_WIDTH = 300  # of the curves

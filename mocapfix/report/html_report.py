@@ -23,14 +23,7 @@ from mocapfix.report.sample_states import SampleOutcome, classify_input_samples,
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
 from mocapfix.report.summary import describe_changes, describe_faults, describe_remaining
 from mocapfix.report.terms import FAULT_GROUPS, JOINT_TERMS, format_number, get_fault_group
-from mocapfix.report.timeline import (
-    ResidualPlot,
-    TimelineRow,
-    TimeTick,
-    build_fault_rows,
-    build_residual_plot,
-    build_time_ticks,
-)
+from mocapfix.report.timeline import ResidualPlot, TimelineRow, TimeTick, build_fault_rows, build_residual_plot, build_time_ticks
 from mocapfix.take import Take
 
 MAX_CAPTION_MARKERS = 12  # labels in a caption

@@ -9,7 +9,7 @@ from mocapfix.faults import EXTERNAL_FILL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.state import BodyFit, DetectionState
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

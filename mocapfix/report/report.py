@@ -1,4 +1,4 @@
-"""The JSON report of a cleaned take: typed sections with stable keys; see mocapfix.report.report_data for their builders."""
+"""The JSON report of a cleaned take: typed sections with stable keys; see mocapfix.report.build_report for their builders."""
 
 from typing import NotRequired, TypedDict
 

@@ -8,11 +8,7 @@ from jaxtyping import Float, Int
 from markupsafe import Markup
 
 from mocapfix.report.comparison import CleaningComparison
-from mocapfix.report.sample_states import (
-    SampleOutcome,
-    classify_input_samples,
-    find_estimated_samples,
-)
+from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
 from mocapfix.skeleton import Skeleton
 
 VIEW_YAW_RAD = np.radians(25)

@@ -14,7 +14,7 @@ from mocapfix.faults import Fault
 from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.sample_states import SampleOutcome
 from mocapfix.report.terms import get_fault_group
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 MAX_TIME_TICKS = 6

@@ -7,14 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import ConstraintError
-from mocapfix.kernels.terms import (
-    DirectionTerm,
-    DistanceTerm,
-    OrientationTerm,
-    PointTerm,
-    ReprojectionTerm,
-    normalise_pixels,
-)
+from mocapfix.kernels.terms import DirectionTerm, DistanceTerm, OrientationTerm, PointTerm, ReprojectionTerm, normalise_pixels
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.constraints import (
     Camera,

@@ -18,7 +18,7 @@ from mocapfix.kernels.terms import LatentCodeTerm, count_rows
 from mocapfix.kernels.terms.latent_code import update_code_curvature, update_linearisations
 from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior.model import PoseModel
-from mocapfix.solve.frame_order import order_independently
+from mocapfix.solve.parallel import order_independently
 
 INITIAL_CODE_DAMPING = 1e-3
 """Initial damping relative to the largest curvature, from a start that may be far from the solution."""

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 
 MIN_GAP_DURATION_S = 0.025

@@ -15,7 +15,7 @@ from mocapfix.kernels import quaternions
 from mocapfix.solve import state_features
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
-from mocapfix.stats.sampling import group_gaps, select_training_frames
+from mocapfix.stats.sequences import group_gaps, select_training_frames
 
 MAX_UNOBSERVED_SHARE = 0.5
 """Share of the joints that may be unobserved; with more, too little of the body is left to infer the rest from."""

@@ -1,4 +1,4 @@
-"""Running compiled loops over frames on every core.
+"""Run compiled loops over frames in parallel threads, in an order that keeps dependent frames together.
 
 The kernels release the interpreter's lock. Each thread takes a block of frames and writes only there, so the result does not
 depend on the number of threads. (Numba's own parallel loops do the same but take several times as long to compile.)
@@ -8,7 +8,76 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+
+class SolveOrder(NamedTuple):
+    """Chains of frames; the frames of a chain are solved one after the other, the chains in parallel."""
+
+    frames: Int[np.ndarray, " N"]  # chain after chain
+    start_frame: Int[np.ndarray, " N"]  # the frame whose pose each starts from; -1 for its own
+    copied_joints: Bool[np.ndarray, "one_or_T J"]  # joints copied from there; the root with its position
+    chain_starts: Int[np.ndarray, " starts"]  # (C + 1,) index of each chain's first entry in `frames`, and the end
+
+
+def order_independently(frames: int, joints: int) -> SolveOrder:
+    """Return the order in which every frame starts from its own pose."""
+    copied_joints = np.zeros((1, joints), bool)
+    return SolveOrder(np.arange(frames), np.full(frames, -1), copied_joints, np.arange(frames + 1))
+
+
+def order_sequentially(has_own_pose: Bool[np.ndarray, " T"], joints: int) -> SolveOrder:
+    """Return the order in which a frame with a pose of its own starts from that, and any other from the frame before.
+
+    The first frame must have a pose of its own.
+    """
+    frames = np.arange(len(has_own_pose))
+    start_frame = np.where(has_own_pose, -1, frames - 1)
+    chain_starts = np.r_[np.flatnonzero(has_own_pose), len(has_own_pose)]
+    return SolveOrder(frames, start_frame, np.ones((1, joints), bool), chain_starts)
+
+
+def order_in_windows(frames: int, joints: int, length: int) -> SolveOrder:
+    """Return the order in which each frame starts from the one before, except the first of each window of `length` frames.
+
+    Windows, not threads, are solved in parallel, so the result does not depend on the number of threads.
+    """
+    return order_sequentially(np.arange(frames) % length == 0, joints)
+
+
+def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.ndarray, "T J"]) -> SolveOrder:
+    """Return the order that solves `gaps` (first, last) from both ends to the middle, each frame from its outer neighbour.
+
+    Joints that are uncertain start from the neighbour's rotations; the others, and the root, from their own. So where markers
+    leave two poses possible, as for a thigh without its knee, the continuous one is found. A gap at the take's beginning or end
+    has one end only. If a gap covers all frames, the first frame is its end, and is not solved again.
+    """
+    frames: list[int] = []
+    start_frame: list[int] = []
+    chain_starts, last_frame = [0], len(uncertain_joints) - 1
+    for first, last in gaps:
+        gap = range(first, last + 1)
+        if first == 0 and last == last_frame:
+            steps = [(t, t - 1) for t in gap[1:]]
+        elif first == 0:
+            steps = [(t, t + 1) for t in gap[::-1]]
+        elif last == last_frame:
+            steps = [(t, t - 1) for t in gap]
+        else:
+            half = (len(gap) + 1) // 2
+            forward, backward = [(t, t - 1) for t in gap[:half]], [(t, t + 1) for t in gap[half:][::-1]]
+            pairs = zip(forward, [*backward, None], strict=False)
+            steps = [step for pair in pairs for step in pair if step is not None]
+        frames += [t for t, _ in steps]
+        start_frame += [s for _, s in steps]
+        chain_starts.append(len(frames))
+    copied_joints = uncertain_joints.copy()
+    copied_joints[:, 0] = False
+    return SolveOrder(np.array(frames, int), np.array(start_frame, int), copied_joints, np.array(chain_starts))
+
 
 Part = TypeVar("Part")
 

@@ -13,9 +13,8 @@ from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_fr
 from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
 from mocapfix.pose_prior.joint_limits import JointLimits
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.solve.frame_order import SolveOrder, order_from_gap_ends, order_sequentially
-from mocapfix.solve.parallel import run_over_frames
-from mocapfix.stats.runs import find_runs
+from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_sequentially, run_over_frames
+from mocapfix.stats.sequences import find_runs
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
 

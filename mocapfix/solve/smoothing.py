@@ -19,7 +19,7 @@ from mocapfix.kernels import quaternions
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.options import SolveOptions
 from mocapfix.solve.pose_problem import PoseUncertainty
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 ACCELERATION_STEP_S = 0.06
 """Step of the second differences that measure the acceleration."""

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.stats.gaussian_process import evaluate_matern
-from mocapfix.stats.runs import find_runs
-from mocapfix.stats.sampling import sample_evenly
+from mocapfix.stats.sequences import find_runs, sample_evenly
 
 MAX_SAMPLES_PER_SIDE = 6  # of a gap, that the interpolation uses
 ROUGHNESS_LAG_S = 0.025  # lag at which a residual's change shows its roughness

@@ -4,11 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.rigid_registration import (
-    compute_cross_covariance_frames,
-    fit_rotation_frames,
-    transform_point_frames,
-)
+from mocapfix.kernels.rigid_registration import compute_cross_covariance_frames, fit_rotation_frames, transform_point_frames
 
 MIN_MARKER_SD_M = 0.002  # about the common shape, added to each marker's, so that no marker alone decides the alignment
 MIN_ALIGNMENT_MARKERS = 3  # with fewer a frame has no orientation

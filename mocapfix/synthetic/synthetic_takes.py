@@ -12,7 +12,7 @@ from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.motion import Motion
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions, compute_world_poses
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 from mocapfix.synthetic.motions import compose_motion
 from mocapfix.take import Take

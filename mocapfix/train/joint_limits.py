@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train.mean_pose import FOREARM_TWIST_SD_RAD, LOCKED_JOINT_SD_RAD, write_prior_yaml
-from mocapfix.train.shard_recordings import TRAINING_RATE_HZ
+from mocapfix.train.recordings import TRAINING_RATE_HZ
 from mocapfix.train.training_poses import MIRROR_X_MATRIX, detect_rotation_jumps, mirror_joint_name
 
 EXCLUDED_TAIL_PERCENT = 0.1  # of the frames on either side

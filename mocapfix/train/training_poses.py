@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from mocapfix.errors import ReadError
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train.recording_folders import read_recordings
+from mocapfix.train.recordings import read_recordings
 
 # Joints on which the data hold little information, so that their jumps do not matter.
 WEAKLY_OBSERVED_JOINTS = ("HipJoint", "FingerBase", "HandIndex1", "Thumb", "ToeBase")

@@ -9,12 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from mocapfix.initialise.twist_regressor import (
-    build_twist_spans,
-    compute_bone_vectors,
-    compute_span_directions,
-    compute_twists,
-)
+from mocapfix.initialise.twist_regressor import build_twist_spans, compute_bone_vectors, compute_span_directions, compute_twists
 from mocapfix.skeleton import Skeleton, load_cmu31_body, load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations

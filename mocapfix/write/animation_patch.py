@@ -9,8 +9,8 @@ from mocapfix.animation import Animation
 from mocapfix.errors import WriteError
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, count_decimals, splice_numbers
-from mocapfix.write.number_format import MAX_WRITTEN_DECIMALS
 from mocapfix.write.source_file import read_source_bytes
+from mocapfix.write.text_tables import MAX_WRITTEN_DECIMALS
 
 DEFAULT_DECIMALS = 6  # of a number in a file that has no number with decimals
 

@@ -18,7 +18,7 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import euler_angles
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
-from mocapfix.write.number_format import format_rows
+from mocapfix.write.text_tables import format_rows
 
 CMU_LENGTH_FACTOR = 0.45  # of lengths in inches
 CMU_LENGTH_UNIT_M = 0.0254 / CMU_LENGTH_FACTOR

@@ -15,8 +15,8 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import euler_angles
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
-from mocapfix.write.number_format import format_rows
 from mocapfix.write.rig import Rig, retarget_to_rig
+from mocapfix.write.text_tables import format_rows
 
 CENTIMETRE_M = 0.01
 BVH_DECIMALS = 6  # of every number

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix import pipeline, synthetic, write
 from mocapfix.animation import Animation
-from mocapfix.animations.animation_result import AnimationResult
+from mocapfix.animations.clean import AnimationResult
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
 from mocapfix.read import amc, bvh

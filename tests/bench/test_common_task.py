@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import common_task, mocapfix_solver, scipy_solver
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 
 TASK = common_task.build_common_task()
 LABELS, NAMES = TASK.subject.labels, TASK.subject.skeleton.names

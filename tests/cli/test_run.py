@@ -8,12 +8,12 @@ import pytest
 from mocapfix import synthetic
 from mocapfix.calibrate import subject_file
 from mocapfix.files import shipped
-from mocapfix.keypoints import example_film
+from mocapfix.keypoints import keypoint_scene
 
 
 def test_keypoint_scene_is_run_into_a_folder_of_its_name(mocapfix, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    keypoints, _, _ = example_film.compose_example_film("coco", 0.3, 10.0)
+    keypoints, _, _ = keypoint_scene.compose_example_film("coco", 0.3, 10.0)
     (tmp_path / "film.json").write_text(json.dumps(keypoints), encoding="utf-8")
     (tmp_path / "mine.yaml").write_text("kind: keypoints-2d\ntitle: Mine\nkeypoints: film.json\nprior: pca\n")
     status, out, _ = mocapfix("run", "mine.yaml")

@@ -10,7 +10,7 @@ from mocapfix.fill import gap_filling
 from mocapfix.options import FillOptions
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 FIRST, RATE, FRAMES = 501, 100.0, 400

@@ -8,7 +8,7 @@ from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_fr
 from mocapfix.kernels.normal_equations import NormalEquations, linearise_terms
 from mocapfix.kernels.terms import count_rows
 from mocapfix.kernels.workspace import SolveWorkspace, allocate_workspace
-from mocapfix.solve import frame_order
+from mocapfix.solve import parallel
 from mocapfix.solve.parallel import run_over_frames
 from tests.kernels.dense_oracle import Frame
 
@@ -31,13 +31,13 @@ def solve_frames_from(frame: Frame, scales2: np.ndarray, frames: int = 1, most: 
     """Return root (T, 3), local (T, J, 3, 3), shared (T, P), status (T,) and iterations (T,) from the frame's pose or a start."""
     root, local, shared = (np.stack([each] * frames) for each in start or frame[2:])
     ends = solve_in_order(
-        frame_order.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
+        parallel.order_independently(frames, len(frame.local)), frame.tree, frame.terms, scales2, root, local, shared, most
     )
     return root, local, shared, *ends
 
 
 def solve_in_order(
-    order: frame_order.SolveOrder, tree: KinematicTree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50
+    order: parallel.SolveOrder, tree: KinematicTree, terms: tuple, scales2: np.ndarray, root, local, shared, most: int = 50
 ):
     """Solve poses in place, in an order. Return status (T,) and iterations (T,), -1 for frames that are not in the order."""
     status, iterations = np.full(len(root), -1), np.full(len(root), -1)

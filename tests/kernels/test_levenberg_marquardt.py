@@ -18,7 +18,7 @@ from mocapfix.kernels.terms import (
     count_rows,
 )
 from mocapfix.motion import FrameStatus
-from mocapfix.solve.frame_order import order_independently
+from mocapfix.solve.parallel import order_independently
 from tests.kernels import dense_oracle, random_terms
 from tests.kernels.solver_runs import solve_frames_from
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.keypoints import example_film, film_solver, keypoint_file
+from mocapfix.keypoints import film_solver, keypoint_file, keypoint_scene
 from mocapfix.keypoints.camera_scale import build_camera_rotation
 from mocapfix.keypoints.reprojection_problem import ReprojectionProblem
 from mocapfix.pose_prior import io
@@ -25,7 +25,7 @@ def compute_error_m(found, truth):
 @pytest.fixture(scope="module")
 def composed(tmp_path_factory):
     """Keypoints, true joints and true camera."""
-    film, joints, camera = example_film.compose_example_film("openpose", 1.0, RATE)
+    film, joints, camera = keypoint_scene.compose_example_film("openpose", 1.0, RATE)
     path = tmp_path_factory.mktemp("film") / "film.json"
     path.write_text(json.dumps(film), encoding="utf-8")
     return keypoint_file.read_keypoints(path, SKELETON), joints, camera

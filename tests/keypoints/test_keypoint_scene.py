@@ -7,7 +7,8 @@ import pytest
 
 from mocapfix.errors import ReadError, SceneError, TakeError, WriteError
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.keypoints import example_film, keypoint_file, keypoint_scene
+from mocapfix.keypoints import keypoint_file, keypoint_scene
+from mocapfix.keypoints import keypoint_scene as example_film
 from mocapfix.skeleton import load_cmu31_body
 
 TEXT = "kind: keypoints-2d\ntitle: <Mine>\nkeypoints: film.json\nprior: pca\n"

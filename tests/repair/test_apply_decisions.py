@@ -18,7 +18,7 @@ from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.report import review_file
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.state import CleaningState, DetectionState, FillProposal
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 from tests.muddled import FIRST, FRAGMENT, GAP, INSIDE, LOOSE, SPIKE, SWAP, WRONG, differing
 

@@ -6,12 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocapfix.report.keypoint_report import (
-    KEYPOINT_FIGURE_COUNT,
-    KeypointFilm,
-    write_keypoint_page,
-    write_keypoint_recording,
-)
+from mocapfix.report.keypoint_report import KEYPOINT_FIGURE_COUNT, KeypointFilm, write_keypoint_page, write_keypoint_recording
 from mocapfix.skeleton import load_cmu31_body
 
 FRAMES = 6

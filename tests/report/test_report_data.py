@@ -13,7 +13,7 @@ from mocapfix.faults import Fault, Faults
 from mocapfix.marker_sets import load_marker_set
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.report import report
-from mocapfix.report.report_data import (
+from mocapfix.report.build_report import (
     build_fault_entries,
     build_fill_section,
     build_solve_section,

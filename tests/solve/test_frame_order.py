@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.motion import FrameStatus
-from mocapfix.solve import frame_order
-from mocapfix.stats.runs import find_runs
+from mocapfix.solve import parallel
+from mocapfix.stats.sequences import find_runs
 from tests.kernels import random_terms
 from tests.kernels.solver_runs import solve_in_order
 
@@ -29,7 +29,7 @@ def build_uncertain_joints(frames, lost):
 
 
 def test_independent_frames_start_from_their_own_poses():
-    order = frame_order.order_independently(3, 4)
+    order = parallel.order_independently(3, 4)
     assert list_chains(order) == [[(0, -1)], [(1, -1)], [(2, -1)]]
     assert not order.copied_joints.any()
 
@@ -44,13 +44,13 @@ def test_independent_frames_start_from_their_own_poses():
     ],
 )
 def test_each_window_starts_from_its_first_frame(frames, chains):
-    order = frame_order.order_in_windows(frames, 4, 3)
+    order = parallel.order_in_windows(frames, 4, 3)
     assert list_chains(order) == chains
     assert order.copied_joints.all()
 
 
 def test_frames_without_own_pose_start_from_the_frame_before():
-    order = frame_order.order_sequentially(np.array([True, True, False, False, True]), 4)
+    order = parallel.order_sequentially(np.array([True, True, False, False, True]), 4)
     assert list_chains(order) == [[(0, -1)], [(1, -1), (2, 1), (3, 2)], [(4, -1)]]
     assert order.copied_joints.all()
 
@@ -68,18 +68,18 @@ def test_frames_without_own_pose_start_from_the_frame_before():
     ],
 )
 def test_gap_is_solved_from_its_neighbours(run, chain):
-    assert list_chains(frame_order.order_from_gap_ends([run], build_uncertain_joints(8, [run]))) == [chain]
+    assert list_chains(parallel.order_from_gap_ends([run], build_uncertain_joints(8, [run]))) == [chain]
 
 
 def test_only_uncertain_joints_are_copied_and_never_the_root():
     given_ = build_uncertain_joints(8, [(2, 3)])
     before = given_.copy()
-    np.testing.assert_array_equal(frame_order.order_from_gap_ends([(2, 3)], given_).copied_joints, before & [False, True, True])
+    np.testing.assert_array_equal(parallel.order_from_gap_ends([(2, 3)], given_).copied_joints, before & [False, True, True])
     np.testing.assert_array_equal(given_, before)
 
 
 def test_no_gap_gives_an_empty_order():
-    order = frame_order.order_from_gap_ends([], build_uncertain_joints(4, []))
+    order = parallel.order_from_gap_ends([], build_uncertain_joints(4, []))
     assert list_chains(order) == []
     assert order.frames.dtype == order.start_frame.dtype == order.chain_starts.dtype == np.int64
 
@@ -88,7 +88,7 @@ def test_no_gap_gives_an_empty_order():
 def test_gap_frames_start_from_certain_or_solved_frames(lost):
     """Every uncertain frame is solved once, except the first frame of a take without certain frames."""
     inside = find_runs(np.array(lost))
-    chains = list_chains(frame_order.order_from_gap_ends(inside, build_uncertain_joints(len(lost), inside)))
+    chains = list_chains(parallel.order_from_gap_ends(inside, build_uncertain_joints(len(lost), inside)))
     for (first, last), chain in zip(inside, chains, strict=True):
         solved = {0} if all(lost) else {t for t, missing in enumerate(lost) if not missing}
         assert sorted(t for t, _ in chain) == [t for t in range(first, last + 1) if t not in solved]
@@ -112,7 +112,7 @@ def test_copied_joints_come_from_the_start_frame():
     tree, terms, root, local = still(8, 4)
     place, start, lost = root.copy(), local.copy(), np.zeros((8, 4), bool)
     lost[2:6, [0, 2]] = True
-    order = frame_order.order_from_gap_ends([(2, 5)], lost)
+    order = parallel.order_from_gap_ends([(2, 5)], lost)
     status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((8, 0)))
     assert status.tolist() == [
         -1,
@@ -134,7 +134,7 @@ def test_windows_copy_whole_poses():
     tree, terms, root, local = still(7, 4)
     shared = np.arange(7.0)[:, None]
     start = root.copy(), local.copy(), shared.copy()
-    status, _ = solve_in_order(frame_order.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
+    status, _ = solve_in_order(parallel.order_in_windows(7, 4, 3), tree, terms, PLAIN, root, local, shared)
     assert (status == FrameStatus.UNCONSTRAINED).all()
     for found, given_ in zip((root, local, shared), start, strict=True):
         np.testing.assert_array_equal(found, given_[[0, 0, 0, 3, 3, 3, 6]])
@@ -150,7 +150,7 @@ def test_rotations_stay_orthonormal_over_thousands_of_steps():
     root, local = np.zeros((frames, 3)), np.tile(rest, (frames, 1, 1, 1))
     terms, order = (
         random_terms.build_terms(joints, frames, tracking=tracking),
-        frame_order.order_in_windows(frames, joints, frames),
+        parallel.order_in_windows(frames, joints, frames),
     )
     status, iterations = solve_in_order(order, tree, terms, PLAIN, root, local, np.zeros((frames, 0)))
     assert (status == FrameStatus.CONVERGED).all()

@@ -6,7 +6,7 @@ import pytest
 from mocapfix import marker_sets
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import observability
-from mocapfix.stats.runs import find_runs
+from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 
 BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")

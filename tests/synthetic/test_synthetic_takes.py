@@ -13,8 +13,9 @@ from mocapfix.errors import WriteError
 from mocapfix.read.capture import read_capture
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.stats.runs import find_runs
-from mocapfix.synthetic import footsteps, gestures, motions, synthetic_takes
+from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import footsteps, motions, synthetic_takes
+from mocapfix.synthetic import motions as gestures
 
 RATE = 120.0
 WALKING = slice(round(1.0 * RATE), round(3.2 * RATE))

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train import recording_folders, shard_recordings
+from mocapfix.train import recordings as recording_folders
+from mocapfix.train import recordings as shard_recordings
 from tests.train.motion_files import draw_motion, write_bvh
 
 NAMES = load_cmu31_body().skeleton.names

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mocapfix.write.number_format import format_rows
+from mocapfix.write.text_tables import format_rows
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 HALVES = st.builds(lambda whole, bits: whole / 2**bits, st.integers(-(10**6), 10**6), st.integers(0, 20))

@@ -1,9 +1,16 @@
-"""Choice of frames: even subsampling, gaps with the same bounds, and the frames to train on for a gap."""
+"""Statistics of sequences: runs in a mask, evenly spaced samples, and the cheapest path through states (Viterbi)."""
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
-from mocapfix.stats.runs import find_runs
+from mocapfix.kernels.viterbi import compute_cheapest_states
+
+
+def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
+    """Return the runs of True in `mask` as (first, last) indices, both inclusive."""
+    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
 
 DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense
 TRAINING_STEP_S = 1 / 30  # between training frames within the margin
@@ -38,3 +45,14 @@ def select_training_frames(is_known: Bool[np.ndarray, " T"], first: int, last: i
     count = min(MAX_TRAINING_FRAMES - len(near), len(far))
     spaced = far[sample_evenly(len(far), count)] if count > 0 else far[:0]
     return np.sort(np.r_[near, spaced])
+
+
+def find_cheapest_states(
+    step_cost: Float[np.ndarray, "steps N N"], state_cost: Float[np.ndarray, "T N"]
+) -> Int[np.ndarray, " T"]:
+    """Return the state of each frame in the sequence of least total cost (Viterbi 1967).
+
+    step_cost   (T - 1, N, N) cost of the step from each state of a frame to each state of the next
+    state_cost  (T, N) cost of each state in each frame
+    """
+    return compute_cheapest_states(step_cost, state_cost)
