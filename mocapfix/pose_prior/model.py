@@ -8,7 +8,7 @@ code with the standard deviation `residual_sd_rad`. `kernels.terms.latent` uses 
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -62,7 +62,7 @@ class PoseModel(ABC):
 
     @classmethod
     @abstractmethod
-    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> Self:
+    def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "PoseModel":
         """Return the model of a file.
 
         Raises KeyError, TypeError, ValueError or RuntimeError if header or tensors are incomplete, unknown or have wrong shapes.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -44,6 +44,7 @@ class TrainedNetwork:
     residual_model: "ResidualModel"
 
 
+@runtime_checkable
 class _Stateful(Protocol):
     """A part of the training whose state a checkpoint holds."""
 

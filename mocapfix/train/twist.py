@@ -122,7 +122,7 @@ def compute_twist_scores(
     return TwistScores(*(np.degrees(each.mean(axis=0)) for each in errors)), rms_error_rad
 
 
-def compute_angle_errors(predicted: Float[np.ndarray, "... 2"], true: Float[np.ndarray, "N B 2"]) -> Float[np.ndarray, "N B"]:
+def compute_angle_errors(predicted: Float[np.ndarray, "... 2"], true: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "..."]:
     """Return the absolute differences in radians between angles given by cosine and sine, which are broadcast."""
     cosine = (predicted * true).sum(-1)
     sine = predicted[..., 0] * true[..., 1] - predicted[..., 1] * true[..., 0]

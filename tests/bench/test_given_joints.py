@@ -1,7 +1,5 @@
 """MNN-IK's test: equal tasks for every prior, and known errors."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -37,19 +35,19 @@ def test_all_priors_solve_the_same_tasks_from_the_same_start(poses, monkeypatch)
     tasks = {}
 
     def solve(task, model, start):
-        tasks.setdefault(model, []).append(task)
+        tasks.setdefault(model is None, []).append(task)
         np.testing.assert_array_equal(start[1], np.tile(REFERENCE, (12, 1, 1, 1)))
         return place_known_poses(SKELETON, *start)
 
     monkeypatch.setattr(given_joints, "solve_joint_task", solve)
     messages: list[str] = []
-    priors: dict[str, Any] = {"one": 1, "other": 2}
+    priors = {"one": None, "other": io.load_pose_model("gaussian", SKELETON)}
     given_joints.measure_given_joints(poses, priors, REFERENCE, 2, messages.append)
-    for one, other in zip(tasks[1], tasks[2], strict=True):
+    for one, other in zip(tasks[True], tasks[False], strict=True):
         np.testing.assert_array_equal(one.is_given, other.is_given)
         np.testing.assert_array_equal(one.given_positions, other.given_positions)
-    assert [int(task.is_given[0].sum()) for task in tasks[1]] == [6, 8, 10, 15]
-    assert not np.array_equal(tasks[1][0].is_given[:6], tasks[1][0].is_given[6:])  # the second set differs
+    assert [int(task.is_given[0].sum()) for task in tasks[True]] == [6, 8, 10, 15]
+    assert not np.array_equal(tasks[True][0].is_given[:6], tasks[True][0].is_given[6:])  # the second set differs
     assert messages[:2] == ["6 joints given, one", "6 joints given, other"]
 
 
@@ -88,7 +86,7 @@ def test_improvement_is_the_mean_of_reductions():
     def rows(mine, its):
         return {"mine": {"position_mm": mine, "rotation_deg": 8.0}, "its": {"position_mm": its, "rotation_deg": 10.0}}
 
-    results = given_joints.compute_improvements({"6": rows(50, 100), "8": rows(9, 10)}, "mine")
+    results = given_joints.compute_improvements({"6": rows(50.0, 100.0), "8": rows(9.0, 10.0)}, "mine")
     assert results == {"its": {"position_percent": pytest.approx(30.0), "rotation_percent": pytest.approx(20.0)}}
 
 
