@@ -58,7 +58,7 @@ def test_the_report_has_a_note_on_the_use_of_each_format(solved, tmp_path):
     text = outputs["report.json"].read_text()
     for sentence in (
         r"blender\.bvh is for Blender: metres, Y up",
-        r"motionbuilder\.bvh is for MotionBuilder: centimetres, Y up; its first frame is a T-pose",
+        r"motionbuilder\.bvh is for MotionBuilder: centimetres, Y up; the first frame is a T-pose",
         r"3dsmax\.bvh is for 3ds Max Biped: centimetres",
         r"cmu\.bvh is for tools that read CMU's BVH release: units of 56\.444 mm, Y up; a T-pose comes before the motion",
         r"glb is binary glTF: metres, Y up\.",
