@@ -21,13 +21,13 @@ def model():
 
 
 def posed(frames: int) -> np.ndarray:
-    """-> (T, 31, 3, 3) local rotations, small ones."""
+    """Return (T, 31, 3, 3) local rotations, small ones."""
     rng = np.random.default_rng(0)
     return Rotation.from_rotvec(0.3 * rng.normal(size=(frames * COUNT, 3))).as_matrix().reshape(frames, COUNT, 3, 3)
 
 
 def theirs(local: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """-> the same poses as a file has them whose joints stand to ours by `turns` (31, 3, 3)."""
+    """Return the same poses as a file has them whose joints stand to ours by `turns` (31, 3, 3)."""
     _, world = compose_transforms(OURS.parents, np.zeros(local.shape[:3]), local)
     own = world @ np.swapaxes(turns, 1, 2)
     told = own.copy()
@@ -37,7 +37,7 @@ def theirs(local: np.ndarray, turns: np.ndarray) -> np.ndarray:
     return told
 
 
-def test_a_body_of_the_very_31_joints_is_told_what_people_are(model):
+def test_mapping_to_the_same_skeleton_equals_the_model(model):
     local, frames = posed(6), np.array([1, 3, 4])
     near = np.tile([0.0, 0, 0, 2.0], (3, len(LOST)))
     fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
@@ -46,7 +46,7 @@ def test_a_body_of_the_very_31_joints_is_told_what_people_are(model):
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_other_axes_and_another_order_of_joints_change_nothing(model):
+def test_other_axes_and_joint_order_give_the_same_prediction(model):
     """The same poses in a file that has the joints' axes otherwise and a joint more at the end."""
     local, frames, rng = posed(6), np.arange(6), np.random.default_rng(1)
     turns = Rotation.random(COUNT, rng).as_matrix()
@@ -68,7 +68,7 @@ def test_other_axes_and_another_order_of_joints_change_nothing(model):
     np.testing.assert_array_equal(found[:, -4:], near[:, -4:])  # of which nobody knows
 
 
-def test_where_nothing_is_told_nothing_is_said(model):
+def test_unmapped_joints_return_the_reference(model):
     near = np.ones((2, 8))
     fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), OURS)
     found = MappedPriorConditioner(lambda: model, 1.0, OURS.parents, fit).predict_rotations(

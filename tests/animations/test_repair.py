@@ -1,4 +1,4 @@
-"""Turns mended: what was put in goes away, and what was sound stays bit for bit."""
+"""Repair of injected animation faults: faults are removed, and everything else stays bit-identical."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ def places(root: np.ndarray, local: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", list(ANIMATION_FAULT_INJECTORS))
-def test_what_was_put_in_goes_and_what_was_sound_stays(kind):
+def test_injected_faults_are_repaired_and_the_rest_is_unchanged(kind):
     truth = composed()
     struck, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(1))
     faults = [fault for each in put for fault in build_expected_faults(each, len(SKELETON.names))]
@@ -56,7 +56,7 @@ def test_what_was_put_in_goes_and_what_was_sound_stays(kind):
     assert ours < MOST[kind] * linear
 
 
-def test_nothing_wrong_nothing_done():
+def test_no_faults_change_nothing():
     truth = composed()
     mended = repair.repair_animation(SKELETON.parents, truth.root_position, truth.local_rotations, ["ZYX"] * 31, [], RATE)
     assert (mended.local_rotations == truth.local_rotations).all()
@@ -64,7 +64,7 @@ def test_nothing_wrong_nothing_done():
     assert not mended.method.any()
 
 
-def test_a_joint_that_is_never_there_stays_so_without_harm():
+def test_joint_that_is_always_missing_stays_missing():
     truth = composed()
     local = truth.local_rotations.copy()
     local[:, 5] = np.nan

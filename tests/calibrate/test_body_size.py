@@ -18,7 +18,7 @@ def motion():
 
 
 def seen(motion, factor, rng):
-    """-> markers (T, K, 3) of a body `factor` times the average one in motion, a third of the samples missing, 2 mm of noise"""
+    """Return markers (T, K, 3) of a body `factor` times the average one in motion, a third of the samples missing, 2 mm of noise"""
     skeleton = replace(SKELETON, offsets=SKELETON.offsets * factor)
     subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets * factor, WORN.marker_spread)
     markers = kinematics.compute_joint_and_marker_positions(
@@ -30,12 +30,12 @@ def seen(motion, factor, rng):
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.0, 1.2])
-def test_a_scaled_body_in_motion_is_measured(motion, factor):
+def test_size_of_a_scaled_moving_body_is_estimated(motion, factor):
     markers = seen(motion, factor, np.random.default_rng(0))
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(factor, rel=0.02)
 
 
-def test_half_the_markers_and_some_on_the_wrong_body_do_no_harm(motion):
+def test_missing_markers_and_outlier_frames_are_tolerated(motion):
     rng = np.random.default_rng(1)
     markers = seen(motion, 0.9, rng)
     markers[:, rng.permutation(len(WORN.labels))[:20]] = np.nan
@@ -43,7 +43,7 @@ def test_half_the_markers_and_some_on_the_wrong_body_do_no_harm(motion):
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(0.9, rel=0.03)
 
 
-def test_a_take_that_says_nothing_leaves_the_average_body(motion):
+def test_uninformative_take_gives_the_average_size(motion):
     markers = seen(motion, 0.8, np.random.default_rng(2))
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.full_like(markers, np.nan)) == 1.0
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers[:5]) == 1.0
@@ -52,12 +52,12 @@ def test_a_take_that_says_nothing_leaves_the_average_body(motion):
     )  # nothing keeps its distance
 
 
-def test_wrong_units_end_at_the_largest_body_there_is(motion):
+def test_wrong_units_give_the_limits(motion):
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, seen(motion, 100.0, np.random.default_rng(4))) == 1.6
     assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.ones((20, len(WORN.labels), 3))) == 0.3  # all at one point
 
 
-def test_rest_places_are_the_sums_of_the_offsets():
+def test_rest_positions_are_sums_of_offsets():
     places = dict(zip(WORN.labels, calibration.compute_rest_marker_positions(SKELETON, WORN), strict=True))
     shin = WORN.marker_offsets[WORN.labels.index("LANK")]
     down = [SKELETON.find_joint(name) for name in ("LHipJoint", "LeftUpLeg", "LeftLeg")]

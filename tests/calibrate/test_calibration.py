@@ -35,7 +35,7 @@ def found(truth):
     return calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
 
 
-def test_bones_and_places_come_nearer_to_the_person(truth, found):
+def test_calibration_reduces_bone_and_marker_errors(truth, found):
     def off(skeleton):
         return np.sqrt(((lengths(skeleton) - lengths(truth.subject.skeleton)) ** 2).mean())
 
@@ -44,7 +44,7 @@ def test_bones_and_places_come_nearer_to_the_person(truth, found):
     assert places < 0.75 * np.linalg.norm(WORN.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
 
 
-def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
+def test_calibrated_subject_has_the_marker_set_and_skeleton(found):
     assert (found.marker_set, found.labels) == (WORN.name, WORN.labels)
     np.testing.assert_array_equal(found.joints, WORN.joints)
     assert found.skeleton.names == BODY.skeleton.names
@@ -55,14 +55,14 @@ def test_it_is_a_subject_of_the_marker_set_and_of_the_same_skeleton(found):
     np.testing.assert_allclose(along, (lengths(found.skeleton) * lengths(BODY.skeleton))[limbs], rtol=1e-6)
 
 
-def test_the_same_take_gives_the_same_subject(truth, found):
+def test_calibration_is_deterministic(truth, found):
     again = calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
     np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
     np.testing.assert_array_equal(again.marker_offsets, found.marker_offsets)
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.25])
-def test_children_and_giants_are_calibrated(truth, factor):
+def test_very_small_and_large_subjects_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
     somebody = replace(truth.subject, skeleton=skeleton, marker_offsets=WORN.marker_offsets * factor)
     motion = replace(truth.motion, root_position=truth.motion.root_position * factor)
@@ -71,13 +71,13 @@ def test_children_and_giants_are_calibrated(truth, factor):
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
 
 
-def test_scaling_takes_every_length():
+def test_scaling_changes_all_lengths():
     half = calibration.scale_skeleton(BODY.skeleton, 0.5)
     np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
     np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
 
 
-def test_a_take_without_three_markers_in_any_frame_is_refused():
+def test_take_without_three_markers_is_rejected():
     markers = np.full((20, 41, 3), np.nan)
     markers[:, :2] = 1.0
     with pytest.raises(TakeError, match="the take: no frame shows three markers of the body, so it cannot be calibrated"):
@@ -85,7 +85,7 @@ def test_a_take_without_three_markers_in_any_frame_is_refused():
 
 
 @pytest.mark.parametrize("frames", [1, 2, 12])
-def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
+def test_few_frames_give_a_plausible_body(truth, frames):
     found = calibrated(truth.marker_positions[60 : 60 + frames])
     assert found.frame_count == frames
     np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
@@ -93,7 +93,7 @@ def test_a_few_frames_are_enough_for_a_sane_body(truth, frames):
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.004])
-def test_a_body_of_no_size_is_no_body(truth, noise):
+def test_body_of_size_zero_is_rejected(truth, noise):
     cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
     with pytest.raises(TakeError, match="too near together for a person"):
         calibrated(cloud)

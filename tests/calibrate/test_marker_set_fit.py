@@ -40,7 +40,7 @@ def right(found, truth) -> float:
     return float((found.attachment.joints == truth.subject.joints).mean())
 
 
-def test_strangers_among_known_labels_find_their_segment_and_place(truth, take):
+def test_unknown_labels_find_their_segment_and_offset(truth, take):
     labels = tuple(f"X{label}" if label in HIDDEN else label for label in truth.labels)
     found = marker_set_fit.fit_marker_set(
         take, labels, part([label for label in truth.labels if label not in HIDDEN]), 10.0, BODY, POSES
@@ -54,7 +54,7 @@ def test_strangers_among_known_labels_find_their_segment_and_place(truth, take):
     assert set(found.marker_set.labels) == set(labels)
 
 
-def test_a_stick_and_a_marker_on_the_floor_are_left_out(truth, take):
+def test_held_and_static_markers_are_left_out(truth, take):
     hand = BODY.skeleton.find_joint("LeftHand")
     joints = truth.joint_positions
     stick = joints[:, hand] + 3 * (joints[:, hand] - joints[:, BODY.skeleton.find_joint("LeftForeArm")])
@@ -67,7 +67,7 @@ def test_a_stick_and_a_marker_on_the_floor_are_left_out(truth, take):
     assert "moves by" in found.attachment.rejection_reasons[-1]
 
 
-def test_words_alone_find_the_body(truth, take):
+def test_labels_alone_determine_the_body(truth, take):
     labels = tuple(label.replace("FRM", "Forearm").replace("KNE", "_Knee_out").replace("HEE", "Ferse") for label in truth.labels)
     guess = label_words.guess_marker_set_from_words(labels)
     assert guess.describe_missing_body(guess.labels) == ""
@@ -76,19 +76,19 @@ def test_words_alone_find_the_body(truth, take):
     assert found.mean_residual_m < 0.008
 
 
-def test_markers_without_names_find_the_body(truth, take):
+def test_unnamed_markers_determine_the_body(truth, take):
     guess = unlabelled_markers.guess_from_marker_cloud(take, NAMELESS, BODY, POSES, LIMITS)
     rode = dict(zip(NAMELESS, truth.subject.joints, strict=True))
     assert sum(rode[label] == joint for label, joint in zip(guess.labels, guess.joints, strict=True)) > 0.9 * len(NAMELESS)
 
 
-def test_too_few_markers_to_lay_a_body_on_are_told(take):
+def test_too_few_markers_are_rejected(take):
     few = replace(take, markers=take.markers[:, :12], labels=take.labels[:12])
     with pytest.raises(TakeError, match=r"shows fewer than 20 markers at once.*--like"):
         unlabelled_markers.guess_from_marker_cloud(few, NAMELESS[:12], BODY, POSES, LIMITS)
 
 
-def test_each_marker_has_a_place_of_its_own():
+def test_markers_are_assigned_one_to_one():
     distance = np.array([[0.01, 0.02, 0.3], [0.0, 0.1, 0.3], [np.nan] * 3, [0.2, 0.2, 0.2]])
     assigned, misfit = unlabelled_markers.assign_nearest(distance, 0.15)
     assert assigned.tolist() == [1, 0, -1, -1]

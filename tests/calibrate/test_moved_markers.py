@@ -14,7 +14,7 @@ def walk():
 
 
 def shown_at(walk, marker, place):
-    """-> (T, 3) metres: where that marker is seen if it lies at `place` in its joint's axes"""
+    """Return (T, 3) metres: where that marker is seen if it lies at `place` in its joint's axes"""
     position, rotation = kinematics.compute_world_poses(walk.subject.skeleton, walk.motion)
     joint = walk.subject.joints[marker]
     return position[:, joint] + rotation[:, joint] @ np.array(place)
@@ -25,7 +25,7 @@ def shown_at(walk, marker, place):
     place=st.tuples(*[st.floats(-0.3, 0.3)] * 3),
     wrong=st.sets(st.integers(0, 59), max_size=29),
 )
-def test_a_new_place_is_found_exactly_though_nearly_half_of_it_is_wrong(walk, markers, place, wrong):
+def test_new_offset_is_exact_with_almost_half_outliers(walk, markers, place, wrong):
     shown = np.stack([shown_at(walk, m, place) for m in markers], axis=1)
     shown[sorted(wrong)] += 1.0
     grown, enough = add_moved_markers(walk.subject, walk.motion, shown, np.array(markers))
@@ -40,7 +40,7 @@ def test_a_new_place_is_found_exactly_though_nearly_half_of_it_is_wrong(walk, ma
         np.testing.assert_array_equal(getattr(grown, name)[count:], getattr(walk.subject, name)[markers])
 
 
-def test_the_person_stays_as_it_was(walk):
+def test_original_markers_are_unchanged(walk):
     shown = shown_at(walk, 3, (0.1, 0.0, 0.0))[:, None]
     grown, _ = add_moved_markers(walk.subject, walk.motion, shown, np.array([3]))
     assert grown.skeleton is walk.subject.skeleton
@@ -51,7 +51,7 @@ def test_the_person_stays_as_it_was(walk):
 
 
 @pytest.mark.parametrize("seen", [0, MIN_MOVED_MARKER_FRAMES - 1, MIN_MOVED_MARKER_FRAMES])
-def test_a_place_that_is_hardly_seen_is_none(walk, seen):
+def test_rarely_visible_position_is_not_added(walk, seen):
     shown = np.stack([shown_at(walk, m, (0.0, 0.1, 0.0)) for m in (3, 7)], axis=1)
     shown[seen:, 0] = np.nan
     grown, enough = add_moved_markers(walk.subject, walk.motion, shown, np.array([3, 7]))
@@ -61,7 +61,7 @@ def test_a_place_that_is_hardly_seen_is_none(walk, seen):
     assert grown.labels[-1] == walk.subject.labels[7]
 
 
-def test_where_no_place_is_seen_the_subject_does_not_grow(walk):
+def test_invisible_position_is_not_added(walk):
     nothing = np.full((walk.motion.frame_count, 1, 3), np.nan)
     grown, enough = add_moved_markers(walk.subject, walk.motion, nothing, np.array([3]))
     assert not enough.any()

@@ -20,7 +20,7 @@ BONES = parameters.list_bones(BODY.skeleton)
 
 
 def unknowns(**parts):
-    """-> all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
+    """Return all zero but the size, the shape (P,), scales of groups by their names, bones' lengths by joints' names, the places'
     shifts (K, 3), turns (F, 3)"""
     x, shapes, groups = np.zeros(len(FREE.information)), len(BODY.shape_components), list(BODY.bone_groups)
     for name, value in parts.items():
@@ -36,13 +36,13 @@ def unknowns(**parts):
     return x
 
 
-def test_nothing_changed_is_the_body_itself():
+def test_zero_parameters_give_the_start():
     offsets, places, _ = FREE.compute_body(unknowns())
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_array_equal(places, WORN.marker_offsets)
 
 
-def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
+def test_size_group_and_bone_parameters_scale_lengths():
     offsets, places, _ = FREE.compute_body(unknowns(size=0.1, shin=0.2, LeftLeg=-0.2))
     expected = 1.1 * BODY.skeleton.offsets
     shins = list(BODY.bone_groups["shin"])
@@ -53,21 +53,21 @@ def test_size_takes_all_along_a_group_its_bones_and_a_bone_changes_alone():
     np.testing.assert_allclose(places, 1.1 * WORN.marker_offsets)
 
 
-def test_places_shift_in_their_joints_axes():
+def test_marker_shifts_are_in_joint_axes():
     shifts = np.random.default_rng(0).normal(0, 0.02, WORN.marker_offsets.shape)
     offsets, places, _ = FREE.compute_body(unknowns(places=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
     np.testing.assert_allclose(places, WORN.marker_offsets + shifts)
 
 
-def test_a_bone_is_a_part_of_the_body_it_starts_from():
+def test_bone_parameter_scales_with_the_starting_body():
     tall = replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets))
     offsets, *_ = parameters.build_calibration_parameters(tall, BODY, MEAN).compute_body(unknowns(RightFoot=0.05))
     shin = BODY.skeleton.find_joint("RightFoot")
     np.testing.assert_allclose(offsets[shin], 1.05 * 1.2 * BODY.skeleton.offsets[shin])
 
 
-def test_every_bone_is_there_once_and_the_thorax_carries_three_joints():
+def test_every_bone_occurs_once_and_the_thorax_carries_three_joints():
     np.testing.assert_array_equal(
         (BONES != 0).any((0, 2)), np.linalg.norm(BODY.skeleton.offsets, axis=1) > parameters.MIN_SCALED_BONE_LENGTH_M
     )
@@ -77,7 +77,7 @@ def test_every_bone_is_there_once_and_the_thorax_carries_three_joints():
     assert carried == ["Neck", "LeftShoulder", "RightShoulder"]
 
 
-def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
+def test_shape_is_a_sum_of_components_at_body_size():
     weights = np.random.default_rng(1).normal(size=len(BODY.shape_components))
     offsets, places, _ = FREE.compute_body(unknowns(shape=weights))
     np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shape_components, 1), atol=1e-15)
@@ -88,7 +88,7 @@ def test_the_shape_is_a_sum_of_components_as_large_as_the_body():
     np.testing.assert_allclose(tall.compute_body(unknowns(shape=weights))[0], 1.2 * offsets)
 
 
-def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
+def test_size_is_practically_free_and_other_parameters_have_their_sd():
     information = np.diag(FREE.information)
     assert information[0] < 1e-5
     np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], parameters.BONE_GROUP_SD**-2.0)
@@ -97,7 +97,7 @@ def test_the_size_is_as_good_as_free_and_the_rest_is_doubted_by_its_deviation():
     np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.marker_spread**-2.0, 3))
 
 
-def test_a_take_has_a_mean_pose_of_its_own_and_what_never_turns_does_not_stray():
+def test_mean_pose_has_information_for_free_joints_only():
     turns = np.random.default_rng(2).normal(0, 0.1, (len(TURNING), 3))
     *_, found = FREE.compute_body(unknowns(turns=turns))
     np.testing.assert_array_equal(found[TURNING], turns)

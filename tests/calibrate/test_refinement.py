@@ -25,13 +25,13 @@ def lengths(skeleton):
 
 
 def person(scales):
-    """-> the average body, its bone groups times `scales` (G,), markers at their nominal places"""
+    """Return the average body, its bone groups times `scales` (G,), markers at their nominal places"""
     factor = np.where(GROUPS >= 0, scales[GROUPS], 1.0)
     return replace(NOMINAL, skeleton=replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor[:, None]))
 
 
 def performed(subject, frames=90):
-    """-> the markers (N, K, 3) of somebody who walks, reaches and crouches, and the motion"""
+    """Return the markers (N, K, 3) of somebody who walks, reaches and crouches, and the motion"""
     motion = motions.compose_motion(subject, 9.0, frames / 9.0)
     return kinematics.compute_joint_and_marker_positions(subject, motion)[1], motion
 
@@ -40,7 +40,7 @@ def fitted(markers, start=NOMINAL):
     return refinement.refine_subject(start, BODY, MEAN, markers, refinement.pose_frames(start, BODY, MEAN, markers))
 
 
-def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
+def test_damped_step_minimises_a_quadratic_and_damping_shortens_it():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(6, 6))
     curvature, bottom = root @ root.T + np.eye(6), rng.normal(size=6)
@@ -51,13 +51,13 @@ def test_the_step_leads_to_the_bottom_of_a_bowl_and_damping_shortens_it():
     assert damped @ gradient < 0
 
 
-def test_the_average_body_stays_itself():
+def test_average_body_is_a_fixed_point():
     found = fitted(performed(NOMINAL)[0])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(BODY.skeleton), atol=0.013)  # people's habits bend the wrists
     assert np.linalg.norm(found.marker_offsets - WORN.marker_offsets, axis=1).mean() < 0.006
 
 
-def test_longer_legs_are_found_and_both_sides_are_nearly_alike():
+def test_longer_legs_are_recovered_symmetrically():
     scales = np.ones(len(BODY.bone_groups))
     thigh, shin = (GROUPS[BODY.skeleton.find_joint(name)] for name in ("LeftLeg", "LeftFoot"))
     scales[thigh], scales[shin] = 1.08, 0.93
@@ -72,7 +72,7 @@ def test_longer_legs_are_found_and_both_sides_are_nearly_alike():
     np.testing.assert_allclose(lengths(found.skeleton)[left], lengths(found.skeleton)[right], atol=0.005)
 
 
-def test_a_planted_shape_is_found_again():
+def test_shape_component_is_recovered():
     crooked = BODY.skeleton.offsets + np.tensordot([1.5, -1.0, 0.0, 1.5], BODY.shape_components[:4], 1)
     somebody = replace(NOMINAL, skeleton=replace(BODY.skeleton, offsets=crooked))
     found = fitted(performed(somebody)[0])
@@ -81,7 +81,7 @@ def test_a_planted_shape_is_found_again():
     assert off < 0.5 * was
 
 
-def test_a_marker_stuck_elsewhere_is_found_there():
+def test_displaced_marker_is_recovered():
     k = WORN.labels.index("LTHI")
     places = WORN.marker_offsets.copy()
     places[k] += [0.02, 0.03, -0.02]
@@ -90,7 +90,7 @@ def test_a_marker_stuck_elsewhere_is_found_there():
     assert np.linalg.norm(found.marker_offsets[k] - places[k]) < 0.4 * np.linalg.norm(WORN.marker_offsets[k] - places[k])
 
 
-def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
+def test_calibration_sd_follows_from_the_curvature():
     moved, carried = np.zeros((2, 3, 1, 3)), np.zeros((2, 2, 1, 3))
     carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
     moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
@@ -102,7 +102,7 @@ def test_what_is_left_open_displaces_joints_and_markers_by_so_much():
     np.testing.assert_allclose(markers, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
 
 
-def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
+def test_sd_of_an_invisible_marker_is_its_prior():
     markers, _ = performed(NOMINAL, frames=30)
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
@@ -112,7 +112,7 @@ def test_the_doubt_of_a_marker_never_seen_is_that_of_its_place():
     assert (found.joint_sd > 0).all()
 
 
-def test_what_is_never_seen_stays_nominal_at_the_bodys_size():
+def test_invisible_parts_stay_nominal_at_the_body_size():
     markers, _ = performed(NOMINAL)
     k = WORN.labels.index("RWRA")
     markers[:, k] = np.nan
@@ -124,7 +124,7 @@ def test_what_is_never_seen_stays_nominal_at_the_bodys_size():
     assert (np.delete(found.marker_spread, k) < 0.003).all()  # markers that sit still stray little
 
 
-def test_the_spread_is_what_a_marker_strays():
+def test_spread_is_the_marker_motion():
     rng = np.random.default_rng(0)
     markers, _ = performed(NOMINAL, frames=120)
     k = WORN.labels.index("LTHI")
@@ -134,7 +134,7 @@ def test_the_spread_is_what_a_marker_strays():
     assert np.median(found.marker_spread) < 0.004
 
 
-def test_the_poses_that_are_given_stay_as_they_are():
+def test_input_poses_are_not_modified():
     markers, _ = performed(NOMINAL, frames=30)
     posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
     was = [field.copy() for field in vars(posed).values()]

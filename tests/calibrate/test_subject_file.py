@@ -60,7 +60,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
 
 
-def test_it_can_be_read_by_people(tmp_path):
+def test_file_is_readable(tmp_path):
     path = tmp_path / "one.subject.yaml"
     subject_file.write_subject(path, SUBJECT)
     lines = path.read_text().splitlines()
@@ -70,7 +70,7 @@ def test_it_can_be_read_by_people(tmp_path):
     assert "  LFHD: {joint: Head, place: [0.078, 0.164, 0.073], spread: 0.013, sd: 0.0}" in lines
 
 
-def test_a_label_that_yaml_might_mistake_comes_back(tmp_path):
+def test_labels_that_look_like_yaml_values_round_trip(tmp_path):
     path = tmp_path / "one.subject.yaml"
     odd = ("No", "a: b", "12", "#7", "Möve")
     one = np.zeros(5, int)
@@ -78,7 +78,7 @@ def test_a_label_that_yaml_might_mistake_comes_back(tmp_path):
     assert subject_file.read_subject(path).labels == odd
 
 
-def test_the_order_of_bones_does_not_matter(tmp_path):
+def test_bone_order_is_irrelevant(tmp_path):
     path = tmp_path / "one.subject.yaml"
     subject_file.write_subject(path, SUBJECT)
     data = yaml.safe_load(path.read_text())
@@ -104,7 +104,7 @@ def test_the_order_of_bones_does_not_matter(tmp_path):
         ("marker_set: cmu41\n", "", "marker_set: "),
     ],
 )
-def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
+def test_invalid_file_names_the_key(tmp_path, old, new, said):
     path = tmp_path / "one.subject.yaml"
     subject_file.write_subject(path, SUBJECT)
     text = path.read_text()
@@ -114,14 +114,14 @@ def test_a_wrong_file_names_the_key(tmp_path, old, new, said):
         subject_file.read_subject(path)
 
 
-def test_no_such_file_or_folder(tmp_path):
+def test_missing_file_or_folder_is_reported(tmp_path):
     with pytest.raises(SceneError, match=r"nobody\.yaml.*No such file"):
         subject_file.read_subject(tmp_path / "nobody.yaml")
     with pytest.raises(WriteError, match=r"nobody\.yaml"):
         subject_file.write_subject(tmp_path / "nowhere" / "nobody.yaml", SUBJECT)
 
 
-def test_what_cannot_be_written_leaves_the_old_file(tmp_path):
+def test_failed_write_keeps_the_old_file(tmp_path):
     path = tmp_path / "one.subject.yaml"
     subject_file.write_subject(path, SUBJECT)
     before = path.read_bytes()

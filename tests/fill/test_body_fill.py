@@ -1,4 +1,4 @@
-"""Filling from a body whose pose is known exactly: what is left is the residual, and that goes on from the gap's edges."""
+"""Filling from a body with known pose: the residual is interpolated from the edges of the gap."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ RATE = 60.0
 
 @pytest.fixture(scope="module")
 def scene():
-    """-> subject, motion, the body's own markers (T, K, 3) and world rotations; all markers as sure as each other"""
+    """Return subject, motion, the body's own markers (T, K, 3) and world rotations; all markers as sure as each other"""
     truth = synthetic.compose_take(seed=2, seconds=6.0, rate=RATE)
     motion = replace(truth.motion, marker_sd=np.full(truth.missing_mask.shape, 0.004))
     _, rotation = kinematics.compute_world_poses(truth.subject.skeleton, motion)
@@ -33,7 +33,7 @@ def filled(scene, worn, wanted, motion=None):
     return body_fill.fill_from_body(np.where(wanted[..., None], np.nan, worn), wanted, subject, motion or known, RATE)
 
 
-def test_a_marker_that_rides_on_its_place_is_put_there(scene):
+def test_marker_at_its_offset_is_exact(scene):
     wanted = gap(scene, 5, 100, 200) | gap(scene, 30, 0, 20) | gap(scene, 12, 350, 359)
     place, deviation = filled(scene, scene[2], wanted)
     np.testing.assert_allclose(place[wanted], scene[2][wanted], atol=1e-9)
@@ -42,7 +42,7 @@ def test_a_marker_that_rides_on_its_place_is_put_there(scene):
     assert (deviation[wanted] > 0).all()
 
 
-def test_a_residual_is_carried_across_in_the_segments_axes(scene):
+def test_residual_is_interpolated_in_segment_axes(scene):
     subject, _, on_body, rotation = scene
     k = subject.labels.index("LFRM")
     off = np.einsum("tab,b->ta", rotation[:, subject.joints[k]], [0.015, -0.01, 0.005])
@@ -58,7 +58,7 @@ def test_a_residual_is_carried_across_in_the_segments_axes(scene):
     assert beyond[200] < 0.002  # far from what was seen, the body is all there is to go by
 
 
-def test_a_long_gap_is_the_less_sure_the_farther_from_its_edges(scene):
+def test_sd_grows_with_the_distance_from_the_edges(scene):
     on_body = scene[2]
     skin = gaussian_filter1d(np.random.default_rng(0).normal(0, 1, on_body.shape), 0.15 * RATE, axis=0)
     worn = on_body + 0.004 * skin / skin.std()
@@ -69,7 +69,7 @@ def test_a_long_gap_is_the_less_sure_the_farther_from_its_edges(scene):
     assert 0.002 < deviation[175] < 0.01  # of the size of the residual itself
 
 
-def test_a_pose_that_is_less_sure_in_the_gap_makes_the_fill_so(scene):
+def test_uncertain_pose_increases_the_sd(scene):
     _, motion, on_body, _ = scene
     wanted = gap(scene, 7, 100, 250)
     sure = filled(scene, on_body, wanted)[1][:, 7]
@@ -81,14 +81,14 @@ def test_a_pose_that_is_less_sure_in_the_gap_makes_the_fill_so(scene):
     assert unsure[100] < 0.3 * unsure[175]  # at the gap's edge the residual holds the pose's error, too
 
 
-def test_a_marker_that_is_never_seen_is_put_on_its_place_and_less_sure_than_the_pose(scene):
+def test_invisible_marker_is_placed_at_its_offset(scene):
     wanted = gap(scene, 9, 0, len(scene[2]) - 1)
     place, deviation = filled(scene, scene[2], wanted)
     np.testing.assert_allclose(place[:, 9], scene[2][:, 9], atol=1e-9)
     assert (deviation[:, 9] >= 0.004).all()
 
 
-def test_nothing_wanted_is_nothing_filled(scene):
+def test_nothing_wanted_fills_nothing(scene):
     place, deviation = filled(scene, scene[2], gap(scene, 0, 1, 0))
     assert np.isnan(place).all()
     assert np.isnan(deviation).all()

@@ -10,7 +10,7 @@ RATE = 100.0
 
 
 def tumbling(seed=0, frames=400, size=5):
-    """-> (T, M, 3): a rigid thing that turns and travels, and the turns that carry it."""
+    """Return (T, M, 3): a rigid thing that turns and travels, and the turns that carry it."""
     rng = np.random.default_rng(seed)
     t = np.arange(frames) / RATE
     turn = Rotation.from_rotvec(np.stack([np.sin(2 * t), 1.5 * np.cos(t), 0.8 * t], 1)).as_matrix()
@@ -25,7 +25,7 @@ def without(markers, m, first, last):
 
 
 @given(seed=st.integers(0, 99), first=st.integers(0, 250), length=st.integers(1, 149))
-def test_a_rigid_thing_gives_its_marker_back(seed, first, length):
+def test_rigid_cluster_recovers_its_marker(seed, first, length):
     """Leading and trailing gaps too."""
     truth = tumbling(seed)
     filled, deviation = fill_from_clusters(without(truth, 2, first, first + length - 1), RATE)
@@ -35,7 +35,7 @@ def test_a_rigid_thing_gives_its_marker_back(seed, first, length):
     assert np.isnan(filled[~np.isin(np.arange(400), np.arange(first, first + length))]).all()
 
 
-def test_a_hinge_beyond_the_thing_is_learnt():
+def test_hinge_motion_is_learned():
     """A marker that swings with another one of its neighbours is placed from it, not held where it is on average."""
     truth = tumbling(size=6)
     swing = 2.0 * np.sin(np.arange(400) / 9)[:, None] * (truth[:, 0] - truth[:, 1])
@@ -47,34 +47,34 @@ def test_a_hinge_beyond_the_thing_is_learnt():
     assert error < 3 * np.median(deviation[120:220, 5])
 
 
-def test_the_difference_at_the_edges_is_carried_across():
+def test_edge_residual_is_interpolated():
     truth = tumbling()
     truth[150:250, 2, 1] += 0.004  # the marker slipped, and slipped back
     filled, _ = fill_from_clusters(without(truth, 2, 190, 200), RATE)
     assert np.abs(filled - truth)[190:201, 2].max() < 0.0015
 
 
-def test_what_does_not_move_along_is_not_asked():
+def test_independent_markers_are_not_used():
     rng = np.random.default_rng(0)
     loose = rng.normal(size=(400, 6, 3)).cumsum(0)
     assert np.isnan(fill_from_clusters(without(loose, 2, 100, 120), RATE)[0]).all()
 
 
 @pytest.mark.parametrize("others", [0, 1, 2])
-def test_three_others_are_needed(others):
+def test_three_other_markers_are_required(others):
     damaged = without(tumbling(size=others + 1), 0, 100, 120)
     assert np.isnan(fill_from_clusters(damaged, RATE)[0]).all()
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 29])
-def test_hardly_any_frames(frames):
+def test_few_frames_fill_nothing(frames):
     damaged = tumbling(frames=60)
     damaged[frames:, 1] = np.nan
     assert np.isnan(fill_from_clusters(damaged, RATE)[0]).all()
     assert np.isnan(fill_from_clusters(np.full((frames, 3, 3), np.nan), RATE)[0]).all()
 
 
-def test_distances_are_constant_on_a_rigid_thing_only():
+def test_distances_are_constant_within_a_rigid_body_only():
     markers = np.concatenate([tumbling(size=2), np.zeros((400, 1, 3))], 1)
     change = compute_distance_changes(markers)
     assert change[0, 1] < 1e-9
@@ -83,7 +83,7 @@ def test_distances_are_constant_on_a_rigid_thing_only():
 
 
 @given(seed=st.integers(0, 99), share=st.floats(0, 1))
-def test_percentiles_are_the_usual_ones(seed, share):
+def test_column_percentiles_equal_numpy(seed, share):
     rng = np.random.default_rng(seed)
     numbers = rng.normal(size=(20, 4))
     numbers[rng.random((20, 4)) < 0.3] = np.nan

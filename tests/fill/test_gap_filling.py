@@ -1,4 +1,4 @@
-"""What the fill touches, what it leaves and why: on three rods of rigid markers, and on a body."""
+"""Which samples the fill changes, which stay empty and why: on rigid clusters and on a body."""
 
 import re
 from dataclasses import replace
@@ -20,7 +20,7 @@ ANYTHING = FillOptions()
 
 @pytest.fixture
 def rod():
-    """-> five markers on one rigid thing that tumbles, one that goes its own way, one that is never seen"""
+    """Return five markers on one rigid thing that tumbles, one that goes its own way, one that is never seen"""
     t = np.arange(FRAMES) / RATE
     turn = np.stack([np.cos(t), 0 * t, np.sin(t), 0 * t, 1 + 0 * t, 0 * t, -np.sin(t), 0 * t, np.cos(t)], 1).reshape(-1, 3, 3)
     shape = np.random.default_rng(0).uniform(-0.15, 0.15, (5, 3))
@@ -53,7 +53,7 @@ def untouched(before, after, where):
     return before.markers[where].tobytes() == after.markers[where].tobytes()
 
 
-def test_a_rigid_gap_is_filled_and_all_else_is_returned_bit_for_bit(rod):
+def test_rigid_gap_is_filled_and_the_rest_is_bit_identical(rod):
     take = torn(rod, (0, 100, 180))
     after, left = given(take)
     np.testing.assert_allclose(after.markers[100:181, 0], rod[100:181, 0], atol=1e-4)
@@ -65,7 +65,7 @@ def test_a_rigid_gap_is_filled_and_all_else_is_returned_bit_for_bit(rod):
     assert left[0].reason == "the marker is never visible in this take"
 
 
-def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_nothing_does(rod):
+def test_outlier_is_replaced_or_emptied(rod):
     take = torn(rod)
     believed = take.visible
     believed[200, 0], believed[200:300, 5] = False, False
@@ -80,7 +80,7 @@ def test_a_doubted_sample_is_replaced_where_something_tells_and_emptied_where_no
 
 
 @pytest.mark.parametrize("label", ["Jim:A", "A"])
-def test_a_kept_marker_stays_as_it_is_with_its_faults(rod, label):
+def test_kept_marker_is_unchanged(rod, label):
     take = torn(rod, (0, 100, 120), (1, 300, 310))
     believed = take.visible
     believed[200, 0] = False
@@ -91,7 +91,7 @@ def test_a_kept_marker_stays_as_it_is_with_its_faults(rod, label):
     assert reasons == {"it was not to be edited (--keep, --frames)"}
 
 
-def test_only_the_frames_that_may_be_touched_are(rod):
+def test_only_selected_frames_are_changed(rod):
     take = torn(rod, (0, 100, 120))
     after, left = given(take, FillOptions(frames=(FIRST + 105, FIRST + 110)))
     filled = after.visible & ~take.visible
@@ -101,21 +101,21 @@ def test_only_the_frames_that_may_be_touched_are(rod):
 
 
 @pytest.mark.parametrize(("seconds", "filled"), [(0.2, False), (0.21, True), (5.0, True)])
-def test_a_gap_is_as_long_as_its_samples_and_longer_ones_are_left(rod, seconds, filled):
+def test_gap_duration_counts_its_samples_and_is_limited(rod, seconds, filled):
     take = torn(rod, (0, 100, 120))  # 21 samples
     after, left = given(take, FillOptions(max_gap_s=seconds))
     assert after.visible[100:121, 0].all() == filled
     assert [each.reason for each in left if each.marker == 0] == ([] if filled else [f"the gap is longer than {seconds:g} s"])
 
 
-def test_what_is_less_sure_than_the_limit_stays_empty_and_is_told(rod):
+def test_uncertain_samples_stay_empty_with_a_reason(rod):
     take = torn(rod, (0, 100, 180))
     after, left = given(take, FillOptions(max_sd_m=1e-6))
     assert not after.visible[100:181, 0].any()
     assert next(each for each in left if each.marker == 0).reason == "its predicted standard deviation exceeds 0 mm"
 
 
-def test_everything_left_is_missing_and_everything_missing_is_left(rod):
+def test_unfilled_runs_are_exactly_the_missing_samples(rod):
     take = torn(rod, (0, 0, 50), (1, 40, 90), (2, 350, 399), (5, 100, 300))
     after, left = given(take)
     told = np.zeros(after.visible.shape, bool)
@@ -126,14 +126,14 @@ def test_everything_left_is_missing_and_everything_missing_is_left(rod):
     np.testing.assert_array_equal(told, ~after.visible)
 
 
-def test_a_take_without_faults_is_returned_as_it_is(rod):
+def test_take_without_faults_is_unchanged(rod):
     take = Take(rod[:, :6], LABELS[:6], RATE, FIRST)
     after, left = given(take)
     assert left == ()
     assert untouched(take, after, np.ones(take.visible.shape, bool))
 
 
-def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbours(cleaned):
+def test_body_fills_a_lost_limb_and_clusters_fill_other_markers(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
     motion = replace(truth.motion, marker_sd=np.full(truth.missing_mask.shape, 0.005))
     on_body = kinematics.compute_joint_and_marker_positions(subject, motion)[1]
@@ -154,7 +154,7 @@ def test_with_a_body_a_lost_limb_is_filled_and_a_marker_of_no_set_by_its_neighbo
     assert untouched(take, after, take.visible)
 
 
-def test_a_marker_that_the_take_lacks_is_no_column(cleaned):
+def test_marker_set_may_have_markers_that_the_take_lacks(cleaned):
     truth, subject = cleaned.truth, cleaned.truth.subject
     markers, labels = truth.marker_positions[:100, 1:].copy(), truth.labels[1:]
     markers[40:50, 3] = np.nan

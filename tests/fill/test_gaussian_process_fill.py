@@ -10,7 +10,7 @@ RATE = 100.0
 
 
 def walking(frames=800, seed=0, size=14):
-    """-> (T, M, 3): a trunk of six markers that travels and turns, the others swinging on it, all by two hidden numbers."""
+    """Return (T, M, 3): a trunk of six markers that travels and turns, the others swinging on it, all by two hidden numbers."""
     rng = np.random.default_rng(seed)
     t = np.arange(frames) / RATE
     phase = np.stack([np.sin(5 * t), np.sin(3.1 * t + 1)], 1)
@@ -22,7 +22,7 @@ def walking(frames=800, seed=0, size=14):
 
 
 def given_nothing_else(markers, rate):
-    """-> what it makes of a take where no other way says anything"""
+    """Return what it makes of a take where no other way says anything"""
     return fill_from_gaussian_process(markers, np.full(markers.shape, np.nan), np.full(markers.shape[:2], np.nan), rate)
 
 
@@ -31,14 +31,14 @@ def error(filled, truth, gap, m):
 
 
 def lost(truth, gap, m):
-    """-> what it makes of a take that lost one marker in a gap: positions (T, M, 3), deviation (T, M)"""
+    """Return what it makes of a take that lost one marker in a gap: positions (T, M, 3), deviation (T, M)"""
     damaged = truth.copy()
     damaged[gap, m] = np.nan
     return given_nothing_else(damaged, RATE)
 
 
 @given(first=st.integers(0, 600), seconds=st.floats(0.05, 1.0), m=st.integers(0, 13), seed=st.integers(0, 9))
-def test_a_marker_that_goes_with_the_others_is_foretold(first, seconds, m, seed):
+def test_correlated_marker_is_predicted(first, seconds, m, seed):
     truth, gap = walking(seed=seed), slice(first, first + round(seconds * RATE))
     filled, _ = lost(truth, gap, m)
     assert error(filled, truth, gap, [m]) < 0.02
@@ -46,7 +46,7 @@ def test_a_marker_that_goes_with_the_others_is_foretold(first, seconds, m, seed)
     assert np.isnan(filled).all()
 
 
-def test_it_is_hardly_ever_farther_off_than_twice_its_deviation():
+def test_errors_are_within_two_sd():
     rng, within = np.random.default_rng(0), []
     for seed in range(50):
         truth, first, m = walking(seed=seed % 10), rng.integers(600), rng.integers(14)
@@ -56,7 +56,7 @@ def test_it_is_hardly_ever_farther_off_than_twice_its_deviation():
     assert np.mean(within) > 0.95
 
 
-def test_a_lost_limb_is_recalled_and_joins_on_at_its_edges():
+def test_lost_limb_is_filled_and_continuous_at_the_edges():
     truth = walking()
     limb, gap = [10, 11, 12, 13], slice(300, 400)
     damaged = truth.copy()
@@ -69,7 +69,7 @@ def test_a_lost_limb_is_recalled_and_joins_on_at_its_edges():
         assert deviation[300, m] < 0.5 * deviation[350, m]
 
 
-def test_a_marker_hardly_ever_seen_neither_spoils_the_others_nor_is_filled():
+def test_rarely_visible_marker_is_not_filled_and_harmless():
     truth = walking()
     damaged = truth.copy()
     damaged[300:350, 8] = np.nan
@@ -88,7 +88,7 @@ def test_a_marker_hardly_ever_seen_neither_spoils_the_others_nor_is_filled():
     seed=st.integers(0, 99),
     still=st.booleans(),
 )
-def test_bad_takes_give_numbers_or_nothing(shape, lost, seed, still):
+def test_degenerate_takes_give_finite_values_or_nan(shape, lost, seed, still):
     rng = np.random.default_rng(seed)
     markers = np.zeros((*shape, 3)) if still else rng.normal(size=(*shape, 3))
     missing = rng.random(shape) < lost
@@ -106,7 +106,7 @@ def test_frames_with_fewer_than_three_markers_stay_empty():
     assert np.isnan(filled).all()
 
 
-def test_what_other_ways_know_well_is_left_to_them():
+def test_gaps_with_precise_estimates_are_skipped():
     damaged = walking()
     damaged[300:350, 8] = damaged[600:640, 9] = np.nan
     others, sure = np.zeros(damaged.shape), np.full(damaged.shape[:2], np.nan)
@@ -116,7 +116,7 @@ def test_what_other_ways_know_well_is_left_to_them():
     assert not np.isnan(filled[600:640, 9]).any()
 
 
-def test_what_other_ways_know_tells_of_what_they_do_not():
+def test_precise_estimates_are_used_as_inputs():
     """A gap through which only three markers are seen, but the others are filled so surely that they may be asked."""
     truth = walking()
     damaged, others, sure = truth.copy(), truth.copy(), np.full(truth.shape[:2], 0.005)
@@ -129,7 +129,7 @@ def test_what_other_ways_know_tells_of_what_they_do_not():
 
 
 @pytest.mark.parametrize("turned", [0.0, 1.0, 3.0])
-def test_turning_the_stage_turns_the_fill(turned):
+def test_rotating_the_world_rotates_the_fill(turned):
     truth = walking()
     truth[200:260, 9] = np.nan
     about = Rotation.from_rotvec([0, turned, 0]).as_matrix()
@@ -139,7 +139,7 @@ def test_turning_the_stage_turns_the_fill(turned):
     np.testing.assert_allclose(other_deviation, one_deviation, rtol=1e-6)
 
 
-def test_a_gap_through_which_no_three_others_are_seen_is_asked_piece_by_piece():
+def test_long_gap_without_three_other_markers_is_divided():
     truth = walking()
     damaged = truth.copy()
     damaged[300:400, 13] = damaged[290:348, :6] = damaged[352:410, 6:12] = np.nan
@@ -148,14 +148,14 @@ def test_a_gap_through_which_no_three_others_are_seen_is_asked_piece_by_piece():
     assert error(filled, truth, slice(355, 400), [13]) < 0.06
 
 
-def test_markers_are_told_as_long_as_half_the_moments_show_them_all():
+def test_inputs_share_half_of_the_frames():
     known = np.ones((100, 5), bool)
     known[:30, 1] = known[60:, 3] = known[20:25, 4] = False
     np.testing.assert_array_equal(select_input_markers(known, np.array([0, 1, 3, 4])), [0, 1, 4])
     np.testing.assert_array_equal(select_input_markers(known, np.array([0, 2, 3])), [0, 2, 3])
 
 
-def test_of_hundreds_of_patterns_hardly_any_is_too_much():
+def test_hundreds_of_gap_patterns_are_fast_enough():
     markers = walking(frames=100, size=41)
     markers[np.random.default_rng(0).random((100, 41)) < 0.1] = np.nan
     filled, _ = given_nothing_else(markers, RATE)

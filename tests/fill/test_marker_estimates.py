@@ -30,11 +30,11 @@ def prop(frames=400):
 
 
 def estimate(place, sure):
-    """-> an estimate of one sample that lies at `place` on every axis"""
+    """Return an estimate of one sample that lies at `place` on every axis"""
     return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sure]]), FillMethod.SPLINE)
 
 
-def test_two_estimates_meet_by_their_precision_and_are_half_alike():
+def test_estimates_are_combined_by_precision_with_correlation():
     nothing = estimate(np.nan, np.nan)
     mean, deviation, _ = combine_estimates([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
     np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
@@ -44,27 +44,27 @@ def test_two_estimates_meet_by_their_precision_and_are_half_alike():
     assert np.isnan(combine_estimates([nothing, nothing])[1]).all()
 
 
-def test_one_estimate_is_taken_as_it_is():
+def test_single_estimate_is_returned():
     mean, deviation, _ = combine_estimates([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
     np.testing.assert_allclose(mean, 0.3)
     np.testing.assert_allclose(deviation, 0.02)
 
 
-def test_what_counts_most_is_named():
+def test_method_has_the_largest_weight():
     body = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), FillMethod.BODY)
     path = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), FillMethod.SPLINE)
     np.testing.assert_array_equal(combine_estimates([path, body]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
     np.testing.assert_array_equal(combine_estimates([body, path]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
 
 
-def test_estimates_that_lie_farther_apart_than_they_say_are_less_sure_by_as_much():
+def test_inconsistent_estimates_increase_the_sd():
     near = combine_estimates([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
     _, far, _ = combine_estimates([estimate(0.0, 0.01), estimate(0.1, 0.01)])
     np.testing.assert_allclose(far / near, np.sqrt(2 * 0.05**2 / 0.01**2))  # Birge's ratio, per axis, of two estimates
 
 
 @given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
-def test_what_is_not_believed_is_placed_and_nothing_else(first, length, bad):
+def test_only_outliers_are_estimated(first, length, bad):
     truth = prop()
     markers = truth.markers.copy()
     gap = slice(first, first + length)
@@ -78,7 +78,7 @@ def test_what_is_not_believed_is_placed_and_nothing_else(first, length, bad):
 
 
 @pytest.mark.parametrize("markers", [1, 2, 3])
-def test_nothing_is_extrapolated_without_support(markers):
+def test_no_estimate_without_support(markers):
     truth = prop()
     truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
     believed = truth.visible.copy()
@@ -87,7 +87,7 @@ def test_nothing_is_extrapolated_without_support(markers):
     assert np.isnan(filled[~believed]).all()
 
 
-def test_nothing_believed_gives_nothing():
+def test_no_inliers_give_no_estimate():
     truth = prop()
     filled, deviation, _ = estimate_missing_samples(truth, np.zeros_like(truth.visible))
     assert np.isnan(filled).all()
@@ -95,7 +95,7 @@ def test_nothing_believed_gives_nothing():
 
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
-def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
+def test_real_hand_gap_is_filled_better_than_linearly():
     truth = capture.read_capture(CAPTURE)
     hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
     believed = truth.visible.copy()
@@ -109,7 +109,7 @@ def test_a_second_of_a_real_hand_is_filled_far_better_than_by_a_line():
     assert (error < 3 * np.sqrt(3) * deviation[gap, hand]).mean() > 0.9
 
 
-def test_the_moments_about_a_flight_are_found_and_no_others():
+def test_impossible_speeds_are_found():
     t = np.arange(200) / 100.0
     path = np.stack([np.stack([t, 0 * t, 0 * t], 1), np.stack([0 * t, t, 0 * t], 1)], 1)  # both at a metre a second
     believed = np.ones((200, 2), bool)

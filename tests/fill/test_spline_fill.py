@@ -21,7 +21,7 @@ def swinging(frames=600, noise=0.0):
 
 
 @given(gap=st.integers(1, 60), listened=st.integers(3, 9), seed=st.integers(0, 99))
-def test_a_parabola_is_carried_across_exactly(gap, listened, seed):
+def test_parabola_is_exact(gap, listened, seed):
     t = np.arange(gap + 2 * listened) / 50
     path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
     beside = np.r_[np.arange(listened)[::-1], listened + gap : len(t)]
@@ -33,7 +33,7 @@ def test_a_parabola_is_carried_across_exactly(gap, listened, seed):
 
 
 @given(first=st.integers(20, 400), seconds=st.floats(0.01, 0.25))
-def test_a_swing_is_filled_within_what_was_foretold(first, seconds):
+def test_swing_is_filled_within_its_sd(first, seconds):
     last = first + round(seconds * RATE)
     truth = swinging(noise=0.0003)
     filled, deviation = fill_with_splines(struck(truth, first, last), RATE, 0.5)
@@ -44,13 +44,13 @@ def test_a_swing_is_filled_within_what_was_foretold(first, seconds):
     assert np.isnan(filled[last + 1 :, 0]).all()
 
 
-def test_longer_gaps_are_less_sure():
+def test_sd_grows_with_gap_duration():
     sure = [fill_with_splines(struck(swinging(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (11, 23, 35, 47)]
     assert sure == sorted(sure)
     assert sure[-1] > 4 * sure[0]
 
 
-def test_samples_lost_at_random_do_not_stop_it():
+def test_random_missing_samples_are_tolerated():
     truth = swinging(noise=0.0003)
     damaged = truth.copy()
     damaged[np.random.default_rng(1).random(600) < 0.1, 0] = np.nan
@@ -60,7 +60,7 @@ def test_samples_lost_at_random_do_not_stop_it():
     assert np.abs(filled - truth)[done].max() < 0.002
 
 
-def test_one_bad_sample_at_the_edge_does_not_throw_the_curve():
+def test_one_outlier_at_the_edge_has_little_influence():
     truth = swinging()
     damaged = struck(truth, 200, 229)
     damaged[199, 0, 1] += 0.01
@@ -71,17 +71,17 @@ def test_one_bad_sample_at_the_edge_does_not_throw_the_curve():
 @pytest.mark.parametrize(
     ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (2, 10, "too near the start")]
 )
-def test_what_splines_leave(first, last, why):
+def test_unsuitable_gaps_are_not_filled(first, last, why):
     filled, deviation = fill_with_splines(struck(swinging(), first, last), RATE, 0.5)
     assert np.isnan(filled).all(), why
     assert np.isnan(deviation).all()
 
 
-def test_a_marker_seen_too_little_to_try_it_on_is_left():
+def test_marker_with_few_complete_stretches_is_not_filled():
     assert np.isnan(fill_with_splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()
 
 
-def test_gaps_of_a_kind_are_filled_as_each_alone():
+def test_gaps_of_one_pattern_are_filled_like_single_gaps():
     """What a gap listens to is what is seen beside it, however many other gaps are alike."""
     truth = swinging(noise=0.0003)
     damaged = truth.copy()
@@ -96,7 +96,7 @@ def test_gaps_of_a_kind_are_filled_as_each_alone():
 
 
 @given(seed=st.integers(0, 99), step=st.integers(1, 5))
-def test_sound_stretches_are_those_where_all_is_seen(seed, step):
+def test_complete_stretches_show_all_frames(seed, step):
     rng = np.random.default_rng(seed)
     seen, used = rng.random(80) < 0.8, np.array([-3, -1, 0, 2])
     expected = [s for s in range(3, 78, step) if seen[s + used].all()]

@@ -26,7 +26,7 @@ WAYS = ("naive", "adaptive", "x")
 
 @pytest.fixture(scope="module")
 def people():
-    """-> 100 poses of people somewhere in the world, their joints (100, J, 3) and markers (100, K, 3)."""
+    """Return 100 poses of people somewhere in the world, their joints (100, J, 3) and markers (100, K, 3)."""
     rng = np.random.default_rng(0)
     rotations, places = unseen_poses.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
     rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
@@ -43,14 +43,14 @@ def index(name):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_exact_joints_are_given_back_to_a_twentieth_of_a_millimetre(people, way):
+def test_exact_joints_are_reproduced(people, way):
     _, joints, _ = people
     found = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
     assert np.abs(joints_of(found) - joints).max() < 5e-5
     assert (found.status == FrameStatus.PLACED).all()
 
 
-def test_exact_joints_and_twists_are_the_pose_itself(people):
+def test_exact_joints_and_twists_give_the_pose(people):
     motion, joints, _ = people
     found = initial_motion.solve_hybrik(joints, SUBJECT, twists=1e9 * true_twists(motion.local_rotations))
     boned = [index(name) for name in ("LowerBack", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg", "Neck")]
@@ -58,7 +58,7 @@ def test_exact_joints_and_twists_are_the_pose_itself(people):
 
 
 def true_twists(rotations):
-    """-> (T, J, 2): each rotation about the bone to its joint's children, by scipy's quaternions."""
+    """Return (T, J, 2): each rotation about the bone to its joint's children, by scipy's quaternions."""
     twists = np.tile([1.0, 0.0], (*rotations.shape[:2], 1))
     for j in range(1, 31):
         bones = SKELETON.offsets[(SKELETON.parents == j) & (np.linalg.norm(SKELETON.offsets, axis=1) > 1e-3)]
@@ -70,7 +70,7 @@ def true_twists(rotations):
     return twists
 
 
-def test_markers_tell_the_twist_that_joints_do_not(people):
+def test_markers_determine_the_twist(people):
     _, joints, markers = people
     by_markers = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT, markers=markers)
     without = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
@@ -86,7 +86,7 @@ def shaken(joints):
     return joints + np.random.default_rng(1).uniform(-0.02, 0.02, joints.shape)
 
 
-def test_naive_gathers_the_errors_of_all_bone_lengths_before(people):
+def test_naive_accumulates_bone_length_errors(people):
     """Eq. 15: a joint misses its place by the sum of its ancestors' errors, each along its bone as it is given."""
     given = shaken(people[1])
     missed = given - joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="naive", twists=STRAIGHT))
@@ -98,7 +98,7 @@ def test_naive_gathers_the_errors_of_all_bone_lengths_before(people):
             assert np.allclose(missed[:, index(child)], missed[:, index(parent)] + error, atol=1e-9)
 
 
-def test_adaptive_has_only_the_last_bones_error(people):
+def test_adaptive_has_only_the_last_bone_error(people):
     """Eq. 17: what a joint misses lies along its own bone, from where that begins."""
     given = shaken(people[1])
     found = joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="adaptive", twists=STRAIGHT))
@@ -109,7 +109,7 @@ def test_adaptive_has_only_the_last_bones_error(people):
         assert np.allclose(missed, np.abs(length - np.linalg.norm(SKELETON.offsets[index(child)])), atol=1e-9)
 
 
-def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_short(people):
+def test_x_reaches_hands_and_head_despite_wrong_bone_lengths(people):
     _, joints, _ = people
     other = SKELETON.offsets * np.where(np.arange(31) % 2, 1.04, 0.97)[:, None]
     stranger = Subject(
@@ -129,7 +129,7 @@ def test_x_brings_head_and_hands_where_they_are_though_bones_are_too_long_or_sho
     assert np.mean(hands) < 0.6 * np.mean(off["adaptive"][:, 1:])
 
 
-def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
+def test_unreachable_hands_have_a_status_and_are_pointed_at(people):
     _, joints, _ = people
     far, near = joints[:2].copy(), joints[:2].copy()
     hand = [index(name) for name in ("LeftHand", "LeftFingerBase", "LThumb", "LeftHandIndex1")]
@@ -147,7 +147,7 @@ def test_hands_too_far_or_too_near_are_told_and_pointed_at(people):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_turning_and_moving_the_world_turns_and_moves_the_pose_alone(people, way):
+def test_pose_is_equivariant_to_world_motion(people, way):
     _, joints, _ = people
     turn, shift = Rotation.from_rotvec([0.3, -2.0, 1.1]).as_matrix(), np.array([5.0, -1.0, 2.0])
     here = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
@@ -157,13 +157,13 @@ def test_turning_and_moving_the_world_turns_and_moves_the_pose_alone(people, way
     assert np.allclose(there.local_rotations[:, 1:], here.local_rotations[:, 1:], atol=1e-7)
 
 
-def test_a_mirrored_body_has_no_reflection_for_its_root(people):
+def test_root_of_a_mirrored_body_is_no_reflection(people):
     _, joints, _ = people
     found = initial_motion.solve_hybrik(joints * [-1, 1, 1], SUBJECT, twists=STRAIGHT)
     assert np.allclose(np.linalg.det(found.local_rotations[:, 0]), 1)
 
 
-def test_every_frame_is_for_itself(people):
+def test_frames_are_independent(people):
     _, joints, _ = people
     whole = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
     spoilt = joints.copy()
@@ -173,7 +173,7 @@ def test_every_frame_is_for_itself(people):
     assert np.array_equal(again.local_rotations[others], whole.local_rotations[others])
 
 
-def test_unknown_joints_leave_the_rest_where_it_is(people):
+def test_unknown_joints_do_not_affect_others(people):
     _, joints, _ = people
     lost = joints.copy()
     lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan
@@ -183,7 +183,7 @@ def test_unknown_joints_leave_the_rest_where_it_is(people):
     assert np.abs(found - joints)[:, known].max() < 5e-5  # the hand, too, which x reaches across the lost elbow
 
 
-def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything_its_neighbours(people):
+def test_frame_without_hips_uses_its_trunk_or_its_neighbours(people):
     motion, joints, _ = people
     take = np.repeat(joints[:1], 5, axis=0)
     hips = [index(name) for name in ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "LeftUpLeg", "RightUpLeg")]
@@ -203,14 +203,14 @@ def test_a_frame_without_hips_has_the_root_of_its_trunk_and_one_without_anything
     assert np.linalg.norm(found.root_position[3] - motion.root_position[0]) < 1e-4
 
 
-def test_no_frame_and_nothing_known_are_poses_too():
+def test_empty_and_unknown_input_give_poses():
     assert len(initial_motion.solve_hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root_position) == 0
     nothing = initial_motion.solve_hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
     assert (nothing.status == FrameStatus.GUESSED).all()
     assert np.isfinite(nothing.local_rotations).all()
 
 
-def test_another_skeleton_is_refused():
+def test_other_skeletons_are_rejected():
     fewer = Skeleton(("Hips", "Spine"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)))
     stranger = Subject(fewer, "none", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
     with pytest.raises(ConstraintError, match="31 joints of the CMU skeleton"):
@@ -237,13 +237,13 @@ def test_another_skeleton_is_refused():
         ({"variant": "best"}, "naive, adaptive, x"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_sentence(wrong, said):
+def test_invalid_arguments_are_rejected(wrong, said):
     given = {"positions": np.zeros((5, 31, 3)), "twists": STRAIGHT} | wrong
     with pytest.raises(ConstraintError, match=said):
         initial_motion.solve_hybrik(given.pop("positions"), SUBJECT, **given)
 
 
-def test_arrays_of_any_kind_and_order_are_the_same_to_it(people):
+def test_array_type_and_memory_order_are_irrelevant(people):
     _, joints, markers = people
     plain = initial_motion.solve_hybrik(joints, SUBJECT, markers=markers, twists=STRAIGHT)
     for kind in (lambda a: np.asfortranarray(a), lambda a: a.tolist(), lambda a: a[::-1][::-1]):
@@ -253,7 +253,7 @@ def test_arrays_of_any_kind_and_order_are_the_same_to_it(people):
         assert np.array_equal(again.local_rotations, plain.local_rotations)
 
 
-def test_a_marker_with_one_number_unknown_is_unknown(people):
+def test_partly_unknown_marker_is_unknown(people):
     _, joints, markers = people
     part, none = markers.copy(), markers.copy()
     part[:, 3, 1] = none[:, 3] = np.nan
@@ -264,7 +264,7 @@ def test_a_marker_with_one_number_unknown_is_unknown(people):
     assert np.isfinite(one).all()
 
 
-def test_a_head_whose_only_marker_is_at_its_joint_stays_as_people_hold_it(people):
+def test_head_with_one_central_marker_keeps_the_mean_pose(people):
     _, joints, markers = people
     places, head = WORN.marker_offsets.copy(), WORN.joints == index("Head")
     places[head] = 0.0
@@ -277,7 +277,7 @@ def test_a_head_whose_only_marker_is_at_its_joint_stays_as_people_hold_it(people
     )
 
 
-def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
+def test_hips_alone_keep_their_position(people):
     _, joints, _ = people
     take = np.repeat(joints[:1], 9, axis=0) + np.linspace(0, 1, 9)[:, None, None]
     take[4:, 1:] = np.nan
@@ -287,7 +287,7 @@ def test_hips_alone_stay_where_they_are_and_turn_as_around(people):
         assert np.allclose(found.local_rotations[4:, 0], found.local_rotations[3, 0])
 
 
-def test_a_subject_whose_markers_never_stray_can_be_posed(people):
+def test_subject_without_marker_spread_can_be_posed(people):
     _, joints, markers = people
     found = initial_motion.initialise_motion(
         Take(markers, WORN.labels, 30.0),
@@ -300,7 +300,7 @@ def test_a_subject_whose_markers_never_stray_can_be_posed(people):
     assert np.median(np.linalg.norm(joints_of(found) - joints, axis=2)[:, told]) < 0.002
 
 
-def test_a_marker_that_is_far_off_turns_nothing():
+def test_outlying_marker_has_no_influence():
     """End to end: where joints are placed without it, it must not turn the head, the hips or a forearm either."""
     rotations = unseen_poses.load_unseen_poses()[::20]
     true = build_known_motion(np.zeros((len(rotations), 3)), rotations)

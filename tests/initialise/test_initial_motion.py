@@ -23,21 +23,21 @@ def truth():
 
 
 def started(truth, markers, by):
-    """-> the start, and what the solve makes of it"""
+    """Return the start, and what the solve makes of it"""
     worn = Take(markers, truth.labels, truth.rate)
     start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN, by)
     return start, motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
 
 
 def off(truth, motion):
-    """-> (T,) metres: the joint that is farthest from the truth"""
+    """Return (T,) metres: the joint that is farthest from the truth"""
     return np.linalg.norm(kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions, axis=-1).max(
         axis=1
     )
 
 
 @pytest.mark.parametrize(("unseen", "first"), [(0, 0), (7, 7)])
-def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, unseen, first):
+def test_frames_up_to_the_first_well_visible_one_keep_their_pose(truth, unseen, first):
     markers = truth.marker_positions.copy()
     markers[:unseen, 20:] = np.nan  # the other 20 of 41 are there, fewer than half
     own = initial_motion.initialise_motion(Take(markers, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration")
@@ -48,21 +48,21 @@ def test_frames_have_their_own_start_up_to_the_first_that_is_seen_well(truth, un
     assert np.isnan(start.local_rotations[first + 1 :]).all()
 
 
-def test_nothing_is_ever_seen_well_where_nothing_is_seen(truth):
+def test_chain_starts_at_the_first_frame_if_nothing_is_visible(truth):
     own = initial_motion.initialise_motion(
         Take(truth.marker_positions, truth.labels, truth.rate), truth.subject, BODY, MEAN, "registration"
     )
     assert not np.isnan(start_from_previous(own, np.zeros(truth.missing_mask.shape, bool)).root_position[0]).any()
 
 
-def test_smooth_motion_takes_fewer_iterations_and_ends_at_the_same_poses(truth):
+def test_smooth_motion_takes_fewer_iterations_with_equal_results(truth):
     (_, own), (_, previous) = (started(truth, truth.marker_positions, by) for by in ("registration", "previous"))
     assert previous.iterations.mean() < own.iterations.mean() - 1
     np.testing.assert_allclose(previous.root_position, own.root_position, atol=1e-3)
     assert off(truth, previous).max() < 0.06
 
 
-def test_lost_frames_in_the_middle_are_gone_on_from(truth):
+def test_frames_without_markers_are_continued(truth):
     markers = truth.marker_positions.copy()
     markers[100:110] = np.nan
     _, motion = started(truth, markers, "previous")
@@ -71,7 +71,7 @@ def test_lost_frames_in_the_middle_are_gone_on_from(truth):
     assert off(truth, motion)[120:].max() < 0.06
 
 
-def test_somebody_who_turned_over_while_unseen_is_a_long_way_from_the_frame_before(truth):
+def test_turned_body_needs_its_own_start(truth):
     """What a start of every frame's own is for: it does not matter to it what was before."""
     markers, hips = truth.marker_positions.copy(), truth.joint_positions[110:, :1]
     markers[100:110] = np.nan

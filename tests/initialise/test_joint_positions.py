@@ -38,7 +38,7 @@ def take_of(markers):
 
 
 def posed(rng, frames):
-    """-> joints (T, J, 3) and markers (T, K, 3) of NOMINAL in poses such as the prior knows"""
+    """Return joints (T, J, 3) and markers (T, K, 3) of NOMINAL in poses such as the prior knows"""
     local = np.tile(MEAN.mean_rotations, (frames, 1, 1, 1))
     for j in range(1, len(NAMES)):
         if BODY.free_joints[j]:
@@ -51,7 +51,7 @@ def posed(rng, frames):
     )
 
 
-def test_exact_markers_give_the_joints_that_they_tell_exactly():
+def test_exact_markers_give_exact_joints():
     truth = synthetic.compose_take(seed=2, seconds=6.0, rate=30.0)
     exact = replace(truth.subject, marker_spread=EXACT.marker_spread)
     joints, markers = kinematics.compute_joint_and_marker_positions(exact, truth.motion)
@@ -62,7 +62,7 @@ def test_exact_markers_give_the_joints_that_they_tell_exactly():
 
 
 @given(seeds)
-def test_moving_a_frame_moves_its_joints_and_changes_no_deviation(seed):
+def test_estimate_is_equivariant_to_rigid_motion(seed):
     rng = np.random.default_rng(seed)
     _, markers = posed(rng, 3)
     markers += rng.normal(0, 0.01, markers.shape)
@@ -75,7 +75,7 @@ def test_moving_a_frame_moves_its_joints_and_changes_no_deviation(seed):
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_the_truth_lies_as_often_within_the_deviations_as_they_say(whole):
+def test_errors_agree_with_the_sd(whole):
     rng = np.random.default_rng(1)
     joints, markers = posed(rng, 3000)
     markers += rng.normal(0, 0.005, markers.shape)
@@ -93,7 +93,7 @@ def test_the_truth_lies_as_often_within_the_deviations_as_they_say(whole):
 
 
 @pytest.mark.parametrize("name", CARRYING)
-def test_a_segment_without_markers_is_carried_by_its_neighbours_and_says_so(name):
+def test_unmarked_segment_follows_its_neighbours_with_larger_sd(name):
     rng, lost = np.random.default_rng(3), WORN.joints == NAMES.index(name)
     joints, markers = posed(rng, 200)
     before, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
@@ -108,7 +108,7 @@ def test_a_segment_without_markers_is_carried_by_its_neighbours_and_says_so(name
     np.testing.assert_allclose(found[:, far], before[:, far], atol=0.005)
 
 
-def test_a_knee_without_its_thighs_markers_lies_one_thigh_from_the_hip():
+def test_knee_without_thigh_markers_is_one_thigh_from_the_hip():
     joints, markers = posed(np.random.default_rng(4), 300)
     markers[:, WORN.joints == NAMES.index("LeftUpLeg")] = np.nan
     found, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
@@ -119,7 +119,7 @@ def test_a_knee_without_its_thighs_markers_lies_one_thigh_from_the_hip():
 
 
 @pytest.mark.parametrize("label", ["STRN", "LFWT", "LBHD", "RHEE"])
-def test_a_marker_far_off_is_outvoted(label):
+def test_outlying_marker_is_rejected(label):
     rng = np.random.default_rng(5)
     joints, markers = posed(rng, 100)
     whole, _, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
@@ -130,7 +130,7 @@ def test_a_marker_far_off_is_outvoted(label):
     assert np.linalg.norm(found - joints, axis=-1).mean() < 0.03
 
 
-def test_joints_at_one_place_get_one_position():
+def test_coincident_joints_get_one_position():
     _, markers = posed(np.random.default_rng(6), 20)
     markers += np.random.default_rng(7).normal(0, 0.01, markers.shape)
     found, deviation, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
@@ -140,13 +140,13 @@ def test_joints_at_one_place_get_one_position():
         np.testing.assert_array_equal(deviation[:, together], deviation[:, together[:1]].repeat(len(names), 1))
 
 
-def test_a_frame_knows_nothing_of_the_others():
+def test_frames_are_independent():
     _, markers = posed(np.random.default_rng(8), 40)
     alone = [estimate_joint_positions(take_of(markers[t : t + 1]), NOMINAL, BODY)[0][0] for t in range(0, 40, 13)]
     np.testing.assert_array_equal(estimate_joint_positions(take_of(markers), NOMINAL, BODY)[0][::13], alone)
 
 
-def test_frames_without_markers_have_no_joints_and_do_not_harm_the_others():
+def test_frames_without_markers_have_no_joints():
     joints, markers = posed(np.random.default_rng(9), 5)
     markers[[0, 3]] = np.nan
     found, deviation, _ = estimate_joint_positions(take_of(markers), EXACT, BODY)
@@ -157,7 +157,7 @@ def test_frames_without_markers_have_no_joints_and_do_not_harm_the_others():
 
 
 @given(seeds, st.integers(0, 3))
-def test_few_markers_tell_of_what_is_near_and_nothing_of_the_rest(seed, count):
+def test_few_markers_determine_nearby_joints_only(seed, count):
     rng = np.random.default_rng(seed)
     _, markers = posed(rng, 1)
     kept = rng.choice(markers.shape[1], count, replace=False)
@@ -170,13 +170,13 @@ def test_few_markers_tell_of_what_is_near_and_nothing_of_the_rest(seed, count):
 
 
 @pytest.mark.parametrize("at", [0.0, 5.0])
-def test_markers_all_in_one_point_break_nothing(at):
+def test_coincident_markers_give_finite_values(at):
     found, deviation, _ = estimate_joint_positions(take_of(np.full((2, len(WORN.labels), 3), at)), NOMINAL, BODY)
     told = ~np.isnan(deviation)
     assert np.isfinite(found[told]).all()
 
 
-def test_calibrations_own_error_makes_joints_less_sure():
+def test_calibration_error_increases_the_sd():
     _, markers = posed(np.random.default_rng(10), 2)
     unsure = replace(NOMINAL, joint_sd=np.full(len(NAMES), 0.02))
     at, sure, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)

@@ -38,7 +38,7 @@ SWAP = [BODY.find_joint(mirror_joint_name(name)) for name in BODY.names]
 
 @pytest.fixture(scope="module")
 def people():
-    """-> local rotations of people whom the network has not seen, and where their joints are, the root at rest"""
+    """Return local rotations of people whom the network has not seen, and where their joints are, the root at rest"""
     poses = unseen_poses.load_unseen_poses()[::4]
     poses[:, 0] = np.eye(3)
     return poses, compute_tree_poses(build_kinematic_tree(BODY), np.zeros((len(poses), 3)), poses)[0]
@@ -58,7 +58,7 @@ def random_network(rng: np.random.Generator, width: int = 8) -> TwistRegressor:
 
 
 def apart(one, other):
-    """-> radians between angles given by cosines and sines (..., 2) of any length"""
+    """Return radians between angles given by cosines and sines (..., 2) of any length"""
     a, b = (np.arctan2(each[..., 1], each[..., 0]) for each in (one, other))
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
@@ -67,7 +67,7 @@ def apart(one, other):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-np.pi, np.pi))
-def test_the_twist_of_a_twist_and_a_swing_is_told_exactly(seed, angle):
+def test_twist_of_twist_and_swing_is_exact(seed, angle):
     rng = np.random.default_rng(seed)
     bone, way = rng.normal(0, 0.3, 3), Rotation.from_rotvec(rng.uniform(-1.5, 1.5, 3)).as_matrix()
     swung = np.reshape(compute_swing(tuple(bone), tuple(way @ bone)), (3, 3))
@@ -75,21 +75,21 @@ def test_the_twist_of_a_twist_and_a_swing_is_told_exactly(seed, angle):
     np.testing.assert_allclose(compute_twists((swung @ turned)[None], bone[None])[0], [np.cos(angle), np.sin(angle)], atol=1e-9)
 
 
-def test_a_turn_about_the_bone_is_its_angle_and_one_across_it_is_none():
+def test_rotation_about_the_bone_is_its_angle_and_across_it_zero():
     bone = np.array([[0.0, 0.3, 0.0]])
     about, across = (Rotation.from_rotvec(v).as_matrix()[None] for v in ([0, 0.7, 0], [0.7, 0, -1.1]))
     np.testing.assert_allclose(compute_twists(about, bone), [[np.cos(0.7), np.sin(0.7)]], atol=1e-12)
     np.testing.assert_allclose(compute_twists(across, bone), [[1, 0]], atol=1e-12)
 
 
-def test_rotations_come_in_any_number_and_a_joint_without_a_bone_has_no_twist():
+def test_batches_and_joints_without_a_bone():
     told = compute_twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
     assert told.shape == (2, 5, 31, 2)
     assert np.isnan(told[:, :, ~HAS]).all()
     np.testing.assert_allclose(told[:, :, HAS], np.broadcast_to([1.0, 0.0], (2, 5, HAS.sum(), 2)), atol=1e-12)
 
 
-def test_bones_lead_to_the_mean_of_the_children_that_lie_away():
+def test_bones_point_to_the_mean_of_separate_children():
     assert {name for name, has in zip(BODY.names, HAS, strict=True) if not has} == WITHOUT
     np.testing.assert_allclose(BONES[BODY.find_joint("Spine1")], BODY.offsets[BODY.find_joint("Neck")])
     offsets = np.array([[9, 9, 9], [0, 1, 0], [0, 0, 0], [2.0, 0, 0]])
@@ -100,7 +100,7 @@ def test_bones_lead_to_the_mean_of_the_children_that_lie_away():
 # from positions
 
 
-def test_what_is_regressed_is_as_long_as_it_is_sure_and_never_longer_than_one_over_the_variance():
+def test_prediction_length_is_at_most_the_information():
     network, rng = random_network(np.random.default_rng(0)), np.random.default_rng(1)
     positions = rng.normal(size=(400, 31, 3))
     raw = network.evaluate(compute_span_directions(positions, upright(400)))
@@ -113,7 +113,7 @@ def test_what_is_regressed_is_as_long_as_it_is_sure_and_never_longer_than_one_ov
     np.testing.assert_allclose(apart(told[:, HAS], raw), 0, atol=1e-5)
 
 
-def test_frames_do_not_matter_to_one_another():
+def test_frames_are_independent():
     network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(30, 31, 3))
     together = network.predict_twists(positions, upright(len(positions)))
     for part in (slice(0, 3), slice(20, 21)):
@@ -122,7 +122,7 @@ def test_frames_do_not_matter_to_one_another():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_place_and_heading_do_not_matter(seed):
+def test_position_and_heading_are_irrelevant(seed):
     rng = np.random.default_rng(seed)
     positions, turn, way = rng.normal(size=(3, 31, 3)), random_terms.draw_rotations(rng, 1)[0], rng.normal(0, 5, 3)
     still = load_shipped_regressor().predict_twists(positions, upright(3))
@@ -131,7 +131,7 @@ def test_place_and_heading_do_not_matter(seed):
     )
 
 
-def test_frames_of_which_nothing_is_known_get_what_is_usual(people):
+def test_unknown_frames_get_the_typical_twist(people):
     nothing = load_shipped_regressor().predict_twists(np.full((1, 31, 3), np.nan), upright(1))
     assert np.isfinite(nothing).all()
     np.testing.assert_array_equal(load_shipped_regressor().predict_twists(people[1][:1], np.full((1, 3, 3), np.nan)), nothing)
@@ -140,7 +140,7 @@ def test_frames_of_which_nothing_is_known_get_what_is_usual(people):
     assert np.linalg.norm(nothing[0, arm]) < 0.9 * np.linalg.norm(usual, axis=1).mean()  # and it is said to be less sure
 
 
-def test_unseen_peoples_twists_are_told_much_better_than_by_none(people):
+def test_shipped_regressor_predicts_held_out_twists(people):
     poses, places = people
     true = compute_twists(poses, BONES)[:, HAS]
     said = load_shipped_regressor().predict_twists(places, upright(len(places)))[:, HAS]
@@ -150,7 +150,7 @@ def test_unseen_peoples_twists_are_told_much_better_than_by_none(people):
     assert away[:, arms].mean() < 0.35 * none[:, arms].mean()
 
 
-def test_joints_that_are_displaced_or_lost_do_little_harm(people):
+def test_displaced_or_missing_joints_have_little_effect(people):
     poses, places = people
     rng, true = np.random.default_rng(0), compute_twists(poses, BONES)[:, HAS]
     spoiled = places + rng.uniform(-0.02, 0.02, places.shape)
@@ -159,13 +159,13 @@ def test_joints_that_are_displaced_or_lost_do_little_harm(people):
     assert away.mean() < 0.85 * apart(np.array([1.0, 0.0]), true).mean()
 
 
-def test_sigma_covers_what_unseen_people_stray(people):
+def test_sd_covers_held_out_twists(people):
     poses, places = people
     away = apart(load_shipped_regressor().predict_twists(places, upright(len(places))), compute_twists(poses, BONES))[:, HAS]
     assert ((away < 2 * load_shipped_regressor().sd_rad[HAS]).mean(axis=0) > 0.9).all()
 
 
-def test_in_a_mirror_twists_are_mirrored_nearly(people):
+def test_mirrored_joints_give_nearly_mirrored_twists(people):
     _, places = people
     said = load_shipped_regressor().predict_twists(places, upright(len(places)))
     mirrored = load_shipped_regressor().predict_twists(places[:, SWAP] * [-1, 1, 1], upright(len(places)))[:, SWAP] * [1, -1]
@@ -175,7 +175,7 @@ def test_in_a_mirror_twists_are_mirrored_nearly(people):
 # files
 
 
-def test_a_network_comes_back(tmp_path):
+def test_network_round_trips(tmp_path):
     network, positions = random_network(np.random.default_rng(0)), np.random.default_rng(1).normal(size=(5, 31, 3))
     write_twist_regressor(tmp_path / "mine.safetensors", network)
     loaded = read_twist_regressor(tmp_path / "mine.safetensors")
@@ -198,7 +198,7 @@ def test_a_network_comes_back(tmp_path):
         (lambda tensors: tensors.update(more=np.ones(3, np.float16)), "unexpected tensors: more"),
     ],
 )
-def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change, message):
+def test_invalid_tensors_are_rejected(tmp_path, change, message):
     path = tmp_path / "mine.safetensors"
     write_twist_regressor(path, random_network(np.random.default_rng(0)))
     tensors = load_file(path)
@@ -208,14 +208,14 @@ def test_a_file_that_lacks_anything_or_has_too_much_is_refused(tmp_path, change,
         read_twist_regressor(path)
 
 
-def test_another_file_and_no_file_are_refused(tmp_path):
+def test_invalid_and_missing_files_are_rejected(tmp_path):
     (tmp_path / "text.safetensors").write_text("not that")
     for name in ("text", "none"):
         with pytest.raises(SceneError, match=rf"{name}\.safetensors: is not a twist regressor"):
             read_twist_regressor(tmp_path / f"{name}.safetensors")
 
 
-def test_to_regress_needs_no_torch():
+def test_prediction_does_not_import_torch():
     code = "import sys, numpy as np; from mocapfix.initialise.twist_regressor import load_shipped_regressor; "
     code += "load_shipped_regressor().predict_twists(np.zeros((1, 31, 3)), np.eye(3)[None]); print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"

@@ -18,11 +18,11 @@ HABITS = mean_pose.load_mean_pose_prior("mean-pose", SKELETON)
 NECK = [SKELETON.find_joint(name) for name in ("Neck", "Neck1", "Head")]
 
 
-def test_only_the_neck_is_such_a_chain():
+def test_neck_is_the_only_unmarked_chain():
     assert initial_motion.find_unmarked_chains(SUBJECT) == [NECK]
 
 
-def test_head_and_chest_are_turned_as_before_and_each_joint_between_by_the_same_angle():
+def test_ends_keep_their_rotation_and_joints_between_share_it():
     rotations = unseen_poses.load_unseen_poses()[::50]
     before = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     after = initial_motion.bend_unmarked_chains(before, SUBJECT, HABITS)
@@ -35,7 +35,7 @@ def test_head_and_chest_are_turned_as_before_and_each_joint_between_by_the_same_
     assert angles.max() > 0.1
 
 
-def test_the_mean_pose_stays_as_it_is_and_its_motion_is_not_touched():
+def test_mean_pose_is_a_fixed_point_and_input_is_not_modified():
     standing = build_known_motion(np.zeros((1, 3)), HABITS.mean_rotations[None].copy())
     np.testing.assert_allclose(
         initial_motion.bend_unmarked_chains(standing, SUBJECT, HABITS).local_rotations, standing.local_rotations, atol=1e-12

@@ -1,4 +1,4 @@
-"""Poses under mixtures: each in the component in which it costs least, as under that component alone."""
+"""Poses under a mixture: each frame is solved in its cheapest component."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from tests.solve.test_pose_solver import CODE, JOINTS, body, given, posed, unben
 
 
 def mixed(rng, count=2) -> MixtureModel:
-    """-> a mixture of well separated components; a pose has a tilt, but no heading"""
+    """Return a mixture of well separated components; a pose has a tilt, but no heading"""
     model = unbent(rng)
     axes = rng.normal(size=(CODE, JOINTS, 3))
     axes[:, 0, 1] = 0.0
@@ -36,7 +36,7 @@ def mixed(rng, count=2) -> MixtureModel:
 
 
 def component(model: MixtureModel, c: int) -> GaussianModel:
-    """-> one component as a model of its own"""
+    """Return one component as a model of its own"""
     mean = model.mean_vectors + np.tensordot(model.component_means[c], model.principal_axes, 1)
     return GaussianModel(
         model.joint_names,
@@ -49,14 +49,14 @@ def component(model: MixtureModel, c: int) -> GaussianModel:
 
 
 def case(rng, model, chosen):
-    """-> a body, rough points on its joints in poses of the chosen components, a start in the first component"""
+    """Return a body, rough points on its joints in poses of the chosen components, a start in the first component"""
     tree, codes = body(rng), rng.normal(0, 0.7, (len(chosen), CODE))
     local, root = posed(replace(model, component_index=np.array(chosen)), codes), rng.normal(size=(len(chosen), 3))
     start = root + 0.05, np.repeat(posed(model, np.zeros((1, CODE))), len(chosen), 0)
     return tree, given(rng, tree, root, local, np.arange(JOINTS), sd=0.05), start
 
 
-def test_each_pose_ends_in_its_component_as_under_that_alone():
+def test_poses_end_in_their_component_as_under_it_alone():
     rng = np.random.default_rng(0)
     model, chosen = mixed(rng), [0, 1, 1, 0]
     tree, points, start = case(rng, model, chosen)
@@ -74,7 +74,7 @@ def test_each_pose_ends_in_its_component_as_under_that_alone():
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
-def test_a_mixture_of_one_is_a_gaussian(scale):
+def test_mixture_of_one_equals_a_gaussian(scale):
     rng = np.random.default_rng(2)
     model = mixed(rng, 1)
     tree, points, start = case(rng, model, [0, 0, 0])
@@ -84,7 +84,7 @@ def test_a_mixture_of_one_is_a_gaussian(scale):
     np.testing.assert_allclose(found.codes, expected.codes, atol=5e-2)
 
 
-def test_of_poses_that_fit_alike_the_one_in_the_likelier_component_costs_less():
+def test_likelier_component_costs_less():
     rng = np.random.default_rng(4)
     model = replace(mixed(rng), component_weights=np.array([0.9, 0.1]))
     model = replace(model, component_cholesky=model.component_cholesky[[0, 0]])
@@ -95,7 +95,7 @@ def test_of_poses_that_fit_alike_the_one_in_the_likelier_component_costs_less():
     assert found.cost[1] - found.cost[0] == pytest.approx(np.log(9), abs=1e-6)
 
 
-def test_frames_neither_know_their_batch_nor_their_order(monkeypatch):
+def test_batches_and_frame_order_are_irrelevant(monkeypatch):
     rng = np.random.default_rng(3)
     model = mixed(rng)
     tree, points, start = case(rng, model, [0, 1, 1, 0, 1])

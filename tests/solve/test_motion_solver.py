@@ -26,7 +26,7 @@ SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marke
 
 @pytest.fixture(scope="module")
 def exact():
-    """-> a composed take whose markers are exactly where the body carries them, at a rate"""
+    """Return a composed take whose markers are exactly where the body carries them, at a rate"""
 
     def at(rate, seconds=3.0):
         truth = synthetic.compose_take(seed=2, seconds=seconds, rate=rate)
@@ -42,7 +42,7 @@ def solved(truth, markers, habits=NONE, limits=LIMITS):
 
 
 def off(truth, motion, frames=slice(None)):
-    """-> (T, J) metres: the joints from the true ones"""
+    """Return (T, J) metres: the joints from the true ones"""
     return np.linalg.norm(
         kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions[frames], axis=-1
     )
@@ -67,7 +67,7 @@ def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres
     assert (motion.status < 2).all()
 
 
-def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
+def test_static_body_is_accurate_to_a_fifth_of_a_millimetre(exact):
     truth = exact(120.0)
     still = np.tile(truth.marker_positions[200], (30, 1, 1))
     motion = solved(truth, still, limits=NO_LIMITS)  # markers alone: limits may bend it
@@ -75,7 +75,7 @@ def test_a_body_that_stands_still_is_found_to_a_fifth_of_a_millimetre(exact):
     assert off(truth, motion, slice(200, 201)).mean() < 2e-4
 
 
-def test_peoples_habits_hardly_bend_what_markers_say(exact):
+def test_prior_hardly_biases_the_markers(exact):
     truth = exact(120.0)
     motion = solved(truth, truth.marker_positions, MEAN, LIMITS)
     carried = kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1]
@@ -85,7 +85,7 @@ def test_peoples_habits_hardly_bend_what_markers_say(exact):
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5, 20])
-def test_a_take_may_be_as_short_as_it_likes(exact, frames):
+def test_very_short_takes_are_solved(exact, frames):
     truth = exact(120.0)
     motion = solved(truth, truth.marker_positions[100 : 100 + frames])
     check(motion)
@@ -93,7 +93,7 @@ def test_a_take_may_be_as_short_as_it_likes(exact, frames):
     assert off(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
 
 
-def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
+def test_frames_without_markers_are_guessed_between_neighbours(exact):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[:10] = markers[150:160] = np.nan
@@ -107,21 +107,21 @@ def test_frames_without_markers_are_guessed_between_their_neighbours(exact):
 
 
 @pytest.mark.parametrize("habits", [NONE, MEAN], ids=["none", "mean-pose"])
-def test_a_blackout_of_a_twelfth_of_a_second_is_bridged(exact, habits):
+def test_short_blackout_is_bridged(exact, habits):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[150:160] = np.nan
     assert off(truth, solved(truth, markers, habits))[150:160].mean() < 0.02
 
 
-def test_a_marker_that_lies_far_off_does_not_move_the_body(exact):
+def test_outlying_marker_has_no_influence(exact):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[:, truth.labels.index("LKNE")] += [0.0, 0.0, 0.4]
     assert off(truth, solved(truth, markers)).mean() < 0.004
 
 
-def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
+def test_missing_marker_increases_its_sd_only(exact):
     truth = exact(120.0)
     markers, k = truth.marker_positions.copy(), truth.labels.index("LFIN")
     sure = solved(truth, markers).marker_sd
@@ -133,7 +133,7 @@ def test_one_lost_marker_makes_its_place_less_sure_and_the_joint_stays(exact):
     assert off(truth, motion)[160:240, NAMES.index("LeftHand")].mean() < 0.01
 
 
-def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
+def test_lost_arm_moves_smoothly_and_the_rest_is_unaffected(exact):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
@@ -147,7 +147,7 @@ def test_a_lost_arm_moves_on_smoothly_and_the_rest_does_not_mind(exact):
     assert off(truth, motion)[:, far].mean() < 0.003
 
 
-def test_the_solve_writes_into_nothing_that_it_is_given(exact):
+def test_inputs_are_not_modified(exact):
     truth = exact(30.0)
     worn = Take(truth.marker_positions.copy(), truth.labels, truth.rate)
     start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
@@ -157,7 +157,7 @@ def test_the_solve_writes_into_nothing_that_it_is_given(exact):
         np.testing.assert_array_equal(now, before)
 
 
-def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
+def test_pose_model_is_not_loaded_if_all_segments_are_observed(exact):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[100:140, truth.labels.index("LWRA")] = np.nan  # the forearm carries others
@@ -173,7 +173,7 @@ def test_a_model_is_not_asked_of_a_body_of_which_every_segment_is_seen(exact):
         np.testing.assert_array_equal(one, other)
 
 
-def test_where_a_limb_is_lost_a_model_moves_that_limb_alone(exact, monkeypatch):
+def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     monkeypatch.setattr(occluded_joints, "MIN_QUERY_SD_RAD", 0.0)  # this take is quiet, and would not ask
     truth = exact(120.0)
     markers = truth.marker_positions.copy()

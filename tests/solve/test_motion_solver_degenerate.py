@@ -1,4 +1,4 @@
-"""Frames that say little, in the midst of a take: a status in words and a finite pose each, and the others none the worse."""
+"""Frames with little information within a take: a status and a finite pose for each, without effect on the others."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def finite(motion):
     np.testing.assert_allclose(unit, np.broadcast_to(np.eye(3), unit.shape), atol=1e-12)
 
 
-def test_frames_that_say_little_are_told_in_words_and_spoil_no_others():
+def test_degenerate_frames_have_a_status_and_do_not_affect_others():
     truth, strange = synthetic.compose_take(seed=2, seconds=1.0, rate=60), (10, 25, 40)
     _, sound = kinematics.compute_joint_and_marker_positions(truth.subject, truth.motion)
     markers = sound.copy()
@@ -45,7 +45,7 @@ def test_frames_that_say_little_are_told_in_words_and_spoil_no_others():
     assert np.linalg.norm(joints - expected, axis=-1)[away].max() < 0.03
 
 
-def test_a_take_in_which_nothing_is_seen_is_guessed_throughout():
+def test_invisible_take_is_guessed_throughout():
     truth = synthetic.compose_take(seed=2, seconds=0.5, rate=60)
     motion = solved(truth, np.full_like(truth.marker_positions, np.nan))
     finite(motion)

@@ -1,4 +1,4 @@
-"""Poses under the paper's number: never worse, and no different where all joints are seen."""
+"""Poses under the naturalness of MNN-IK: the cost decreases, and complete observations are hardly changed."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def points(joints, places) -> PointTerm:
 
 
 def costs(model, seen, root, local, scale=1.0):
-    """-> (T,) half the squares of points and number over their deviations"""
+    """Return (T,) half the squares of points and number over their deviations"""
     frames = [seen._replace(measured=seen.measured[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
     away = [
         dense_oracle.compute_residual(each, dense_oracle.compute_world(TREE, root[t], local[t])) for t, each in enumerate(frames)
@@ -39,7 +39,7 @@ def costs(model, seen, root, local, scale=1.0):
     return np.array([(each**2).sum() / 2 for each in away]) + (model.evaluate(local)[0] / model.naturalness_sd / scale) ** 2 / 2
 
 
-def test_the_cost_never_rises_and_falls(model):
+def test_cost_decreases_monotonically(model):
     seen, told = points(HANDS_AND_FEET, 1), [START]
     pose_solver.solve_poses(
         TREE, (seen,), model, *START, prior_scale=0.1, callback=lambda root, local, _: told.append((root.copy(), local.copy()))
@@ -49,20 +49,20 @@ def test_the_cost_never_rises_and_falls(model):
     assert (fell[1:] < -0.05).any()
 
 
-def test_the_more_it_is_believed_the_more_natural_the_poses_are(model):
+def test_stronger_prior_gives_more_natural_poses(model):
     seen = points(HANDS_AND_FEET, 1)
     found = [pose_solver.solve_poses(TREE, (seen,), model, *START, prior_scale=scale) for scale in (0.1, 1e6)]
     natural, free = (model.evaluate(each.local_rotations)[0] for each in found)
     assert (natural < free).all()
 
 
-def test_where_all_is_seen_it_changes_little(model):
+def test_complete_observations_change_little(model):
     found = pose_solver.solve_poses(TREE, (points(np.arange(31), 4),), model, *START)
     np.testing.assert_allclose(found.local_rotations[:, 1:], LOCAL[:, 1:], atol=0.05)
     assert found.codes.shape == (4, 0)
 
 
-def test_frames_neither_know_their_batch_nor_their_order(model, monkeypatch):
+def test_batches_and_frame_order_are_irrelevant(model, monkeypatch):
     seen = points(HANDS_AND_FEET, 1)
     found = pose_solver.solve_poses(TREE, (seen,), model, *START)
     order = np.array([2, 0, 3, 1])

@@ -28,7 +28,7 @@ LEFT = [BODY.skeleton.find_joint(name) for name in ARM]
         (100.0, (0, 99), (0, 99)),
     ],
 )
-def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
+def test_samples_beside_gaps_are_not_used(rate, gap, silent):
     believed = np.ones((100, 2), bool)
     believed[gap[0] : gap[1] + 1, 0] = False
     mask = observability.find_gap_borders(believed, np.zeros((100, 2), bool), rate, 0.05)
@@ -36,7 +36,7 @@ def test_beside_a_gap_a_marker_is_not_listened_to(rate, gap, silent):
     assert not mask[:, 1].any()
 
 
-def test_beside_a_gap_that_loses_the_joint_from_end_to_end_a_marker_is_listened_to():
+def test_gaps_of_an_unobserved_joint_have_no_borders():
     believed, gone = np.ones((100, 2), bool), np.zeros((100, 2), bool)
     believed[40:60] = False
     gone[40:60, 0], gone[45:60, 1] = True, True
@@ -45,7 +45,7 @@ def test_beside_a_gap_that_loses_the_joint_from_end_to_end_a_marker_is_listened_
     assert find_runs(mask[:, 1]) == [(35, 64)]
 
 
-def test_a_joint_misses_its_own_markers_and_its_childrens():
+def test_joint_lacks_own_and_child_markers():
     listened = np.ones((5, 41), bool)
     listened[3, WORN.labels.index("LFRM")] = False
     listened[4, WORN.labels.index("LFWT")] = False
@@ -59,7 +59,7 @@ def test_a_joint_misses_its_own_markers_and_its_childrens():
 
 
 def heard(*labels, frames=(2,)):
-    """-> (5, K) bool: all markers are listened to, but for these in these frames"""
+    """Return (5, K) bool: all markers are listened to, but for these in these frames"""
     listened = np.ones((5, len(WORN.labels)), bool)
     for label in labels:
         listened[list(frames), WORN.labels.index(label)] = False
@@ -77,26 +77,26 @@ def lost(listened):
     }
 
 
-def test_while_all_is_seen_nothing_is_lost():
+def test_nothing_is_unobserved_with_all_markers():
     assert lost(heard()) == set()
 
 
-def test_an_arm_without_markers_is_lost_in_those_frames():
+def test_arm_without_markers_is_unobserved():
     assert lost(heard(*on(*ARM))) == {(2, name) for name in ARM}
     assert lost(heard(*on(*ARM), frames=(0, 4))) == {(t, name) for t in (0, 4) for name in ARM}
 
 
-def test_a_joint_with_a_marker_farther_out_is_not_lost():
+def test_joint_with_a_distal_marker_is_observed():
     assert lost(heard(*on("LeftArm", "LeftForeArm"))) == set()
     assert lost(heard(*on("LeftForeArm", "LeftHand"))) == {(2, "LeftForeArm"), (2, "LeftHand")}
     assert lost(heard(*on("LeftHand")[1:])) == set()
 
 
-def test_a_limb_that_the_take_never_shows_is_not_lost_but_unknown():
+def test_never_marked_limb_is_not_unobserved():
     assert lost(heard(*on(*ARM), frames=range(5))) == set()
 
 
-def test_the_root_and_joints_that_cannot_turn_are_never_lost():
+def test_root_and_fixed_joints_are_never_unobserved():
     nothing = np.zeros((5, len(WORN.labels)), bool)
     nothing[0] = True
     gone = observability.find_unobserved_joints(nothing, SUBJECT, BODY.free_joints)

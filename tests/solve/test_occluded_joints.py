@@ -19,7 +19,7 @@ LOST = slice(300, 400)
 
 
 def mirroring(rng, frames=FRAMES):
-    """-> root (T, 3) and local (T, J, 3, 3) of somebody who stands and whose left arm does what the right one does"""
+    """Return root (T, 3) and local (T, J, 3, 3) of somebody who stands and whose left arm does what the right one does"""
     t = np.arange(frames) / RATE
     local = np.tile(np.eye(3), (frames, len(BODY.skeleton.names), 1, 1))
     for left, right in zip(LEFT, RIGHT, strict=True):
@@ -31,7 +31,7 @@ def mirroring(rng, frames=FRAMES):
 
 
 def recalled(root, truth, gone):
-    """-> rotations and variances after recalling, and before"""
+    """Return rotations and variances after recalling, and before"""
     solved, unsure = truth.copy(), np.full(gone.shape, 1e-4)
     solved[gone], unsure[gone] = np.eye(3), 0.3
     found, variance = solved.copy(), unsure.copy()
@@ -40,12 +40,12 @@ def recalled(root, truth, gone):
 
 
 def away(a, b):
-    """-> the angle between rotations (N, 3, 3), radians"""
+    """Return the angle between rotations (N, 3, 3), radians"""
     return Rotation.from_matrix(np.swapaxes(a, 1, 2) @ b).magnitude()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_lost_arm_that_mirrors_the_other_is_found(seed):
+def test_arm_that_mirrors_the_other_is_inferred(seed):
     root, truth = mirroring(np.random.default_rng(seed))
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, LEFT] = True
@@ -58,7 +58,7 @@ def test_a_lost_arm_that_mirrors_the_other_is_found(seed):
         assert variance[LOST.start, j] < 0.2 * variance[(LOST.start + LOST.stop) // 2, j]  # surest at its edges
 
 
-def test_a_lost_arm_goes_on_from_its_edges_without_a_jump():
+def test_inferred_arm_is_continuous_at_the_edges():
     root, truth = mirroring(np.random.default_rng(2))
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, LEFT] = True
@@ -68,7 +68,7 @@ def test_a_lost_arm_goes_on_from_its_edges_without_a_jump():
         assert step.max() < 1.5 * away(truth[:-1, j], truth[1:, j]).max()
 
 
-def test_what_was_not_lost_stays_bit_for_bit():
+def test_observed_joints_are_bit_identical():
     root, truth = mirroring(np.random.default_rng(0))
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, LEFT] = True
@@ -78,7 +78,7 @@ def test_what_was_not_lost_stays_bit_for_bit():
     np.testing.assert_allclose(np.linalg.det(found), 1.0)
 
 
-def test_where_the_arm_stopped_mirroring_what_is_nearer_in_time_counts_for_more():
+def test_nearby_frames_count_more_where_mirroring_ends():
     root, truth = mirroring(np.random.default_rng(1))
     bent = Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
     truth[250:450, LEFT[1]] = truth[250:450, LEFT[1]] @ bent  # it stops mirroring a while before it is lost
@@ -88,7 +88,7 @@ def test_where_the_arm_stopped_mirroring_what_is_nearer_in_time_counts_for_more(
     assert off[[0, -1]].max() < 0.08
 
 
-def test_an_arm_that_is_lost_while_a_leg_is_learns_from_the_frames_that_lost_the_leg_alone():
+def test_arm_learns_from_frames_that_lost_the_leg_alone():
     root, truth = mirroring(np.random.default_rng(3))
     leg = [BODY.skeleton.find_joint(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
     gone = np.zeros(truth.shape[:2], bool)
@@ -98,7 +98,7 @@ def test_an_arm_that_is_lost_while_a_leg_is_learns_from_the_frames_that_lost_the
     assert off[[0, -1]].max() < 0.03
 
 
-def test_with_most_of_the_body_lost_nothing_is_recalled():
+def test_nothing_is_inferred_if_most_of_the_body_is_lost():
     root, truth = mirroring(np.random.default_rng(0))
     gone = np.zeros(truth.shape[:2], bool)
     gone[LOST, 1:] = BODY.free_joints[1:]
@@ -107,7 +107,7 @@ def test_with_most_of_the_body_lost_nothing_is_recalled():
     np.testing.assert_array_equal(variance, was)
 
 
-def test_a_take_that_shows_the_arm_too_little_is_not_asked():
+def test_rarely_observed_arm_is_not_inferred():
     root, truth = mirroring(np.random.default_rng(0), frames=200)
     gone = np.zeros(truth.shape[:2], bool)
     gone[occluded_joints.MIN_TRAINING_FRAMES - 1 :, LEFT] = True
@@ -116,7 +116,7 @@ def test_a_take_that_shows_the_arm_too_little_is_not_asked():
     np.testing.assert_array_equal(variance, was)
 
 
-def test_nothing_lost_is_nothing_changed():
+def test_nothing_unobserved_changes_nothing():
     root, truth = mirroring(np.random.default_rng(0))
     found, variance, solved, was = recalled(root, truth, np.zeros(truth.shape[:2], bool))
     np.testing.assert_array_equal(found, solved)
@@ -138,7 +138,7 @@ class Oracle:
 
 
 @pytest.mark.parametrize(("scale", "better"), [(1.0, 0.95), (0.2, 0.6), (0.05, 0.4)])
-def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_count(scale, better):
+def test_pose_model_innovation_is_used_and_its_bias_ignored(scale, better):
     root, truth = mirroring(np.random.default_rng(4))
     own = mirroring(np.random.default_rng(5))[1]
     truth[:, LEFT] = own[:, LEFT]  # it does not mirror: nothing in the take tells of it
@@ -156,7 +156,7 @@ def test_what_the_take_cannot_tell_others_do_and_what_they_always_miss_does_not_
         assert away(found[LOST, j], truth[LOST, j]).mean() < better * away(alone[LOST, j], truth[LOST, j]).mean()
 
 
-def test_nobody_is_asked_of_a_gap_that_the_take_is_sure_of():
+def test_pose_model_is_not_used_for_certain_gaps():
     root, truth = mirroring(np.random.default_rng(0))
     gone = np.zeros(truth.shape[:2], bool)
     gone[300:306, LEFT] = True

@@ -1,4 +1,4 @@
-"""Poses under linear models and under one that is bent: found again, at the least cost, each frame for itself."""
+"""Poses under linear and nonlinear pose models: recovery, cost, convergence and independence of frames."""
 
 from dataclasses import dataclass, replace
 
@@ -20,7 +20,7 @@ NAMES = tuple("abcdef")
 
 
 def unbent(rng) -> GaussianModel:
-    """-> a linear model whose poses lie well away from half a turn"""
+    """Return a linear model whose poses lie well away from half a turn"""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
     middle = random_terms.draw_rotations(rng, JOINTS, 1.0)
@@ -58,13 +58,13 @@ def body(rng) -> KinematicTree:
 
 
 def posed(model: PoseModel, codes):
-    """-> (T, J, 3, 3) the poses that codes mean"""
+    """Return (T, J, 3, 3) the poses that codes mean"""
     vectors = model.decode(codes)
     return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3) @ model.reference_rotations
 
 
 def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
-    """-> exact points on some joints of each frame"""
+    """Return exact points on some joints of each frame"""
     on = np.repeat(joints, places)
     where = rng.normal(0, 0.15, (len(on), 3))
     seen = np.stack(
@@ -77,7 +77,7 @@ def given(rng, tree, root, local, joints, sd=0.005, places=4) -> PointTerm:
 
 
 def case(rng, model, frames=5, joints=(1, 3, 4)):
-    """-> a body, points of it in some poses of the model, a start, and those poses' codes"""
+    """Return a body, points of it in some poses of the model, a start, and those poses' codes"""
     tree, codes = body(rng), rng.normal(0, 0.7, (frames, CODE))
     root, local = rng.normal(size=(frames, 3)), posed(model, codes)
     start = root + 0.05, np.tile(model.reference_rotations, (frames, 1, 1, 1))
@@ -85,7 +85,7 @@ def case(rng, model, frames=5, joints=(1, 3, 4)):
 
 
 def true_cost(tree, points, model, t, root, local, code, scale=1.0) -> float:
-    """-> of frame t, all written out: the points, the pose about what the code means, the code"""
+    """Return of frame t, all written out: the points, the pose about what the code means, the code"""
     rows, residuals = np.zeros(1, int), (code / scale)[None]
     prior = LatentCodeTerm.build(model.reference_rotations, model.decode(code[None]), np.zeros((1, JOINTS, 3, CODE)), residuals,
                          model.residual_information / scale**2, np.zeros(1), rows)  # fmt: skip
@@ -99,7 +99,7 @@ def costs(tree, points, model, found, scale=1.0):
 
 
 @pytest.mark.parametrize("make", [unbent, bent])
-def test_poses_that_the_model_knows_come_back_from_all_their_joints(make):
+def test_poses_of_the_model_are_recovered_from_all_joints(make):
     rng = np.random.default_rng(0)
     model = make(rng)
     tree, points, start, codes = case(rng, model, joints=range(JOINTS))
@@ -111,7 +111,7 @@ def test_poses_that_the_model_knows_come_back_from_all_their_joints(make):
     assert (found.status == FrameStatus.CONVERGED).all()
 
 
-def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
+def test_linear_model_gives_the_least_squares_solution():
     rng = np.random.default_rng(1)
     model = unbent(rng)
     tree, points, start, _ = case(rng, model)
@@ -137,7 +137,7 @@ def test_under_a_linear_model_it_is_the_least_of_the_whole_cost():
         assert cost == pytest.approx(least, abs=2e-3)
 
 
-def test_a_bent_model_is_followed_to_where_no_small_change_is_better():
+def test_nonlinear_model_ends_at_a_local_minimum():
     rng = np.random.default_rng(2)
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
@@ -151,7 +151,7 @@ def test_a_bent_model_is_followed_to_where_no_small_change_is_better():
 
 
 @pytest.mark.parametrize("height", [0.3, 3.0])
-def test_the_true_cost_never_rises_however_bent_the_model(height):
+def test_true_cost_never_increases(height):
     rng = np.random.default_rng(3)
     model = bent(rng, height=height)
     tree, points, start, _ = case(rng, model, joints=(2, 5))
@@ -167,7 +167,7 @@ def test_the_true_cost_never_rises_however_bent_the_model(height):
 
 
 @pytest.mark.parametrize("make", [unbent, bent])
-def test_frames_neither_know_their_batch_nor_their_order(make, monkeypatch):
+def test_batches_and_frame_order_are_irrelevant(make, monkeypatch):
     rng = np.random.default_rng(4)
     model = make(rng)
     tree, points, start, _ = case(rng, model, frames=7)
@@ -179,7 +179,7 @@ def test_frames_neither_know_their_batch_nor_their_order(make, monkeypatch):
         np.testing.assert_allclose(again, getattr(found, name)[order], atol=1e-9)
 
 
-def test_a_scale_widens_all_of_the_models_deviations():
+def test_prior_scale_multiplies_all_model_deviations():
     rng = np.random.default_rng(5)
     model = unbent(rng)
     tree, points, start, _ = case(rng, model)
@@ -192,7 +192,7 @@ def test_a_scale_widens_all_of_the_models_deviations():
     np.testing.assert_allclose(found.codes, 2 * expected.codes, atol=1e-9)
 
 
-def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
+def test_converged_frames_are_not_linearised_again(monkeypatch):
     rng = np.random.default_rng(6)
     model = bent(rng)
     tree, points, start, _ = case(rng, model)
@@ -208,7 +208,7 @@ def test_a_frame_that_has_converged_is_not_asked_of_again(monkeypatch):
     assert model.asked[:2] == [5, 2]  # codes of the first round differ, else one would be asked for all
 
 
-def test_a_linear_model_is_asked_once_and_rounds_are_told():
+def test_linear_model_is_linearised_once_and_callback_is_called():
     rng = np.random.default_rng(7)
     model, told = unbent(rng), []
     tree, points, start, _ = case(rng, model)
@@ -217,7 +217,7 @@ def test_a_linear_model_is_asked_once_and_rounds_are_told():
     np.testing.assert_array_equal(told[0][2], found.codes)
 
 
-def test_the_start_is_left_as_it_was_and_few_iterations_run_out():
+def test_start_is_not_modified_and_iterations_are_limited():
     rng = np.random.default_rng(8)
     model = bent(rng)
     tree, points, start, codes = case(rng, model)
@@ -229,7 +229,7 @@ def test_the_start_is_left_as_it_was_and_few_iterations_run_out():
     assert (found.iterations >= 1).all()
 
 
-def test_the_tilt_is_the_models_and_the_heading_nobodys():
+def test_model_determines_the_tilt_but_not_the_heading():
     """Nothing but the root's place is known: the body stands as the mean does, whichever way it faces."""
     rng = np.random.default_rng(9)
     model, tree = unbent(rng), body(rng)

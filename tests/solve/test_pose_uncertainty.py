@@ -25,7 +25,7 @@ NAMES = BODY.skeleton.names
 
 
 @pytest.mark.parametrize("taken_up", [0.0, 0.3, 0.8])
-def test_what_the_pose_took_up_of_the_markers_errors_is_made_good(taken_up):
+def test_absorbed_marker_errors_are_corrected(taken_up):
     left = np.random.default_rng(0).normal(0, 0.005 * np.sqrt(1 - taken_up), (400, 40, 3))
     distance = np.linalg.norm(left, axis=-1)
     distance[:20] = 0.3  # some markers are not where they are believed to be
@@ -37,7 +37,7 @@ def test_what_the_pose_took_up_of_the_markers_errors_is_made_good(taken_up):
     assert estimate_marker_sd(distance, share, tell, 0.01) == pytest.approx(0.005, rel=0.07)
 
 
-def test_without_a_marker_that_tells_the_deviation_is_the_solves_and_never_nothing():
+def test_default_sd_without_usable_markers_and_lower_bound():
     some = np.zeros((3, 2))
     assert estimate_marker_sd(some, some, np.zeros((3, 2), bool), 0.01) == 0.01
     assert estimate_marker_sd(some, some, np.ones((3, 2), bool), 0.01) == MIN_ESTIMATED_MARKER_SD_M
@@ -45,7 +45,7 @@ def test_without_a_marker_that_tells_the_deviation_is_the_solves_and_never_nothi
 
 @pytest.fixture(scope="module")
 def scene():
-    """-> a person, their motion and a problem whose markers lie 4 mm per axis off, those of the left hand not seen"""
+    """Return a person, their motion and a problem whose markers lie 4 mm per axis off, those of the left hand not seen"""
     truth = synthetic.compose_take(seed=101, seconds=2.0, rate=60.0)
     subject = truth.subject
     listened = np.ones(truth.missing_mask.shape, bool)
@@ -70,7 +70,7 @@ def foretold(scene, course_sd=None, subject=None):
     return compute_pose_sd(problem, motion, subject or person, MEAN, alone, time, 0.05)
 
 
-def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scene):
+def test_joint_without_markers_is_less_certain_and_tracking_helps(scene):
     _, free = foretold(scene)
     _, held = foretold(scene, course_sd=0.1)
     lost, seen = NAMES.index("LeftHand"), NAMES.index("RightHand")
@@ -80,7 +80,7 @@ def test_a_joint_without_markers_is_less_sure_and_its_course_makes_it_surer(scen
     np.testing.assert_allclose(held[:, NAMES.index("LeftLeg")], free[:, NAMES.index("LeftLeg")], rtol=1e-3)
 
 
-def test_markers_that_stray_less_make_surer_joints(scene):
+def test_smaller_marker_errors_give_more_certain_joints(scene):
     subject, motion, problem = scene
     markers = problem.marker_positions - 0.5 * (
         problem.marker_positions - kinematics.compute_joint_and_marker_positions(subject, motion)[1]
@@ -91,7 +91,7 @@ def test_markers_that_stray_less_make_surer_joints(scene):
     assert np.median(near[:, knee] / far[:, knee]) == pytest.approx(0.5, abs=0.1)
 
 
-def test_calibrations_own_error_comes_on_top(scene):
+def test_calibration_error_is_added(scene):
     subject, _, _ = scene
     posed_markers, posed_joints = foretold(scene)
     doubted = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))

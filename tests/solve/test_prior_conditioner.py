@@ -15,7 +15,7 @@ TOLD = np.array([j for j in np.flatnonzero(BODY.free_joints)[1:] if j != LEFT])
 
 
 def mirrors():
-    """-> a model in which the left arm turns about x as the right one does"""
+    """Return a model in which the left arm turns about x as the right one does"""
     components = np.zeros((1, JOINTS, 3))
     components[0, [LEFT, RIGHT], 0] = 1.0
     sigma = np.full(JOINTS, 0.02)
@@ -23,14 +23,14 @@ def mirrors():
 
 
 def poses(angles):
-    """-> local rotations of somebody whose right arm is turned by so much about x"""
+    """Return local rotations of somebody whose right arm is turned by so much about x"""
     local = np.tile(np.eye(3), (len(angles), JOINTS, 1, 1))
     local[:, RIGHT] = Rotation.from_euler("x", angles[:, None]).as_matrix()
     return local
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_lost_arm_is_where_the_model_says_that_the_told_one_puts_it(sign):
+def test_occluded_arm_follows_the_observed_one(sign):
     angles, frames = np.linspace(-1, 1, 9), np.array([1, 4, 8])
     local = poses(angles)
     near = np.tile([0.0, 0.0, 0.0, sign], (3, 1))
@@ -40,7 +40,7 @@ def test_a_lost_arm_is_where_the_model_says_that_the_told_one_puts_it(sign):
     np.testing.assert_allclose(turns, expected, atol=0.02)
 
 
-def test_what_is_lost_counts_for_nothing_and_nothing_is_written_into():
+def test_occluded_joints_are_ignored_and_input_is_not_modified():
     local = poses(np.full(4, 0.5))
     elsewhere = local.copy()
     elsewhere[:, LEFT] = Rotation.from_euler("y", 1.0).as_matrix()

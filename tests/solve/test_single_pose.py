@@ -26,7 +26,7 @@ INDEX = SKELETON.find_joint
 
 
 def somebody(seed=0, heading=0.0):
-    """-> joints (31, 3) and world rotations (31, 3, 3) of a pose that the Gaussian knows, facing anywhere"""
+    """Return joints (31, 3) and world rotations (31, 3, 3) of a pose that the Gaussian knows, facing anywhere"""
     code = np.random.default_rng(seed).normal(0, 0.7, (1, GAUSSIAN.code_size))
     local = Rotation.from_rotvec(GAUSSIAN.decode(code)[0]).as_matrix() @ GAUSSIAN.reference_rotations
     local[0] = Rotation.from_euler("y", heading).as_matrix() @ local[0]
@@ -41,7 +41,7 @@ def at(found, joint):
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
-def test_all_joints_tell_the_pose_whichever_way_it_faces(heading):
+def test_all_joints_determine_the_pose_in_any_heading(heading):
     joints, _ = somebody(1, heading)
     found = single_pose.solve_pose(
         [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian"
@@ -52,7 +52,7 @@ def test_all_joints_tell_the_pose_whichever_way_it_faces(heading):
     assert found.joint_sd.max() < 0.005
 
 
-def test_a_prior_tells_what_is_not_given_better_than_none():
+def test_prior_predicts_unconstrained_joints_better_than_none():
     joints, _ = somebody(2)
     given = [
         PositionConstraint(name, joints[INDEX(name)])
@@ -65,7 +65,7 @@ def test_a_prior_tells_what_is_not_given_better_than_none():
     assert off[0] < 0.6 * off[1]
 
 
-def test_the_deviation_is_small_where_something_is_said():
+def test_sd_is_small_at_constraints():
     joints, _ = somebody(3)
     names = ("Head", "LeftHand", "LeftFoot", "RightFoot", "Hips")
     found = single_pose.solve_pose([PositionConstraint(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
@@ -73,7 +73,7 @@ def test_the_deviation_is_small_where_something_is_said():
     assert found.joint_sd[INDEX("RightHand")] > 0.05
 
 
-def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded():
+def test_point_direction_and_orientation_constraints_hold():
     joints, rotation = somebody(4)
     thumb = np.array([0.02, -0.05, 0.01])
     tip, bone = (
@@ -96,7 +96,7 @@ def test_a_point_on_a_body_a_bones_direction_and_a_bodys_orientation_are_heeded(
     assert turn.magnitude() < 0.01
 
 
-def test_hands_are_as_far_apart_as_said():
+def test_distance_constraint_holds():
     found = single_pose.solve_pose(
         [PositionConstraint("Hips", (0, 1, 0)), DistanceConstraint(("LeftHand", "RightHand"), 0.1, 0.001)], GAUSSIAN
     )
@@ -104,7 +104,7 @@ def test_hands_are_as_far_apart_as_said():
 
 
 @pytest.mark.parametrize("perspective", [True, False])
-def test_two_cameras_see_the_pose_where_it_is(perspective):
+def test_two_cameras_determine_the_pose(perspective):
     joints, _ = somebody(5)
     said, views = [], []
     for turn in (0.3, 1.7):
@@ -118,7 +118,7 @@ def test_two_cameras_see_the_pose_where_it_is(perspective):
     np.testing.assert_allclose(found.joint_positions, joints, atol=0.03)
 
 
-def test_a_start_is_where_it_begins():
+def test_solve_starts_at_the_given_pose():
     joints, _ = somebody(6)
     given = [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
     first = single_pose.solve_pose(given, GAUSSIAN)
@@ -127,7 +127,7 @@ def test_a_start_is_where_it_begins():
     np.testing.assert_allclose(again.joint_positions, first.joint_positions, atol=1e-3)
 
 
-def test_a_scale_lets_the_given_win():
+def test_larger_prior_scale_favours_constraints():
     given, span = (
         [PositionConstraint("LeftHand", (3.0, 1.0, 0.0), 1.0), PositionConstraint("RightHand", (-3.0, 1.0, 0.0), 1.0)],
         [],
@@ -184,12 +184,12 @@ HAND = PositionConstraint("LeftHand", (0.5, 1.4, 0.3))
         ),
     ],
 )
-def test_what_cannot_be_meant_is_said(wrong, why):
+def test_invalid_constraints_are_rejected(wrong, why):
     with pytest.raises(ConstraintError, match=why):
         single_pose.solve_pose(wrong, GAUSSIAN)
 
 
-def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
+def test_unknown_prior_and_invalid_start_are_rejected():
     with pytest.raises(SceneError, match="There is no trained prior 'gauss'"):
         single_pose.solve_pose([HAND], "gauss")
     with pytest.raises(ConstraintError, match=re.escape("start must be a root (3,) and rotations (31, 3, 3)")):
@@ -199,12 +199,12 @@ def test_an_unknown_prior_and_a_start_of_another_shape_are_said():
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
-def test_a_scale_that_is_none_is_said(scale):
+def test_invalid_prior_scale_is_rejected(scale):
     with pytest.raises(ConstraintError, match=f"prior_scale must be greater than 0 and finite, not {scale!r}"):
         single_pose.solve_pose([HAND], GAUSSIAN, prior_scale=scale)
 
 
-def test_the_papers_network_is_refused_by_its_name():
+def test_mnn_ik_network_is_rejected_by_name():
     with pytest.raises(
         SceneError,
         match=r"The prior 'mnn-ik' is available in mocapfix bench prior only; choose one of: autoencoder, gaussian, mixture, pca\.",

@@ -21,14 +21,14 @@ def dense_course(path, variance, power, rate):
 
 
 def wandering(rng, seconds, rate, intensity, components=1):
-    """-> (T, C) an integrated random acceleration, drawn in steps a hundredth of a frame's"""
+    """Return (T, C) an integrated random acceleration, drawn in steps a hundredth of a frame's"""
     fine = 20
     kick = rng.normal(0, np.sqrt(intensity / (rate * fine)), (round(seconds * rate) * fine, components))
     return (np.cumsum(np.cumsum(kick, 0), 0) / (rate * fine))[::fine]
 
 
 @given(seeds, st.integers(3, 40), st.floats(-2, 3), st.sampled_from([30.0, 120.0]))
-def test_the_course_is_the_least_squares_solution_of_its_definition(seed, frames, power, rate):
+def test_smooth_path_is_the_least_squares_solution(seed, frames, power, rate):
     rng = np.random.default_rng(seed)
     path, variance = rng.normal(size=(frames, 2)), 10.0 ** rng.uniform(-5, -1, frames)
     powers = 10.0 ** (power + rng.uniform(-0.5, 0.5, frames))
@@ -37,19 +37,19 @@ def test_the_course_is_the_least_squares_solution_of_its_definition(seed, frames
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 100])
-def test_a_straight_line_stays_itself(frames):
+def test_straight_line_is_a_fixed_point(frames):
     line = np.arange(frames)[:, None] * [[0.1, -2.0]] + [[3.0, 0.5]]
     np.testing.assert_allclose(smoothing.smooth_path(line, np.full(frames, 1e-4), np.ones(frames), RATE), line, atol=1e-8)
 
 
-def test_a_gap_is_crossed_on_a_line_where_the_ends_are_straight():
+def test_gap_between_straight_ends_is_linear():
     line = np.linspace(0, 1, 60)[:, None] * [[1.0, 2.0]]
     variance, torn = np.full(60, 1e-4), line.copy()
     variance[20:40], torn[20:40] = 1e8, 100.0
     np.testing.assert_allclose(smoothing.smooth_path(torn, variance, np.ones(60), RATE), line, atol=1e-4)
 
 
-def test_certain_frames_are_kept_and_stiff_courses_are_lines():
+def test_certain_frames_are_kept_and_stiff_paths_are_lines():
     rng = np.random.default_rng(0)
     path, certain = rng.normal(size=(50, 1)), np.full(50, 1e-12)
     np.testing.assert_allclose(smoothing.smooth_path(path, certain, np.ones(50), RATE), path, atol=1e-4)
@@ -60,20 +60,20 @@ def test_certain_frames_are_kept_and_stiff_courses_are_lines():
 
 @pytest.mark.parametrize("rate", [60.0, 240.0])
 @pytest.mark.parametrize("power", [0.05, 20.0])
-def test_the_power_of_a_wandering_is_found_again(rate, power):
+def test_power_of_a_random_acceleration_is_estimated(rate, power):
     path = wandering(np.random.default_rng(1), 40.0, rate, power, components=3)
     found = smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), rate, max_sd=0.1)
     assert power < np.median(found) / smoothing.PEAK_POWER_RATIO * 2 < 4 * power
 
 
-def test_a_lively_stretch_is_told_from_the_quiet_around_it():
+def test_fast_stretch_is_distinguished_from_slow_ones():
     t = np.arange(1200) / RATE
     quiet, lively = 0.02 * np.sin(2 * np.pi * t), np.where(abs(t - 6) < 1, 0.5 * np.sin(2 * np.pi * 3 * (t - 5)) ** 3, 0)
     found = smoothing.estimate_acceleration_power((quiet + lively)[:, None], np.full(1200, 1e-6), RATE, 0.1)
     assert np.median(found[540:660]) > 20 * np.median(found[:450])
 
 
-def test_frames_that_are_not_well_known_do_not_tell_the_power():
+def test_uncertain_frames_do_not_affect_the_power():
     rng = np.random.default_rng(2)
     path = wandering(rng, 20.0, RATE, 1.0)
     variance, torn = np.full(len(path), 1e-6), path.copy()
@@ -83,7 +83,7 @@ def test_frames_that_are_not_well_known_do_not_tell_the_power():
     assert smoothing.estimate_acceleration_power(torn, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * told
 
 
-def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
+def test_steady_rotation_is_a_fixed_point_and_missing_frames_follow_it():
     t = np.arange(200) / RATE
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
     variance, torn = np.full(200, 1e-4), steady.as_quat()
@@ -92,7 +92,7 @@ def test_a_steady_turn_stays_itself_and_lost_frames_follow_it():
     assert (smooth * steady.inv()).magnitude().max() < np.radians(1)
 
 
-def test_a_bridge_leads_across_the_unsure_frames_and_knows_how_unsure_it_is():
+def test_bridged_rotation_has_its_variance():
     t = np.arange(200) / RATE
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
     unsure, torn = np.zeros(200, bool), steady.as_quat()
@@ -103,7 +103,7 @@ def test_a_bridge_leads_across_the_unsure_frames_and_knows_how_unsure_it_is():
     assert 99 <= variance.argmax() <= 100  # the middle
 
 
-def test_the_least_known_is_what_an_integrated_random_acceleration_leaves_open():
+def test_gap_variance_is_that_of_an_integrated_random_acceleration():
     unsure, power = np.zeros(100, bool), np.full(100, 2.0)
     unsure[40:59] = unsure[95:] = True
     found = smoothing.compute_gap_variance(unsure, power, RATE) / smoothing.GAP_POWER_RATIO
@@ -112,7 +112,7 @@ def test_the_least_known_is_what_an_integrated_random_acceleration_leaves_open()
     assert not found[~unsure].any()
 
 
-def test_the_root_moves_on_through_lost_frames():
+def test_root_continues_through_missing_frames():
     t = np.arange(200)[:, None] / RATE
     root = t * [[1.2, 0.0, 0.1]]
     variance, torn = np.full(200, 1e-6), root.copy()
@@ -120,7 +120,7 @@ def test_the_root_moves_on_through_lost_frames():
     np.testing.assert_allclose(smoothing.smooth_root_path(torn, variance, RATE)[0], root, atol=1e-3)
 
 
-def test_a_path_that_is_well_known_only_here_and_there_is_as_lively_as_any():
+def test_sparsely_known_path_has_finite_power():
     """Three frames of every 200 tell of one acceleration: too little of any moment to say how lively it is."""
     frames, rate = 6000, 120.0
     variance = np.ones(frames)

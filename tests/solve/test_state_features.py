@@ -9,7 +9,7 @@ from mocapfix.solve import state_features
 RATE = 60.0
 
 
-def test_circumstances_are_those_of_the_moving_body():
+def test_features_are_those_of_the_moving_body():
     t = np.arange(120) / RATE
     local = np.tile(np.eye(3), (120, 3, 1, 1))
     local[:, 0] = Rotation.from_euler("y", 0.5 * t[:, None]).as_matrix()
@@ -30,7 +30,7 @@ def test_circumstances_are_those_of_the_moving_body():
 
 
 @pytest.mark.parametrize("frames", [1, 2])
-def test_a_take_of_hardly_a_frame_has_circumstances_too(frames):
+def test_single_frame_has_features(frames):
     local = np.tile(np.eye(3), (frames, 2, 1, 1))
     said = state_features.compute_joint_state_features(np.zeros((frames, 3)), local, np.array([1]), np.arange(frames), RATE)
     assert np.isfinite(said).all()

@@ -19,7 +19,7 @@ def walking(frames: int, seed: int = 0) -> Motion:
 
 
 @given(frames=st.integers(1, 200), rate=RATES, fps=RATES)
-def test_the_first_frame_stays_and_no_frame_lies_beyond_the_last(frames, rate, fps):
+def test_first_frame_is_kept_and_none_lies_beyond_the_last(frames, rate, fps):
     before = walking(frames)
     after = resample_motion(before, rate, fps)
     np.testing.assert_allclose(after.root_position[0], before.root_position[0], atol=1e-12)
@@ -29,7 +29,7 @@ def test_the_first_frame_stays_and_no_frame_lies_beyond_the_last(frames, rate, f
 
 
 @given(frames=st.integers(2, 60), seed=st.integers(0, 2**32), times=st.integers(2, 5))
-def test_every_frame_of_the_motion_is_kept_where_there_are_more(frames, seed, times):
+def test_all_frames_are_kept_at_a_multiple_of_the_rate(frames, seed, times):
     before = walking(frames, seed)
     after = resample_motion(before, 30, 30 * times)
     assert after.frame_count == (frames - 1) * times + 1
@@ -38,7 +38,7 @@ def test_every_frame_of_the_motion_is_kept_where_there_are_more(frames, seed, ti
 
 
 @given(frames=st.integers(2, 80), rate=RATES, fps=RATES, turn=st.floats(-1.5, 1.5))
-def test_what_turns_and_moves_evenly_goes_on_doing_so(frames, rate, fps, turn):
+def test_uniform_motion_is_exact(frames, rate, fps, turn):
     axis, time = np.array([0.6, 0.0, 0.8]), np.arange(frames)[:, None]
     rotations = Rotation.from_rotvec(axis * turn * time).as_matrix()[:, None]
     after = resample_motion(motion_of(rotations, np.array([[1.0, 2.0, 3.0]]) + time * [0.1, 0, -0.2]), rate, fps)
@@ -48,13 +48,13 @@ def test_what_turns_and_moves_evenly_goes_on_doing_so(frames, rate, fps, turn):
 
 
 @given(frames=st.integers(2, 60), fps=RATES)
-def test_what_comes_out_are_rotations(frames, fps):
+def test_results_are_rotations(frames, fps):
     turns = resample_motion(walking(frames), 47.0, fps).local_rotations
     np.testing.assert_allclose(turns @ turns.swapaxes(-1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
 
 
 @pytest.mark.parametrize(("rate", "fps"), [(120.0, 30.0), (119.88, 29.97), (100.0, 25.0), (240.0, 120.0), (59.94, 59.94)])
-def test_frames_that_are_there_are_picked_bit_for_bit(rate, fps):
+def test_existing_frames_are_bit_identical(rate, fps):
     before = walking(101)
     assert is_frame_subset(rate, fps)
     np.testing.assert_array_equal(
@@ -62,17 +62,17 @@ def test_frames_that_are_there_are_picked_bit_for_bit(rate, fps):
     )
 
 
-def test_the_same_rate_returns_the_motion_itself():
+def test_same_rate_returns_the_motion():
     before = walking(10)
     assert resample_motion(before, 120.0, 120.0) is before
 
 
 @pytest.mark.parametrize(("rate", "fps"), [(120.0, 25.0), (30.0, 120.0), (120.0, 50.0)])
-def test_a_rate_with_other_frames_is_not_a_subset(rate, fps):
+def test_rate_with_other_frames_is_no_subset(rate, fps):
     assert not is_frame_subset(rate, fps)
 
 
-def test_splines_come_nearer_to_what_was_between_than_turning_evenly():
+def test_splines_are_more_accurate_than_slerp():
     truth = walking(241, seed=4)
     after = resample_motion(truth.select_frames(np.arange(0, 241, 8)), 30, 240)
 
@@ -84,7 +84,7 @@ def test_splines_come_nearer_to_what_was_between_than_turning_evenly():
     assert off(after.local_rotations[4::8]) < off(evenly) / 10
 
 
-def test_deviations_are_never_smaller_than_a_frame_s_beside_it():
+def test_sd_is_at_least_that_of_the_neighbouring_frames():
     before = replace(walking(5), status=np.array([0, 3, 0, 0, 0]), marker_sd=np.array([[1.0], [9], [2], [2], [2]]))
     after = resample_motion(before, 2.0, 3.0)  # at 0, 2/3, 4/3, 2, 8/3, 10/3, 4
     np.testing.assert_array_equal(after.marker_sd[:, 0], [1, 9, 9, 2, 2, 2, 2])
