@@ -1,4 +1,4 @@
-"""Calibration as a whole: one person from a take of them, with gaps, without a T-pose."""
+"""Calibration of a person from a take with gaps and without a T-pose."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Which segment a marker rides on, against bodies whose poses are known."""
+"""The segments of markers on bodies with known poses."""
 
 import numpy as np
 import pytest

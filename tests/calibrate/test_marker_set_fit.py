@@ -1,4 +1,4 @@
-"""Sets learnt from a composed take, whose person and motion are known."""
+"""Marker sets learned from a synthetic take with known person and motion."""
 
 from dataclasses import replace
 

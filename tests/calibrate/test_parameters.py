@@ -1,4 +1,4 @@
-"""What calibration may change, and what it makes of a body."""
+"""The effect of calibration parameters on a body, and their prior."""
 
 from dataclasses import replace
 

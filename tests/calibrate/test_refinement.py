@@ -1,4 +1,4 @@
-"""Bones and places that frames with exact markers leave no doubt of."""
+"""Bones and marker offsets refined from frames with exact markers."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""HybrIK on the average body: what its papers say of exact, of wrong and of missing joints, and what a user may give it."""
+"""HybrIK on the average body: exact, wrong and missing joints, and invalid arguments."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""The start from the frame before: which frames have none of their own, what that saves, and what it carries on."""
+"""The start from the frame before: frames with a pose of their own, iterations, and the effect of lost frames."""
 
 import numpy as np
 import pytest

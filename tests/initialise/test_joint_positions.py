@@ -1,4 +1,4 @@
-"""Joint positions from markers: exact from exact ones, from others as unsure as they are wrong, whatever is missing."""
+"""Joint positions from markers: exact for exact markers, otherwise with errors that agree with their standard deviations."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Twists: taken from rotations exactly, and from joint positions better than by guessing."""
+"""Twists: exact from rotations, and predicted from joint positions."""
 
 import subprocess
 import sys

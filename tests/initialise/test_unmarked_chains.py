@@ -1,4 +1,4 @@
-"""The neck between chest and head: bent by equal parts, its ends as they were."""
+"""The neck between chest and head: bent in equal parts between unchanged ends."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""The solve: poses of a body whose markers are exact."""
+"""The motion solver on bodies with exact, missing and outlying markers."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What the solve listens to, and the joints that are thereby unsure or lost: masks with known answers."""
+"""Gap borders, partly observed and unobserved joints: masks with known answers."""
 
 import numpy as np
 import pytest

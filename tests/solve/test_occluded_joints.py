@@ -1,4 +1,4 @@
-"""Lost limbs: a take in which one arm mirrors the other tells where the lost one was."""
+"""Occluded joints: a lost arm that mirrors the other is inferred from the take."""
 
 from typing import cast
 

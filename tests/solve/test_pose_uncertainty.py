@@ -1,4 +1,4 @@
-"""Predicted deviations: the markers' own from what is left of them, and where the truth lies on a body that is known."""
+"""Predicted standard deviations: the marker error, and joints of a known body."""
 
 from dataclasses import replace
 

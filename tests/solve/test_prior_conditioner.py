@@ -1,4 +1,4 @@
-"""What a model says of lost limbs: a model that knows that the arms go together, and one who is not to be asked."""
+"""Predictions of a pose model in which both arms move together."""
 
 import numpy as np
 import pytest

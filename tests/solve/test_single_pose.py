@@ -1,4 +1,4 @@
-"""Single poses from joints, bones, distances and cameras: what is said is so, and what is not said says itself in words."""
+"""Single poses from joints, bones, distances and cameras, and the rejection of invalid constraints."""
 
 import re
 from typing import cast

@@ -1,4 +1,4 @@
-"""Smooth courses against their definition, written out and solved densely."""
+"""Smooth trajectories against their definition, solved densely."""
 
 import numpy as np
 import pytest

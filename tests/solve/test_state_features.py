@@ -1,4 +1,4 @@
-"""The circumstances of a body by which its moments are alike."""
+"""The features of the state of a body."""
 
 import numpy as np
 import pytest
