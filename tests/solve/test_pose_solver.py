@@ -119,8 +119,15 @@ def test_linear_model_gives_the_least_squares_solution():
     np.testing.assert_allclose(found.cost, costs(tree, points, model, found, 1.5), rtol=1e-9)
     for t, cost in enumerate(found.cost):
         slopes = 1.5 * np.moveaxis(model.components, 0, -1)[None]
-        prior = LatentCodeTerm.build(model.reference_rotations, model.mean_vectors[None], slopes, np.zeros((1, CODE)), model.residual_information / 1.5**2,
-                             np.zeros(1), np.zeros(1, int))  # fmt: skip
+        prior = LatentCodeTerm.build(
+            model.reference_rotations,
+            model.mean_vectors[None],
+            slopes,
+            np.zeros((1, CODE)),
+            model.residual_information / 1.5**2,
+            np.zeros(1),
+            np.zeros(1, int),
+        )
         seen = points._replace(measured=points.measured[t : t + 1], weight=points.weight[t : t + 1])
         frame = dense_oracle.Frame(tree, (seen, prior), found.root_position[t], found.local_rotations[t], found.codes[t] / 1.5)
 

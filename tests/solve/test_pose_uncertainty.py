@@ -53,9 +53,14 @@ def scene():
     noise = np.random.default_rng(1).normal(0, 0.004, truth.marker_positions.shape)
     tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free_joints)
     problem = PoseProblem(
-        tree, MarkerAttachment(subject.joints, subject.marker_offsets), truth.marker_positions + noise, listened, 0.01, build_pose_prior_term(MEAN.scale_information(0.01)),
+        tree,
+        MarkerAttachment(subject.joints, subject.marker_offsets),
+        truth.marker_positions + noise,
+        listened,
+        0.01,
+        build_pose_prior_term(MEAN.scale_information(0.01)),
         build_no_joint_limits(31),
-    )  # fmt: skip
+    )
     return subject, truth.motion, problem
 
 

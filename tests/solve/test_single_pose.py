@@ -82,10 +82,13 @@ def test_point_direction_and_orientation_constraints_hold():
     )
     found = single_pose.solve_pose(
         [
-            PositionConstraint("Hips", joints[0], 0.001), PositionConstraint("LeftHand", tip, 0.001, thumb),
-            DirectionConstraint("RightUpLeg", "RightLeg", 3 * bone, 0.002), OrientationConstraint("Head", rotation[INDEX("Head")], 0.002),
-        ], GAUSSIAN,
-    )  # fmt: skip
+            PositionConstraint("Hips", joints[0], 0.001),
+            PositionConstraint("LeftHand", tip, 0.001, thumb),
+            DirectionConstraint("RightUpLeg", "RightLeg", 3 * bone, 0.002),
+            OrientationConstraint("Head", rotation[INDEX("Head")], 0.002),
+        ],
+        GAUSSIAN,
+    )
     _, turned = kinematics.compute_tree_poses(
         kinematics.build_kinematic_tree(SKELETON), found.root_position[None], found.local_rotations[None]
     )
@@ -207,6 +210,6 @@ def test_invalid_prior_scale_is_rejected(scale):
 def test_mnn_ik_network_is_rejected_by_name():
     with pytest.raises(
         SceneError,
-        match=r"The prior 'mnn-ik' is available in mocapfix bench prior only; choose one of: autoencoder, gaussian, mixture, pca\.",
+        match=r"'mnn-ik' is available in mocapfix bench prior only; choose one of: autoencoder, gaussian, mixture, pca\.",
     ):
         single_pose.solve_pose([HAND], "mnn-ik")
