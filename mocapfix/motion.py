@@ -23,10 +23,10 @@ class FrameStatus(IntEnum):
     @property
     def description(self) -> str:
         """The status as one phrase for reports and files."""
-        return _DESCRIPTIONS[self]
+        return _FRAME_STATUS_DESCRIPTIONS[self]
 
 
-_DESCRIPTIONS = {
+_FRAME_STATUS_DESCRIPTIONS = {
     FrameStatus.CONVERGED: "solved: the solve converged",
     FrameStatus.ITERATION_LIMIT: "solved: the iteration limit was reached while the cost still fell slightly",
     FrameStatus.POOR_FIT: "poor: the markers lie far from the body; check labels and swaps in these frames",

@@ -1,6 +1,6 @@
 """Clean an animation: detect, repair, apply decisions, report.
 
-body      = find_body(animation, ...)              its joints that correspond to the 31-joint skeleton, by their names
+    body      = find_body(animation, ...)              its joints that correspond to the 31-joint skeleton, by their names
     faults    = detect_animation_faults(animation)     lost values, pops, flips, jitter
     repair    = repair_animation(..., faults, ...)     by the method that suits each kind of fault
     repaired  = apply_repairs(animation, repair, ...)  only changes that are allowed, certain enough and not rejected

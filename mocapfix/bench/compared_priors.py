@@ -23,7 +23,7 @@ from mocapfix.solve.pose_solver import PoseSolution
 
 NO_PRIOR = "none"
 COMPARED_PRIOR_NAMES = (NO_PRIOR, "pca", "gaussian", "mixture", MNN_IK, "autoencoder")
-MAX_POSE_ITERATIONS = 50
+MAX_COMPARED_POSE_ITERATIONS = 50
 
 ComparedPrior = PoseModel | NaturalnessModel | None
 ComparedPriors = dict[str, ComparedPrior]
@@ -137,7 +137,7 @@ def load_compared_priors(weights_folder: Path | None = None) -> ComparedPriors:
 
 
 def solve_joint_task(
-    task: JointTask, model: ComparedPrior, start: PoseStart, max_iterations: int = MAX_POSE_ITERATIONS
+    task: JointTask, model: ComparedPrior, start: PoseStart, max_iterations: int = MAX_COMPARED_POSE_ITERATIONS
 ) -> PlacedPoses:
     """Return the poses that the solver finds with a prior from a start, which is not modified."""
     tree, points = kinematics.build_kinematic_tree(task.skeleton), task.point_term
@@ -153,7 +153,7 @@ def solve_without_prior(
     points: PointTerm,
     root_position: Float[np.ndarray, "N 3"],
     local: Float[np.ndarray, "N J 3 3"],
-    max_iterations: int = MAX_POSE_ITERATIONS,
+    max_iterations: int = MAX_COMPARED_POSE_ITERATIONS,
 ) -> PoseSolution:
     """Return the poses that fit points from a start: numerical inverse kinematics.
 

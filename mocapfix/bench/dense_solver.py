@@ -37,7 +37,7 @@ class DenseSolver:
     def compute_direction(self) -> Float[np.ndarray, " X"]:
         """Return the Gauss-Newton step."""
         tree, points, views, directions, tracking, pose = self.scene
-        write_jacobian(tree, points, views, directions, pose, self.shape_motion, self.jacobian, self.residual)
+        write_jacobian(tree, (points, views, directions), pose, self.shape_motion, self.jacobian, self.residual)
         transposed = self.jacobian.T  # column-major, as Fortran expects
         curvature, gradient = dsyrk(1.0, transposed, lower=1), dgemv(1.0, transposed, self.residual)
         add_dense_tracking_term(tree, (tracking,), pose, self.tracking_system, curvature, gradient)
@@ -63,11 +63,13 @@ def write_shape_motion(tree, rotation, shape_motion):
 
 
 @njit(cache=True)
-def write_jacobian_row(tree, position, shape_motion, j, x, y, z, turn, shift, out):
+def write_jacobian_row(pose_of_tree, shape_motion, j, point, derivatives, out):
     """Write one row of the Jacobian, of a value that depends on the position of a point and the rotation of body j.
 
-    The point is at (x, y, z) from the root; `turn` and `shift` are the derivatives with respect to rotation and position.
+    `pose_of_tree` is the tree and its joint positions, `point` the position from the root, and `derivatives` those with respect
+    to rotation and position.
     """
+    (tree, position), (x, y, z), (turn, shift) = pose_of_tree, point, derivatives
     out[:] = 0.0
     tx, ty, tz = y * shift[2] - z * shift[1], z * shift[0] - x * shift[2], x * shift[1] - y * shift[0]
     tx, ty, tz = turn[0] + tx, turn[1] + ty, turn[2] + tz
@@ -85,8 +87,9 @@ def write_jacobian_row(tree, position, shape_motion, j, x, y, z, turn, shift, ou
 
 
 @njit(cache=True)
-def write_jacobian(tree, points, views, directions, pose, shape_motion, jacobian, residual):
+def write_jacobian(tree, terms, pose, shape_motion, jacobian, residual):
     """Write the Jacobian (N, 6 + 3 K + P) and the residuals (N,) of all measurements, in units of their standard deviations."""
+    points, views, directions = terms
     position, rotation, row, zero, turn, shift = pose.position, pose.rotation, 0, np.zeros(3), np.zeros(3), np.zeros(3)
     write_shape_motion(tree, rotation, shape_motion)
     for n in range(len(points.joints)):
@@ -97,9 +100,8 @@ def write_jacobian(tree, points, views, directions, pose, shape_motion, jacobian
             shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
             shift[a] = scale
             residual[row] = scale * (point[a] - points.measured[0, n, a])
-            write_jacobian_row(tree, position, shape_motion, j, point[0] - position[0, 0], point[1] - position[0, 1],
-                               point[2] - position[0, 2],
-                               zero, shift, jacobian[row])  # fmt: skip
+            from_root = (point[0] - position[0, 0], point[1] - position[0, 1], point[2] - position[0, 2])
+            write_jacobian_row((tree, position), shape_motion, j, from_root, (zero, shift), jacobian[row])
             row += 1
     for n in range(len(views.joints)):
         j, offset, scale = views.joints[n], views.offsets[n], np.sqrt(views.weight[0, n])
@@ -113,8 +115,8 @@ def write_jacobian(tree, points, views, directions, pose, shape_motion, jacobian
             for c in range(3):
                 shift[c] = scale * (m[a, c] - projected * m[2, c]) / depth
             residual[row] = scale * (projected - views.measured[0, n, a])
-            write_jacobian_row(tree, position, shape_motion, j, x - position[0, 0], y - position[0, 1], z - position[0, 2],
-                               zero, shift, jacobian[row])  # fmt: skip
+            from_root = (x - position[0, 0], y - position[0, 1], z - position[0, 2])
+            write_jacobian_row((tree, position), shape_motion, j, from_root, (zero, shift), jacobian[row])
             row += 1
     shift[0], shift[1], shift[2] = 0.0, 0.0, 0.0
     for n in range(len(directions.joints)):
@@ -124,7 +126,7 @@ def write_jacobian(tree, points, views, directions, pose, shape_motion, jacobian
             b, c = (a + 1) % 3, (a + 2) % 3
             turn[a], turn[b], turn[c] = 0.0, scale * d[c], -scale * d[b]
             residual[row] = scale * (d[a] - directions.measured[0, n, a])
-            write_jacobian_row(tree, position, shape_motion, j, 0.0, 0.0, 0.0, turn, shift, jacobian[row])
+            write_jacobian_row((tree, position), shape_motion, j, (0.0, 0.0, 0.0), (turn, shift), jacobian[row])
             row += 1
 
 

@@ -6,7 +6,7 @@ rotation. A joint is at S_j beta + l_j in the axes of its parent (section 3.3, E
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,6 +28,9 @@ NUMBERS_PER_JOINT = 3 + 2 + 3  # values of a 3-D keypoint, a 2-D keypoint and a 
 MEASUREMENT_SD = 0.01  # of a measurement in metres, radians, or multiples of the focal length
 JOINT_TARGET_SD_RAD = 0.5  # of a joint around its target rotation
 
+SceneTerms: TypeAlias = tuple[PointTerm, ReprojectionTerm, DirectionTerm, TrackingTerm]
+"""the terms of a scene; a tuple, since the kernels are compiled for the classes in it"""
+
 
 class ScopeScene(NamedTuple):
     """A body in a pose with known joint positions, and its measurements."""
@@ -40,7 +43,7 @@ class ScopeScene(NamedTuple):
     pose: FramePose
 
     @property
-    def terms(self) -> tuple[PointTerm, ReprojectionTerm, DirectionTerm, TrackingTerm]:
+    def terms(self) -> SceneTerms:
         """All terms, in the order of the Jacobian's rows."""
         return self.point_term, self.reprojection_term, self.direction_term, self.tracking_term
 

@@ -37,7 +37,7 @@ POSE_PRIOR_WEIGHT = 0.02
 """Weight of the prior of poses about the take's mean; more weight would favour longer bones, which need smaller rotations."""
 MAX_SELECTION_ITERATIONS = 8
 """Iterations of a frame when an uncalibrated body is posed."""
-MAX_POSE_ITERATIONS = 6
+MAX_CALIBRATION_POSE_ITERATIONS = 6
 """Iterations of a frame between two steps of the shared unknowns."""
 MAX_REFINEMENT_ROUNDS = 25
 """Steps of the shared unknowns."""
@@ -133,7 +133,7 @@ def solve_and_linearise(
 ) -> RefinementState:
     """Solve the poses from those given, which are overwritten, and return the state there."""
     no_tracking = build_no_tracking(local_rotations.shape[1])
-    problem.solve(root_position, local_rotations, no_tracking, (CALIBRATION_ROBUST_SCALE_M,), MAX_POSE_ITERATIONS)
+    problem.solve(root_position, local_rotations, no_tracking, (CALIBRATION_ROBUST_SCALE_M,), MAX_CALIBRATION_POSE_ITERATIONS)
     return linearise_frames(parameters, problem, unknowns, root_position, local_rotations)
 
 

@@ -43,10 +43,10 @@ class FillMethod(IntEnum):
     @property
     def description(self) -> str:
         """The source of the sample, as a phrase for reports."""
-        return _DESCRIPTIONS[self]
+        return _FILL_METHOD_DESCRIPTIONS[self]
 
 
-_DESCRIPTIONS = {
+_FILL_METHOD_DESCRIPTIONS = {
     FillMethod.SPLINE: "a spline through its own trajectory",
     FillMethod.CLUSTER: "the markers that move with it",
     FillMethod.BODY: "the solved body",

@@ -29,7 +29,7 @@ from mocapfix.pose_prior.pose_features import (
 EVALUATION_BATCH_POSES = 512  # larger batches need more memory and are hardly faster
 # The standard deviations of a model are inflated by this. In the fourth power that would leave g hardly any weight.
 NATURALNESS_SD_INFLATION = 2.0
-FIELD_OF_TENSOR = {
+FIELD_OF_AUTOENCODER_TENSOR = {
     "middle": "reference_rotations",
     "sigma": "residual_sd_rad",
     "mean": "code_mean",
@@ -106,7 +106,7 @@ class AutoencoderModel(PoseModel):
         """Return header and tensors; the weights in half precision, for which standard deviations and code scale were
         estimated."""
         weights = {_name_file_weight(name): w.numpy().astype(np.float16) for name, w in self.network.state_dict().items()}
-        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
+        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_AUTOENCODER_TENSOR.items()}
         shape = {key: getattr(self.architecture, field) for key, field in ARCHITECTURE_FIELD_OF_KEY.items()}
         return {"shape": shape}, tensors | weights
 
@@ -123,7 +123,7 @@ class AutoencoderModel(PoseModel):
             "spread": (size, size),
             "astray": (architecture.residual_directions, joint_count, 3),
         }
-        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        fields = {FIELD_OF_AUTOENCODER_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
         network = build_network(architecture, fields["reference_rotations"])
         state = {_name_module_weight(name): torch.from_numpy(w.astype(np.float32)) for name, w in weights.items()}
         network.load_state_dict(state, strict=True)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from mocapfix.pose_prior.model import Header, PoseModel, Tensors, validate_tensors
 
-FIELD_OF_TENSOR = {
+FIELD_OF_GAUSSIAN_TENSOR = {
     "middle": "reference_rotations",
     "sigma": "residual_sd_rad",
     "mean": "mean_vectors",
@@ -53,12 +53,12 @@ class GaussianModel(PoseModel):
         return self.decode(codes), np.broadcast_to(jacobian, (len(codes), *jacobian.shape))
 
     def serialise(self) -> tuple[Header, Tensors]:
-        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
+        tensors = {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_GAUSSIAN_TENSOR.items()}
         return {"noise": self.noise_sd_rad}, tensors
 
     @classmethod
     def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "GaussianModel":
         count, size = len(joint_names), len(tensors["components"])
         shapes = {"middle": (count, 3, 3), "sigma": (count,), "mean": (count, 3), "components": (size, count, 3)}
-        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        fields = {FIELD_OF_GAUSSIAN_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
         return cls(joint_names, **fields, noise_sd_rad=float(header["noise"]))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from mocapfix.pose_prior.model import Header, PoseModel, Tensors, validate_tensors
 
-FIELD_OF_TENSOR = {
+FIELD_OF_MIXTURE_TENSOR = {
     "middle": "reference_rotations",
     "sigma": "residual_sd_rad",
     "mean": "mean_vectors",
@@ -86,7 +86,7 @@ class MixtureModel(PoseModel):
         return self.decode(codes), np.einsum("paj,npq->najq", self.principal_axes, cholesky)
 
     def serialise(self) -> tuple[Header, Tensors]:
-        return {}, {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_TENSOR.items()}
+        return {}, {name: getattr(self, field).astype(np.float32) for name, field in FIELD_OF_MIXTURE_TENSOR.items()}
 
     @classmethod
     def deserialise(cls, joint_names: tuple[str, ...], header: Header, tensors: Tensors) -> "MixtureModel":
@@ -100,7 +100,7 @@ class MixtureModel(PoseModel):
             "centres": (component_count, size),
             "spreads": (component_count, size, size),
         }
-        fields = {FIELD_OF_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
+        fields = {FIELD_OF_MIXTURE_TENSOR[name]: values for name, values in validate_tensors(tensors, **shapes).items()}
         return cls(joint_names, **fields, component_index=np.zeros(1, int))
 
     def _take_selected(self, component_values: np.ndarray, codes: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -55,6 +55,10 @@ def build_no_joint_limits(joints: int) -> JointLimitTerm:
     return JointLimitTerm(np.zeros((joints, 3, 3)), np.full((joints, 3), -np.inf), np.full((joints, 3), np.inf), 0.0)
 
 
+BodyTerms: TypeAlias = tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm]
+"""the terms of a body's pose; a tuple, since the kernels are compiled for the classes in it"""
+
+
 @dataclass(frozen=True)
 class PoseProblem:
     """The cost of a take's poses. Poses are solved in place: root (T, 3) metres, local rotations (T, J, 3, 3).
@@ -79,7 +83,7 @@ class PoseProblem:
         measured = np.where(self.solver_mask[..., None], self.marker_positions, 0.0)
         return PointTerm(self.attachment.joints, self.attachment.offsets, measured, self.solver_mask / self.marker_sd**2)
 
-    def build_terms(self, tracking: TrackingTerm) -> tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm]:
+    def build_terms(self, tracking: TrackingTerm) -> BodyTerms:
         """Return all terms of the cost, with this tracking term."""
         return self.point_term, tracking, self.pose_prior, self.joint_limits
 
