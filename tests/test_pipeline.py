@@ -69,16 +69,16 @@ def test_everything_missing_is_filled_and_every_spike_found(cleaned):
     fill = cleaned.result.report["fill"]
     assert fill["missing_before"] == fill["filled"] == cleaned.truth.missing_mask.sum()
     assert (fill["left_empty"], fill["unfilled"]) == (0, [])
-    believed = cleaned.result.faults.believed(cleaned.result.before)
+    believed = cleaned.result.faults.compute_inlier_mask(cleaned.result.input_take)
     np.testing.assert_array_equal(believed, ~cleaned.truth.missing_mask & ~cleaned.truth.moved)
     assert fill["replaced"] == cleaned.truth.moved.sum()
 
 
 def test_samples_that_nothing_struck_are_returned_bit_for_bit(cleaned):
     sound = ~cleaned.truth.missing_mask & ~cleaned.truth.moved
-    before, after = cleaned.result.before.markers[sound], cleaned.result.take.markers[sound]
+    before, after = cleaned.result.input_take.markers[sound], cleaned.result.take.markers[sound]
     assert before.tobytes() == after.tobytes()
-    assert np.isnan(cleaned.result.take.deviation[sound]).all()
+    assert np.isnan(cleaned.result.take.sample_sd[sound]).all()
 
 
 def test_joints_are_near_the_true_ones_and_as_smooth(cleaned):
@@ -108,7 +108,7 @@ def test_the_subject_is_nearer_to_the_person_than_the_average_body(cleaned):
 def test_predicted_deviations_are_honest(cleaned, lasting):
     where = long_gaps(cleaned.truth) if lasting == "long" else cleaned.truth.missing_mask & ~long_gaps(cleaned.truth)
     error = np.abs(cleaned.result.take.markers - cleaned.truth.markers)[where]
-    deviation = cleaned.result.take.deviation[where][:, None]
+    deviation = cleaned.result.take.sample_sd[where][:, None]
     assert 0.45 < (error < deviation).mean() < 0.97  # 0.68 were it normal and exactly known
     assert (error < 2 * deviation).mean() > 0.9
     assert np.corrcoef(deviation[:, 0], error.mean(1))[0, 1] > 0.2  # where it says it is less sure, it errs more
@@ -117,9 +117,9 @@ def test_predicted_deviations_are_honest(cleaned, lasting):
 def test_markers_are_as_far_from_the_body_as_the_report_says(cleaned):
     result = cleaned.result
     body = kinematics.compute_joint_and_marker_positions(result.subject, result.motion)[1]
-    columns = marker_sets.load_marker_set("cmu41").find_columns(result.before.labels)
-    believed = result.faults.believed(result.before)[:, columns]
-    distance = np.linalg.norm(result.before.markers[:, columns] - body, axis=-1)[believed]
+    columns = marker_sets.load_marker_set("cmu41").find_columns(result.input_take.labels)
+    believed = result.faults.compute_inlier_mask(result.input_take)[:, columns]
+    distance = np.linalg.norm(result.input_take.markers[:, columns] - body, axis=-1)[believed]
     said = result.report["solve"]["marker_residual_mm"]
     assert said["mean"] == pytest.approx(distance.mean() * 1e3, abs=1e-3)
     assert said["p95"] == pytest.approx(np.percentile(distance, 95) * 1e3, abs=1e-3)
@@ -137,7 +137,7 @@ def test_all_files_are_written_and_the_two_motions_read_back(cleaned):
     assert (back.labels, back.rate, back.first_frame) == (cleaned.truth.labels, cleaned.truth.rate, 1)
     text = cleaned.outputs["bvh"].read_text(encoding="ascii")
     rows = np.array([line.split() for line in text.split("Frame Time:")[1].splitlines()[1:]], float)
-    assert f"Frames: {cleaned.result.before.frames}\nFrame Time: 0.00833333" in text
+    assert f"Frames: {cleaned.result.input_take.frames}\nFrame Time: 0.00833333" in text
     np.testing.assert_allclose(rows[:, :3] / 100, cleaned.result.motion.root, atol=1e-7)
     turns = np.abs(np.diff(rows[:, 3:], axis=0))
     assert turns.max() < 90
@@ -295,9 +295,9 @@ def test_a_move_that_is_rejected_is_none(knocked, tmp_path):
 
 def changed(result):
     """-> {label: file frame numbers of the samples that differ}"""
-    before, after = result.before.markers, result.take.markers
+    before, after = result.input_take.markers, result.take.markers
     differs = ~((before == after) | np.isnan(before) & np.isnan(after)).all(-1)
-    return {result.before.labels[m]: (np.flatnonzero(differs[:, m]) + FIRST).tolist() for m in np.flatnonzero(differs.any(0))}
+    return {result.input_take.labels[m]: (np.flatnonzero(differs[:, m]) + FIRST).tolist() for m in np.flatnonzero(differs.any(0))}
 
 
 RELB, LKNE, STRN = list(range(341, 361)), list(range(371, 391)), [321]
@@ -360,7 +360,7 @@ def test_an_arm_whose_markers_all_tremble_is_not_lost(tmp_path):
     nothing = np.zeros_like(truth.missing_mask)
     synthetic.write_synthetic_take(path, replace(truth, missing_mask=nothing, damaged_positions=shaken, spike_mask=nothing))
     result = pipeline.clean(path, subject=truth.subject)
-    assert result.faults.counts() == {"jitter": 4}
+    assert [fault.kind for fault in result.faults.items] == ["jitter"] * 4
     hand = truth.subject.skeleton.find_joint("LeftHand")
     assert result.joint_position_world is not None
     assert (
