@@ -1,77 +1,26 @@
 """Several subjects in one file: split into one take for each, and their results merged again.
 
-Labels name the subject ("Jim:LFHD"). A file with one whole body, or with none, is cleaned as one take: markers that are not the body's (a
-prop, a part of another person) are filled from markers that move with them. Of a file with several whole bodies each is cleaned
-separately, and the unassigned markers are cleaned together as one more take without a body.
+Labels name the subject ("Jim:LFHD"). A file with one whole body, or with none, is cleaned as one take: markers that are not the
+body's (a prop, a part of another person) are filled from markers that move with them. Of a file with several whole bodies each is
+cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.calibrate import subject_file
 from mocapfix.errors import TakeError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.library import build_subject_marker_set, load_marker_set
-from mocapfix.marker_sets.matching import choose_marker_set
+from mocapfix.marker_sets.matching import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 from mocapfix.options import SubjectOptions
 from mocapfix.result import CleaningResult
-from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-UNASSIGNED_SUBJECT = "others"
-"""the name of the take of the markers that belong to no whole body"""
 MIN_UNASSIGNED_MARKERS = 3
 """the number of unassigned markers visible in one frame that is needed to fill them from each other"""
-
-
-@dataclass(frozen=True)
-class SubjectChoice:
-    """The subject and the marker set of a take.
-
-    Attributes:
-        subject: the subject that the options name, None if it is to be calibrated.
-        marker_set: the marker set, None where no set fits: there is no body then.
-        notes: sentences for the report.
-    """
-
-    subject: Subject | None
-    marker_set: MarkerSet | None
-    notes: tuple[str, ...] = ()
-
-
-def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
-    """Return the subject and the marker set that the options name, None for each that they do not name."""
-    subject = options.subject
-    if subject is not None:
-        if isinstance(subject, str | Path):
-            subject = subject_file.read_subject(subject)
-        return SubjectChoice(subject, build_subject_marker_set(subject))
-    return SubjectChoice(None, None if options.marker_set is None else load_marker_set(options.marker_set))
-
-
-def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
-    """Return the subject and the marker set of one subject's take: those that the options name, or the set that its labels match.
-
-    Raises TakeError where the named set or subject does not fit the take.
-    """
-    if take.subject_name == UNASSIGNED_SUBJECT:
-        return SubjectChoice(None, None, ("Markers that do not form a full body are cleaned without a skeleton.",))
-    requested = load_requested_subject(options)
-    marker_set = requested.marker_set
-    if marker_set is None:
-        match = choose_marker_set(take.labels)
-        notes = () if match.marker_set else (match.reason, "The take was cleaned without a skeleton: there is no BVH.")
-        return SubjectChoice(None, match.marker_set, notes)
-    found = marker_set.match_labels(take.labels)
-    if missing := marker_set.describe_missing_body(found):
-        count = f"{len(found)} of its {len(marker_set.labels)} markers"
-        raise TakeError(f"{take.name}: {marker_set.name} does not fit: {count}, {missing}.")
-    return requested
 
 
 def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...]:
@@ -188,7 +137,7 @@ def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> Cl
     )
 
 
-def _insert_part(whole: Take, marker_indices: Int[np.ndarray, "M"], part: Take) -> Take:
+def _insert_part(whole: Take, marker_indices: Int[np.ndarray, " M"], part: Take) -> Take:
     """Return the whole take with some markers, and the unlabelled trajectories, as they are in a part of it."""
 
     def insert(values: np.ndarray, part_values: np.ndarray) -> np.ndarray:
@@ -215,7 +164,7 @@ def _count_unlabelled(take: Take) -> int:
 
 
 def _map_fault_indices(fault: Fault, trajectories: list[int]) -> Fault:
-    """Return a fault of a part as one of the whole take; `trajectories` are the whole take's indices of the part's trajectories."""
+    """Return a fault of a part as one of the whole take. `trajectories` are the indices of the part's trajectories there."""
     mapped = replace(fault, marker=trajectories[fault.marker], other_markers=tuple(trajectories[m] for m in fault.other_markers))
     if isinstance(mapped, Fragment) and isinstance(fault, Fragment) and fault.donor >= 0:
         return replace(mapped, donor=trajectories[fault.donor])

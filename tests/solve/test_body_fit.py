@@ -11,7 +11,7 @@ from mocapfix.calibrate import calibration, subject_file
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults, MarkerShift
 from mocapfix.marker_sets.library import build_subject_marker_set
-from mocapfix.multi_subject import resolve_subject
+from mocapfix.marker_sets.matching import resolve_subject
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.read import capture
 from mocapfix.report.stage_timer import StageTimer
