@@ -3,21 +3,26 @@
 Levenberg-Marquardt over the unknowns that the frames share (see `parameters`). At each step the poses of the frames are solved
 again and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step accounts for the change of the poses.
 The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
+
+`kernels.schur` describes the unknowns and the elimination.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, build_calibration_parameters
-from mocapfix.calibrate.shape_responses import SharedResponses, compute_shared_responses, reduce_shared_equations
+from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, ShapeDeformations, build_calibration_parameters
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.schur import eliminate_pose_frames
+from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
+from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,
@@ -26,6 +31,67 @@ from mocapfix.solve.pose_problem import (
     build_pose_prior_term,
 )
 from mocapfix.subject import Subject
+
+
+class SharedResponses(NamedTuple):
+    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
+
+    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
+    radians.
+    """
+
+    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
+    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
+    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
+    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
+    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
+    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
+    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
+
+
+def compute_shared_responses(
+    problem: PoseProblem,
+    deformations: ShapeDeformations,
+    tracking: TrackingTerm,
+    robust_scale_m: float,
+    root: Float[np.ndarray, "T 3"],
+    local: Float[np.ndarray, "T J 3 3"],
+) -> SharedResponses:
+    """Return the responses of frames at their solved poses, root in metres and local rotations."""
+    frames, joints = local.shape[:2]
+    dense, markers = deformations.marker_offsets.shape[:2]
+    rotating = np.flatnonzero(problem.tree.free)[1:]
+    unknowns = dense + 3 * markers + 3 * len(rotating)
+    responses = SharedResponses(
+        np.empty(frames),
+        np.zeros((frames, markers)),
+        np.empty((frames, dense, markers, 3)),
+        np.empty((frames, unknowns + 1, markers, 3)),
+        np.empty((frames, unknowns + 1, len(rotating), 3)),
+        problem.pose_prior.information[0, rotating],
+        np.empty((frames, unknowns, joints, 3)),
+    )
+    run_over_frames(
+        eliminate_pose_frames, frames, problem.tree, problem.build_terms(tracking), deformations, rotating,
+        problem.normalise_robust_scales((robust_scale_m,))[0], root, local, *responses,
+    )  # fmt: skip
+    return responses
+
+
+def reduce_shared_equations(responses: SharedResponses) -> tuple[Float[np.ndarray, "Q Q"], Float[np.ndarray, " Q"]]:
+    """Return curvature and gradient of the shared unknowns, summed over frames."""
+    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
+    own = dense + responses.marker_response[0, 0].size  # first unknown after the markers' own offsets
+    weighted = responses.marker_response * responses.marker_weight[:, None, :, None]
+    equations = np.empty((unknowns + 1, unknowns))
+    equations[:, dense:own] = weighted.sum(0).reshape(unknowns + 1, -1)
+    prior = np.einsum("qfa,fab->qfb", responses.prior_response.sum(0), responses.prior_information)
+    equations[:, own:] = -prior.reshape(unknowns + 1, -1)
+    for rows in (slice(0, dense), slice(unknowns, None)):
+        equations[rows, :dense] = np.tensordot(weighted[:, rows], responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
+    equations[dense:unknowns, :dense] = equations[:dense, dense:].T
+    return equations[:unknowns], equations[unknowns]
+
 
 CALIBRATION_MARKER_SD_M = 0.010
 """Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated."""

@@ -32,7 +32,7 @@ def run_bench_hybrik(
     as_json: JsonOption = False,
 ) -> int:
     """Compare the variants of HybrIK on noisy joints, sources of a bone's twist, initialisations of the solve, and speed."""
-    from mocapfix.bench.hybrik import measure_hybrik
+    from mocapfix.bench.initialisation import measure_hybrik
     from mocapfix.files.output_files import make_output_folder
 
     if figures:

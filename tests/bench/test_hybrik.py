@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from mocapfix.bench import hybrik, joint_noise, unseen_poses
+from mocapfix.bench import initialisation, joint_noise, unseen_poses
 from mocapfix.cli import app
 
 VARIANTS = ["naive", "adaptive", "x"]
@@ -15,8 +15,8 @@ PARTS = ["all_mm", "body_mm", "hands_mm"]
 def short(monkeypatch):
     """Use few poses, few timed frames, and one synthetic result of the starts."""
     poses = unseen_poses.load_unseen_poses()[::50]
-    monkeypatch.setattr(hybrik, "load_unseen_poses", lambda: poses)
-    monkeypatch.setattr(hybrik, "SPEED_FRAME_COUNT", 30)
+    monkeypatch.setattr(initialisation, "load_unseen_poses", lambda: poses)
+    monkeypatch.setattr(initialisation, "SPEED_FRAME_COUNT", 30)
     row = {
         "frames": 7,
         "wrong": 1,
@@ -27,7 +27,7 @@ def short(monkeypatch):
         "iterations_first_solve": 5.0,
     }
     row |= {"start_markers_mm": 6.0, "start_joints_mm": None, "start_seconds": 0.125, "seconds": 8.0, "wrong_in": {}}
-    monkeypatch.setattr(hybrik, "measure_initialisation", lambda **_: {"composed": {"hybrik-x": row}})
+    monkeypatch.setattr(initialisation, "measure_initialisation", lambda **_: {"composed": {"hybrik-x": row}})
 
 
 def bench(*arguments):

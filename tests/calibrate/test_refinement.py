@@ -6,7 +6,7 @@ import numpy as np
 
 from mocapfix import marker_sets
 from mocapfix.calibrate import refinement
-from mocapfix.calibrate.shape_responses import SharedResponses
+from mocapfix.calibrate.refinement import SharedResponses
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics

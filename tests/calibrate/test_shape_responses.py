@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.calibrate.shape_responses import ShapeDeformations, compute_shared_responses, reduce_shared_equations
+from mocapfix.calibrate.refinement import ShapeDeformations, compute_shared_responses, reduce_shared_equations
 from mocapfix.solve.pose_problem import MarkerAttachment, PoseProblem, build_no_tracking
 from tests.kernels import dense_oracle, random_terms
 
