@@ -200,7 +200,8 @@ def place_moved_markers(state: CleaningState, options: CleanOptions) -> Cleaning
 
     The poses must be solved again if any was added. Returns the very same state where no marker moved.
     """
-    assert state.body is not None and state.marker_columns is not None
+    assert state.body is not None
+    assert state.marker_columns is not None
     epochs, columns = state.detection.epochs, state.marker_columns
     marker_of_column = {int(column): k for k, column in enumerate(columns)}
     added = np.array([c for c in epochs.added_columns if int(epochs.column_marker[c]) in marker_of_column], int)

@@ -1,8 +1,8 @@
 """The detection loop: labels are corrected and faults are detected, until nothing new is found.
 
-`detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body. Labels come first, since
-a label error looks like every other fault; then swaps before spikes, and spikes before gaps. A correction can uncover further
-faults, so detection is repeated after it.
+`detect_on_trajectories` uses the trajectories alone, `detect_on_body` compares them with the solved body. Labels come first,
+since a label error looks like every other fault; then swaps before spikes, and spikes before gaps. A correction can uncover
+further faults, so detection is repeated after it.
 """
 
 from collections.abc import Callable

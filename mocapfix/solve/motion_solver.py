@@ -165,12 +165,10 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
 
 def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
     """Solve the motion from the initial poses. Fills `body`."""
-    assert (
-        state.subject is not None
-        and state.extended_subject is not None
-        and state.initial_motion is not None
-        and state.marker_columns is not None
-    )
+    assert state.subject is not None
+    assert state.extended_subject is not None
+    assert state.initial_motion is not None
+    assert state.marker_columns is not None
     take, extended_subject = state.solver_take, state.extended_subject
     body = load_cmu31_body()
     prior = load_mean_pose_prior("mean-pose", body.skeleton)

@@ -18,7 +18,7 @@ def motion():
 
 
 def seen(motion, factor, rng):
-    """Return markers (T, K, 3) of a body `factor` times the average one in motion, a third of the samples missing, 2 mm of noise"""
+    """Return markers (T, K, 3) of a body `factor` times the average one, a third of the samples missing, 2 mm of noise."""
     skeleton = replace(SKELETON, offsets=SKELETON.offsets * factor)
     subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets * factor, WORN.marker_spread)
     markers = kinematics.compute_joint_and_marker_positions(
