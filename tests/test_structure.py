@@ -18,7 +18,8 @@ MAX_TUPLE_RESULTS = 3
 # Words of an earlier, private vocabulary. Each has a standard term; see docs/glossary.md.
 BANNED_NAME_PARTS = (
     "said", "told", "heard", "hears", "worn", "wears", "laid", "astray", "believed", "vouched", "lesson", "learnt", "mended",
-    "mend", "calmed", "trembling", "tremble", "whose", "alike", "kinds_of", "looked", "looks", "unshifted", "bridged", "hers", "theirs",
+    "mend", "calmed", "trembling", "tremble", "whose", "alike", "kinds_of", "looked", "looks", "unshifted", "bridged", "hers",
+    "theirs",
 )  # fmt: skip
 BANNED_PHRASES = (
     r"\btold by\b", r"\bsays? of itself\b", r"\bis believed\b", r"\bnobody's\b", r"\bto the sky\b", r"\bvouch", r"\bmended?\b",
