@@ -17,7 +17,7 @@ from mocapfix.read.capture import read_capture
 from mocapfix.report.review_file import read_review_files
 from mocapfix.result import CleaningResult
 from mocapfix.take import Take
-from tests.conftest import as_c3d
+from tests.conftest import build_c3d
 
 CMU41 = load_marker_set("cmu41").labels
 FOOT = ("LANK", "LHEE", "LTOE", "LMT5", "LKNE")  # a part of a body
@@ -169,9 +169,9 @@ def files(tmp_path_factory):
     box = centre + np.array([[1, 0.5, 1], [1.3, 0.5, 1], [1, 0.5, 1.3], [1.2, 0.9, 1.1]]) + np.zeros((FRAMES, 4, 3))
     box[60:75, 2] = np.nan
     labels = build_labels("Jim", "Ann", more=tuple(f"box:{corner}" for corner in "abcd"))
-    (folder / "two.c3d").write_bytes(as_c3d(np.concatenate([jim, ann, box], 1), labels, first=FIRST_FRAME))
+    (folder / "two.c3d").write_bytes(build_c3d(np.concatenate([jim, ann, box], 1), labels, first=FIRST_FRAME))
     for name, markers in (("Jim", jim), ("Ann", ann)):
-        (folder / f"{name}.c3d").write_bytes(as_c3d(markers, build_labels(name), first=FIRST_FRAME))
+        (folder / f"{name}.c3d").write_bytes(build_c3d(markers, build_labels(name), first=FIRST_FRAME))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""The whole pipeline on takes with known truth: the accuracy of the result, the samples it leaves unchanged, and the output files."""
+"""The whole pipeline on takes with known truth: accuracy, unchanged samples, options and output files."""
 
 import hashlib
 import json

@@ -13,7 +13,7 @@ from mocapfix.options import RIG_NAMES, OutputOptions
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
 from mocapfix.write.output_formats import OPTIONAL_FORMATS, list_output_formats
-from tests.conftest import FIRST
+from tests.conftest import FIRST_FRAME
 from tests.write.read_back import Bvh, smooth_rotations
 
 ALL_FORMATS = OutputOptions(extra_formats=tuple(OPTIONAL_FORMATS), rigs=RIG_NAMES)
@@ -122,7 +122,7 @@ def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp
     assert [path.name for suffix, path in outputs.items() if suffix in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
     for suffix in ("trc", "c3d"):
         back = capture.read_capture(outputs[suffix])
-        assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST)
+        assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST_FRAME)
         np.testing.assert_allclose(back.markers, result.take.markers, atol=2e-5)
     lines = source.read_text().splitlines(), outputs["trc"].read_text().splitlines()
     assert sum(before == after for before, after in zip(*lines, strict=True)) > 50  # lines without changes

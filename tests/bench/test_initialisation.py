@@ -20,7 +20,7 @@ from mocapfix.errors import ReadError
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.take import Take
-from tests.conftest import as_c3d
+from tests.conftest import build_c3d
 
 NAMES = load_cmu31_body().skeleton.names
 KEYS = {
@@ -176,8 +176,8 @@ def test_performing_subject_is_calibrated_close_to_the_truth(truth):
 
 
 def test_captures_are_read_without_truth(truth, tmp_path):
-    (tmp_path / "walk.c3d").write_bytes(as_c3d(truth.marker_positions[:40], truth.labels))
-    (tmp_path / "stick.c3d").write_bytes(as_c3d(truth.marker_positions[:, :3], ("A", "B", "C")))
+    (tmp_path / "walk.c3d").write_bytes(build_c3d(truth.marker_positions[:40], truth.labels))
+    (tmp_path / "stick.c3d").write_bytes(build_c3d(truth.marker_positions[:, :3], ("A", "B", "C")))
     (found,) = initialisation_takes.read_captures(tmp_path)
     assert (found.name, found.true_joint_positions, found.true_motion) == ("walk", None, None)
     results = initialisation.compare_starts([found], {"one": start_sound}, repeats=1)

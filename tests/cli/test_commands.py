@@ -11,7 +11,7 @@ import pytest
 
 from mocapfix.cli.arguments import parse_frames
 from tests.c3d_files import c3d_bytes
-from tests.conftest import as_c3d
+from tests.conftest import build_c3d
 
 KINDS = ("c3d", "bvh", "subject.yaml", "changes.yaml", "report.json", "report.html", "rrd")
 
@@ -76,7 +76,7 @@ def test_inspect_lists_faults(mocapfix, brief):
 
 def test_inspect_of_a_sound_take(mocapfix, cleaned, tmp_path):
     sound = tmp_path / "sound.c3d"
-    sound.write_bytes(as_c3d(cleaned.truth.marker_positions[:60], cleaned.truth.labels))
+    sound.write_bytes(build_c3d(cleaned.truth.marker_positions[:60], cleaned.truth.labels))
     assert "No faults were detected." in mocapfix("inspect", sound)[1]
 
 
@@ -223,7 +223,7 @@ def test_frames_are_first_to_last(text, frames):
 def two_markers_at_a_time(brief):
     markers = np.full_like(brief.markers, np.nan)
     markers[:60, :2], markers[60:, 2:4] = brief.markers[:60, :2], brief.markers[60:, 2:4]
-    return as_c3d(markers, brief.labels)
+    return build_c3d(markers, brief.labels)
 
 
 FILES = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import marker_sets, synthetic
-from tests.conftest import as_c3d
+from tests.conftest import build_c3d
 
 
 def test_list_names_the_shipped_sets(mocapfix):
@@ -28,7 +28,7 @@ def wave(tmp_path_factory):
     truth, path = synthetic.compose_take(seed=9, seconds=5.0, rate=25.0), tmp_path_factory.mktemp("wave") / "wave.c3d"
     floor = truth.damaged_positions[:, :1] * 0 + [0.3, 0.01, 0.2]
     labels = [f"{label}!" if label in ("LUPA", "RSHN") else label for label in truth.labels]
-    path.write_bytes(as_c3d(np.concatenate([truth.damaged_positions, floor], axis=1), [*labels, "Floor"], rate=truth.rate))
+    path.write_bytes(build_c3d(np.concatenate([truth.damaged_positions, floor], axis=1), [*labels, "Floor"], rate=truth.rate))
     return path
 
 

@@ -12,25 +12,25 @@ from mocapfix.options import CleanOptions
 from mocapfix.read import capture
 from mocapfix.state import BodyFit, CleaningState, DetectionState
 from mocapfix.take import Take
-from tests.muddled import columns
+from tests.faulty_take import map_labels_to_points
 
 NAN = np.nan
 OPTIONS = CleanOptions()
 
 
-def read_state(muddled, **fields) -> CleaningState:
-    take = capture.read_capture(muddled.path)
+def read_state(faulty, **fields) -> CleaningState:
+    take = capture.read_capture(faulty.path)
     return replace(CleaningState(take, DetectionState(take)), **fields)
 
 
 @pytest.fixture(scope="module")
-def detection(muddled) -> DetectionState:
-    marker_set = marker_sets.build_subject_marker_set(muddled.subject)
-    state = read_state(muddled, marker_set=marker_set, known_subject=muddled.subject)
+def detection(faulty) -> DetectionState:
+    marker_set = marker_sets.build_subject_marker_set(faulty.subject)
+    state = read_state(faulty, marker_set=marker_set, known_subject=faulty.subject)
     return loop.detect_on_trajectories(state, OPTIONS).detection
 
 
-def test_labels_are_corrected_before_samples_are_judged(muddled, detection):
+def test_labels_are_corrected_before_samples_are_judged(faulty, detection):
     labels = detection.take.labels
     assert [(f.kind, labels[f.marker], f.first, f.last) for f in detection.label_faults] == [
         ("fragment", "RFHD", 100, 159),
@@ -42,7 +42,7 @@ def test_labels_are_corrected_before_samples_are_judged(muddled, detection):
         ("gap", "RELB", 40, 59),
         ("spike", "LWRB", 250, 250),  # in the file it is under LWRA
     }
-    error_m = np.linalg.norm(detection.take.markers[:, :-1] - muddled.truth, axis=-1)
+    error_m = np.linalg.norm(detection.take.markers[:, :-1] - faulty.truth, axis=-1)
     assert np.nanmax(np.where(detection.inlier_mask[:, :-1], error_m, NAN)) < 1e-6
 
 
@@ -51,24 +51,24 @@ def test_fragment_donors_are_not_judged(detection):
     assert not any(fault.marker in detection.donor_markers for fault in detection.sample_faults.items)
 
 
-def test_rejected_faults_change_nothing(muddled):
-    state = read_state(muddled, accepts_fault=lambda fault: fault.kind not in ("swap", "fragment", "spike"))
+def test_rejected_faults_change_nothing(faulty):
+    state = read_state(faulty, accepts_fault=lambda fault: fault.kind not in ("swap", "fragment", "spike"))
     found = loop.detect_on_trajectories(state, OPTIONS).detection
     assert not {fault.kind for fault in found.faults.items} & {"swap", "fragment", "spike"}
     np.testing.assert_array_equal(found.take.markers, state.original_take.markers)
 
 
-def test_every_sample_of_the_file_is_kept_once(muddled, detection):
-    take = capture.read_capture(muddled.path)
+def test_every_sample_of_the_file_is_kept_once(faulty, detection):
+    take = capture.read_capture(faulty.path)
     sources = detection.take.source_points[detection.take.visible].tolist()
     frame_indices = np.broadcast_to(np.arange(take.frame_count)[:, None], take.visible.shape)
     frames = frame_indices[detection.take.visible].tolist()
     assert len(set(zip(frames, sources, strict=True))) == len(sources)
-    assert set(sources) <= set(columns(take).values())
+    assert set(sources) <= set(map_labels_to_points(take).values())
 
 
-def test_unused_fragments_are_reported_once(muddled):
-    found = loop.detect_on_trajectories(read_state(muddled), OPTIONS).detection
+def test_unused_fragments_are_reported_once(faulty):
+    found = loop.detect_on_trajectories(read_state(faulty), OPTIONS).detection
     fragments = [(f.donor, f.first) for f in found.label_faults if isinstance(f, Fragment)]
     assert len(fragments) == len(set(fragments)) == 2
 

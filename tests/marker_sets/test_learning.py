@@ -10,7 +10,7 @@ from mocapfix.errors import TakeError
 from mocapfix.marker_sets import learning
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
-from tests.conftest import as_c3d
+from tests.conftest import build_c3d
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU = marker_sets.load_marker_set("cmu41")
@@ -20,7 +20,7 @@ NAMES = {"KNE": "knee lat", "WRA": "wrist radius", "WRB": "wrist ulna", "HEE": "
 
 def write_take(folder: Path, labels) -> Path:
     path = folder / "wave.c3d"
-    path.write_bytes(as_c3d(WHOLE.damaged_positions, labels, rate=WHOLE.rate))
+    path.write_bytes(build_c3d(WHOLE.damaged_positions, labels, rate=WHOLE.rate))
     return path
 
 

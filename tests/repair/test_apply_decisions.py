@@ -20,86 +20,100 @@ from mocapfix.report.stage_timer import StageTimer
 from mocapfix.state import CleaningState, DetectionState, FillProposal
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
-from tests.muddled import FIRST, FRAGMENT, GAP, INSIDE, LOOSE, SPIKE, SWAP, WRONG, differing
+from tests.faulty_take import (
+    FAULTS,
+    FIRST_FRAME,
+    GAP,
+    INSIDE_SWAP,
+    LABELLED_FRAGMENT,
+    SPIKE,
+    SWAP,
+    UNLABELLED_FRAGMENT,
+    find_changed_runs,
+)
 
 NAN = np.nan
 
 
 def list_changed_runs(ids):
     """List the runs of samples that differ if these changes are made. A spike inside a swap is repaired with it or not at all."""
-    found = {(label, *WRONG[each][1:]) for each in ids for label in WRONG[each][0]}
+    found = {(label, *FAULTS[each][1:]) for each in ids for label in FAULTS[each][0]}
     return found - {("LWRB", 250, 250)}
 
 
-def write_review(muddled, folder, **by_decision) -> Path:
+def write_review(faulty, folder, **by_decision) -> Path:
     """Write the review file of the take with these decisions on these changes."""
     decision_by_id = {each: decision for decision, ids in by_decision.items() for each in ids}
-    changes = [replace(change, decision=decision_by_id.get(change.id, "accept")) for change in muddled.result.changes]
+    changes = [replace(change, decision=decision_by_id.get(change.id, "accept")) for change in faulty.result.changes]
     path = folder / "decided.changes.yaml"
-    review_file.write_review_file(path, muddled.result.input_take, changes)
+    review_file.write_review_file(path, faulty.result.input_take, changes)
     return path
 
 
-def clean_again(muddled, folder, **asked):
+def clean_again(faulty, folder, **asked):
     """Clean the take with other options; return the result and the C3D file."""
-    result, output = pipeline.clean(muddled.path, subject=muddled.subject, **asked), folder / "again.c3d"
+    result, output = pipeline.clean(faulty.path, subject=faulty.subject, **asked), folder / "again.c3d"
     assert write.patch_c3d(output, result.input_take, result.take) == []
     return result, output
 
 
 @pytest.fixture(scope="module")
-def filled_state(muddled) -> CleaningState:
-    """The state of the muddled take before decisions are applied."""
+def filled_state(faulty) -> CleaningState:
+    """The state of the faulty take before decisions are applied."""
     options = CleanOptions()
-    take = capture.read_capture(muddled.path)
-    state = pipeline.start_cleaning(take, SubjectOptions(subject=muddled.subject))
+    take = capture.read_capture(faulty.path)
+    state = pipeline.start_cleaning(take, SubjectOptions(subject=faulty.subject))
     return fill_gaps(pipeline.detect_and_fit(state, options, StageTimer()), options)
 
 
-def test_every_fault_is_repaired(muddled):
-    assert {c.id: (c.markers, c.first - FIRST, c.last - FIRST) for c in muddled.result.changes} == WRONG
-    assert differing(muddled.path, muddled.output) == list_changed_runs(WRONG)
-    off = np.linalg.norm(muddled.result.take.markers[:, :-1] - muddled.truth, axis=-1)
+def test_every_fault_is_repaired(faulty):
+    assert {c.id: (c.markers, c.first - FIRST_FRAME, c.last - FIRST_FRAME) for c in faulty.result.changes} == FAULTS
+    assert find_changed_runs(faulty.path, faulty.output) == list_changed_runs(FAULTS)
+    off = np.linalg.norm(faulty.result.take.markers[:, :-1] - faulty.truth, axis=-1)
     assert off.max() < 0.02
     assert (off < 1e-6).mean() > 0.998
 
 
-@pytest.mark.parametrize("rejected", [(GAP, SWAP, LOOSE), (SPIKE, FRAGMENT, INSIDE), tuple(WRONG)], ids=["these", "those", "all"])
-def test_rejected_changes_are_not_made_and_nothing_else_differs(muddled, tmp_path, rejected):
-    result, output = clean_again(muddled, tmp_path, review_files=write_review(muddled, tmp_path, reject=rejected))
-    accepted = set(WRONG) - set(rejected)
-    assert differing(muddled.path, output) == list_changed_runs(accepted)
-    inside = {("LWRB", 250, 250)} if INSIDE in rejected and SWAP in accepted else set()
-    assert differing(muddled.output, output) == list_changed_runs(rejected) | inside
+@pytest.mark.parametrize(
+    "rejected",
+    [(GAP, SWAP, UNLABELLED_FRAGMENT), (SPIKE, LABELLED_FRAGMENT, INSIDE_SWAP), tuple(FAULTS)],
+    ids=["these", "those", "all"],
+)
+def test_rejected_changes_are_not_made_and_nothing_else_differs(faulty, tmp_path, rejected):
+    result, output = clean_again(faulty, tmp_path, review_files=write_review(faulty, tmp_path, reject=rejected))
+    accepted = set(FAULTS) - set(rejected)
+    assert find_changed_runs(faulty.path, output) == list_changed_runs(accepted)
+    inside = {("LWRB", 250, 250)} if INSIDE_SWAP in rejected and SWAP in accepted else set()
+    assert find_changed_runs(faulty.output, output) == list_changed_runs(rejected) | inside
     by_id = {change.id: change for change in result.changes}
     assert {each for each, change in by_id.items() if change.decision == "reject"} == set(rejected)
     assert all((by_id[each].samples, by_id[each].after) == (0, by_id[each].before) for each in rejected)
     if not accepted:
-        assert output.read_bytes() == muddled.path.read_bytes()
+        assert output.read_bytes() == faulty.path.read_bytes()
 
 
-@given(rejected=st.sets(st.sampled_from(sorted(WRONG))), only=st.sets(st.sampled_from(["gap", "spike", "swap", "fragment"])))
-def test_any_may_be_rejected_and_some_kinds_selected(muddled, filled_state, tmp_path_factory, rejected, only):
+@given(rejected=st.sets(st.sampled_from(sorted(FAULTS))), only=st.sets(st.sampled_from(["gap", "spike", "swap", "fragment"])))
+def test_any_may_be_rejected_and_some_kinds_selected(faulty, filled_state, tmp_path_factory, rejected, only):
     folder = tmp_path_factory.mktemp("some")
-    before = muddled.result.input_take
-    reviewed = review_file.read_review_file(write_review(muddled, folder, reject=rejected), before)
+    before = faulty.result.input_take
+    reviewed = review_file.read_review_file(write_review(faulty, folder, reject=rejected), before)
     options = CleanOptions(detect=DetectOptions(repair_kinds=tuple(only)))
     state = apply_decisions(replace(filled_state, reviewed_changes=reviewed), options)
     assert state.cleaned_take is not None
     write.patch_c3d(folder / "some.c3d", before, state.cleaned_take)
-    made = {each for each in set(WRONG) - rejected if not only or each.split("-")[0] in only}
+    made = {each for each in set(FAULTS) - rejected if not only or each.split("-")[0] in only}
     alone = {("LWRB", 250, 250)} if SWAP in made else set()
-    differs_from_all = list_changed_runs(set(WRONG) - made) | (alone if INSIDE not in made else set())
-    assert differing(muddled.path, folder / "some.c3d") == list_changed_runs(made)
-    assert differing(muddled.output, folder / "some.c3d") == differs_from_all
-    without_effect = {INSIDE} if SWAP not in made else set()
+    differs_from_all = list_changed_runs(set(FAULTS) - made) | (alone if INSIDE_SWAP not in made else set())
+    assert find_changed_runs(faulty.path, folder / "some.c3d") == list_changed_runs(made)
+    assert find_changed_runs(faulty.output, folder / "some.c3d") == differs_from_all
+    without_effect = {INSIDE_SWAP} if SWAP not in made else set()
     assert {change.id for change in state.changes if change.samples} == made - without_effect
     assert {change.id for change in state.changes if change.decision == "reject"} == rejected
 
 
-def test_kept_samples_are_used_in_the_solve(muddled, tmp_path):
-    result, output = clean_again(muddled, tmp_path, review_files=write_review(muddled, tmp_path, keep=[SPIKE, SWAP]))
-    assert differing(muddled.path, output) == list_changed_runs({GAP, FRAGMENT, LOOSE})
+def test_kept_samples_are_used_in_the_solve(faulty, tmp_path):
+    result, output = clean_again(faulty, tmp_path, review_files=write_review(faulty, tmp_path, keep=[SPIKE, SWAP]))
+    assert find_changed_runs(faulty.path, output) == list_changed_runs({GAP, LABELLED_FRAGMENT, UNLABELLED_FRAGMENT})
     assert {fault.kind for fault in result.faults.items} == {"gap", "fragment"}
     labels, error = result.input_take.labels, result.residual_m
     assert error is not None
@@ -112,15 +126,15 @@ def test_kept_samples_are_used_in_the_solve(muddled, tmp_path):
     ("asked", "made"),
     [
         ({"repair_kinds": ("gap",)}, {GAP}),
-        ({"repair_kinds": ("spike", "fragment")}, {SPIKE, FRAGMENT, LOOSE}),
-        ({"keep": ("LWRB", "RFHD")}, {SPIKE, GAP, LOOSE}),
-        ({"frames": (FIRST + 30, FIRST + 260)}, {GAP, FRAGMENT, LOOSE}),
+        ({"repair_kinds": ("spike", "fragment")}, {SPIKE, LABELLED_FRAGMENT, UNLABELLED_FRAGMENT}),
+        ({"keep": ("LWRB", "RFHD")}, {SPIKE, GAP, UNLABELLED_FRAGMENT}),
+        ({"frames": (FIRST_FRAME + 30, FIRST_FRAME + 260)}, {GAP, LABELLED_FRAGMENT, UNLABELLED_FRAGMENT}),
     ],
     ids=["gaps", "two kinds", "one of a swapped pair", "frames that cut a swap"],
 )
-def test_only_requested_samples_are_changed(muddled, tmp_path, asked, made):
-    result, output = clean_again(muddled, tmp_path, **asked)
-    assert differing(muddled.path, output) == list_changed_runs(made)
+def test_only_requested_samples_are_changed(faulty, tmp_path, asked, made):
+    result, output = clean_again(faulty, tmp_path, **asked)
+    assert find_changed_runs(faulty.path, output) == list_changed_runs(made)
     assert {change.id for change in result.changes} == made
 
 
