@@ -1,3 +1,5 @@
+"""Masks of the samples that are missing, faulty, inliers or used by the solver."""
+
 import numpy as np
 import pytest
 
@@ -17,29 +19,29 @@ def faults():
     return Faults(
         (
             Fault("gap", 0, 4, 5, 0.01, "hidden"),
-            Fault("spike", 0, 6, 6, 0.2, "too quick"),
+            Fault("spike", 0, 6, 6, 0.2, "too fast"),
             Fault("leading gap", 1, 0, 2, np.nan, "late"),
-            Fault("jitter", 1, 2, 4, 0.003, "shaken"),  # its first frame is not there
-            Fault("spike", 2, 9, 9, 0.2, "too quick"),
+            Fault("jitter", 1, 2, 4, 0.003, "noisy"),  # its first sample is missing
+            Fault("spike", 2, 9, 9, 0.2, "too fast"),
         )
     )
 
 
 def test_faulty_mask_holds_visible_samples_only(take, faults):
-    found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_faulty_mask(take))}
-    assert found == {(6, 0), (3, 1), (4, 1), (9, 2)}
+    samples = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_faulty_mask(take))}
+    assert samples == {(6, 0), (3, 1), (4, 1), (9, 2)}
 
 
 def test_samples_are_missing_faulty_or_inliers(take, faults):
-    together = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.compute_inlier_mask(take)
-    np.testing.assert_array_equal(together, 1)
+    category_count = (~take.visible).astype(int) + faults.compute_faulty_mask(take) + faults.compute_inlier_mask(take)
+    np.testing.assert_array_equal(category_count, 1)
     assert faults.compute_inlier_mask(take).sum() == 30 - 5 - 4
 
 
 def test_solver_mask_includes_jitter_but_not_spikes(take, faults):
     assert faults.compute_solver_mask(take)[3:5, 1].all()
-    found = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_solver_mask(take) & faults.compute_faulty_mask(take))}
-    assert found == {(3, 1), (4, 1)}
+    samples = {(int(t), int(m)) for t, m in np.argwhere(faults.compute_solver_mask(take) & faults.compute_faulty_mask(take))}
+    assert samples == {(3, 1), (4, 1)}
     assert not (faults.compute_inlier_mask(take) & ~faults.compute_solver_mask(take)).any()
 
 

@@ -68,13 +68,13 @@ def test_the_report_has_a_note_on_the_use_of_each_format(solved, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [*MOTION_SUFFIXES, "npz", "c3d"])
-def test_the_takes_own_rate_changes_nothing(solved, tmp_path, suffix):
+def test_output_rate_of_the_take_changes_nothing(solved, tmp_path, suffix):
     plain = solved.write(tmp_path / "plain", options=ALL_FORMATS)
-    asked = solved.write(tmp_path / "asked", options=replace(ALL_FORMATS, output_rate_hz=120.0))
+    explicit = solved.write(tmp_path / "explicit", options=replace(ALL_FORMATS, output_rate_hz=120.0))
     if suffix != "npz":
-        assert plain[suffix].read_bytes() == asked[suffix].read_bytes()
+        assert plain[suffix].read_bytes() == explicit[suffix].read_bytes()
         return
-    with np.load(plain[suffix]) as first, np.load(asked[suffix]) as second:
+    with np.load(plain[suffix]) as first, np.load(explicit[suffix]) as second:
         assert first.files == second.files
         assert all(first[name].tobytes() == second[name].tobytes() for name in first.files)
 

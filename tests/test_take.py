@@ -1,3 +1,5 @@
+"""Takes: frame numbers, names, parts of a take, exchanged labels; and runs of a mask."""
+
 from dataclasses import FrozenInstanceError, replace
 from itertools import pairwise
 from pathlib import Path
@@ -57,10 +59,10 @@ def test_extracted_markers_keep_their_points_in_the_file(take):
 
 
 def test_replaced_markers_do_not_change_the_take(take):
-    deviation = np.full((4, 2), 0.001)
-    other = take.replace_markers(np.zeros((4, 2, 3)), deviation)
+    sample_sd = np.full((4, 2), 0.001)
+    other = take.replace_markers(np.zeros((4, 2, 3)), sample_sd)
     assert other.visible.all()
-    assert other.sample_sd is deviation
+    assert other.sample_sd is sample_sd
     assert (other.labels, other.rate, other.first_frame, other.path) == (take.labels, take.rate, 100, take.path)
     assert take.sample_sd is None
     assert not take.visible.all()
@@ -77,48 +79,48 @@ def test_runs_of_known_masks(mask, expected):
 
 
 @given(st.lists(st.booleans(), max_size=60))
-def test_runs_cover_the_mask_and_are_not_adjacent(drawn):
-    mask, again = np.array(drawn, bool), np.zeros(len(drawn), bool)
-    found = find_runs(mask)
-    for first, last in found:
+def test_runs_cover_the_mask_and_are_not_adjacent(values):
+    mask, covered = np.array(values, bool), np.zeros(len(values), bool)
+    runs = find_runs(mask)
+    for first, last in runs:
         assert first <= last
-        again[first : last + 1] = True
-    np.testing.assert_array_equal(again, mask)
-    assert all(after[0] > before[1] + 1 for before, after in pairwise(found))
+        covered[first : last + 1] = True
+    np.testing.assert_array_equal(covered, mask)
+    assert all(after[0] > before[1] + 1 for before, after in pairwise(runs))
 
 
 label_cycles = st.tuples(st.permutations(range(5)), st.sampled_from([2, 3]), st.integers(0, 40), st.integers(0, 40))
 
 
 @given(st.lists(label_cycles, max_size=4))
-def test_a_reversed_exchange_of_labels_restores_the_take(drawn):
+def test_a_reversed_exchange_of_labels_restores_the_take(exchanges):
     rng = np.random.default_rng(0)
-    markers, deviation, computed = rng.normal(size=(41, 5, 3)), rng.random((41, 5)), rng.random((41, 5)) < 0.1
+    markers, sample_sd, computed = rng.normal(size=(41, 5, 3)), rng.random((41, 5)), rng.random((41, 5)) < 0.1
     markers[rng.random((41, 5)) < 0.3] = np.nan
-    take = Take(markers, tuple("ABCDE"), 100.0, point_columns=np.array([3, 1, 8, 9, 0]), sample_sd=deviation, computed=computed)
-    done, again = [(tuple(order[:size]), min(a, b), max(a, b)) for order, size, a, b in drawn], take
-    for cycle, first, last in done:
-        again = again.exchange_labels(cycle, first, last)
-    for cycle, first, last in reversed(done):
-        again = again.exchange_labels(cycle[::-1], first, last)
+    take = Take(markers, tuple("ABCDE"), 100.0, point_columns=np.array([3, 1, 8, 9, 0]), sample_sd=sample_sd, computed=computed)
+    applied, restored = [(tuple(order[:size]), min(a, b), max(a, b)) for order, size, a, b in exchanges], take
+    for cycle, first, last in applied:
+        restored = restored.exchange_labels(cycle, first, last)
+    for cycle, first, last in reversed(applied):
+        restored = restored.exchange_labels(cycle[::-1], first, last)
     for name in ("markers", "sample_sd", "computed", "source_points"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(take, name))
-    for cycle, first, last in [each for each in done if len(each[0]) == 2][:1]:
+        np.testing.assert_array_equal(getattr(restored, name), getattr(take, name))
+    for cycle, first, last in [each for each in applied if len(each[0]) == 2][:1]:
         twice = take.exchange_labels(cycle, first, last).exchange_labels(cycle, first, last)
         np.testing.assert_array_equal(twice.markers, markers)
 
 
-def test_labels_are_exchanged_along_a_cycle(take):
-    three = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, point_columns=np.array([4, 5, 6]))
-    back = three.exchange_labels((0, 2, 1), 0, 0)  # a gets the samples of c, c those of b, b those of a
-    np.testing.assert_array_equal(back.markers[0], three.markers[0, [2, 0, 1]])
-    np.testing.assert_array_equal(back.source_points[0], [6, 4, 5])
-    assert three.relabelled_points is None
+def test_labels_are_exchanged_along_a_cycle():
+    take = Take(np.arange(9.0).reshape(1, 3, 3), tuple("abc"), 1.0, point_columns=np.array([4, 5, 6]))
+    exchanged = take.exchange_labels((0, 2, 1), 0, 0)  # a gets the samples of c, c those of b, b those of a
+    np.testing.assert_array_equal(exchanged.markers[0], take.markers[0, [2, 0, 1]])
+    np.testing.assert_array_equal(exchanged.source_points[0], [6, 4, 5])
+    assert take.relabelled_points is None
 
 
 def test_computed_samples_are_not_measured(take):
     computed = np.zeros((4, 2), bool)
-    computed[0, 0] = computed[1, 0] = True  # the latter is missing
+    computed[0, 0] = computed[1, 0] = True  # the second one is missing
     np.testing.assert_array_equal(
         Take(take.markers, take.labels, 1.0, computed=computed).measured[:2], [[False, True], [False, True]]
     )
@@ -126,5 +128,5 @@ def test_computed_samples_are_not_measured(take):
 
 def test_indices_of_unlabelled_trajectories_follow_the_markers(take):
     unlabelled = Take(take.markers, ("*1", "*2"), 1.0)
-    both = Take(take.markers, take.labels, 1.0, unlabelled=unlabelled)
-    assert [both.get_label(i) for i in range(4)] == [*take.labels, "*1", "*2"]
+    with_unlabelled = Take(take.markers, take.labels, 1.0, unlabelled=unlabelled)
+    assert [with_unlabelled.get_label(i) for i in range(4)] == [*take.labels, "*1", "*2"]
