@@ -6,6 +6,7 @@ decisions. Each stage takes a `CleaningState` and the `CleanOptions` and returns
 """
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -136,7 +137,7 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
     if state.marker_set is None:
         return state
     for solve_round in range(1, options.solve.max_solve_rounds + 1):
-        with timer("calibrate"):
+        with timer("calibrate") if state.known_subject is None else nullcontext():
             state = calibrate_body(state, options)
         state = initialise_and_solve(state, options, timer)
         extended = place_moved_markers(state, options)
