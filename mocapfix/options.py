@@ -73,7 +73,7 @@ class DetectOptions(StageOptions):
         job_key="fill.only", default_text="all", choices=REPAIRABLE_KINDS,
     )  # fmt: skip
     max_rounds: int = define_option(
-        3, "--detect-max-rounds", "N", "search the trajectories for label errors at most this many times",
+        3, "--detect-max-rounds", "N", "repeat detection on the trajectories at most this many times",
         job_key="detect.max_rounds", at_least=1, is_expert=True,
     )  # fmt: skip
     min_spike_m: float = define_option(
@@ -102,7 +102,7 @@ class DetectOptions(StageOptions):
 class InitialiseOptions(StageOptions):
     """Initialisation."""
 
-    method: str = define_option(
+    init_method: str = define_option(
         DEFAULT_INIT_METHOD, "--init", "METHOD", f"how the first pose of each frame is found: {', '.join(INIT_METHODS)}",
         job_key="start", choices=INIT_METHODS,
     )  # fmt: skip

@@ -37,7 +37,7 @@ class DetectionState:
         sample_faults: faults of samples, found under the corrected labels.
         replaced_kinds: the kinds of fault whose samples are replaced.
         body_faults: those of `sample_faults` that only the solved body showed.
-        rejected_shifts: marker shifts that the solved body did not confirm.
+        unconfirmed_shifts: marker shifts that the solved body did not confirm.
     """
 
     take: Take
@@ -45,7 +45,7 @@ class DetectionState:
     sample_faults: Faults = field(default_factory=Faults)
     replaced_kinds: tuple[FaultKind, ...] = REPLACED_SAMPLE_KINDS
     body_faults: tuple[Fault, ...] = ()
-    rejected_shifts: tuple[Fault, ...] = ()
+    unconfirmed_shifts: tuple[Fault, ...] = ()
 
     @cached_property
     def faults(self) -> Faults:
@@ -136,7 +136,7 @@ class CleaningState:
         known_subject: the subject from an earlier calibration; None: it is calibrated from the take.
         load_pose_model: loads the trained pose prior when it is needed; None: no prior is used.
         reviewed_changes: the decisions of a reviewer on an earlier cleaning.
-        accepts_fault: False for a fault whose samples the reviewer decided to keep.
+        accepts_fault: False for a fault whose samples the reviewer decided to keep, or a marker shift that the reviewer declined.
         notes: sentences for the report.
         subject: the calibrated subject, and `extended_subject` the same with the further places of moved markers.
         marker_columns: (K,) the epoch column of each marker of `extended_subject`, -1 where it has none.

@@ -61,7 +61,7 @@ def test_repairable_kinds_are_those_of_faults():
         ({"floor_height_m": float("nan")}, "floor_height_m must be finite, not nan."),
         ({"output_rate_hz": 2000.0}, "output_rate_hz must be greater than 0 Hz and at most 1000 Hz, not 2000."),
         ({"max_rounds": 0}, "max_rounds must be at least 1, not 0."),
-        ({"method": "hybrik"}, "method must be one of hybrik-x, hybrik-adaptive, "),
+        ({"init_method": "hybrik"}, "init_method must be one of hybrik-x, hybrik-adaptive, "),
         ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
         ({"extra_formats": ("avi",)}, "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, not 'avi'."),
         ({"max_gap": 1.0}, "max_gap is no option; the options are up_axis, "),

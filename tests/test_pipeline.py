@@ -463,12 +463,12 @@ def test_progress_is_reported_in_the_order_of_the_stages(brief):
 
 def test_an_unknown_initialisation_method_is_an_error_before_the_file_is_read():
     with pytest.raises(OptionError, match=r"method must be one of .*registration, previous, not 'hybrik'"):
-        pipeline.clean("nowhere.c3d", method="hybrik")
+        pipeline.clean("nowhere.c3d", init_method="hybrik")
 
 
 def test_the_initialisation_method_is_used_and_reported(brief):
     methods = ("registration", "previous")
-    results = {method: pipeline.clean(brief.path, subject=brief.subject, method=method) for method in methods}
+    results = {method: pipeline.clean(brief.path, subject=brief.subject, init_method=method) for method in methods}
     motions = {method: result.motion for method, result in results.items()}
     for method, result in results.items():
         assert result.report["solve"]["start"] == method

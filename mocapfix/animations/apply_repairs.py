@@ -12,7 +12,7 @@ from mocapfix.animations import joint_points
 from mocapfix.animations.repair import AnimationRepair, RepairMethod
 from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
 from mocapfix.faults import Fault, Faults, build_fault_mask
-from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_rejections
+from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_unfilled_samples
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.take import Take
@@ -116,7 +116,7 @@ def _find_rejection_reasons(
     fully_repaired = insert_repairs(animation, repair, repair.method != RepairMethod.UNCHANGED)
     sd = joint_points.compute_joint_point_sd(fully_repaired, joint_points.build_tip_take(fully_repaired), repair.variance)
     sd = np.where(repair.method == RepairMethod.UNCHANGED, np.nan, sd)
-    reasons = explain_rejections(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
+    reasons = explain_unfilled_samples(before, is_lost & editable, compute_gap_durations(~is_lost, before.rate), sd, fill_options)
     for fault in lost_faults:
         if found := [reason for reason in reasons[fault.frame_slice][:, list(fault.markers)].ravel() if reason]:
             reasons[fault.frame_slice, list(fault.markers)] = found[0]

@@ -179,7 +179,7 @@ def add_moved_markers(
 
 
 def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Take the known subject, or calibrate the subject from the inliers of the take. Fills `subject` and `marker_columns`.
+    """Take the known subject, or calibrate one from the inliers of the take. Sets `subject` and `marker_columns` of the state.
 
     Raises TakeError where the markers do not allow a calibration.
     """

@@ -7,6 +7,7 @@ import numpy as np
 from mocapfix.detect import body_label_swaps, body_outliers, body_residuals, marker_shifts
 from mocapfix.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, SHIFT_KINDS, Fault
 from mocapfix.motion import Motion
+from mocapfix.options import DetectOptions
 from mocapfix.state import BodyFit, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -59,7 +60,7 @@ def detect_body_faults(
     return sorted(faults + shift_faults, key=lambda fault: (fault.marker, fault.first))
 
 
-def detect_epoch_faults(detection: DetectionState, body: BodyFit) -> list[Fault]:
+def detect_epoch_faults(detection: DetectionState, body: BodyFit, options: DetectOptions) -> list[Fault]:
     """Detect faults against the body, with markers as indices into the take.
 
     Uncertain label swaps are left out, and so is everything within a burst of jitter that is already known.
@@ -69,7 +70,14 @@ def detect_epoch_faults(detection: DetectionState, body: BodyFit) -> list[Fault]
         epochs.take.select(body.marker_columns, epochs.split_mask(mask))
         for mask in (detection.inlier_mask, detection.solver_mask)
     )
-    faults = detect_body_faults(inliers, solver_take.visible, body.extended_subject, body.motion)
+    faults = detect_body_faults(
+        inliers,
+        solver_take.visible,
+        body.extended_subject,
+        body.motion,
+        min_distance_m=options.min_spike_m,
+        max_spike_duration_s=options.max_spike_duration_s,
+    )
     take_marker = [int(epochs.column_marker[column]) if column >= 0 else -1 for column in body.marker_columns]
     mapped = [
         replace(fault, marker=take_marker[fault.marker], other_markers=tuple(take_marker[m] for m in fault.other_markers))

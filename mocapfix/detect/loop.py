@@ -25,7 +25,7 @@ FaultFilter = Callable[[Fault], bool]
 
 
 def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Detect faults in the trajectories of the original take and correct its labels. Fills `detection`."""
+    """Detect faults in the trajectories of the original take and correct its labels. Sets `detection` of the state."""
     take, label_faults = state.original_take, list[Fault]()
     if state.marker_set:
         mislabelled = detect_mislabelled(take, state.marker_set, state.known_subject)
@@ -57,15 +57,15 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     detection, body = state.detection, state.body
     if body is None:
         return state
-    rejected_shifts = (*detection.rejected_shifts, *find_unconfirmed_shifts(detection, body))
+    unconfirmed_shifts = (*detection.unconfirmed_shifts, *find_unconfirmed_shifts(detection, body))
     new_faults = [
         fault
-        for fault in detect_epoch_faults(detection, body)
+        for fault in detect_epoch_faults(detection, body, options.detect)
         if state.accepts_fault(fault) and not any(_is_same_fault(fault, known) for known in detection.faults.items)
     ]
     swaps = [fault for fault in new_faults if fault.kind in LABEL_KINDS]
     others = [fault for fault in new_faults if fault.kind not in LABEL_KINDS and not any(fault.overlaps(swap) for swap in swaps)]
-    if not swaps and not others and len(rejected_shifts) == len(detection.rejected_shifts):
+    if not swaps and not others and len(unconfirmed_shifts) == len(detection.unconfirmed_shifts):
         return state
     take = undo_label_exchanges(detection.take, swaps)
     body_faults = (*(fault for fault in detection.body_faults if not any(fault.overlaps(swap) for swap in swaps)), *others)
@@ -74,9 +74,9 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
         sample_faults = remaining.add_faults(body_faults)
     else:
         sample_faults = detection.sample_faults.add_faults(others)
-    confirmed = tuple(f for f in sample_faults.items if not any(_is_same_fault(f, rejected) for rejected in rejected_shifts))
+    confirmed = tuple(f for f in sample_faults.items if not any(_is_same_fault(f, rejected) for rejected in unconfirmed_shifts))
     label_faults = (*detection.label_faults, *swaps)
-    advanced = DetectionState(take, label_faults, Faults(confirmed), detection.replaced_kinds, body_faults, rejected_shifts)
+    advanced = DetectionState(take, label_faults, Faults(confirmed), detection.replaced_kinds, body_faults, unconfirmed_shifts)
     return replace(state, detection=advanced)
 
 

@@ -31,7 +31,7 @@ class FilledTake(NamedTuple):
 
 
 def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Fill the take's missing and faulty samples. Fills `fill`.
+    """Fill the take's missing and faulty samples. Sets `fill` of the state.
 
     Fills of other programs stay as they are (unless they were detected as faulty), and labels that only name fragments of other
     markers are not filled.
@@ -73,7 +73,7 @@ def fill_take(
     is_wanted = ~is_inlier & is_editable
     body_estimate = estimate_from_body(take, is_inlier, body) if body else None
     markers, sd, method = estimate_missing_samples(take, is_inlier, body_estimate)
-    reasons = explain_rejections(take, is_wanted, gap_durations_s, sd, options)
+    reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
@@ -132,7 +132,7 @@ def compute_gap_durations(is_inlier: Bool[np.ndarray, "T M"], rate: float) -> Fl
     return durations_s
 
 
-def explain_rejections(
+def explain_unfilled_samples(
     take: Take,
     is_wanted: Bool[np.ndarray, "T M"],
     gap_durations_s: Float[np.ndarray, "T M"],

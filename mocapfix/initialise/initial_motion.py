@@ -103,9 +103,9 @@ def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Mot
 
 
 def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Compute a first pose for every frame in closed form. Fills `initial_motion`."""
+    """Compute a first pose for every frame in closed form. Sets `initial_motion` of the state."""
     assert state.extended_subject is not None
     body = load_cmu31_body()
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    motion = initialise_motion(state.solver_take, state.extended_subject, body, prior, options.initialise.method)
+    motion = initialise_motion(state.solver_take, state.extended_subject, body, prior, options.initialise.init_method)
     return replace(state, initial_motion=motion)

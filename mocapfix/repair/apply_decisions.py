@@ -36,7 +36,7 @@ MAX_AGREEMENT_DISTANCE_M = 0.010
 
 
 def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Make the changes that are wanted and take back the others. Fills `cleaned_take`, `changes` and `unfilled_runs`.
+    """Make the changes that are wanted and take back the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
 
     A change is taken back if its kind is not among `options.detect.repair_kinds`, if it is a label change with samples that
     must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it. Every change that was
@@ -71,7 +71,7 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
     not_found = [
         each.to_change() for each in state.reviewed_changes if not any(each.matches(fault) for _, fault in declined_changes)
     ]
-    reasons = np.where(fill.take.visible, "its change was not to be made", fill.unfilled_reasons)
+    reasons = np.where(fill.take.visible, "its change was not applied", fill.unfilled_reasons)
     return replace(
         state,
         cleaned_take=cleaned,

@@ -182,7 +182,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             residual_m,
             options.prior.prior,
             options.solve.prior_scale,
-            options.initialise.method,
+            options.initialise.init_method,
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m)
     return {

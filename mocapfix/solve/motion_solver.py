@@ -164,7 +164,7 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
 
 
 def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Solve the motion from the initial poses. Fills `body`."""
+    """Solve the motion from the initial poses. Sets `body` of the state."""
     assert state.subject is not None
     assert state.extended_subject is not None
     assert state.initial_motion is not None

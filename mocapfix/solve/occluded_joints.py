@@ -2,9 +2,9 @@
 
 A Gaussian process over the take (`stats.gaussian_process`) is given the joints' rotations in frames where they are known, densely
 near the gap and sparsely farther away, and predicts those in the gap. Its variance depends on how near or similar the known
-frames are. If this variance is large, the predictions of a pose model are used too, as an external drift (kriging): they are
-treated as if the model's predictions for known frames were measurements, and the innovation of the model in the gap is added in
-proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
+frames are. If this variance is large, a pose model is used too (kriging with external drift): the model also predicts the
+known frames, and only what it predicts in the gap beyond the take's own prediction, its innovation, is added in proportion to
+the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
 another tracking term of the poses it increased the error of every gap.
 """
 

@@ -1,8 +1,8 @@
 """Conditioning a trained pose model on the observed joints, to predict those that are not observed.
 
 The model predicts the occluded joints from the visible ones in the gap, and also in the frames from which the gap is learned, as
-if the limb were occluded there too. Its errors in those frames are expected in the gap as well. Only the innovation in the gap,
-which the take's own motion does not predict from the model's other predictions, is used.
+if the limb were occluded there too. Its errors in those frames are expected in the gap as well. Only its innovation is
+used: what it predicts in the gap beyond the take's own prediction.
 """
 
 from collections.abc import Callable

@@ -159,7 +159,7 @@ def test_rejected_shift_stays_rejected(monkeypatch):
     )
     found = detect_again(DetectionState(TAKE, (), Faults((SPIKE, shift))))
     assert found is not None
-    assert (found.sample_faults.items, found.rejected_shifts) == ((SPIKE,), (shift,))
+    assert (found.sample_faults.items, found.unconfirmed_shifts) == ((SPIKE,), (shift,))
     assert detect_again(found) is None
 
 
