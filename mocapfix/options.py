@@ -176,8 +176,8 @@ class FillOptions(StageOptions):
         600.0, "--max-gap", "SECONDS", "leave longer gaps empty", job_key="fill.max_gap", unit="s", above=0.0
     )
     max_sd_m: float = define_option(
-        0.250, "--limit", "MM", "leave a sample empty if its predicted standard deviation (per axis) exceeds this",
-        job_key="fill.limit_mm", unit="mm", per_unit=1e3, aliases=("--max-sd",), above=0.0,
+        0.250, "--max-sd", "MM", "leave a sample empty if its predicted standard deviation (per axis) exceeds this",
+        job_key="fill.limit_mm", unit="mm", per_unit=1e3, aliases=("--limit",), above=0.0,
     )  # fmt: skip
     keep: tuple[str, ...] = define_option(
         (), "--keep", "LABEL,...", "leave these markers, or joints of an animation, exactly as they are",

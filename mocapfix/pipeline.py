@@ -81,7 +81,7 @@ def clean(
     reviewed_changes = read_review_files(options.review.review_files, takes)
     results: list[CleaningResult] = []
     for take, reviewed in zip(takes, reviewed_changes, strict=True):
-        if results:  # an unlabelled trajectory that one subject took over is not offered to the next
+        if results:  # an unlabelled trajectory assigned to one subject is not available to the next
             take = replace(take, unlabelled=results[-1].take.unlabelled)
         subject_timer = StageTimer(dict(timer.stage_seconds), progress)
         state = replace(start_cleaning(take, options.subject, reviewed), load_pose_model=load_pose_model)
@@ -123,7 +123,8 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
 
 
 def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
-    """Detect faults and fit the body, in rounds: detection sees the body that was fitted to the inliers of the round before.
+    """Detect faults and fit the body, in rounds: each detection compares the take with the body of its round, which was
+    fitted to the inliers known before.
 
     Raises TakeError where too few markers are visible.
     """

@@ -85,8 +85,8 @@ def detect_remaining_faults(
 ) -> Faults:
     """Detect the faults of the samples of a take whose labels are right.
 
-    Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Without that, cleaning
-    the cleaned take again would change it again. Markers whose labels name fragments of other markers are not judged.
+    Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Otherwise a second
+    cleaning would find new faults. Markers whose labels name fragments of other markers are not judged.
     """
     donors, known = find_namesakes(take), Faults()
     for _ in range(options.detect.max_rounds):

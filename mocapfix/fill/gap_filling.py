@@ -42,7 +42,7 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     filled = fill_take(epochs.take, epochs.split_mask(inliers), gap_durations_s, body, options.fill)
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detection.donor_markers)] = True
-    is_kept |= inliers  # needed while a marker slides between two places: it is in no epoch column then
+    is_kept |= inliers  # while a marker slides between two places its samples belong to no epoch
     sample_sd = np.full(filled.take.visible.shape, np.nan) if filled.take.sample_sd is None else filled.take.sample_sd
     markers = np.where(is_kept[..., None], take.markers, epochs.merge_columns(filled.take.markers))
     proposed = take.replace_markers(markers, np.where(is_kept, np.nan, epochs.merge_columns(sample_sd)))

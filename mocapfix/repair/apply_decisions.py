@@ -38,9 +38,9 @@ MAX_AGREEMENT_DISTANCE_M = 0.010
 def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningState:
     """Make the changes that are wanted and take back the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
 
-    A change is taken back if its kind is not among `options.detect.repair_kinds`, if it is a label change with samples that
-    must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it. Every change that was
-    considered has an entry in `changes`, with its decision.
+    A change is taken back if `options.detect.repair_kinds` names kinds and its kind is not one of them, if it is a label change
+    with samples that must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it.
+    Every change that was considered has an entry in `changes`, with its decision.
     """
     assert state.fill is not None
     original, detection, fill = state.original_take, state.detection, state.fill
