@@ -19,4 +19,6 @@ for label, joint, offset in list(zip(subject.labels, subject.joints, subject.mar
     print(f"{label} is on {subject.skeleton.names[joint]} at {x:.0f}, {y:.0f}, {z:.0f} mm")
 
 result = mocapfix.clean(walk, subject="subject.yaml", prior="none")
-print(f"mean marker residual: {result.report['solve']['marker_residual_mm']['mean']} mm")
+solve = result.subject_report["solve"]
+if solve is not None:  # None without a body
+    print(f"mean marker residual: {solve['marker_residual_mm']['mean']} mm")

@@ -17,4 +17,4 @@ options = mocapfix.CleanOptions(prior=PriorOptions(prior="none"), fill=FillOptio
 certain_only = mocapfix.clean(path, options)
 
 for name, result in (("max_gap_s=0.5", short_gaps), ("max_sd_m=0.030", certain_only)):
-    print(f"{name}: {result.report['fill']['left_empty']} samples stay empty")
+    print(f"{name}: {result.subject_report['fill']['left_empty']} samples stay empty")

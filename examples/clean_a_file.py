@@ -18,7 +18,7 @@ else:
 result = mocapfix.clean(path)
 outputs = result.write(path.with_suffix(".mocapfix"), overwrite=True)
 
-fill = result.report["fill"]
+fill = result.subject_report["fill"]
 print(f"{fill['missing_before']} samples were missing, {fill['filled']} were filled, {fill['left_empty']} stay empty.")
 for kind, output in outputs.items():
     print(f"{kind:>14}  {output}")
