@@ -13,7 +13,7 @@ from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.options import OutputOptions
-from mocapfix.read.capture import read_capture
+from mocapfix.read.capture import read_take
 from mocapfix.report.review_file import read_review_files
 from mocapfix.result import CleaningResult
 from mocapfix.take import Take
@@ -200,7 +200,7 @@ def test_every_subject_has_output_files_with_its_name(files, two):
 def test_each_subject_is_cleaned_as_in_a_file_of_its_own(files, two, name, tmp_path):
     _, outputs = two
     own_outputs = pipeline.clean(files / f"{name}.c3d").write(tmp_path)
-    both, own = read_capture(outputs["c3d"]), read_capture(own_outputs["c3d"])
+    both, own = read_take(outputs["c3d"]), read_take(own_outputs["c3d"])
     markers = np.flatnonzero(np.array(both.marker_subjects) == name)
     np.testing.assert_allclose(both.markers[:, markers], own.markers, atol=1e-6)
     paths = (outputs[f"{name}.bvh"], own_outputs["bvh"])
@@ -210,7 +210,7 @@ def test_each_subject_is_cleaned_as_in_a_file_of_its_own(files, two, name, tmp_p
 
 def test_one_file_contains_the_changes_of_all_subjects_and_no_others(files, two):
     result, outputs = two
-    before, after = read_capture(files / "two.c3d"), read_capture(outputs["c3d"])
+    before, after = read_take(files / "two.c3d"), read_take(outputs["c3d"])
     assert after.visible.all()
     layout = before.layout
     assert isinstance(layout, C3dLayout)
@@ -224,7 +224,7 @@ def test_a_selected_subject_leaves_the_rest_of_the_file_unchanged(files, two, tm
     result = pipeline.clean(files / "two.c3d", subject_prefix="Jim", subject=both.subject_results[0].subject)
     outputs = result.write(tmp_path)
     assert {path.name for path in outputs.values()} >= {"two.c3d", "two.Jim.bvh", "two.Jim.report.json"}
-    before, after = read_capture(files / "two.c3d"), read_capture(outputs["c3d"])
+    before, after = read_take(files / "two.c3d"), read_take(outputs["c3d"])
     is_jim = np.array(before.marker_subjects) == "Jim"
     assert after.visible[:, is_jim].all()
     np.testing.assert_array_equal(after.markers[:, ~is_jim], before.markers[:, ~is_jim])

@@ -144,7 +144,7 @@ def test_all_files_are_written_and_the_c3d_and_the_bvh_contain_the_result(cleane
     assert set(cleaned.outputs) == OUTPUT_SUFFIXES
     names = {path.name for path in cleaned.outputs["c3d"].parent.iterdir()}
     assert names == {f"somebody.{suffix}" for suffix in OUTPUT_SUFFIXES}
-    take = capture.read_capture(cleaned.outputs["c3d"])
+    take = capture.read_take(cleaned.outputs["c3d"])
     np.testing.assert_allclose(take.markers, cleaned.result.take.markers, atol=1e-6)
     assert (take.labels, take.rate, take.first_frame) == (cleaned.truth.labels, cleaned.truth.rate, 1)
     text = cleaned.outputs["bvh"].read_text(encoding="ascii")
@@ -224,7 +224,7 @@ def test_a_take_without_faults_keeps_every_byte(cleaned, tmp_path):
 
 
 def test_changes_in_the_report_cover_exactly_the_samples_that_differ(cleaned):
-    before, after = (capture.read_capture(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
+    before, after = (capture.read_take(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
     columns = {label: m for m, label in enumerate(before.labels)}
     change_count = np.zeros(before.visible.shape, int)
     for change in cleaned.result.report["changes"]:

@@ -116,12 +116,12 @@ def test_outputs_of_an_earlier_run_with_a_body_are_removed(solved, without_body,
 
 def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp_path):
     source = tmp_path / "brief.trc"
-    write.write_trc(source, capture.read_capture(brief.path))
+    write.write_trc(source, capture.read_take(brief.path))
     result = pipeline.clean(source, subject=brief.subject)
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("c3d", "trc", "npz")))
     assert [path.name for suffix, path in outputs.items() if suffix in ("trc", "c3d")] == ["brief.trc", "brief.c3d"]
     for suffix in ("trc", "c3d"):
-        back = capture.read_capture(outputs[suffix])
+        back = capture.read_take(outputs[suffix])
         assert (back.labels, back.rate, back.first_frame) == (result.take.labels, 120, FIRST_FRAME)
         np.testing.assert_allclose(back.markers, result.take.markers, atol=2e-5)
     lines = source.read_text().splitlines(), outputs["trc"].read_text().splitlines()
@@ -133,7 +133,7 @@ def test_a_table_without_fields_for_missing_samples_is_replaced_by_a_plain_one_w
     input_take = replace(solved.input_take, layout=layout, path=solved.input_take.path.with_suffix(".csv"))
     outputs = replace(solved, input_take=input_take).write(tmp_path, options=OutputOptions(extra_formats=("csv",)))
     assert outputs["csv"].name == "somebody.csv"
-    np.testing.assert_allclose(capture.read_capture(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
+    np.testing.assert_allclose(capture.read_take(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
     assert "somebody.csv lists only visible markers" in outputs["report.json"].read_text()
 
 

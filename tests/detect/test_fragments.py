@@ -183,7 +183,7 @@ def test_single_marker_is_matched_by_its_path():
 
 @with_captures
 def test_fragment_of_a_capture():
-    take = capture.read_capture(CAPTURES / "cmu" / "01_01.c3d")
+    take = capture.read_take(CAPTURES / "cmu" / "01_01.c3d")
     (fragment,) = fragments.detect_fragments(take)
     assert take.labels[fragment.donor] == "RBAC-1"
     assert (fragment.relation, take.labels[fragment.marker], fragment.first, fragment.last) == ("replaces", "RBAC", 120, 127)
@@ -191,7 +191,7 @@ def test_fragment_of_a_capture():
 
 @with_captures
 def test_additional_markers_of_a_capture_are_not_joined():
-    take = capture.read_capture(CAPTURES / "c3d" / "Movement_trial.c3d")
+    take = capture.read_take(CAPTURES / "c3d" / "Movement_trial.c3d")
     found = fragments.detect_fragments(take)
     assert {f.donor for f in found} == set(range(39, 81))  # each of the 42 is accounted for
     assert {f.relation for f in found} == {"other", "doubles"}

@@ -84,7 +84,7 @@ def test_sound_and_empty_takes():
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/05_13", "cmu/85_02", "c3d/walkingOptiTrack", "c3d/PiG_Motion-FlatFoot-Hole"])
 def test_captures_have_no_frozen_markers(name):
-    take = capture.read_capture(CAPTURES / f"{name}.c3d")
+    take = capture.read_take(CAPTURES / f"{name}.c3d")
     assert frozen.detect_frozen(take) == []
     moving = np.linalg.norm(np.diff(take.markers, axis=0), axis=-1)
     frame, marker = np.unravel_index(np.nan_to_num(moving)[60:-60].argmax(), moving[60:-60].shape)

@@ -70,4 +70,4 @@ def test_swapped_labels_look_like_ghosts():
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/squat"])
 def test_captures_have_no_ghosts(name):
-    assert ghosts.detect_ghosts(capture.read_capture(CAPTURES / f"{name}.c3d")) == []
+    assert ghosts.detect_ghosts(capture.read_take(CAPTURES / f"{name}.c3d")) == []

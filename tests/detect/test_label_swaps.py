@@ -117,7 +117,7 @@ def test_takes_without_frames_or_markers_have_no_swaps():
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_single_frame_swap_of_a_capture():
-    take = capture.read_capture(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
+    take = capture.read_take(CAPTURES / "c3d" / "walkingOptiTrack.c3d")
     (swap,) = label_swaps.detect_label_swaps(take)
     assert [take.labels[m] for m in swap.markers] == ["Foot_Marker3", "Foot_Marker5"]
     assert swap.first == swap.last == 1952
@@ -126,4 +126,4 @@ def test_single_frame_swap_of_a_capture():
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "cmu/06_01", "c3d/tennis_serve_motive"])
 def test_sound_captures_have_no_swaps(name):
-    assert label_swaps.detect_label_swaps(capture.read_capture(CAPTURES / f"{name}.c3d")) == []
+    assert label_swaps.detect_label_swaps(capture.read_take(CAPTURES / f"{name}.c3d")) == []

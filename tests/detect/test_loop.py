@@ -19,7 +19,7 @@ OPTIONS = CleanOptions()
 
 
 def read_state(faulty, **fields) -> CleaningState:
-    take = capture.read_capture(faulty.path)
+    take = capture.read_take(faulty.path)
     return replace(CleaningState(take, DetectionState(take)), **fields)
 
 
@@ -59,7 +59,7 @@ def test_rejected_faults_change_nothing(faulty):
 
 
 def test_every_sample_of_the_file_is_kept_once(faulty, detection):
-    take = capture.read_capture(faulty.path)
+    take = capture.read_take(faulty.path)
     sources = detection.take.source_points[detection.take.visible].tolist()
     frame_indices = np.broadcast_to(np.arange(take.frame_count)[:, None], take.visible.shape)
     frames = frame_indices[detection.take.visible].tolist()

@@ -154,7 +154,7 @@ def test_permutation_cycles():
     "name", ["cmu/05_13", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/FunctionalWalk", "c3d/Movement_trial"]
 )
 def test_captures_have_correct_labels(name):
-    take = capture.read_capture(CAPTURES / f"{name}.c3d")
+    take = capture.read_take(CAPTURES / f"{name}.c3d")
     marker_set = marker_sets.choose_marker_set(take.labels).marker_set
     assert marker_set is not None
     assert mislabelled.detect_mislabelled(take, marker_set) == []

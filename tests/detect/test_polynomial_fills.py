@@ -118,4 +118,4 @@ def test_empty_takes():
 )
 def test_fills_in_captures(name, filled):
     """01_01 was filled with cubics, RFRM over 0.4 s; the serve with two lines; 85_02 is smoothed, HDM05 coarse: both measured."""
-    assert len(external_fills.detect_polynomial_fills(capture.read_capture(CAPTURES / f"{name}.c3d"))) == filled
+    assert len(external_fills.detect_polynomial_fills(capture.read_take(CAPTURES / f"{name}.c3d"))) == filled

@@ -96,7 +96,7 @@ def test_no_inliers_give_no_estimate():
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
 def test_real_hand_gap_is_filled_better_than_linearly():
-    truth = capture.read_capture(CAPTURE)
+    truth = capture.read_take(CAPTURE)
     hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
     believed = truth.visible.copy()
     assert believed[gap, hand].all()

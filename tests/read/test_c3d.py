@@ -27,7 +27,7 @@ STANDING = np.array([[[10, 20, 1700], [0, 30, 80], [400, 20.5, 1000]]], float) +
 def write_and_read(folder: Path, *args, **options):
     path = folder / "take.c3d"
     path.write_bytes(c3d_bytes(*args, **options))
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -132,7 +132,7 @@ def test_undeclared_frames_beyond_65535_are_read_and_noted(tmp_path):
 def test_a_shortened_file_with_its_old_header_is_read_and_noted(tmp_path):
     path = tmp_path / "take.c3d"
     path.write_bytes(c3d_bytes(STANDING, LABELS)[: -256 - 2 * 60])  # two frames of three points and three analog words
-    take = capture.read_capture(path)
+    take = capture.read_take(path)
     np.testing.assert_allclose(take.markers, STANDING[:2][..., [1, 2, 0]] / 1000, atol=1e-7)
     assert take.notes == ("The header declares 4 frames; the file has 2.",)
 
@@ -248,7 +248,7 @@ def test_invalid_files_are_refused_with_their_name(tmp_path, case):
     path = tmp_path / "walk.c3d"
     path.write_bytes(data)
     with pytest.raises(ReadError) as error:
-        capture.read_capture(path)
+        capture.read_take(path)
     assert str(error.value).startswith(str(path))
     assert words in str(error.value)
 
@@ -259,7 +259,7 @@ def test_a_signalling_nan_is_missing_without_a_warning(tmp_path, processor, orde
     data = c3d_bytes(STANDING, LABELS, encoding=(processor, True))
     path = tmp_path / "take.c3d"
     path.write_bytes(data.replace(struct.pack(f"{order}f", 1700), struct.pack(f"{order}I", 0x7F800001)))
-    assert np.argwhere(~capture.read_capture(path).visible).tolist() == [[0, 0]]
+    assert np.argwhere(~capture.read_take(path).visible).tolist() == [[0, 0]]
 
 
 @given(place=st.integers(0, 1023), byte=st.integers(0, 255), keep=st.integers(0, 2000))
@@ -269,7 +269,7 @@ def test_damaged_files_are_read_or_refused(tmp_path_factory, place, byte, keep):
     path = tmp_path_factory.mktemp("damaged") / "take.c3d"
     path.write_bytes(data[: 600 + keep])
     try:
-        take = capture.read_capture(path)
+        take = capture.read_take(path)
     except ReadError:
         return
     assert take.markers.shape == (take.frame_count, len(take.labels), 3)
@@ -292,7 +292,7 @@ MARKERS = {  # counted by hand from the labels
 @with_captures
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_are_upright_and_have_the_expected_markers(path):
-    take = capture.read_capture(path)
+    take = capture.read_take(path)
     assert len(take.labels) == MARKERS.get(path.name, len(take.labels))
     assert isinstance(take.layout, C3dLayout)
     assert len(take.labels) + len(take.other_labels) == take.layout.point_count
@@ -305,7 +305,7 @@ def test_captures_are_upright_and_have_the_expected_markers(path):
 @with_captures
 @pytest.mark.parametrize("path", [path for path in READABLE if path.name != "sgi_real.c3d"], ids=lambda path: path.name)
 def test_captures_agree_with_ezc3d(path):
-    take = capture.read_capture(path)
+    take = capture.read_take(path)
     oracle = ezc3d.c3d(str(path))
     theirs = oracle["data"]["points"][:3, take.point_columns].transpose(2, 1, 0)
     assert isinstance(take.layout, C3dLayout)
@@ -325,7 +325,7 @@ SOURCES = (CAPTURES / "SOURCES.md").read_text(encoding="utf-8") if CAPTURES.is_d
 @pytest.mark.parametrize("row", ROW.findall(SOURCES), ids=lambda row: row[0])
 def test_captures_have_the_points_frames_and_rate_of_their_source(row):
     name, points, frames, rate, unit = row
-    take = capture.read_capture(next(CAPTURES.rglob(name)))
+    take = capture.read_take(next(CAPTURES.rglob(name)))
     assert isinstance(take.layout, C3dLayout)
     assert (take.layout.point_count, take.frame_count, take.rate) == (int(points), int(frames), float(rate))
     assert take.layout.unit_m == {"mm": 0.001, "m": 1.0}[unit]
@@ -334,7 +334,7 @@ def test_captures_have_the_points_frames_and_rate_of_their_source(row):
 @with_captures
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
-    trial = capture.read_capture(CAPTURES / "c3d" / "pc_int.c3d")
+    trial = capture.read_take(CAPTURES / "c3d" / "pc_int.c3d")
     layout = trial.layout
     assert isinstance(layout, C3dLayout)
     assert trial.path is not None
@@ -342,7 +342,7 @@ def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
     xyz, extra = words[..., :3] * layout.scale_factor, {"POINT:RATE": 50.0, "POINT:Y_SCREEN": "+Z"}
     made = c3d_bytes(xyz, trial.labels, words[..., 3], encoding, layout.scale_factor, extra=extra)
     (tmp_path / "again.c3d").write_bytes(made)
-    again = capture.read_capture(tmp_path / "again.c3d")
+    again = capture.read_take(tmp_path / "again.c3d")
     np.testing.assert_array_equal(again.visible, trial.visible)
     assert trial.computed is not None
     np.testing.assert_array_equal(again.computed, trial.computed)
@@ -353,7 +353,7 @@ def test_a_real_trial_is_equal_in_all_six_encodings(tmp_path, encoding):
 
 @with_captures
 def test_one_trial_in_three_encodings():
-    intel, dec, sgi = (capture.read_capture(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
+    intel, dec, sgi = (capture.read_take(CAPTURES / "c3d" / f"{name}.c3d") for name in ("pc_int", "dec_real", "sgi_real"))
     np.testing.assert_array_equal(dec.markers, sgi.markers)
     np.testing.assert_array_equal(intel.visible, dec.visible)
     np.testing.assert_allclose(intel.markers, dec.markers, atol=0.0005)  # half a count of 0.28 mm plus rounding
@@ -370,5 +370,5 @@ def test_one_trial_in_three_encodings():
 def test_invalid_captures_are_refused_quickly(name, words):
     start = time.perf_counter()
     with pytest.raises(ReadError, match=words):
-        capture.read_capture(CAPTURES / "c3d" / name)
+        capture.read_take(CAPTURES / "c3d" / name)
     assert time.perf_counter() - start < 1

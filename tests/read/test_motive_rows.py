@@ -13,7 +13,7 @@ NAMES = ("Body-Head", "Body-LeftFoot", "Marker-42")
 def write_and_read(folder: Path, text: str):
     path = folder / "walk.csv"
     path.write_bytes(text.encode())
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("bodies", [0, 1, 3])

@@ -14,7 +14,7 @@ DEVICES = "\nDevices\n1200\n,,Force\nFrame,Sub Frame,Fx\n,,N\n695,0,0.1\n695,1,0
 def write_and_read(folder: Path, text: str):
     path = folder / "walk.csv"
     path.write_bytes(text.encode())
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("before", ["", OUTPUTS])

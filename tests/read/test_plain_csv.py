@@ -24,7 +24,7 @@ def build_text(delimiter=",", separator="_", unit="_mm", lead=("frame", "time_s"
 def write_and_read(folder: Path, content: str):
     path = folder / "walk.csv"
     path.write_bytes(content.encode())
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])

@@ -13,7 +13,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 def write_and_read(folder: Path, text: str):
     path = folder / "walk.tsv"
     path.write_bytes(text.encode())
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("columns", [(), ("Frame",), ("Frame", "Time")])

@@ -12,7 +12,7 @@ Y_UP = STANDING[..., [1, 2, 0]] / 1000
 def write_and_read(folder: Path, text: str, encoding: str = "utf-8"):
     path = folder / "walk.trc"
     path.write_bytes(text.encode(encoding))
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 @pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])

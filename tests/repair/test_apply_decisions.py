@@ -61,7 +61,7 @@ def clean_again(faulty, folder, **asked):
 def filled_state(faulty) -> CleaningState:
     """The state of the faulty take before decisions are applied."""
     options = CleanOptions()
-    take = capture.read_capture(faulty.path)
+    take = capture.read_take(faulty.path)
     state = pipeline.start_cleaning(take, SubjectOptions(subject=faulty.subject))
     return fill_gaps(pipeline.detect_and_fit(state, options, StageTimer()), options)
 

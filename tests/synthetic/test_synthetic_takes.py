@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mocapfix import marker_sets, synthetic
 from mocapfix.errors import WriteError
-from mocapfix.read.capture import read_capture
+from mocapfix.read.capture import read_take
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -269,7 +269,7 @@ def test_c3d_file_contains_the_take(take, tmp_path):
 
 def test_c3d_file_is_read_back(take, tmp_path):
     synthetic.write_synthetic_take(tmp_path / "walk.c3d", take)
-    found = read_capture(tmp_path / "walk.c3d")
+    found = read_take(tmp_path / "walk.c3d")
     assert (found.labels, found.rate, found.first_frame) == (take.labels, RATE, 1)
     np.testing.assert_allclose(found.markers, take.damaged_positions, atol=1e-6)
 

@@ -47,7 +47,7 @@ def test_a_take_reads_back(tmp_path_factory, markers, missing, sample_sd, frame,
         np.where(missing[..., None], np.nan, markers), labels, rate, first, layout=build_layout(*frame), sample_sd=sample_sd
     )
     write.write_c3d(path, take)
-    copy = capture.read_capture(path)
+    copy = capture.read_take(path)
     assert (copy.labels, copy.first_frame, copy.frame_count) == (labels, first, 5)
     assert copy.rate == pytest.approx(rate, rel=1e-7)
     np.testing.assert_allclose(copy.markers, take.markers, atol=4e-7)
@@ -63,7 +63,7 @@ def test_other_libraries_read_the_same(tmp_path):
     xyz = STANDING.copy()
     xyz[1, 2] = np.nan
     (tmp_path / "walk.trc").write_text(trc(xyz, first=185))
-    take = capture.read_capture(tmp_path / "walk.trc")
+    take = capture.read_take(tmp_path / "walk.trc")
     write.write_c3d(tmp_path / "walk.c3d", take)
     file = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     np.testing.assert_allclose(file["data"]["points"][:3].transpose(2, 1, 0), xyz, rtol=1e-6)
@@ -83,7 +83,7 @@ def test_estimated_samples_read_back_as_computed(tmp_path):
     computed = np.zeros((40, 3), bool)
     computed[20, 2] = True  # computed in the source file, without a standard sample_sd
     write.write_c3d(tmp_path / "take.c3d", Take(markers, LABELS, 100, sample_sd=sample_sd, computed=computed))
-    copy = capture.read_capture(tmp_path / "take.c3d")
+    copy = capture.read_take(tmp_path / "take.c3d")
     np.testing.assert_array_equal(copy.computed, ~np.isnan(sample_sd) | computed)
     assert copy.uncaptured is not None
     assert not copy.uncaptured.any()
@@ -92,7 +92,7 @@ def test_estimated_samples_read_back_as_computed(tmp_path):
 def test_unlabelled_trajectories_follow_the_markers(tmp_path):
     unlabelled = Take(Y_UP[:, :1] + 1, ("*7",), 100)
     write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, unlabelled=unlabelled))
-    copy = capture.read_capture(tmp_path / "take.c3d")
+    copy = capture.read_take(tmp_path / "take.c3d")
     assert copy.labels == LABELS
     assert copy.unlabelled is not None
     assert copy.unlabelled.labels == ("*7",)
@@ -106,7 +106,7 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
     labels = tuple(f"M{i}".ljust(width, "x") for i in range(count))
     markers = np.random.default_rng(0).normal(size=(2, count, 3))
     write.write_c3d(path, Take(markers, labels, 100))
-    copy = capture.read_capture(path)
+    copy = capture.read_take(path)
     assert copy.labels == labels
     np.testing.assert_allclose(copy.markers, markers, atol=1e-6)
     np.testing.assert_allclose(read_with_c3d(path)[1][..., :3], markers[..., [2, 0, 1]] * 1000, rtol=1e-4, atol=1e-3)
@@ -115,7 +115,7 @@ def test_more_labels_than_one_parameter_holds(tmp_path_factory, count, width):
 def test_more_frames_than_the_header_holds(tmp_path):
     markers = np.random.default_rng(0).normal(size=(70_000, 1, 3))
     write.write_c3d(tmp_path / "long.c3d", Take(markers, ("LFHD",), 100, first_frame=3))
-    copy = capture.read_capture(tmp_path / "long.c3d")
+    copy = capture.read_take(tmp_path / "long.c3d")
     assert (copy.first_frame, copy.frame_count) == (3, 70_000)
     np.testing.assert_allclose(copy.markers, markers, atol=1e-6)
     assert ezc3d.c3d(str(tmp_path / "long.c3d"))["data"]["points"].shape == (4, 1, 70_000)
@@ -127,7 +127,7 @@ def test_a_take_without_a_file_is_written_in_millimetres_with_z_up(tmp_path):
     write.write_c3d(tmp_path / "take.c3d", Take(Y_UP, LABELS, 100, first_frame=-20))
     point = ezc3d.c3d(str(tmp_path / "take.c3d"))["parameters"]["POINT"]
     assert (point["UNITS"]["value"], point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["mm"], ["+X"], ["+Z"])
-    assert capture.read_capture(tmp_path / "take.c3d").first_frame == 1  # C3D has no negative frame numbers
+    assert capture.read_take(tmp_path / "take.c3d").first_frame == 1  # C3D has no negative frame numbers
 
 
 def test_takes_that_a_c3d_cannot_hold_are_refused(tmp_path):

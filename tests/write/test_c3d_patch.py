@@ -35,7 +35,7 @@ WORDS = np.where(np.arange(20).reshape(FRAMES, 4) == 10, -1, 0x0102)
 def write_and_read(folder: Path, encoding, vertical="+Z") -> Take:
     path = folder / "before.c3d"
     path.write_bytes(c3d_bytes(XYZ, LABELS, WORDS, encoding, extra={"POINT:Y_SCREEN": vertical}))
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 def find_sample_bytes(take: Take, frame: int, marker: int) -> slice:
@@ -55,7 +55,7 @@ def assert_only_changed(before: Take, target: Path, changed: np.ndarray) -> Take
     for frame, marker in np.argwhere(changed):
         allowed[find_sample_bytes(before, frame, marker)] = True
     np.testing.assert_array_equal(new[~allowed], old[~allowed])
-    copy = capture.read_capture(target)
+    copy = capture.read_take(target)
     assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
     return copy
 
@@ -125,7 +125,7 @@ def test_values_too_large_for_an_integer_file_are_missing_and_returned(tmp_path,
     markers[1, 1] = (0, 3.2767, 0)
     markers[3, 2] = (0, 0, -50)
     assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == [(0, 1), (3, 2)]
-    copy = capture.read_capture(tmp_path / "after.c3d")
+    copy = capture.read_take(tmp_path / "after.c3d")
     assert not copy.visible[0, 1]
     assert not copy.visible[3, 2]
     np.testing.assert_allclose(copy.markers[1, 1], (0, 3.2767, 0))
@@ -167,7 +167,7 @@ def test_more_frames_or_labels_than_a_word_or_a_parameter_holds(tmp_path, encodi
     path, labels = tmp_path / "before.c3d", [f"M{i}" for i in range(points)]
     extra = {"POINT:LONG_FRAMES": float(frames), "POINT:Y_SCREEN": "+Y"}
     path.write_bytes(c3d_bytes(np.full((frames, points, 3), 50.0), labels, encoding=encoding, extra=extra))
-    before = capture.read_capture(path)
+    before = capture.read_take(path)
     markers = before.markers.copy()
     markers[-1, -1] = (0.1, 1.25, -0.3)
     assert write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers)) == []
@@ -181,11 +181,11 @@ def test_more_frames_or_labels_than_a_word_or_a_parameter_holds(tmp_path, encodi
 def test_a_copy_has_the_markers_of_the_original(tmp_path):
     path = tmp_path / "before.c3d"
     path.write_bytes(c3d_bytes(np.ones((2, 6, 3)), list("ABCDEF")))  # all residual words 0
-    before = capture.read_capture(path)
+    before = capture.read_take(path)
     markers = before.markers.copy()
     markers[0, 0] += 0.5
     write.patch_c3d(tmp_path / "after.c3d", before, before.replace_markers(markers))
-    assert capture.read_capture(tmp_path / "after.c3d").labels == before.labels
+    assert capture.read_take(tmp_path / "after.c3d").labels == before.labels
 
 
 # Relabelled samples
@@ -202,7 +202,7 @@ def write_and_read_four(folder: Path, encoding) -> Take:
     visible[2:, 0] = visible[[0, 1, 4], 3] = visible[:4, 1] = False
     path = folder / "before.c3d"
     path.write_bytes(c3d_bytes(np.where(visible[..., None], XYZ, 0), FOUR_LABELS, np.where(visible, SAMPLE_WORDS, -1), encoding))
-    take = capture.read_capture(path)
+    take = capture.read_take(path)
     assert take.unlabelled is not None
     assert (take.labels, take.unlabelled.labels) == (("A", "B", "A-1"), ("*12",))
     return take
@@ -225,7 +225,7 @@ def test_exchanged_samples_keep_their_words(tmp_path, encoding):
     wanted[3, 1] = old[3, 2]  # A is missing in frame 3
     np.testing.assert_array_equal(new[:, :2], wanted[:, :2])
     np.testing.assert_array_equal(new[[0, 1, 2, 4], 2:], wanted[[0, 1, 2, 4], 2:])
-    assert not capture.read_capture(tmp_path / "after.c3d").visible[3, 1]
+    assert not capture.read_take(tmp_path / "after.c3d").visible[3, 1]
     assert new[3, 2].tobytes() == encode_words(MISSING_WORDS, encoding)
 
 
@@ -241,7 +241,7 @@ def test_a_joined_fragment_keeps_its_words_and_its_donor_becomes_missing(tmp_pat
     assert {each.tobytes() for each in new[frames, point]} == {encode_words(MISSING_WORDS, encoding)}
     new[frames, [1, point]] = old[frames, [1, point]]
     np.testing.assert_array_equal(new, old)
-    again = capture.read_capture(tmp_path / "after.c3d")
+    again = capture.read_take(tmp_path / "after.c3d")
     np.testing.assert_array_equal(again.markers[:, :2], joined.markers[:, :2])
 
 
@@ -286,7 +286,7 @@ def test_changed_samples_agree_with_the_c3d_library(tmp_path, encoding):
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_changed_captures_agree_with_other_libraries(tmp_path, path):
-    before = capture.read_capture(path)
+    before = capture.read_take(path)
     layout = before.layout
     assert isinstance(layout, C3dLayout)
     target, rng = tmp_path / path.name, np.random.default_rng(7)
@@ -305,7 +305,7 @@ def test_changed_captures_agree_with_other_libraries(tmp_path, path):
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 @pytest.mark.parametrize("path", READABLE, ids=lambda path: path.name)
 def test_captures_keep_all_other_bytes(tmp_path, path):
-    before = capture.read_capture(path)
+    before = capture.read_take(path)
     target = tmp_path / path.name
     assert write.patch_c3d(target, before, before) == []
     assert target.read_bytes() == path.read_bytes()

@@ -40,7 +40,7 @@ FILES = {  # text, missing text, fields before the first X, delimiter
 def write_and_read(folder: Path, text: str, encoding: str = "utf-8") -> Take:
     path = folder / "before.txt"
     path.write_bytes(text.encode(encoding))
-    return capture.read_capture(path)
+    return capture.read_take(path)
 
 
 def convert_to_file_axes(take: Take) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_only_fields_of_changed_samples_differ_and_they_read_back(tmp_path_facto
     first = int(before.layout.line_indices[0])
     allowed = {(first + t, lead + 3 * m + axis) for t, m in np.argwhere(edits > 0) for axis in range(3)}
     assert find_differing_fields(old, new, delimiter) <= allowed
-    copy = capture.read_capture(folder / "after.txt")
+    copy = capture.read_take(folder / "after.txt")
     was, wanted, became = (convert_to_file_axes(take) for take in (before, before.replace_markers(markers), copy))
     np.testing.assert_array_equal(became[edits == 0], was[edits == 0])
     step = 10.0 ** -int(before.layout.number_format[1:-1]) * before.layout.unit_m
@@ -129,7 +129,7 @@ def test_an_unlabelled_fragment_is_moved_to_its_marker(tmp_path):
     before = write_and_read(tmp_path, trc(xyz, [*LABELS, "*7"]))
     piece = Fragment("fragment", 0, 2, 2, 0.0, "", donor=3, relation="continues")
     assert write.patch_table(tmp_path / "after.txt", before, relabel_samples(before, [piece])) == []
-    copy = capture.read_capture(tmp_path / "after.txt")
+    copy = capture.read_take(tmp_path / "after.txt")
     np.testing.assert_allclose(copy.markers, STANDING[..., [1, 2, 0]] / 1000, atol=1e-12)
     assert copy.unlabelled is None
 
@@ -155,13 +155,13 @@ def test_refused_copies_leave_no_files(tmp_path):
 @pytest.mark.skipif(not TABLES, reason="no captures beside the repository")
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.name)
 def test_captures_differ_only_in_changed_samples(path, tmp_path):
-    before = capture.read_capture(path)
+    before = capture.read_take(path)
     write.patch_table(tmp_path / "same", before, before)
     assert (tmp_path / "same").read_bytes() == path.read_bytes()
     markers, rng = before.markers.copy(), np.random.default_rng(0)
     changed = rng.random(before.visible.shape) < 0.02
     markers[changed] = rng.normal(size=(changed.sum(), 3))
     write.patch_table(tmp_path / "after", before, before.replace_markers(markers))
-    copy = capture.read_capture(tmp_path / "after")
+    copy = capture.read_take(tmp_path / "after")
     assert copy.markers[~changed].tobytes() == before.markers[~changed].tobytes()
     np.testing.assert_allclose(copy.markers[changed], markers[changed], atol=1e-6)

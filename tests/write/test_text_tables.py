@@ -30,7 +30,7 @@ def test_a_take_reads_back(tmp_path_factory, writer, markers, missing, frame, fi
     expected = np.where(missing[..., None], np.nan, markers + TALL)
     layout = TableLayout("utf-8", "\n", "\t", ".", frame[0], rotation_y_up_file=frame[1])
     writer(path, Take(expected, LABELS, rate, first, layout=layout))
-    copy = capture.read_capture(path)
+    copy = capture.read_take(path)
     assert (copy.labels, copy.first_frame, copy.notes) == (LABELS, first, ())
     assert copy.rate == pytest.approx(rate, rel=1e-3)
     np.testing.assert_allclose(copy.markers, expected, atol=0.51e-8)
@@ -62,10 +62,10 @@ def test_the_layout_of_a_csv(tmp_path):
     assert names[-1] == "hand, left_Z_mm"
     assert rows[1] == ["8", "0.020000", "11.00000", "21.00000", "1701.00000", "", "", "", "401.00000", "21.50000", "1001.00000"]
     assert len(rows) == 4
-    assert capture.read_capture(tmp_path / "walk.csv").labels == take.labels
+    assert capture.read_take(tmp_path / "walk.csv").labels == take.labels
 
 
 def test_line_ends_in_labels_are_removed(tmp_path):
     path = tmp_path / "walk.csv"
     write.write_csv(path, Take(np.arange(18.0).reshape(3, 2, 3), ("left\nheel", "LTOE"), 100.0))
-    assert capture.read_capture(path).labels == ("left heel", "LTOE")
+    assert capture.read_take(path).labels == ("left heel", "LTOE")
