@@ -130,16 +130,16 @@ class SolveOptions(StageOptions):
         job_key="solve.max_rounds", at_least=1, is_expert=True,
     )  # fmt: skip
     marker_sd_m: float = define_option(
-        0.010, "--solve-marker-sd", "MM", "standard deviation per axis of a sound marker about its position on the body",
+        0.010, "--solve-marker-sd", "MM", "standard deviation per axis of a marker without faults about its position on the body",
         job_key="solve.marker_sd_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     robust_scales_m: tuple[float, ...] = define_option(
         (0.1, 0.05), "--solve-robust-scales", "MM,...",
-        "Geman-McClure scales, one after the other: a marker farther off than the last hardly counts",
+        "Geman-McClure scales, used in turn: markers farther from the body than the last one get little weight",
         job_key="solve.robust_scales_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     pose_persistence_s: float = define_option(
-        1.0, "--solve-pose-persistence", "SECONDS", "the prior counts once in this time, not once a frame",
+        1.0, "--solve-pose-persistence", "SECONDS", "apply the prior once in this time instead of once a frame",
         job_key="solve.pose_persistence_s", unit="s", above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     limit_sd_rad: float = define_option(
@@ -147,23 +147,23 @@ class SolveOptions(StageOptions):
         job_key="solve.limit_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     gap_border_s: float = define_option(
-        0.05, "--solve-gap-border", "SECONDS", "give a marker no weight for this long beside its gaps",
+        0.05, "--solve-gap-border", "SECONDS", "ignore a marker for this long before and after its gaps",
         job_key="solve.gap_border_s", unit="s", at_least=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     rotation_jitter_rad: float = define_option(
-        0.01, "--solve-rotation-jitter", "RAD", "frame-to-frame noise of a joint's rotation beyond its motion",
+        0.01, "--solve-rotation-jitter", "RAD", "frame-to-frame noise of a joint's rotation, in addition to its motion",
         job_key="solve.rotation_jitter_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     root_jitter_m: float = define_option(
-        0.001, "--solve-root-jitter", "MM", "frame-to-frame noise of the root's position beyond its motion",
+        0.001, "--solve-root-jitter", "MM", "frame-to-frame noise of the root's position, in addition to its motion",
         job_key="solve.root_jitter_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     rotation_tracking_sd_rad: float = define_option(
-        0.1, "--solve-rotation-tracking-sd", "RAD", "standard deviation of a joint's rotation about its smooth course",
+        0.1, "--solve-rotation-tracking-sd", "RAD", "standard deviation of a joint's rotation about its smooth trajectory",
         job_key="solve.rotation_tracking_sd_rad", unit="rad", above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
     root_tracking_sd_m: float = define_option(
-        0.03, "--solve-root-tracking-sd", "MM", "standard deviation of the root's position about its smooth course",
+        0.03, "--solve-root-tracking-sd", "MM", "standard deviation of the root's position about its smooth trajectory",
         job_key="solve.root_tracking_sd_mm", unit="mm", per_unit=1e3, above=0.0, is_finite=True, is_expert=True,
     )  # fmt: skip
 

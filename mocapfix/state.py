@@ -114,7 +114,7 @@ class FillProposal:
 
     Attributes:
         take: the filled take.
-        unfilled_reasons: for each sample that stays empty a sentence that says why, else "".
+        unfilled_reasons: the reason why each sample stays empty, else "".
         methods: for each filled sample the name of its fill method, else "".
         body_markers: metres: where the solved body carries the markers; None without a body.
     """

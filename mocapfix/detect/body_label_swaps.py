@@ -1,4 +1,4 @@
-"""Label swaps that the solved body shows: labels at one another's positions on the body.
+"""Label swaps detected against the solved body: each label has the samples of another label's marker.
 
 An outlier under a label that lies where the body has another marker, which is not visible there itself, has that marker's
 samples. Where two labels, or three in a cycle, have one another's markers, they are exchanged. The exchange extends from
@@ -75,7 +75,7 @@ def _find_carried_markers(residuals: BodyResiduals, is_home: np.ndarray, outlier
 def _find_cycles_of_carried(carried: list[CarriedMarker], take: Take) -> list[tuple[CarriedMarker, ...]]:
     """Find the cycles in which each label has the samples of the marker whose label comes next, and the last of the first.
 
-    A marker that is missing meanwhile may have been anywhere, also under the label of the outlier at its position.
+    A marker that is missing during the outlier may have been anywhere, also under the label of the outlier at its position.
     """
     cycles: list[tuple[CarriedMarker, ...]] = []
     for one in carried:

@@ -57,7 +57,7 @@ def detect_virtual_samples(take: Take) -> list[Fault]:
         for first, last in find_runs(is_virtual[:, m]):
             travel_m = float(np.linalg.norm(take.markers[last, m] - take.markers[first, m]))
             duration = f"{(last - first + 1) / take.rate:.2f} s"
-            reason = f"{label} was captured by no camera for {duration} according to the file: another program filled it."
+            reason = f"According to the file, no camera captured {label} for {duration}: another program filled it."
             faults.append(Fault("computed", m, first, last, travel_m, reason))
     return faults
 

@@ -52,26 +52,26 @@ def classify_continuation(
 def classify_unassigned(
     segment: TrajectorySegment, candidates: Sequence[MarkerMatch], probability: float, take: Take
 ) -> Fragment:
-    """Classify a segment that matches none of the markers that are missing meanwhile, or none with a high probability."""
+    """Classify a segment that matches none of the markers that are missing at that time, or none with a high probability."""
     labels, confidence = take.bare_labels, 1 - probability
     possible = [match for match in candidates if np.isfinite(match.cost)]
     compared = [match for match in candidates if match.partners]
     if len(possible) > 1:
         first, second = labels[possible[0].marker], labels[possible[1].marker]
-        evidence = f"{first} and {second} are missing meanwhile, and it may be either"
+        evidence = f"{first} and {second} are both missing at that time, and either may match"
     elif possible:
-        evidence = f"{labels[possible[0].marker]} is missing meanwhile, but the match is not certain"
+        evidence = f"{labels[possible[0].marker]} is missing at that time, but the match is uncertain"
     elif compared:
         best = min(compared, key=lambda match: match.distance_error_m)
-        error = f"{_format_mm(best.distance_error_m)} off that marker's distances to {_join_labels(best.partners, take)}"
-        evidence = f"of the markers missing meanwhile {labels[best.marker]} fits best, but it is {error}"
+        error = f"its distances to {_join_labels(best.partners, take)} differ by {_format_mm(best.distance_error_m)}"
+        evidence = f"of the markers missing at that time, {labels[best.marker]} fits best, but {error}"
     elif candidates:
-        evidence = f"{labels[candidates[0].marker]} is missing meanwhile, but its position is unknown"
+        evidence = f"{labels[candidates[0].marker]} is missing at that time, but its position is unknown"
         confidence = 0.5
     elif segment.namesake >= 0:
-        evidence = f"{labels[segment.namesake]} is visible elsewhere meanwhile"
+        evidence = f"{labels[segment.namesake]} is visible elsewhere at that time"
     else:
-        evidence = f"no marker is missing meanwhile; {_describe_motion(segment, take)}"
+        evidence = f"no marker is missing at that time; {_describe_motion(segment, take)}"
     reason = f"{_get_donor_label(segment, take)} matches no missing marker ({_format_duration(segment, take)}): {evidence}."
     return _build_fragment("other", segment, segment.donor, np.nan, confidence, reason)
 

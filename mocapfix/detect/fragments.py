@@ -1,6 +1,6 @@
 """Fragments: trajectories that continue a marker under another label (`*12`, `C_123`, `RBAC-1`).
 
-A segment of such a trajectory continues the marker that is missing meanwhile and whose rigid signature it matches: the
+A segment of such a trajectory continues the marker that is missing at that time and whose rigid signature it matches: the
 distances to the markers of its segment, the side of them on which it lies, and a path that leads to it and on from it. Each
 deviation is measured in its own standard deviations. The sum of their squares is a cost, and the costs give the probability
 of each marker, and of none (Bayes' rule). The most certain segments are joined first: the marker is then no longer missing,
@@ -86,7 +86,7 @@ def rank_matches(
     signatures: RigidSignatures,
     receivers: Int[np.ndarray, " R"],
 ) -> list[MarkerMatch]:
-    """Evaluate a segment as each of the receivers that are missing meanwhile, the most probable first.
+    """Evaluate a segment as each of the receivers that are missing at that time, the most probable first.
 
     A segment with a marker's label is compared with that marker only.
 

@@ -1,10 +1,10 @@
 """Gaps: stretches of missing samples of a marker, and of all markers of a body part.
 
-A gap of one or two frames is a flicker: a momentary doubt of the cameras or of the labeller. As each one is of little interest,
-every flicker states how many there are of its marker.
+A gap of one or two frames is a flicker: the cameras or the labelling lost the marker for a moment. The reason of each flicker
+gives the number of flickers of its marker, since a single one is of little interest.
 
-The markers of a body part that is lost have gaps as well. The fault of the body part adds what those do not show: that no
-neighbour on the same bone can help.
+The markers of a body part that is lost have gaps as well. The fault of the body part reports in addition that no marker on the
+same bone is visible.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from mocapfix.take import Take
 
 # Longest flicker. A gap of one frame is always one.
 MAX_FLICKER_DURATION_S = 0.02
-# Shorter losses of a body part are bridged by the paths of its markers.
+# Shorter losses of a body part are interpolated from the paths of its markers.
 MIN_LOST_SEGMENT_DURATION_S = 0.1
 # A body part with a single marker is described by that marker's gap.
 MIN_MARKERS_PER_BODY_PART = 2
@@ -76,13 +76,13 @@ def _describe_gap(kind: FaultKind, frame_count: int, rate: float, travel_m: floa
         case "flicker":
             which = f"one of its {flicker_count} flickers" if flicker_count > 1 else "its only flicker"
             frames = f"{frame_count} frame{'s' * (frame_count > 1)}"
-            return f"is missing for {frames} and moves by {travel_m * 1e3:.0f} mm meanwhile, {which}."
+            return f"is missing for {frames} ({which}) and moves by {travel_m * 1e3:.0f} mm across the gap."
         case _:
-            return f"is missing for {duration_s:.2f} s and moves by {travel_m * 1e3:.0f} mm meanwhile."
+            return f"is missing for {duration_s:.2f} s and moves by {travel_m * 1e3:.0f} mm across the gap."
 
 
 def detect_lost_segments(take: Take, marker_set: MarkerSet) -> list[Fault]:
-    """Detect the stretches in which all markers of a body part are missing that the take has at all.
+    """Detect the stretches in which all markers of a body part are missing, among the parts that have markers in the take.
 
     Returns:
         The faults, ordered by first frame. Parts that are lost together with a larger part are not reported separately.

@@ -1,4 +1,4 @@
-"""Ghosts: a label that leaps to a place where no marker is, and comes back or not.
+"""Ghosts: a label that leaps to a position without a marker, and returns or not.
 
 In each frame a label is in one of two states: on its marker, or elsewhere. The cheapest sequence of states pays for leaps
 and for broken distances while the label is on its marker, a constant rate while it is elsewhere, and for each change of
@@ -117,5 +117,5 @@ def _build_ghost_fault(
     first, last = interval
     label, count = take.bare_labels[marker], last - first + 1
     where = f"{label} is {distance_m * 1e3:.0f} mm off its segment for {count / take.rate:.2f} s ({count} frames)"
-    reason = f"{where}, where no marker is{'' if is_persistent else ', and comes back'}."
+    reason = f"{where}, at a position without a marker{'' if is_persistent else ', and returns'}."
     return Fault("ghost", marker, first, last, distance_m, reason, float(1 - np.exp(-gain)))

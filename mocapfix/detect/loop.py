@@ -39,7 +39,7 @@ def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> Clean
             for fault in detect_label_swaps(joined.masked(joined.measured))
             if state.accepts_fault(fault) and fault.confidence >= MIN_LABEL_CONFIDENCE
         ]
-        # A fragment that was not joined is detected anew in each round.
+        # A fragment that was not joined is detected again in each round.
         label_faults = [*(fault for fault in label_faults if not _is_unused_fragment(fault)), *fragments, *swaps]
         take = undo_label_exchanges(joined, swaps)
         if not swaps:
@@ -83,7 +83,7 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
 def detect_remaining_faults(
     take: Take, marker_set: MarkerSet | None, accepts_fault: FaultFilter, options: CleanOptions
 ) -> Faults:
-    """Detect the faults of the samples of a take whose labels are right.
+    """Detect the faults of the samples of a take with correct labels.
 
     Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Otherwise a second
     cleaning would find new faults. Markers whose labels name fragments of other markers are not judged.

@@ -1,4 +1,4 @@
-"""Distances between markers, learnt from the take itself, and how badly a sample contradicts them.
+"""Distances between markers, learned from the take itself, and how badly a sample contradicts them.
 
 Two markers on the same segment keep their distance (Ringer & Lasenby 2004, "A procedure for automatically estimating model
 parameters in optical motion capture"). Which ones do, and how well, is estimated from the take. A sample under the wrong label
@@ -20,14 +20,14 @@ MAX_PARTNER_SD_M = 0.03
 MIN_DISTANCE_SD_M = 0.003
 # A distance is fully broken from this many standard deviations.
 BROKEN_DISTANCE_SD = 3.0
-# Number of frames, evenly spread, from which the distances are learnt.
+# Number of frames, evenly spread, from which the distances are learned.
 MAX_DISTANCE_FRAMES = 300
 # Number of these frames, or all of them if there are fewer, in which both markers must be visible.
 MIN_JOINT_FRAMES = 20
 # Fraction of the frames in which a distance is assumed to be correct.
 MIN_CORRECT_FRACTION = 0.55
 
-# Number of pairs of frames, evenly spread, from which the changes of distances are learnt.
+# Number of pairs of frames, evenly spread, from which the changes of distances are learned.
 MAX_FRAME_PAIRS = 300
 # Number of these pairs in which both markers must be visible.
 MIN_VISIBLE_FRAME_PAIRS = 20

@@ -1,9 +1,9 @@
 """Mislabelled markers: labels exchanged over the whole take, detected from the marker set's positions on a body.
 
-The trajectories are smooth and keep their distances, so the trajectories alone show nothing. A body does. It is fitted to
-some frames with the labels as they are and with an exchange undone. Both fits are worse than that of the true subject would
-be, and their difference is the evidence. A marker is attached once, so all frames of a take are one observation of its
-position, and a typical frame says as much as all of them.
+The trajectories are smooth and keep their distances, so they do not show the exchange. A body is therefore fitted to some
+frames, with the labels as they are and with an exchange undone. The difference between the two fits is the evidence. A marker
+is attached once, so all frames of a take are one observation of its position, and one typical frame is as informative as all
+of them.
 """
 
 from dataclasses import dataclass
@@ -78,8 +78,8 @@ class _Misplacement(NamedTuple):
 def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | None = None) -> list[Fault]:
     """Detect the cycles of labels that are exchanged over the whole take.
 
-    Of a mirrored limb or body, each pair of twins is a fault, all with the same sentence. An exchange that occurs on both sides
-    alike is no fault but a naming convention of the studio.
+    If a limb or the whole body is mirrored, each pair of mirrored markers is a fault; all of them have the same reason. An
+    exchange that occurs equally on both sides is not a fault but a naming convention of the studio.
 
     Args:
         take: The take.
@@ -179,7 +179,7 @@ def find_pair_exchanges(
 
 
 def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
-    """Find the index of each marker's twin on the other side, or its own if it has none or lies in the middle."""
+    """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
     rest = compute_rest_markers(marker_set)
     nearest = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1).argmin(1)
     own = np.arange(len(rest))
@@ -203,7 +203,7 @@ def list_mirror_exchanges(marker_set: MarkerSet) -> list[Int[np.ndarray, " K"]]:
 
 
 def select_one_sided_cycles(cycles: list[tuple[int, ...]], twin: Int[np.ndarray, " K"]) -> list[tuple[int, ...]]:
-    """Remove the cycles that the twins on the other side form as well: those are a naming convention, not a mistake."""
+    """Remove the cycles that the mirrored markers form as well: those are a naming convention, not a mistake."""
     members = [set(cycle) for cycle in cycles]
     return [cycle for cycle in cycles if (mirrored := set(twin[list(cycle)].tolist())) == set(cycle) or mirrored not in members]
 

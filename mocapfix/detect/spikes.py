@@ -1,4 +1,4 @@
-"""Spikes: a few samples that lie off a marker's smooth path, after which the marker comes back.
+"""Spikes: a few samples that lie off a marker's smooth path, after which the marker returns to it.
 
 The path is the cheapest chain through the marker's samples. A chain pays for each bend that is sharper than a body's, but
 never more than 1, because a marker may change its place for good (where two labels are swapped). Omitting a run
@@ -57,7 +57,7 @@ class _Path(NamedTuple):
 
 def _build_spike_fault(label: str, marker: int, first: int, distance_m: np.ndarray) -> Fault:
     severity, frames = float(distance_m.max()), f"{len(distance_m)} frame{'s' if len(distance_m) > 1 else ''}"
-    reason = f"{label} jumps {severity * 1e3:.0f} mm off its path for {frames} and comes back."
+    reason = f"{label} jumps {severity * 1e3:.0f} mm off its path for {frames} and returns."
     return Fault("spike", marker, first, first + len(distance_m) - 1, severity, reason)
 
 

@@ -17,7 +17,7 @@ from mocapfix.detect.marker_distances import MarkerDistances
 from mocapfix.kernels.label_evidence import compute_exchange_costs
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 
-# Shortest exchange with a label that is missing meanwhile: a shorter one may be a spike.
+# Shortest exchange with a label that is missing at that time: a shorter one may be a spike.
 MIN_PARTIAL_SWAP_DURATION_S = 0.1
 # Cost, in leaps a second, of all exchanged states: without evidence, labels are assumed to be correct.
 SWAPPED_COST_PER_S = 0.1

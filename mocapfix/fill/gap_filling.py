@@ -139,9 +139,9 @@ def explain_unfilled_samples(
     sd_m: Float[np.ndarray, "T M"],
     options: FillOptions,
 ) -> Shaped[np.ndarray, "T M"]:
-    """Return for each wanted sample the sentence that says why it is not filled, "" where it is (object array)."""
+    """Return the reason why each wanted sample is not filled, "" for samples that are filled (object array)."""
     reasons = np.full(is_wanted.shape, "", object)
-    reasons[is_wanted & np.isnan(sd_m)] = "no marker that moves with it is visible for long enough to estimate it"
+    reasons[is_wanted & np.isnan(sd_m)] = "the markers that move with it are visible for too short a time to estimate it"
     is_uncertain = is_wanted & (sd_m > options.max_sd_m)
     reasons[is_uncertain] = f"its predicted standard deviation exceeds {options.max_sd_m * 1e3:.0f} mm"
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
@@ -157,7 +157,7 @@ def list_unfilled_runs(
     for m in range(len(after.labels)):
         for first, last in find_runs(~after.visible[:, m]):
             given = [reason for reason in dict.fromkeys(reasons[first : last + 1, m]) if reason]
-            reason = "; ".join(given) or "it was not to be edited (--keep, --frames)"
+            reason = "; ".join(given) or "excluded from editing by --keep or --frames"
             if not before.visible[:, m].any():
                 reason = "the marker is never visible in this take"
             unfilled.append(UnfilledRun(m, first, last, reason))

@@ -1,4 +1,4 @@
-"""Cleaning jobs: YAML files that name takes, whose they are, and the options with which they are cleaned.
+"""Cleaning jobs: YAML files that name takes, their subject, and the options with which they are cleaned.
 
 A job is a scene of the kind "clean", which `mocapfix run` runs. Its keys are those of `mocapfix.options`, and the header below.
 Paths are relative to the folder of the job file and may have wildcards.
@@ -34,14 +34,14 @@ def _check_c3d_name(value: str) -> str:
 
 
 def _wrap_file_name(value: object) -> object:
-    """Return the mapping that a text alone stands for: a file's name."""
+    """Return the mapping for a plain text, which is the name of a file."""
     return {"file": value} if isinstance(value, str) else value
 
 
 class JobTake(StrictModel):
     """A take to be cleaned.
 
-    file     a file or a wildcard; in YAML also as text alone
+    file     a file or a wildcard; in YAML also as plain text
     compose  instead: the name of a C3D file for a synthetic take with damage
     seed     the seed of the synthetic take
     """
@@ -58,7 +58,7 @@ class JobTake(StrictModel):
 
 
 class JobSubject(StrictModel):
-    """The subject of a job: a subject file, in YAML also as text alone, or takes from which the subject is calibrated."""
+    """The subject of a job: a subject file, in YAML also as plain text, or takes from which the subject is calibrated."""
 
     file: str | None = None
     calibrate: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The last stage: decide which changes are made, take back the others, and record all of them."""
+"""The last stage: decide which changes are applied, revert the others, and record all of them."""
 
 from dataclasses import replace
 
@@ -36,9 +36,9 @@ MAX_AGREEMENT_DISTANCE_M = 0.010
 
 
 def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Make the changes that are wanted and take back the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
+    """Apply the accepted changes and revert the others. Sets `cleaned_take`, `changes` and `unfilled_runs` of the state.
 
-    A change is taken back if `options.detect.repair_kinds` names kinds and its kind is not one of them, if it is a label change
+    A change is reverted if `options.detect.repair_kinds` names kinds and its kind is not one of them, if it is a label change
     with samples that must not be edited, if another program's fill agrees with the estimate, or if a reviewer rejected it.
     Every change that was considered has an entry in `changes`, with its decision.
     """
@@ -94,7 +94,7 @@ def revert_samples(repaired: Take, original: Take, revert_mask: Bool[np.ndarray,
 def _revert_faults(original: Take, detection: DetectionState, repaired: Take, faults: list[Fault]) -> Take:
     """Return the repaired take without the repairs of some faults.
 
-    Labels come first: where a label change is taken back, no sample is changed either.
+    Where a label change is reverted, the repairs of the samples concerned are reverted too.
     """
     relabelled = relabel_samples(original, [fault for fault in detection.label_faults if fault not in faults])
     revert_mask = np.zeros(original.visible.shape, bool)

@@ -134,7 +134,7 @@ def test_options_restrict_what_is_changed(mocapfix, brief, tmp_path):
     assert status == 0
     assert (fill["missing_before"], fill["filled"], fill["replaced"], fill["left_empty"]) == (40, 20, 0, 20)
     assert [(each["marker"], each["first"], each["last"]) for each in fill["unfilled"]] == [("RELB", 341, 360)]
-    assert "it was not to be edited (--keep, --frames)" in fill["unfilled"][0]["reason"]
+    assert "excluded from editing by --keep or --frames" in fill["unfilled"][0]["reason"]
 
 
 def test_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):

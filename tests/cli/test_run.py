@@ -51,7 +51,7 @@ def test_unknown_scene_lists_the_shipped_ones(mocapfix):
 def test_shipped_demo_is_composed_and_cleaned(mocapfix, tmp_path):
     status, out, _ = mocapfix("run", "demo", "-o", tmp_path / "here")
     assert status == 0
-    assert "Somebody walks, reaches, crouches and turns: 1 take." in out
+    assert "A person walks, reaches, crouches and turns: 1 take." in out
     written = {path.name for path in (tmp_path / "here").iterdir()}
     assert {"composed", "walk.c3d", "walk.bvh", "walk.blender.bvh", "walk.glb", "walk.npz", "walk.report.html"} <= written
     assert json.loads((tmp_path / "here" / "walk.report.json").read_text())["take"]["marker_set"] == "cmu41"

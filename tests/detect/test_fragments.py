@@ -131,7 +131,7 @@ def test_ghost_is_not_joined():
     ghost = lost.unlabelled.markers[:, 0] + [0.0, 0.1, 0.0]
     (fragment,) = fragments.detect_fragments(take_of(lost, [ghost]))
     assert fragment.relation == "other"
-    assert "of the markers missing meanwhile RFIN fits best, but it is " in fragment.reason
+    assert "of the markers missing at that time, RFIN fits best, but its distances to " in fragment.reason
 
 
 def test_ambiguous_segment_is_not_joined():
@@ -142,7 +142,7 @@ def test_ambiguous_segment_is_not_joined():
     lost = cut(take, ("D", 200, 400), ("E", 200, 400))
     (fragment,) = fragments.detect_fragments(take_of(lost, [lost.unlabelled.markers[:, 0]]))
     assert fragment.relation == "other"
-    assert fragment.reason.endswith(": D and E are missing meanwhile, and it may be either.")
+    assert fragment.reason.endswith(": D and E are both missing at that time, and either may match.")
 
 
 def test_numbered_label_continues_its_namesake():
@@ -159,7 +159,7 @@ def test_numbered_label_continues_no_other_marker():
     assert classify(named) == [("other", "", 300, 420)]
     named.markers[:, take.labels.index("RBAC")] = whole().markers[:, take.labels.index("RBAC")]
     (fragment,) = fragments.detect_fragments(named)
-    assert fragment.reason == "RBAC-1 matches no missing marker (1.01 s): RBAC is visible elsewhere meanwhile."
+    assert fragment.reason == "RBAC-1 matches no missing marker (1.01 s): RBAC is visible elsewhere at that time."
 
 
 @pytest.mark.parametrize("rate", [60.0, 240.0])

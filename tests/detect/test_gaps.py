@@ -35,7 +35,7 @@ def test_severity_is_the_distance_between_the_edges(take):
 def test_reasons_are_sentences_with_the_bare_label_and_seconds(take):
     assert [f.reason for f in gaps.detect_gaps(take)][:4] == [
         "RFHD is missing for the first 0.05 s of the take.",
-        "RFHD is missing for 0.10 s and moves by 110 mm meanwhile.",
+        "RFHD is missing for 0.10 s and moves by 110 mm across the gap.",
         "RFHD is missing for the last 0.02 s of the take.",
         "C7 is missing in the whole take.",
     ]
@@ -63,9 +63,9 @@ def test_short_gaps_at_the_ends_are_no_flickers():
 def test_each_flicker_states_how_many_there_are():
     found = gaps.detect_gaps(flickering(100.0, (10, 10), (50, 80), (100, 101)))
     assert [f.reason for f in found] == [
-        "LFIN is missing for 1 frame and moves by 0 mm meanwhile, one of its 2 flickers.",
-        "LFIN is missing for 0.31 s and moves by 0 mm meanwhile.",
-        "LFIN is missing for 2 frames and moves by 0 mm meanwhile, one of its 2 flickers.",
+        "LFIN is missing for 1 frame (one of its 2 flickers) and moves by 0 mm across the gap.",
+        "LFIN is missing for 0.31 s and moves by 0 mm across the gap.",
+        "LFIN is missing for 2 frames (one of its 2 flickers) and moves by 0 mm across the gap.",
     ]
     (only,) = gaps.detect_gaps(flickering(100.0, (10, 10)))
-    assert only.reason == "LFIN is missing for 1 frame and moves by 0 mm meanwhile, its only flicker."
+    assert only.reason == "LFIN is missing for 1 frame (its only flicker) and moves by 0 mm across the gap."

@@ -53,7 +53,7 @@ def test_spikes_gaps_and_a_sound_take_are_no_ghosts():
 def test_reason_names_label_duration_and_distance():
     (ghost,) = ghosts.detect_ghosts(haunted(turning(), 4, 100, 159))
     assert ghost.reason.startswith(f"M4 is {ghost.severity * 1e3:.0f} mm off its segment for 0.50 s (60 frames), ")
-    assert ghost.reason.endswith("and comes back.")
+    assert ghost.reason.endswith("and returns.")
     assert ghost.severity > 0.05
 
 

@@ -46,9 +46,9 @@ def test_spike_is_found_anywhere(rate, frame, length, size, seed):
 def test_reason_names_distance_and_duration():
     markers = np.zeros((100, 1, 3))
     markers[40:42, 0, 1] = 0.084
-    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 2 frames and comes back."]
+    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 2 frames and returns."]
     markers[41] = 0
-    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 1 frame and comes back."]
+    assert [f.reason for f in found(markers)] == ["M0 jumps 84 mm off its path for 1 frame and returns."]
 
 
 @pytest.mark.parametrize("rate", [30.0, 50.0, 60.0, 120.0, 250.0])
