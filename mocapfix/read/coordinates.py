@@ -86,7 +86,7 @@ def rotate_to_up_axis(take: Take, up_axis: str) -> Take:
 
 
 def _estimate_up_axis(labels: Sequence[str], positions_file: Float[np.ndarray, "T M 3"], default_up_axis: str) -> str:
-    """Return the axis along which heads are above feet; if the labels do not determine it, that along which the body is tallest."""
+    """Return the axis along which heads are above feet; if the labels do not show it, the axis of the largest extent."""
     head_above_feet = np.abs(_compute_head_above_feet(labels, positions_file))
     if head_above_feet.max() > MIN_HEAD_ABOVE_FEET_M:
         return "XYZ"[head_above_feet.argmax()]
