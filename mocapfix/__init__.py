@@ -1,7 +1,7 @@
 """mocapfix cleans optical motion capture: a capture file is repaired, and a body is solved from it.
 
     import mocapfix
-    result = mocapfix.pipeline.clean("walk.c3d")
+    result = mocapfix.clean("walk.c3d")
     result.write("walk.mocapfix")
 
 Public names are imported on first use: the numerical libraries take half a second to import, and `--help` needs none of them.

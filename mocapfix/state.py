@@ -135,7 +135,7 @@ class CleaningState:
         marker_set: the marker set of the take; None where no set fits: the take is then cleaned without a body.
         known_subject: the subject from an earlier calibration; None: it is calibrated from the take.
         load_pose_model: loads the trained pose prior when it is needed; None: no prior is used.
-        reviewed_changes: the decisions of a reviewer on an earlier cleaning.
+        reviewed_changes: the changes of an earlier cleaning that a reviewer declined.
         accepts_fault: False for a fault whose samples the reviewer decided to keep, or a marker shift that the reviewer declined.
         notes: sentences for the report.
         subject: the calibrated subject, and `extended_subject` the same with the further places of moved markers.

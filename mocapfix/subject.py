@@ -20,7 +20,7 @@ class Subject:
     marker_set      the name of the marker set
     labels          K marker labels as the marker set names them
     joints          (K,) index of the joint to which each marker is attached
-    marker_offsets  (K, 3) m: the marker in the axes of its joint
+    marker_offsets  (K, 3) m: the position of each marker relative to its joint, in the joint's own axes
     marker_spread   (K,) m: the typical distance per axis of the marker from its offset over the calibration frames
     frame_count     number of frames used for calibration; 0 for a nominal body
     joint_sd        (J,) m: standard deviation per axis of the joint position due to the calibration error, after the poses have
@@ -36,7 +36,7 @@ class Subject:
     marker_spread: Float[np.ndarray, " K"]
     frame_count: int = 0
     joint_sd: Float[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0))
-    marker_sd: Float[np.ndarray, " M"] = field(default_factory=lambda: np.zeros(0))
+    marker_sd: Float[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         for name, count in (("joint_sd", len(self.skeleton.names)), ("marker_sd", len(self.labels))):

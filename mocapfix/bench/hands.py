@@ -108,7 +108,7 @@ def compare_hands(path: Path, damage: HandDamage) -> HandComparison:
 
     Raises ReadError if the file cannot be read, TakeError if markers are missing or no body could be solved.
     """
-    take, sound = capture.read_take(path), mocapfix.pipeline.clean(path)
+    take, sound = capture.read_take(path), mocapfix.clean(path)
     middle, half = damage.find_frame(take), round(DAMAGE_DURATION_S / 2 * take.rate)
     columns = [find_marker_column(take, label) for label in damage.labels]
     damaged_frames, markers = slice(max(middle - half, 0), middle + half), take.markers.copy()
@@ -116,7 +116,7 @@ def compare_hands(path: Path, damage: HandDamage) -> HandComparison:
     with TemporaryDirectory() as folder:
         damaged_path = Path(folder) / path.name
         write.patch_c3d(damaged_path, take, take.replace_markers(markers))
-        result = mocapfix.pipeline.clean(damaged_path, subject=sound.subject)
+        result = mocapfix.clean(damaged_path, subject=sound.subject)
     subject, motion = result.subject, result.motion
     cleaned, true = result.joint_position_world, sound.joint_position_world
     if subject is None or motion is None or cleaned is None or true is None:

@@ -55,7 +55,7 @@ def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_OP
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
         synthetic.write_synthetic_take(path, truth)
-        return mocapfix.pipeline.clean(path, options)
+        return mocapfix.clean(path, options)
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:

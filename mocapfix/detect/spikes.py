@@ -1,10 +1,10 @@
 """Spikes: a few samples that lie off a marker's smooth path, after which the marker returns to it.
 
-The path is the cheapest chain through the marker's samples. A chain pays for each bend that is sharper than a body's, but
-never more than 1, because a marker may change its place for good (where two labels are swapped). Omitting a run
-of samples costs less than keeping an excursion, which bends three or four times. The cheapest chain is found exactly, by dynamic
-programming over the pairs of samples kept last (Viterbi's algorithm; the cost of a bend is Blake and Zisserman's truncated
-quadratic). Hence neither a dense burst of spikes nor a gap next to one misleads it, as they do local means and medians.
+The path is the cheapest chain through the marker's samples. Each bend of the chain that is sharper than a body's costs up to
+1, the maximum, so that a permanent jump (two swapped labels) remains affordable. Keeping an excursion costs three or four
+bends; omitting its samples costs less. The cheapest chain is found exactly, by dynamic programming over the pairs of samples
+kept last (Viterbi's algorithm; the cost of a bend is Blake and Zisserman's truncated quadratic). Hence neither a dense burst
+of spikes nor a gap next to one misleads it, as they do local means and medians.
 
 An omitted sample is a spike only if it lies far from a local fit to the kept samples.
 """
