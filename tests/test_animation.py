@@ -1,3 +1,5 @@
+"""Animations: world poses from channel values, and the channel values of replaced poses."""
+
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -75,9 +77,11 @@ def spin_hips(figure: Animation, frame_count: int) -> Animation:
 
 @pytest.mark.parametrize("frames", [range(300, 320), range(30), range(400)])
 def test_replaced_angles_continue_those_of_adjacent_frames(figure: Animation, frames: Sequence[int]):
-    spinning, replaced = spin_hips(figure, 400), np.array(frames)
-    again = spinning.replace_rotations(np.array([0]), replaced, spinning.compute_local_rotations()[replaced, :1])
-    np.testing.assert_allclose(again.values, spinning.values, atol=1e-9)
+    spinning, frame_indices = spin_hips(figure, 400), np.array(frames)
+    replaced_figure = spinning.replace_rotations(
+        np.array([0]), frame_indices, spinning.compute_local_rotations()[frame_indices, :1]
+    )
+    np.testing.assert_allclose(replaced_figure.values, spinning.values, atol=1e-9)
 
 
 def test_channel_columns_are_listed_by_joint(figure: Animation):

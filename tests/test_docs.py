@@ -1,4 +1,4 @@
-"""The generated tables of the documentation are up to date, and its links lead somewhere."""
+"""The generated tables of the documentation are up to date, and the files that it links to exist."""
 
 import importlib.util
 import re

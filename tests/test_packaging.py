@@ -14,7 +14,7 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[1]
 
 
-def run(*command: str | Path, folder: Path) -> str:
+def run_command(*command: str | Path, folder: Path) -> str:
     """Return the output of a command that must succeed, run in `folder` without the checkout on the path."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8", check=False)
@@ -26,7 +26,7 @@ def run(*command: str | Path, folder: Path) -> str:
 def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Build the sdist, and from it the wheel; return their paths."""
     folder = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, CHECKOUT, folder=folder)
+    run_command(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, CHECKOUT, folder=folder)
     return next(folder.glob("*.tar.gz")), next(folder.glob("*.whl"))
 
 
@@ -34,28 +34,29 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the scripts folder of a new environment that contains the wheel and the libraries of the running environment.
 
-    A .pth file is not read for further .pth files, so an editable install of the checkout does not come along.
+    The libraries come from a .pth file. Python does not process .pth files in the folders that it names, so that an editable
+    install of the checkout is not imported.
     """
     base = tmp_path_factory.mktemp("environment")
     venv.create(base, symlinks=os.name != "nt")
-    places = sysconfig.get_paths("venv", vars={name: str(base) for name in ("base", "platbase", "installed_base")})
-    run(sys.executable, "-m", "pip", "--python", base, "install", "--no-deps", "--no-index", built[1], folder=base)
-    (Path(places["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
-    return Path(places["scripts"])
+    paths = sysconfig.get_paths("venv", vars={name: str(base) for name in ("base", "platbase", "installed_base")})
+    run_command(sys.executable, "-m", "pip", "--python", base, "install", "--no-deps", "--no-index", built[1], folder=base)
+    (Path(paths["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    return Path(paths["scripts"])
 
 
-def shipped(folder: str) -> set[str]:
+def list_shipped_files(folder: str) -> set[str]:
     """Return the files in a folder of the checkout by their names in the wheel."""
     files = (path for path in (CHECKOUT / folder).rglob("*") if path.is_file())
     return {(Path("mocapfix") / path.relative_to(CHECKOUT)).as_posix() for path in files}
 
 
-def test_wheel_carries_scenes_and_priors_inside_the_package(built: tuple[Path, Path]):
+def test_wheel_contains_scenes_and_priors_inside_the_package(built: tuple[Path, Path]):
     names = set(zipfile.ZipFile(built[1]).namelist())
     assert {name.split("/")[0] for name in names} == {"mocapfix", "mocapfix-0.1.0.dist-info"}
     assert {"mocapfix/py.typed", "mocapfix/scenes/marker-sets/cmu41.yaml"} <= names
-    assert shipped("scenes") <= names
-    assert shipped("priors") <= names
+    assert list_shipped_files("scenes") <= names
+    assert list_shipped_files("priors") <= names
     assert any(name.startswith("mocapfix/priors/") for name in names)
 
 
@@ -69,7 +70,7 @@ def test_sdist_is_complete(built: tuple[Path, Path]):
 def test_installed_package_finds_its_files(scripts: Path, tmp_path: Path):
     code = "import mocapfix; from mocapfix.files.shipped import find_shipped_folder as find; "
     code += "print(mocapfix.__file__, find('scenes'), find('priors'), sep='\\n')"
-    module, scenes, priors = run(scripts / "python", "-c", code, folder=tmp_path).splitlines()
+    module, scenes, priors = run_command(scripts / "python", "-c", code, folder=tmp_path).splitlines()
     package = Path(module).parent
     assert package.is_relative_to(scripts.parent)
     assert (Path(scenes), Path(priors)) == (package / "scenes", package / "priors")
@@ -77,11 +78,11 @@ def test_installed_package_finds_its_files(scripts: Path, tmp_path: Path):
 
 @pytest.mark.parametrize("command", [("mocapfix",), ("python", "-m", "mocapfix")])
 def test_installed_commands_run(scripts: Path, tmp_path: Path, command: tuple[str, ...]):
-    assert "clean" in run(scripts / command[0], *command[1:], "--help", folder=tmp_path)
+    assert "clean" in run_command(scripts / command[0], *command[1:], "--help", folder=tmp_path)
 
 
 def test_demo_runs_from_the_wheel(scripts: Path, tmp_path: Path):
-    run(scripts / "python", "-m", "mocapfix", "demo", "--out", tmp_path, folder=tmp_path)
+    run_command(scripts / "python", "-m", "mocapfix", "demo", "--out", tmp_path, folder=tmp_path)
     cleaned = ("c3d", "bvh", "subject.yaml", "report.json", "report.html", "rrd")
     outputs = [tmp_path / "demo.c3d", *(tmp_path / "demo.mocapfix" / f"demo.{kind}" for kind in cleaned)]
     assert not [output for output in outputs if not output.is_file() or not output.stat().st_size]
