@@ -82,7 +82,8 @@ class AnimationResult(CleaningResult):
         return replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
 
 
-MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "refill")  # field names of options without use for joints
+MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "refill")
+"""the fields of options that have no use for joints"""
 
 
 @dataclass(frozen=True)
