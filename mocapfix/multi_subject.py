@@ -132,7 +132,7 @@ def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> Cl
         motion=None,
         joint_position_world=None,
         residual_m=residual_m,
-        report={"people": {each.input_take.subject_name: each.report for each in subject_results}},
+        report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
         subject_results=subject_results,
     )
 

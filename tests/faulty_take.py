@@ -96,7 +96,7 @@ def find_changed_runs(path: Path, other_path: Path) -> set[tuple[str, int, int]]
 
     All other bytes of the two files must be the same.
     """
-    take, other_take = capture.read_capture(path), capture.read_capture(other_path)
+    take, other_take = capture.read_take(path), capture.read_take(other_path)
     data, other_data = bytearray(path.read_bytes()), bytearray(other_path.read_bytes())
     words, other_words = view_sample_words(take, data), view_sample_words(take, other_data)
     is_changed = (words.view("u4") != other_words.view("u4")).any(-1)

@@ -75,7 +75,7 @@ def test_errors_are_much_smaller_than_those_of_interpolation(cleaned, damage, li
 
 
 def test_all_gaps_are_filled_and_all_spikes_are_detected(cleaned):
-    fill = cleaned.result.report["fill"]
+    fill = cleaned.result.subject_report["fill"]
     assert fill["missing_before"] == fill["filled"] == cleaned.truth.missing_mask.sum()
     assert (fill["left_empty"], fill["unfilled"]) == (0, [])
     inliers = cleaned.result.faults.compute_inlier_mask(cleaned.result.input_take)
@@ -131,7 +131,9 @@ def test_residuals_in_the_report_are_distances_from_the_body(cleaned):
     columns = marker_sets.load_marker_set("cmu41").find_columns(result.input_take.labels)
     inliers = result.faults.compute_inlier_mask(result.input_take)[:, columns]
     distance_m = np.linalg.norm(result.input_take.markers[:, columns] - body_markers, axis=-1)[inliers]
-    residual_mm = result.report["solve"]["marker_residual_mm"]
+    solve = result.subject_report["solve"]
+    assert solve is not None
+    residual_mm = solve["marker_residual_mm"]
     assert residual_mm["mean"] == pytest.approx(distance_m.mean() * 1e3, abs=1e-3)
     assert residual_mm["p95"] == pytest.approx(np.percentile(distance_m, 95) * 1e3, abs=1e-3)
     assert residual_mm["mean"] < 6.0
@@ -195,7 +197,7 @@ def test_written_report_is_that_of_the_result_in_strict_json(cleaned):
 
 
 def test_report_has_the_frame_numbers_of_the_file(brief, subject):
-    report = pipeline.clean(brief.path, subject=subject, max_gap_s=0.1).report
+    report = pipeline.clean(brief.path, subject=subject, max_gap_s=0.1).subject_report
     assert report["take"]["first_frame"] == FIRST_FRAME
     faults = {(each["kind"], each["marker"], each["first"], each["last"]) for each in report["faults"]}
     assert {("gap", "RELB", 341, 360), ("gap", "LKNE", 371, 390), ("spike", "STRN", 321, 321)} <= faults
@@ -227,7 +229,7 @@ def test_changes_in_the_report_cover_exactly_the_samples_that_differ(cleaned):
     before, after = (capture.read_take(path) for path in (cleaned.path, cleaned.outputs["c3d"]))
     columns = {label: m for m, label in enumerate(before.labels)}
     change_count = np.zeros(before.visible.shape, int)
-    for change in cleaned.result.report["changes"]:
+    for change in cleaned.result.subject_report["changes"]:
         frames = slice(change["first"] - before.first_frame, change["last"] - before.first_frame + 1)
         change_count[frames, [columns[label] for label in change["markers"]]] += 1
         assert change["samples"] == (change["last"] - change["first"] + 1) * len(change["markers"])
@@ -334,7 +336,7 @@ STRN_FRAMES = [321]
 def test_options_restrict_which_samples_are_changed(brief, subject, options, expected):
     result = pipeline.clean(brief.path, subject=subject, options=CleanOptions(fill=options))
     assert list_changed_frames(result) == expected
-    fill = result.report["fill"]
+    fill = result.subject_report["fill"]
     assert fill["filled"] == sum(len(expected.get(label, ())) for label in ("RELB", "LKNE"))
     assert fill["replaced"] == len(expected.get("STRN", ()))
     assert fill["left_empty"] == fill["missing_before"] - fill["filled"]
@@ -364,8 +366,8 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, s
     np.testing.assert_array_equal(result.subject.skeleton.offsets, subject.skeleton.offsets)
     np.testing.assert_allclose(result.subject.skeleton.offsets, cleaned.result.subject.skeleton.offsets, atol=1e-7)
     np.testing.assert_array_equal(result.subject.marker_offsets, subject.marker_offsets)
-    assert "calibrate" not in result.report["seconds"]
-    assert result.report["take"]["marker_set"] == "cmu41"
+    assert "calibrate" not in result.subject_report["seconds"]
+    assert result.subject_report["take"]["marker_set"] == "cmu41"
 
 
 def test_an_arm_whose_markers_all_have_jitter_is_solved(tmp_path):
@@ -397,8 +399,9 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     source.write_bytes(build_c3d(cleaned.truth.damaged_positions, [f"P{n + 1}" for n in range(41)]))
     result = pipeline.clean(source)
     assert (result.subject, result.motion, result.joint_position_world, result.residual_m) == (None, None, None, None)
-    assert (result.report["take"]["marker_set"], result.report["subject"], result.report["solve"]) == (None, None, None)
-    first, second = result.report["notes"]
+    report = result.subject_report
+    assert (report["take"]["marker_set"], report["subject"], report["solve"]) == (None, None, None)
+    first, second = result.subject_report["notes"]
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
     assert "none of them is in any set (cmu41, frontwaist53, helen-hayes, " in first
     assert second == "The take was cleaned without a skeleton: there is no BVH."
@@ -420,10 +423,10 @@ def test_a_take_of_legs_only_is_cleaned_without_a_body(cleaned, tmp_path):
     source.write_bytes(build_c3d(cleaned.truth.damaged_positions[:, legs], [cleaned.truth.labels[m] for m in legs]))
     result = pipeline.clean(source)
     assert result.subject is None
-    first, second = result.report["notes"]
+    first, second = result.subject_report["notes"]
     assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located; not found: ", first)
     assert second == "The take was cleaned without a skeleton: there is no BVH."
-    fill = result.report["fill"]
+    fill = result.subject_report["fill"]
     assert fill["filled"] > 0.8 * fill["missing_before"] > 0
     assert sum(each["last"] - each["first"] + 1 for each in fill["unfilled"]) == fill["left_empty"]
     assert all(each["reason"] for each in fill["unfilled"])
@@ -445,9 +448,9 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
     assert (set(change.markers), change.first, change.last) == ({"LKNE", "RSHO"}, 1, 120)
     visible = ~np.isnan(brief.markers[:, knee, 0])
     np.testing.assert_allclose(result.take.markers[visible, shoulder], brief.markers[visible, knee], atol=1e-6)
-    assert result.report["notes"] == []
+    assert result.subject_report["notes"] == []
     review_file.write_review_file(review_path, result.input_take, [replace(change, decision="keep")])
-    notes = " ".join(pipeline.clean(source, subject=subject, review_files=review_path).report["notes"])
+    notes = " ".join(pipeline.clean(source, subject=subject, review_files=review_path).subject_report["notes"])
     for label in ("LKNE", "RSHO"):
         assert f"{label} is more than 60 mm from the body in most of its frames; check its label." in notes
 
@@ -471,7 +474,9 @@ def test_the_initialisation_method_is_used_and_reported(brief):
     results = {method: pipeline.clean(brief.path, subject=brief.subject, init_method=method) for method in methods}
     motions = {method: result.motion for method, result in results.items()}
     for method, result in results.items():
-        assert result.report["solve"]["start"] == method
+        solve = result.subject_report["solve"]
+        assert solve is not None
+        assert solve["start"] == method
     assert motions["previous"]
     assert motions["registration"]
     assert motions["previous"].iterations.mean() < motions["registration"].iterations.mean() - 1

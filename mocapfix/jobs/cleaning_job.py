@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import Field as DataclassField
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
@@ -51,7 +51,7 @@ class JobTake(StrictModel):
     seed: NonNegativeInt = 0
 
     @model_validator(mode="after")
-    def _check_exactly_one(self) -> Self:
+    def _check_exactly_one(self) -> "JobTake":
         if (self.file is None) == (self.compose is None):
             raise ValueError("must have either file or compose")
         return self
@@ -64,7 +64,7 @@ class JobSubject(StrictModel):
     calibrate: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _check_exactly_one(self) -> Self:
+    def _check_exactly_one(self) -> "JobSubject":
         if (self.file is None) == (not self.calibrate):
             raise ValueError("must have either file or calibrate")
         return self

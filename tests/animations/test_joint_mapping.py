@@ -25,7 +25,7 @@ def build_named_tree(convention: NamingConvention) -> tuple[list[str], np.ndarra
     return [names[joint] for joint in joints], np.array([joints.index(joint) if joint >= 0 else -1 for joint in above])
 
 
-def map_names(names: Sequence[str], parents: Sequence[int], convention: str | Path | None = None) -> dict[str, str]:
+def map_names(names, parents: Sequence[int], convention: str | Path | None = None) -> dict[str, str]:
     """Return the names of a file's joints by model joint."""
     mapping = joint_mapping.map_joints(names, np.asarray(parents), convention)
     assert mapping.file_joints is not None, mapping.reason

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import all_joints, unseen_poses
-from mocapfix.bench.compared_priors import place_known_poses
+from mocapfix.bench.compared_priors import ComparedPriors, place_known_poses
 from mocapfix.pose_prior import io, mean_pose
 from mocapfix.skeleton import load_cmu31_body
 
@@ -69,7 +69,7 @@ def test_bias_is_relative_to_no_prior_and_noise_is_the_same_for_all(poses, monke
 
 
 def test_exact_positions_are_met_without_a_prior_and_twists_are_better_with_one(poses):
-    priors = {"none": None, "gaussian": io.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"none": None, "gaussian": io.load_pose_model("gaussian", SKELETON)}
     results = all_joints.measure_all_joints(poses, priors, REFERENCE, lambda text: None)
     assert results["none"]["bias_mm"] == 0
     assert 0 < results["gaussian"]["bias_mm"] < 5

@@ -109,6 +109,7 @@ def test_labels_are_exchanged_cyclically(damaged_take):
 
 def test_exchanges_may_be_hidden_or_permanent(sound):
     hidden, last = set(), set()
+    damaged_take = DamagedTake(sound, np.random.default_rng(0))
     for seed in range(20):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
         fault_injection.inject_label_exchange(damaged_take, FaultPlace((3, 5), 400, 459))
@@ -122,6 +123,7 @@ def test_exchanges_may_be_hidden_or_permanent(sound):
 
 def test_fragment_moves_samples_to_another_label(sound):
     names, pauses = set(), set()
+    damaged_take = DamagedTake(sound, np.random.default_rng(0))
     for seed in range(12):
         damaged_take = DamagedTake(sound, np.random.default_rng(seed))
         fault_injection.inject_fragment(damaged_take, PLACE)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench import compared_priors, given_joints
-from mocapfix.bench.compared_priors import build_joint_task, place_known_poses
+from mocapfix.bench.compared_priors import ComparedPriors, build_joint_task, place_known_poses
 from mocapfix.pose_prior import io, mean_pose
 from mocapfix.skeleton import load_cmu31_body
 
@@ -41,7 +41,7 @@ def test_all_priors_solve_the_same_tasks_from_the_same_start(poses, monkeypatch)
 
     monkeypatch.setattr(given_joints, "solve_joint_task", solve)
     messages: list[str] = []
-    priors = {"one": None, "other": io.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"one": None, "other": io.load_pose_model("gaussian", SKELETON)}
     given_joints.measure_given_joints(poses, priors, REFERENCE, 2, messages.append)
     for one, other in zip(tasks[True], tasks[False], strict=True):
         np.testing.assert_array_equal(one.is_given, other.is_given)
@@ -91,7 +91,7 @@ def test_improvement_is_the_mean_of_reductions():
 
 
 def test_given_joints_are_met_and_more_of_them_reduce_the_error(poses):
-    priors = {"none": None, "gaussian": io.load_pose_model("gaussian", SKELETON)}
+    priors: ComparedPriors = {"none": None, "gaussian": io.load_pose_model("gaussian", SKELETON)}
     task = build_joint_task(poses, given_joints.draw_given_joints(6, 31, 8), 0.005)
     for model in priors.values():
         found = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE))

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from mocapfix.bench import compared_priors, given_joints, pictures, unseen_poses
-from mocapfix.bench.compared_priors import build_joint_task
+from mocapfix.bench.compared_priors import ComparedPriors, build_joint_task
 from mocapfix.bench.given_joints import GIVEN_JOINT_SD_M, compute_pose_errors, draw_given_joints
 from mocapfix.pose_prior import io, mean_pose
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.skeleton import load_cmu31_body
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
-PRIORS = {"none": None, "gaussian": io.load_pose_model("gaussian", load_cmu31_body().skeleton)}
+GAUSSIAN = io.load_pose_model("gaussian", load_cmu31_body().skeleton)
+PRIORS: ComparedPriors = {"none": None, "gaussian": GAUSSIAN}
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,7 @@ def test_total_cost_decreases_and_is_the_sum_of_its_parts(results):
 
 def test_prior_cost_is_that_of_residual_and_code(poses, results):
     model, task = (
-        PRIORS["gaussian"],
+        GAUSSIAN,
         build_joint_task(poses, draw_given_joints(len(poses), poses.shape[1], given_joints.CURVE_JOINT_COUNT), GIVEN_JOINT_SD_M),
     )
     solution = compared_priors.solve_joint_task(task, model, task.build_start(REFERENCE), given_joints.MAX_SHOWN_ITERATIONS)

@@ -8,9 +8,11 @@ import pytest
 from mocapfix import marker_sets
 from mocapfix.detect import body_checks, loop
 from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
+from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions
 from mocapfix.read import capture
 from mocapfix.state import BodyFit, CleaningState, DetectionState
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 from tests.faulty_take import map_labels_to_points
 
@@ -81,8 +83,12 @@ TAKE = Take(np.random.default_rng(0).normal(size=(100, 3, 3)), tuple("ABC"), 100
 
 def build_body(marker_columns, marker_offsets) -> BodyFit:
     """Build a body of which only the marker offsets are used."""
-    subject = type("OffsetsOnly", (), {"marker_offsets": np.array(marker_offsets, float)})()
-    return BodyFit(subject, subject, None, np.array(marker_columns, int), np.zeros(0), np.zeros(0))  # pyright: ignore
+    subject = object.__new__(Subject)
+    object.__setattr__(subject, "marker_offsets", np.array(marker_offsets, float))
+    motion = object.__new__(Motion)
+    return BodyFit(
+        subject, subject, motion, np.array(marker_columns, int), np.zeros((0, 0, 3)), np.zeros((0, len(marker_columns), 3))
+    )
 
 
 @pytest.mark.parametrize(("change_m", "is_rejected"), [(0.0239, True), (0.0241, False)])

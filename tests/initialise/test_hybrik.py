@@ -117,12 +117,12 @@ def test_x_reaches_hands_and_head_despite_wrong_bone_lengths(people):
         WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, SUBJECT.marker_spread,
     )  # fmt: skip
     ends = [index("Head"), index("LeftHand"), index("RightHand")]
-    off = {}
+    off, status = {}, {}
     for way in ("adaptive", "x"):
         found = initial_motion.solve_hybrik(joints, stranger, variant=way, twists=STRAIGHT)
         off[way] = np.linalg.norm(joints_of(found, stranger) - joints, axis=2)[:, ends]
-        if way == "x":
-            reached = found.status == FrameStatus.PLACED
+        status[way] = found.status
+    reached = status["x"] == FrameStatus.PLACED
     assert reached.sum() > 80
     head, hands = off["x"][reached, 0], off["x"][reached, 1:]
     assert np.median(head) < 0.1 * np.median(off["adaptive"][:, 0])

@@ -147,7 +147,7 @@ def compute_scalar_residuals(term: ScalarTerm, at: World) -> np.ndarray:
     return np.sqrt(term.weight[0]) * np.array([[total]])
 
 
-RESIDUALS = {
+RESIDUALS: dict[type, Callable[..., np.ndarray]] = {
     PointTerm: compute_point_residuals,
     TrackingTerm: compute_tracking_residuals,
     PosePriorTerm: compute_pose_prior_residuals,

@@ -200,7 +200,7 @@ def test_gap_within_a_rejected_burst_is_filled():
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
-    entry = review_file.ChangeModel(**(review_file.serialize_changes([change])[0] | {"decision": "reject"}))
+    entry = review_file.ChangeModel.model_validate(review_file.serialize_changes([change])[0] | {"decision": "reject"})
     rejected = review_file.ReviewedChange(entry, (0,), 5, 14)
     after, changes = decide(before, detection, repaired, reviewed=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mocapfix.report.keypoint_report import KEYPOINT_FIGURE_COUNT, KeypointFilm,
 from mocapfix.skeleton import load_cmu31_body
 
 FRAMES = 6
-REPORT = {"order": "coco", "camera": {"pixels_per_metre": 123.4}, "reprojection_px": {"mean": 2.5, "p95": 6.0}}
+REPORT: Any = {"order": "coco", "camera": {"pixels_per_metre": 123.4}, "reprojection_px": {"mean": 2.5, "p95": 6.0}}
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def build_take(name="walk.c3d", first_frame=FIRST_FRAME) -> Take:
 
 
 def build_change(kind="spike", markers=("C7",), first=110, last=112, decision: Decision = "reject", **fields) -> Change:
-    defaults = {
+    defaults: dict[str, Any] = {
         "samples": 3,
         "why": "It jumps: \u00e4 \U0001f600.",
         "method": "estimated",

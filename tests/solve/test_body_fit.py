@@ -63,7 +63,7 @@ def test_named_set_or_subject_must_exist_and_fit(brief):
 @pytest.fixture(scope="module")
 def moved(brief) -> tuple[CleaningState, StageTimer, int]:
     """Return the solved state of one second in which LSHN moves by 50 mm in frame 60, the timer, and the marker."""
-    whole, subject = cast(Take, capture.read_take(Path(brief.path))), subject_file.read_subject(brief.subject)
+    whole, subject = capture.read_take(Path(brief.path)), subject_file.read_subject(brief.subject)
     marker = whole.labels.index("LSHN")
     markers = whole.markers.copy()
     markers[60:, marker] += [0.0, 0.05, 0.0]

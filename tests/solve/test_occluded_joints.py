@@ -124,6 +124,9 @@ def test_nothing_unobserved_changes_nothing():
 class Oracle(PriorConditioner):
     """A conditioner that knows the lost arm, apart from a constant rotation of its elbow, and counts its calls."""
 
+    rotations: np.ndarray
+    calls: list[np.ndarray]
+
     def __init__(self, truth, scale=1.0):
         def load_nothing():
             raise AssertionError("no model is loaded")
