@@ -35,7 +35,7 @@ class PredictedErrors(NamedTuple):
 
 ErrorGroups = dict[str, PredictedErrors]
 
-DEFAULT_OPTIONS = CleanOptions()
+DEFAULT_BENCH_OPTIONS = CleanOptions()
 
 
 def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, dict[str, Any]]:
@@ -50,7 +50,7 @@ def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, d
     return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(fills)}
 
 
-def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_OPTIONS) -> CleaningResult:
+def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_BENCH_OPTIONS) -> CleaningResult:
     """Return the result of the pipeline for a composed take, which is written to a file and read."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "take.c3d"
