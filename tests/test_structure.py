@@ -22,8 +22,9 @@ BANNED_NAME_PARTS = (
     "theirs",
 )  # fmt: skip
 BANNED_PHRASES = (
-    r"\btold by\b", r"\bsays? of itself\b", r"\bis believed\b", r"\bnobody's\b", r"\bto the sky\b", r"\bvouch", r"\bmended?\b",
-    r"\bastray\b(?!\")", r"\btrembl", r"\blistens? to\b", r"\bspeaks? for\b", r"\bcome to rest\b", r"\bworn\b", r"\bof one's own\b",
+    r"\btold by\b", r"\bsays? of itself\b", r"\bis believed\b", r"\bnobody's\b", r"\bto the sky\b", r"\bvouch",
+    r"\bmended?\b", r"\bastray\b(?!\")", r"\btrembl", r"\blistens? to\b", r"\bspeaks? for\b", r"\bcome to rest\b",
+    r"\bworn\b", r"\bof one's own\b",
 )  # fmt: skip
 
 
