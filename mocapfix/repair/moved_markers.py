@@ -89,8 +89,15 @@ def split_moved_markers(take: Take, faults: Iterable[Fault]) -> MarkerEpochs:
         return MarkerEpochs(take, columns, np.ones((take.frame_count, count), bool))
     labels = tuple(take.labels[m] for m in column_marker)
     computed = None if take.computed is None else take.computed[:, columns]
+    uncaptured = None if take.uncaptured is None else take.uncaptured[:, columns]
     split = replace(
-        take, markers=np.stack(paths, 1), labels=labels, computed=computed, point_columns=columns, relabelled_points=None
+        take,
+        markers=np.stack(paths, 1),
+        labels=labels,
+        computed=computed,
+        uncaptured=uncaptured,
+        point_columns=columns,
+        relabelled_points=None,
     )
     return MarkerEpochs(split, columns, np.stack(is_active, 1))
 

@@ -86,7 +86,14 @@ def test_few_markers_still_give_rotations(left):
 def test_marker_on_a_fixed_joint_is_ignored():
     toe = BODY.skeleton.find_joint("LeftToeBase")
     assert not BODY.free_joints[toe]
-    with_toe = replace(NOMINAL, joints=np.r_[NOMINAL.joints, toe], marker_offsets=np.r_[NOMINAL.marker_offsets, [[0, 0, 0.05]]])
+    with_toe = replace(
+        NOMINAL,
+        labels=(*NOMINAL.labels, "TOE"),
+        joints=np.r_[NOMINAL.joints, toe],
+        marker_offsets=np.r_[NOMINAL.marker_offsets, [[0, 0, 0.05]]],
+        marker_spread=np.r_[NOMINAL.marker_spread, 0.01],
+        marker_sd=np.r_[NOMINAL.marker_sd, 0.0],
+    )
     position, _, markers = simulate_standing(np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), with_toe)
     found = register_poses(with_toe, BODY.free_joints, MEAN, markers)
     np.testing.assert_allclose(kinematics.compute_world_poses(BODY.skeleton, found)[0], position, atol=1e-6)

@@ -1,7 +1,6 @@
 """The stages of the body fit: the choice of subject and marker set, and a marker that is moved during the take."""
 
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,11 +11,13 @@ from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults, MarkerShift
 from mocapfix.marker_sets.library import build_subject_marker_set
 from mocapfix.marker_sets.matching import resolve_subject
+from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.read import capture
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit, CleaningState, DetectionState
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 CMU41 = marker_sets.load_marker_set("cmu41")
@@ -107,8 +108,8 @@ def test_markers_without_a_column_have_no_body_position():
     take = Take(np.ones((3, 4, 3)), tuple("ABCD"), 100.0)
     epochs = repair.split_moved_markers(take, [])
     positions = np.arange(3 * 3 * 3, dtype=float).reshape(3, 3, 3)
-    nothing = cast(Any, None)
-    body = BodyFit(nothing, nothing, nothing, np.array([2, -1, 0]), np.zeros((3, 1, 3)), positions)
+    subject, motion = object.__new__(Subject), object.__new__(Motion)
+    body = BodyFit(subject, subject, motion, np.array([2, -1, 0]), np.zeros((3, 1, 3)), positions)
     expanded = body.expand_to_take(epochs)
     np.testing.assert_array_equal(expanded[:, [2, 0]], positions[:, [0, 2]])
     assert np.isnan(expanded[:, [1, 3]]).all()
