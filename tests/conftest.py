@@ -77,10 +77,10 @@ def damage_single_markers(truth: SyntheticTake) -> SyntheticTake:
 def cleaned(tmp_path_factory) -> CleanedTake:
     """Return a take of 6 s with gaps and spikes, cleaned."""
     folder = tmp_path_factory.mktemp("cleaned")
-    truth, path = damage_single_markers(synthetic.compose_take(seed=3, seconds=6.0)), folder / "somebody.c3d"
+    truth, path = damage_single_markers(synthetic.compose_take(seed=3, seconds=6.0)), folder / "walk.c3d"
     synthetic.write_synthetic_take(path, truth)
     result = pipeline.clean(path)
-    return CleanedTake(truth, path, result, result.write(folder / "somebody.mocapfix"))
+    return CleanedTake(truth, path, result, result.write(folder / "walk.mocapfix"))
 
 
 @pytest.fixture(scope="session")

@@ -145,7 +145,7 @@ def test_residuals_in_the_report_are_distances_from_the_body(cleaned):
 def test_all_files_are_written_and_the_c3d_and_the_bvh_contain_the_result(cleaned):
     assert set(cleaned.outputs) == OUTPUT_SUFFIXES
     names = {path.name for path in cleaned.outputs["c3d"].parent.iterdir()}
-    assert names == {f"somebody.{suffix}" for suffix in OUTPUT_SUFFIXES}
+    assert names == {f"walk.{suffix}" for suffix in OUTPUT_SUFFIXES}
     take = capture.read_take(cleaned.outputs["c3d"])
     np.testing.assert_allclose(take.markers, cleaned.result.take.markers, atol=1e-6)
     assert (take.labels, take.rate, take.first_frame) == (cleaned.truth.labels, cleaned.truth.rate, 1)

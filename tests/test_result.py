@@ -49,7 +49,7 @@ def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, t
         "csv",
         *(f"{name}.bvh" for name in RIG_NAMES),
     }
-    assert {path.name for path in tmp_path.iterdir()} == {f"somebody.{suffix}" for suffix in outputs}
+    assert {path.name for path in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in outputs}
     assert all(path.stat().st_size for path in outputs.values())
 
 
@@ -111,7 +111,7 @@ def test_formats_that_need_a_body_are_left_out_with_a_note(without_body, tmp_pat
 def test_outputs_of_an_earlier_run_with_a_body_are_removed(solved, without_body, tmp_path):
     solved.write(tmp_path, options=ALL_FORMATS)
     outputs = without_body.write(tmp_path, overwrite=True, options=ALL_FORMATS)
-    assert {path.name for path in tmp_path.iterdir()} == {f"somebody.{suffix}" for suffix in outputs}
+    assert {path.name for path in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in outputs}
 
 
 def test_a_text_take_is_written_in_its_format_and_as_a_c3d_on_request(brief, tmp_path):
@@ -132,25 +132,25 @@ def test_a_table_without_fields_for_missing_samples_is_replaced_by_a_plain_one_w
     layout = TableLayout("utf-8", "\n", ",", ".", unit_m=1.0)
     input_take = replace(solved.input_take, layout=layout, path=solved.input_take.path.with_suffix(".csv"))
     outputs = replace(solved, input_take=input_take).write(tmp_path, options=OutputOptions(extra_formats=("csv",)))
-    assert outputs["csv"].name == "somebody.csv"
+    assert outputs["csv"].name == "walk.csv"
     np.testing.assert_allclose(capture.read_take(outputs["csv"]).markers, solved.take.markers, atol=2e-5)
-    assert "somebody.csv lists only visible markers" in outputs["report.json"].read_text()
+    assert "walk.csv lists only visible markers" in outputs["report.json"].read_text()
 
 
 def test_no_file_is_written_if_one_of_them_fails(solved, tmp_path):
     joint = solved.subject.skeleton.find_joint("LHipJoint")
     solved.motion.local_rotations[:, joint] = smooth_rotations(0, 61, 1, swing=0.5)[:, 0]
-    (tmp_path / "somebody.bvh").write_text("earlier")
+    (tmp_path / "walk.bvh").write_text("earlier")
     with pytest.raises(WriteError, match="MotionBuilder"):
         solved.write(tmp_path, overwrite=True, options=OutputOptions(rigs=("motionbuilder",)))
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"somebody.bvh": "earlier"}
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"walk.bvh": "earlier"}
 
 
 def test_an_existing_output_of_any_format_is_not_replaced(solved, tmp_path):
-    (tmp_path / "somebody.glb").write_text("mine")
-    with pytest.raises(WriteError, match=r"somebody\.glb: already exists"):
+    (tmp_path / "walk.glb").write_text("mine")
+    with pytest.raises(WriteError, match=r"walk\.glb: already exists"):
         solved.write(tmp_path, options=OutputOptions(extra_formats=("gltf",)))
-    assert [path.name for path in tmp_path.iterdir()] == ["somebody.glb"]
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.glb"]
 
 
 def test_a_format_named_twice_is_written_once():

@@ -1,4 +1,4 @@
-"""Run by the Python that has Blender: imports each file and says where it puts the bones. Jobs in, answers out, as JSON."""
+"""Run by Blender's Python: import each file and return the positions of its bones. Jobs and answers are JSON files."""
 
 import json
 import sys
@@ -8,7 +8,7 @@ import bpy  # pyright: ignore[reportMissingImports]
 
 
 def imported(path: str, scale: float):
-    """-> the armature that Blender makes of a file, alone in a new scene at Blender's own 24 frames a second."""
+    """Import a file into a new scene at Blender's default of 24 frames per second; return its armature."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if path.endswith(".glb"):
         bpy.ops.import_scene.gltf(filepath=path)
@@ -19,7 +19,7 @@ def imported(path: str, scale: float):
 
 
 def heads(armature, at: list[float]) -> list[dict[str, list[float]]]:
-    """-> at each of the scene's frames, by bone, where its head is."""
+    """Return the position of the head of each bone at frames of the scene."""
     found = []
     for frame in at:
         bpy.context.scene.frame_set(int(frame), subframe=frame - int(frame))
@@ -28,7 +28,7 @@ def heads(armature, at: list[float]) -> list[dict[str, list[float]]]:
 
 
 def answer(job: dict) -> dict:
-    """-> heads at the moments asked for (seconds after the first frame), the scene's rate and the last key's moment."""
+    """Return the heads at the given times (seconds after the first frame), the frame rate and the time of the last key."""
     armature, render = imported(job["path"], job["scale"]), bpy.context.scene.render
     rate, first = render.fps / render.fps_base, 0 if job["path"].endswith(".glb") else 1
     last = armature.animation_data.action.frame_range[1]

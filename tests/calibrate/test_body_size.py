@@ -9,7 +9,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 
-WORN, SKELETON = marker_sets.load_marker_set("cmu41"), load_cmu31_body().skeleton
+MARKER_SET, SKELETON = marker_sets.load_marker_set("cmu41"), load_cmu31_body().skeleton
 
 
 @pytest.fixture(scope="module")
@@ -17,10 +17,17 @@ def motion():
     return synthetic.compose_take(seed=0, seconds=6.0, rate=30.0).motion
 
 
-def seen(motion, factor, rng):
+def build_markers(motion, factor, rng):
     """Return markers (T, K, 3) of a body `factor` times the average one, a third of the samples missing, 2 mm of noise."""
     skeleton = replace(SKELETON, offsets=SKELETON.offsets * factor)
-    subject = Subject(skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets * factor, WORN.marker_spread)
+    subject = Subject(
+        skeleton,
+        MARKER_SET.name,
+        MARKER_SET.labels,
+        MARKER_SET.joints,
+        MARKER_SET.marker_offsets * factor,
+        MARKER_SET.marker_spread,
+    )
     markers = kinematics.compute_joint_and_marker_positions(
         subject, replace(motion, root_position=motion.root_position * factor)
     )[1]
@@ -31,37 +38,41 @@ def seen(motion, factor, rng):
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.0, 1.2])
 def test_size_of_a_scaled_moving_body_is_estimated(motion, factor):
-    markers = seen(motion, factor, np.random.default_rng(0))
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(factor, rel=0.02)
+    markers = build_markers(motion, factor, np.random.default_rng(0))
+    assert calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, markers) == pytest.approx(factor, rel=0.02)
 
 
 def test_missing_markers_and_outlier_frames_are_tolerated(motion):
     rng = np.random.default_rng(1)
-    markers = seen(motion, 0.9, rng)
-    markers[:, rng.permutation(len(WORN.labels))[:20]] = np.nan
+    markers = build_markers(motion, 0.9, rng)
+    markers[:, rng.permutation(len(MARKER_SET.labels))[:20]] = np.nan
     markers[:20] *= 3.0  # an eighth of the take in other units
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers) == pytest.approx(0.9, rel=0.03)
+    assert calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, markers) == pytest.approx(0.9, rel=0.03)
 
 
 def test_uninformative_take_gives_the_average_size(motion):
-    markers = seen(motion, 0.8, np.random.default_rng(2))
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.full_like(markers, np.nan)) == 1.0
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, markers[:5]) == 1.0
+    markers = build_markers(motion, 0.8, np.random.default_rng(2))
+    assert calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, np.full_like(markers, np.nan)) == 1.0
+    assert calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, markers[:5]) == 1.0
     assert (
-        calibration.estimate_body_size_ratio(SKELETON, WORN, np.random.default_rng(3).normal(size=markers.shape)) == 1.0
-    )  # nothing keeps its distance
+        calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, np.random.default_rng(3).normal(size=markers.shape)) == 1.0
+    )  # no distance is constant
 
 
 def test_wrong_units_give_the_limits(motion):
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, seen(motion, 100.0, np.random.default_rng(4))) == 1.6
-    assert calibration.estimate_body_size_ratio(SKELETON, WORN, np.ones((20, len(WORN.labels), 3))) == 0.3  # all at one point
+    assert (
+        calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, build_markers(motion, 100.0, np.random.default_rng(4))) == 1.6
+    )
+    assert (
+        calibration.estimate_body_size_ratio(SKELETON, MARKER_SET, np.ones((20, len(MARKER_SET.labels), 3))) == 0.3
+    )  # all at one point
 
 
 def test_rest_positions_are_sums_of_offsets():
-    places = dict(zip(WORN.labels, calibration.compute_rest_marker_positions(SKELETON, WORN), strict=True))
-    shin = WORN.marker_offsets[WORN.labels.index("LANK")]
+    places = dict(zip(MARKER_SET.labels, calibration.compute_rest_marker_positions(SKELETON, MARKER_SET), strict=True))
+    shin = MARKER_SET.marker_offsets[MARKER_SET.labels.index("LANK")]
     down = [SKELETON.find_joint(name) for name in ("LHipJoint", "LeftUpLeg", "LeftLeg")]
-    joint = SKELETON.names[WORN.joints[WORN.labels.index("LANK")]]
+    joint = SKELETON.names[MARKER_SET.joints[MARKER_SET.labels.index("LANK")]]
     if joint == "LeftFoot":
         down.append(SKELETON.find_joint(joint))
     np.testing.assert_allclose(places["LANK"], SKELETON.offsets[down].sum(0) + shin)

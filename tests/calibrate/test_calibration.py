@@ -13,7 +13,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.take import Take
 
-BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 
 
@@ -21,8 +21,8 @@ def lengths(skeleton):
     return np.linalg.norm(skeleton.offsets, axis=1)
 
 
-def calibrated(markers, labels=WORN.labels, rate=30.0):
-    return calibration.calibrate_subject(Take(markers, labels, rate), WORN, BODY, MEAN)
+def calibrate(markers, labels=MARKER_SET.labels, rate=30.0):
+    return calibration.calibrate_subject(Take(markers, labels, rate), MARKER_SET, BODY, MEAN)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def found(truth):
-    return calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
+    return calibrate(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
 
 
 def test_calibration_reduces_bone_and_marker_errors(truth, found):
@@ -41,12 +41,12 @@ def test_calibration_reduces_bone_and_marker_errors(truth, found):
 
     assert off(found.skeleton) < 0.7 * off(BODY.skeleton)
     places = np.linalg.norm(found.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
-    assert places < 0.75 * np.linalg.norm(WORN.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
+    assert places < 0.75 * np.linalg.norm(MARKER_SET.marker_offsets - truth.subject.marker_offsets, axis=1).mean()
 
 
 def test_calibrated_subject_has_the_marker_set_and_skeleton(found):
-    assert (found.marker_set, found.labels) == (WORN.name, WORN.labels)
-    np.testing.assert_array_equal(found.joints, WORN.joints)
+    assert (found.marker_set, found.labels) == (MARKER_SET.name, MARKER_SET.labels)
+    np.testing.assert_array_equal(found.joints, MARKER_SET.joints)
     assert found.skeleton.names == BODY.skeleton.names
     np.testing.assert_array_equal(found.skeleton.parents, BODY.skeleton.parents)
     assert found.frame_count == 150
@@ -56,7 +56,7 @@ def test_calibrated_subject_has_the_marker_set_and_skeleton(found):
 
 
 def test_calibration_is_deterministic(truth, found):
-    again = calibrated(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
+    again = calibrate(np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions))
     np.testing.assert_array_equal(again.skeleton.offsets, found.skeleton.offsets)
     np.testing.assert_array_equal(again.marker_offsets, found.marker_offsets)
 
@@ -64,9 +64,9 @@ def test_calibration_is_deterministic(truth, found):
 @pytest.mark.parametrize("factor", [0.6, 1.25])
 def test_very_small_and_large_subjects_are_calibrated(truth, factor):
     skeleton = replace(BODY.skeleton, offsets=BODY.skeleton.offsets * factor, ends=BODY.skeleton.ends * factor)
-    somebody = replace(truth.subject, skeleton=skeleton, marker_offsets=WORN.marker_offsets * factor)
+    subject = replace(truth.subject, skeleton=skeleton, marker_offsets=MARKER_SET.marker_offsets * factor)
     motion = replace(truth.motion, root_position=truth.motion.root_position * factor)
-    found = calibrated(kinematics.compute_joint_and_marker_positions(somebody, motion)[1])
+    found = calibrate(kinematics.compute_joint_and_marker_positions(subject, motion)[1])
     np.testing.assert_allclose(lengths(found.skeleton), lengths(skeleton), atol=0.016)
     np.testing.assert_allclose(found.skeleton.ends, skeleton.ends, rtol=0.06)
 
@@ -81,12 +81,12 @@ def test_take_without_three_markers_is_rejected():
     markers = np.full((20, 41, 3), np.nan)
     markers[:, :2] = 1.0
     with pytest.raises(TakeError, match="the take: no frame shows three markers of the body, so it cannot be calibrated"):
-        calibrated(markers)
+        calibrate(markers)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 12])
 def test_few_frames_give_a_plausible_body(truth, frames):
-    found = calibrated(truth.marker_positions[60 : 60 + frames])
+    found = calibrate(truth.marker_positions[60 : 60 + frames])
     assert found.frame_count == frames
     np.testing.assert_allclose(lengths(found.skeleton), lengths(truth.subject.skeleton), rtol=0.25, atol=0.01)
     assert np.isfinite(found.marker_spread).all()
@@ -96,4 +96,4 @@ def test_few_frames_give_a_plausible_body(truth, frames):
 def test_body_of_size_zero_is_rejected(truth, noise):
     cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
     with pytest.raises(TakeError, match="too near together for a person"):
-        calibrated(cloud)
+        calibrate(cloud)

@@ -34,8 +34,8 @@ def riding(joint: str, place) -> np.ndarray:
     return POSITION[:, j] + ROTATION[:, j] @ np.asarray(place, float)
 
 
-def one(marker: np.ndarray, told: np.ndarray = NOTHING):
-    return attach_markers(marker[:, None], POSITION, ROTATION, ATLAS, NAMES, told)
+def one(marker: np.ndarray, log_odds: np.ndarray = NOTHING):
+    return attach_markers(marker[:, None], POSITION, ROTATION, ATLAS, NAMES, log_odds)
 
 
 @given(st.integers(0, len(ATLAS.joints) - 1), st.integers(0, 2**31))
@@ -61,9 +61,9 @@ def test_held_marker_is_rejected_unless_its_label_names_the_segment():
     found = one(stick)
     assert found.joints[0] == -1
     assert "it may be on a prop" in found.rejection_reasons[0]
-    told = NOTHING.copy()
-    told[0, NAMES.index("LeftHand")] = 4.0
-    assert NAMES[one(stick, told).joints[0]] == "LeftHand"
+    log_odds = NOTHING.copy()
+    log_odds[0, NAMES.index("LeftHand")] = 4.0
+    assert NAMES[one(stick, log_odds).joints[0]] == "LeftHand"
 
 
 def test_rarely_visible_marker_is_rejected():
@@ -90,10 +90,12 @@ def test_a_tenth_of_the_frames_may_be_outliers():
 
 def test_position_decides_without_motion():
     position, rotation = np.repeat(POSITION[:1], 60, axis=0), np.repeat(ROTATION[:1], 60, axis=0)
-    worn = load_marker_set("cmu41")
-    markers = position[:, worn.joints] + np.einsum("nkab,kb->nka", rotation[:, worn.joints], worn.marker_offsets)
-    found = attach_markers(markers, position, rotation, ATLAS, NAMES, np.zeros((len(worn.labels), len(NAMES))))
-    assert (found.joints == worn.joints).mean() > 0.9
+    marker_set = load_marker_set("cmu41")
+    markers = position[:, marker_set.joints] + np.einsum(
+        "nkab,kb->nka", rotation[:, marker_set.joints], marker_set.marker_offsets
+    )
+    found = attach_markers(markers, position, rotation, ATLAS, NAMES, np.zeros((len(marker_set.labels), len(NAMES))))
+    assert (found.joints == marker_set.joints).mean() > 0.9
 
 
 def test_residual_is_per_axis_in_metres():

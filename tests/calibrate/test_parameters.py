@@ -10,12 +10,14 @@ from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
 
-BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
-START = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
+BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+START = Subject(
+    BODY.skeleton, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, MARKER_SET.marker_spread
+)
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 FREE = parameters.build_calibration_parameters(START, BODY, MEAN)
 TURNING = np.flatnonzero(BODY.free_joints)[1:]
-SHIFTS = slice(-WORN.marker_offsets.size - 3 * len(TURNING), -3 * len(TURNING))
+SHIFTS = slice(-MARKER_SET.marker_offsets.size - 3 * len(TURNING), -3 * len(TURNING))
 BONES = parameters.list_bones(BODY.skeleton)
 
 
@@ -39,7 +41,7 @@ def unknowns(**parts):
 def test_zero_parameters_give_the_start():
     offsets, places, _ = FREE.compute_body(unknowns())
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
-    np.testing.assert_array_equal(places, WORN.marker_offsets)
+    np.testing.assert_array_equal(places, MARKER_SET.marker_offsets)
 
 
 def test_size_group_and_bone_parameters_scale_lengths():
@@ -50,14 +52,14 @@ def test_size_group_and_bone_parameters_scale_lengths():
     thigh = BODY.skeleton.find_joint("LeftLeg")
     expected[thigh] = 0.9 * BODY.skeleton.offsets[thigh]
     np.testing.assert_allclose(offsets, expected)
-    np.testing.assert_allclose(places, 1.1 * WORN.marker_offsets)
+    np.testing.assert_allclose(places, 1.1 * MARKER_SET.marker_offsets)
 
 
 def test_marker_shifts_are_in_joint_axes():
-    shifts = np.random.default_rng(0).normal(0, 0.02, WORN.marker_offsets.shape)
+    shifts = np.random.default_rng(0).normal(0, 0.02, MARKER_SET.marker_offsets.shape)
     offsets, places, _ = FREE.compute_body(unknowns(places=shifts))
     np.testing.assert_array_equal(offsets, BODY.skeleton.offsets)
-    np.testing.assert_allclose(places, WORN.marker_offsets + shifts)
+    np.testing.assert_allclose(places, MARKER_SET.marker_offsets + shifts)
 
 
 def test_bone_parameter_scales_with_the_starting_body():
@@ -81,7 +83,7 @@ def test_shape_is_a_sum_of_components_at_body_size():
     weights = np.random.default_rng(1).normal(size=len(BODY.shape_components))
     offsets, places, _ = FREE.compute_body(unknowns(shape=weights))
     np.testing.assert_allclose(offsets - BODY.skeleton.offsets, np.tensordot(weights, BODY.shape_components, 1), atol=1e-15)
-    np.testing.assert_array_equal(places, WORN.marker_offsets)
+    np.testing.assert_array_equal(places, MARKER_SET.marker_offsets)
     tall = parameters.build_calibration_parameters(
         replace(START, skeleton=replace(BODY.skeleton, offsets=1.2 * BODY.skeleton.offsets)), BODY, MEAN
     )
@@ -94,7 +96,7 @@ def test_size_is_practically_free_and_other_parameters_have_their_sd():
     np.testing.assert_allclose(information[unknowns(thigh=1.0) > 0], parameters.BONE_GROUP_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(LeftLeg=1.0) > 0], parameters.INDIVIDUAL_BONE_LENGTH_SD**-2.0)
     np.testing.assert_allclose(information[unknowns(shape=1.0) > 0], 1.0)  # in deviations already
-    np.testing.assert_allclose(information[SHIFTS], np.repeat(WORN.marker_spread**-2.0, 3))
+    np.testing.assert_allclose(information[SHIFTS], np.repeat(MARKER_SET.marker_spread**-2.0, 3))
 
 
 def test_mean_pose_has_information_for_free_joints_only():

@@ -38,8 +38,8 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
     average = load_cmu31_body().skeleton
     skeleton = Skeleton(average.names, average.parents, offsets, average.ends * 1.0123456)
     path = tmp_path_factory.getbasetemp() / "one.subject.yaml"
-    worn = ("cmu41", NOMINAL.labels, NOMINAL.joints, places, spread)
-    subject_file.write_subject(path, Subject(skeleton, *worn, frames, joint_sd, marker_sd))
+    marker_fields = ("cmu41", NOMINAL.labels, NOMINAL.joints, places, spread)
+    subject_file.write_subject(path, Subject(skeleton, *marker_fields, frames, joint_sd, marker_sd))
     back = subject_file.read_subject(path)
     assert (back.skeleton.names, back.marker_set, back.labels, back.frame_count) == (
         average.names,
@@ -88,7 +88,7 @@ def test_bone_order_is_irrelevant(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("  Head: {parent: Neck1", "  Head: {parent: Neck", r"bones\.Head\.parent: must be Neck1, not Neck"),
         ("  Head: {parent", "  Skull: {parent", r"bones\.Skull: the skeleton has no such bone"),
@@ -104,13 +104,13 @@ def test_bone_order_is_irrelevant(tmp_path):
         ("marker_set: cmu41\n", "", "marker_set: "),
     ],
 )
-def test_invalid_file_names_the_key(tmp_path, old, new, said):
+def test_invalid_file_names_the_key(tmp_path, old, new, message):
     path = tmp_path / "one.subject.yaml"
     subject_file.write_subject(path, SUBJECT)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {said}"):
+    with pytest.raises(SceneError, match=rf"one\.subject\.yaml: {message}"):
         subject_file.read_subject(path)
 
 

@@ -93,7 +93,7 @@ def test_inspect_writes_one_json_document(mocapfix, brief):
 
 
 def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
-    subject = tmp_path / "somebody.yaml"
+    subject = tmp_path / "person.yaml"
     status, out, _ = mocapfix("calibrate", brief.path, "-o", subject)
     assert status == 0
     assert "41 markers on 31 joints, from" in flat(out)
@@ -191,7 +191,7 @@ def test_view_without_a_recording_or_display_is_an_error(mocapfix, cleaned, tmp_
     ("arguments", "sentence"),
     [
         (["clean"], "clean: name at least one take."),
-        (["calibrate", "-o", "somebody.yaml"], "calibrate: name at least one take."),
+        (["calibrate", "-o", "person.yaml"], "calibrate: name at least one take."),
         (["clean", "a.c3d", "--max-gap", "0"], "--max-gap must be greater than 0 s, not 0."),
         (["clean", "a.c3d", "--frames", "100"], "--frames must be FIRST:LAST, as in 100:250, not '100'."),
         (["clean", "a.c3d", "--frames", "a:b"], "--frames must be FIRST:LAST, as in 100:250, not 'a:b'."),
@@ -293,8 +293,8 @@ def test_unwritable_outputs_are_named(mocapfix, brief, tmp_path):
         status = mocapfix("clean", brief.path, "--subject", brief.subject, "--out", where)
         check_refused(status, where.name, "the folder cannot be created .*; choose another with --out")
     check_refused(mocapfix("demo", "--out", taken), "taken", "the folder cannot be created")
-    missing = tmp_path / "gone" / "somebody.yaml"
-    check_refused(mocapfix("calibrate", brief.path, "-o", missing), "somebody.yaml", "cannot be written")
+    missing = tmp_path / "gone" / "person.yaml"
+    check_refused(mocapfix("calibrate", brief.path, "-o", missing), "person.yaml", "cannot be written")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
     assert taken.read_text() == "a file"
 

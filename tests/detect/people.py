@@ -11,7 +11,7 @@ CMU41 = marker_sets.load_marker_set("cmu41")
 
 
 @cache
-def somebody(seed: int = 0, seconds: float = 3.0) -> Take:
+def compose_person(seed: int = 0, seconds: float = 3.0) -> Take:
     """Return a sound take, at 30 Hz, of a subject off the average who walks and reaches."""
     truth = synthetic.compose_take(seed, seconds, 30.0, asymmetric=True)
     return Take(truth.marker_positions, truth.labels, truth.rate)

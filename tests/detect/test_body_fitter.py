@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import body_fitter
-from tests.detect.people import CMU41, somebody
+from tests.detect.people import CMU41, compose_person
 
 RESTING = body_fitter.compute_rest_markers(CMU41)
 
@@ -28,14 +28,14 @@ def test_size_ratio_is_one_without_visible_distances():
 
 
 def test_predicted_markers_match_the_measured_ones():
-    markers = np.ascontiguousarray(somebody().markers[::30])
+    markers = np.ascontiguousarray(compose_person().markers[::30])
     off = np.linalg.norm(body_fitter.build_average_body_fitter(CMU41, markers).predict_markers(markers) - markers, axis=-1)
     assert np.median(off) < 0.03  # places strayed by 12 mm per axis, bones by some per cent
     assert off.max() < 0.12
 
 
 def test_missing_markers_are_predicted():
-    markers = np.ascontiguousarray(somebody().markers[:1])
+    markers = np.ascontiguousarray(compose_person().markers[:1])
     hidden = markers.copy()
     hidden[0, CMU41.labels.index("LTOE")] = np.nan
     placed = body_fitter.build_average_body_fitter(CMU41, hidden).predict_markers(hidden)

@@ -77,8 +77,8 @@ def test_without_distances_the_shorter_part_is_assumed_to_be_swapped():
     (half,) = label_swaps.detect_label_swaps(exchanged(take, (0, 1), 240, 479))
     assert half.confidence < short.confidence < 0.65
     assert half.confidence < MIN_LABEL_CONFIDENCE
-    unsure = exchanged(take, (0, 1), 240, 479)
-    np.testing.assert_array_equal(undone(unsure, [half]).markers, unsure.markers)
+    uncertain = exchanged(take, (0, 1), 240, 479)
+    np.testing.assert_array_equal(undone(uncertain, [half]).markers, uncertain.markers)
 
 
 def test_two_simultaneous_swaps_are_found():

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import gaps
-from tests.detect.people import CMU41, columns, somebody, without
+from tests.detect.people import CMU41, columns, compose_person, without
 
 ARM = ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")
 FOOT = ("RHEE", "RTOE", "RMT5")
@@ -13,11 +13,13 @@ def where(take, found):
 
 
 def test_complete_take_has_no_lost_segments():
-    assert gaps.detect_lost_segments(somebody(), CMU41) == []
+    assert gaps.detect_lost_segments(compose_person(), CMU41) == []
 
 
 def test_segment_is_lost_if_all_its_markers_are_missing():
-    take = without(without(without(somebody(), "RHEE", first=10, last=40), "RTOE", first=20, last=45), "RMT5", first=15, last=50)
+    take = without(
+        without(without(compose_person(), "RHEE", first=10, last=40), "RTOE", first=20, last=45), "RMT5", first=15, last=50
+    )
     (fault,) = gaps.detect_lost_segments(take, CMU41)
     assert fault.kind == "segment lost"
     assert where(take, [fault]) == [(list(FOOT), 20, 40)]
@@ -27,7 +29,7 @@ def test_segment_is_lost_if_all_its_markers_are_missing():
 
 
 def test_lost_limb_is_reported_once_and_longer_losses_separately():
-    take = without(somebody(), *ARM, first=20, last=50)
+    take = without(compose_person(), *ARM, first=20, last=50)
     (arm,) = gaps.detect_lost_segments(take, CMU41)
     assert set(arm.markers) == set(columns(take, *ARM))
     assert "the left arm" in arm.reason
@@ -36,7 +38,7 @@ def test_lost_limb_is_reported_once_and_longer_losses_separately():
 
 
 def test_lost_body_is_reported_alone():
-    take = without(somebody(), *CMU41.labels, first=30, last=40)
+    take = without(compose_person(), *CMU41.labels, first=30, last=40)
     (body,) = gaps.detect_lost_segments(take, CMU41)
     assert (len(body.markers), body.first, body.last) == (41, 30, 40)
     assert body.reason.startswith("All markers of the body are missing for 0.37 s: ")
@@ -44,15 +46,15 @@ def test_lost_body_is_reported_alone():
 
 @pytest.mark.parametrize(("last", "count"), [(21, 0), (22, 1)])
 def test_short_losses_are_not_reported(last, count):
-    assert len(gaps.detect_lost_segments(without(somebody(), *FOOT, first=20, last=last), CMU41)) == count
+    assert len(gaps.detect_lost_segments(without(compose_person(), *FOOT, first=20, last=last), CMU41)) == count
 
 
 def test_single_marker_is_no_lost_segment():
-    assert gaps.detect_lost_segments(without(somebody(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
+    assert gaps.detect_lost_segments(without(compose_person(), "LFIN", "LSHO", first=20, last=60), CMU41) == []
 
 
 def test_severity_is_the_travel_of_the_segment():
-    sound = somebody()
+    sound = compose_person()
     (fault,) = gaps.detect_lost_segments(without(sound, *FOOT, first=20, last=40), CMU41)
     travel_m = np.linalg.norm(sound.markers[41] - sound.markers[19], axis=-1)[list(columns(sound, *FOOT))]
     assert fault.severity == pytest.approx(np.median(travel_m))
@@ -62,5 +64,5 @@ def test_severity_is_the_travel_of_the_segment():
 
 
 def test_segment_missing_in_the_whole_take():
-    (fault,) = gaps.detect_lost_segments(without(somebody(), *FOOT), CMU41)
+    (fault,) = gaps.detect_lost_segments(without(compose_person(), *FOOT), CMU41)
     assert "All markers of RightFoot are missing in the whole take" in fault.reason

@@ -10,18 +10,18 @@ SHIPPED = ("cmu41", "plug-in-gait39", "frontwaist53", "production57")
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_twins_have_mirrored_labels(name):
-    worn = marker_sets.load_marker_set(name)
-    twin = mislabelled.find_twins(worn)
-    for label, other in zip(worn.labels, twin, strict=True):
+    marker_set = marker_sets.load_marker_set(name)
+    twin = mislabelled.find_twins(marker_set)
+    for label, other in zip(marker_set.labels, twin, strict=True):
         named = {"L": "R", "R": "L"}.get(label[0], label[0]) + label[1:]
-        assert worn.labels[other] == (named if named in worn.labels else label)
+        assert marker_set.labels[other] == (named if named in marker_set.labels else label)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_mirror_exchanges_move_twins_only(name):
-    worn = marker_sets.load_marker_set(name)
-    own, twin = np.arange(len(worn.labels)), mislabelled.find_twins(worn)
-    for exchange in mislabelled.list_mirror_exchanges(worn):
+    marker_set = marker_sets.load_marker_set(name)
+    own, twin = np.arange(len(marker_set.labels)), mislabelled.find_twins(marker_set)
+    for exchange in mislabelled.list_mirror_exchanges(marker_set):
         assert ((exchange == own) | (exchange == twin)).all()
         np.testing.assert_array_equal(exchange[exchange], own)
 

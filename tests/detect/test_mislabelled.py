@@ -11,7 +11,7 @@ from mocapfix.detect.swap_viterbi import find_permutation_cycles
 from mocapfix.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.read import capture
 from mocapfix.take import Take
-from tests.detect.people import CMU41, columns, mirrored, relabelled, somebody, without
+from tests.detect.people import CMU41, columns, compose_person, mirrored, relabelled, without
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 PAIRED = tuple(label[1:] for label in CMU41.labels if label[0] == "L" and f"R{label[1:]}" in CMU41.labels)
@@ -26,7 +26,7 @@ def undone(take, found):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_correct_labels_of_subjects_off_the_average(seed):
-    assert mislabelled.detect_mislabelled(somebody(seed), CMU41) == []
+    assert mislabelled.detect_mislabelled(compose_person(seed), CMU41) == []
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_correct_labels_of_subjects_off_the_average(seed):
      ("LBWT", "RBWT"), ("C7", "RBAC"), ("LFHD", "RTOE"), ("LTOE", "LMT5", "LHEE"), ("LMT5", "LTOE", "LHEE")],
 )  # fmt: skip
 def test_exchange_is_found_in_the_right_direction(cycle):
-    sound = somebody()
+    sound = compose_person()
     take = relabelled(sound, *cycle)
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     assert set(fault.markers) == set(columns(take, *cycle))
@@ -47,7 +47,7 @@ def test_exchange_is_found_in_the_right_direction(cycle):
     "labels", [("FHD", "BHD"), ("UPA", "ELB", "FRM", "WRA", "WRB", "FIN"), ("HEE", "TOE", "MT5"), ("FWT", "BWT"), PAIRED]
 )
 def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
-    sound = somebody(1)
+    sound = compose_person(1)
     take = mirrored(sound, *labels)
     found = mislabelled.detect_mislabelled(take, CMU41)
     assert sorted(fault.markers for fault in found) == sorted(columns(take, f"L{label}", f"R{label}") for label in labels)
@@ -58,7 +58,7 @@ def test_mirrored_parts_are_found_pair_by_pair_with_one_reason(labels):
 
 
 def test_exchange_on_both_sides_is_a_naming_convention():
-    sound = somebody(1)
+    sound = compose_person(1)
     convention = relabelled(relabelled(sound, "LTOE", "LMT5"), "RTOE", "RMT5")
     assert mislabelled.detect_mislabelled(convention, CMU41) == []
     (fault,) = mislabelled.detect_mislabelled(relabelled(convention, "LWRA", "LFIN"), CMU41)
@@ -66,7 +66,7 @@ def test_exchange_on_both_sides_is_a_naming_convention():
 
 
 def test_absent_markers_are_not_exchanged():
-    take = mirrored(somebody(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
+    take = mirrored(compose_person(1), "UPA", "ELB", "FRM", "WRA", "WRB", "FIN")
     kept = [m for m, label in enumerate(take.labels) if label != "RFIN"]
     take = Take(take.markers[:, kept], tuple(take.labels[m] for m in kept), take.rate)
     found = mislabelled.detect_mislabelled(take, CMU41)
@@ -74,7 +74,7 @@ def test_absent_markers_are_not_exchanged():
 
 
 def test_several_exchanges_are_found_despite_gaps():
-    take = relabelled(relabelled(somebody(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
+    take = relabelled(relabelled(compose_person(2), "LTOE", "LMT5"), "RWRA", "RWRB", "RFIN")
     take = without(without(take, "RWRA", "LTOE", "C7", first=0, last=40), "LANK", "LHEE", first=50)
     found = mislabelled.detect_mislabelled(take, CMU41)
     assert {frozenset(fault.markers) for fault in found} == {
@@ -84,7 +84,7 @@ def test_several_exchanges_are_found_despite_gaps():
 
 
 def test_labels_wrong_for_most_of_the_take_are_mislabelled():
-    sound = somebody()
+    sound = compose_person()
     markers = relabelled(sound, "LKNE", "LANK").markers.copy()
     markers[70:] = sound.markers[70:]
     (fault,) = mislabelled.detect_mislabelled(sound.replace_markers(markers), CMU41)
@@ -94,7 +94,7 @@ def test_labels_wrong_for_most_of_the_take_are_mislabelled():
 
 
 def test_reason_names_labels_and_distances():
-    take = relabelled(somebody(), "LKNE", "LANK")
+    take = relabelled(compose_person(), "LKNE", "LANK")
     (fault,) = mislabelled.detect_mislabelled(take, CMU41)
     start = f"LKNE and LANK have exchanged their labels over the whole take: their samples lie {fault.severity * 1e3:.0f} mm from"
     assert fault.reason.startswith(f"{start} the marker set's positions on the body, and ")
@@ -103,7 +103,7 @@ def test_reason_names_labels_and_distances():
 
 @pytest.mark.parametrize("scale", [0.6, 1.2])
 def test_small_and_large_subjects(scale):
-    take = somebody(3)
+    take = compose_person(3)
     take = take.replace_markers(take.markers * scale)
     assert mislabelled.detect_mislabelled(take, CMU41) == []
     assert len(mislabelled.detect_mislabelled(relabelled(take, "LTOE", "LMT5"), CMU41)) == 1
@@ -122,13 +122,13 @@ def test_known_subject_replaces_the_average_body():
 
 
 def test_other_markers_with_the_same_labels_are_not_judged():
-    take = somebody()
+    take = compose_person()
     elsewhere = np.random.default_rng(0).normal(0, 0.4, (1, 41, 3)) + 0.001 * take.markers[:8]
     assert mislabelled.detect_mislabelled(take.replace_markers(elsewhere), CMU41) == []
 
 
 def test_rarely_visible_markers_are_not_judged():
-    take = relabelled(somebody(), "LTOE", "LMT5")
+    take = relabelled(compose_person(), "LTOE", "LMT5")
     assert mislabelled.detect_mislabelled(without(take, "LTOE", "LMT5", first=5), CMU41) == []
     assert mislabelled.detect_mislabelled(take.replace_markers(np.full(take.markers.shape, np.nan)), CMU41) == []
     assert mislabelled.detect_mislabelled(take.replace_markers(take.markers[:0]), CMU41) == []

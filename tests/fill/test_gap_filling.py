@@ -20,7 +20,7 @@ ANYTHING = FillOptions()
 
 @pytest.fixture
 def rod():
-    """Return five markers on one rigid thing that tumbles, one that goes its own way, one that is never seen"""
+    """Return five markers on a tumbling rigid body, one that moves independently, and one that is never visible."""
     t = np.arange(FRAMES) / RATE
     turn = np.stack([np.cos(t), 0 * t, np.sin(t), 0 * t, 1 + 0 * t, 0 * t, -np.sin(t), 0 * t, np.cos(t)], 1).reshape(-1, 3, 3)
     shape = np.random.default_rng(0).uniform(-0.15, 0.15, (5, 3))
@@ -30,15 +30,15 @@ def rod():
     return markers
 
 
-def torn(markers, *gaps):
+def remove_samples(markers, *gaps):
     out = markers.copy()
     for marker, first, last in gaps:
         out[first : last + 1, marker] = np.nan
     return Take(out, LABELS, RATE, FIRST)
 
 
-def given(take, options=ANYTHING, believed=None):
-    kept = take.visible if believed is None else believed
+def fill(take, options=ANYTHING, is_inlier=None):
+    kept = take.visible if is_inlier is None else is_inlier
     filled = gap_filling.fill_take(take, kept, gap_filling.compute_gap_durations(kept, take.rate), None, options)
     return filled.take, filled.unfilled
 
@@ -49,15 +49,15 @@ def fill_with_body(take, body):
     return filled.take, filled.unfilled
 
 
-def untouched(before, after, where):
+def are_bits_equal(before, after, where):
     return before.markers[where].tobytes() == after.markers[where].tobytes()
 
 
 def test_rigid_gap_is_filled_and_the_rest_is_bit_identical(rod):
-    take = torn(rod, (0, 100, 180))
-    after, left = given(take)
+    take = remove_samples(rod, (0, 100, 180))
+    after, left = fill(take)
     np.testing.assert_allclose(after.markers[100:181, 0], rod[100:181, 0], atol=1e-4)
-    assert untouched(take, after, take.visible)
+    assert are_bits_equal(take, after, take.visible)
     assert after.sample_sd is not None
     assert (after.sample_sd[100:181, 0] > 0).all()
     assert np.isnan(after.sample_sd[take.visible]).all()
@@ -66,13 +66,13 @@ def test_rigid_gap_is_filled_and_the_rest_is_bit_identical(rod):
 
 
 def test_outlier_is_replaced_or_emptied(rod):
-    take = torn(rod)
-    believed = take.visible
-    believed[200, 0], believed[200:300, 5] = False, False
-    spiked = take.replace_markers(np.where(believed[..., None] | ~take.visible[..., None], take.markers, take.markers + 0.3))
-    after, left = given(spiked, believed=believed)
+    take = remove_samples(rod)
+    is_inlier = take.visible
+    is_inlier[200, 0], is_inlier[200:300, 5] = False, False
+    spiked = take.replace_markers(np.where(is_inlier[..., None] | ~take.visible[..., None], take.markers, take.markers + 0.3))
+    after, left = fill(spiked, is_inlier=is_inlier)
     np.testing.assert_allclose(after.markers[200, 0], rod[200, 0], atol=1e-3)
-    assert np.isnan(after.markers[250, 5]).all()  # never held at what was not believed
+    assert np.isnan(after.markers[250, 5]).all()  # not filled from outliers
     lonely = next(each for each in left if each.marker == 5)
     assert lonely.first >= 200
     assert lonely.last <= 299
@@ -81,10 +81,10 @@ def test_outlier_is_replaced_or_emptied(rod):
 
 @pytest.mark.parametrize("label", ["Jim:A", "A"])
 def test_kept_marker_is_unchanged(rod, label):
-    take = torn(rod, (0, 100, 120), (1, 300, 310))
-    believed = take.visible
-    believed[200, 0] = False
-    after, left = given(take, FillOptions(keep=(label,)), believed)
+    take = remove_samples(rod, (0, 100, 120), (1, 300, 310))
+    is_inlier = take.visible
+    is_inlier[200, 0] = False
+    after, left = fill(take, FillOptions(keep=(label,)), is_inlier)
     np.testing.assert_array_equal(after.markers[:, 0], take.markers[:, 0])
     assert not np.isnan(after.markers[300:311, 1]).any()
     reasons = {each.reason for each in left if each.marker == 0}
@@ -92,45 +92,45 @@ def test_kept_marker_is_unchanged(rod, label):
 
 
 def test_only_selected_frames_are_changed(rod):
-    take = torn(rod, (0, 100, 120))
-    after, left = given(take, FillOptions(frames=(FIRST + 105, FIRST + 110)))
+    take = remove_samples(rod, (0, 100, 120))
+    after, left = fill(take, FillOptions(frames=(FIRST + 105, FIRST + 110)))
     filled = after.visible & ~take.visible
     assert find_runs(filled[:, 0]) == [(105, 110)]
     assert [(each.first, each.last) for each in left if each.marker == 0] == [(100, 104), (111, 120)]
-    assert untouched(take, after, ~filled)
+    assert are_bits_equal(take, after, ~filled)
 
 
 @pytest.mark.parametrize(("seconds", "filled"), [(0.2, False), (0.21, True), (5.0, True)])
 def test_gap_duration_counts_its_samples_and_is_limited(rod, seconds, filled):
-    take = torn(rod, (0, 100, 120))  # 21 samples
-    after, left = given(take, FillOptions(max_gap_s=seconds))
+    take = remove_samples(rod, (0, 100, 120))  # 21 samples
+    after, left = fill(take, FillOptions(max_gap_s=seconds))
     assert after.visible[100:121, 0].all() == filled
     assert [each.reason for each in left if each.marker == 0] == ([] if filled else [f"the gap is longer than {seconds:g} s"])
 
 
 def test_uncertain_samples_stay_empty_with_a_reason(rod):
-    take = torn(rod, (0, 100, 180))
-    after, left = given(take, FillOptions(max_sd_m=1e-6))
+    take = remove_samples(rod, (0, 100, 180))
+    after, left = fill(take, FillOptions(max_sd_m=1e-6))
     assert not after.visible[100:181, 0].any()
     assert next(each for each in left if each.marker == 0).reason == "its predicted standard deviation exceeds 0 mm"
 
 
 def test_unfilled_runs_are_exactly_the_missing_samples(rod):
-    take = torn(rod, (0, 0, 50), (1, 40, 90), (2, 350, 399), (5, 100, 300))
-    after, left = given(take)
-    told = np.zeros(after.visible.shape, bool)
+    take = remove_samples(rod, (0, 0, 50), (1, 40, 90), (2, 350, 399), (5, 100, 300))
+    after, left = fill(take)
+    is_unfilled = np.zeros(after.visible.shape, bool)
     for each in left:
-        assert not told[each.first : each.last + 1, each.marker].any()
+        assert not is_unfilled[each.first : each.last + 1, each.marker].any()
         assert each.reason
-        told[each.first : each.last + 1, each.marker] = True
-    np.testing.assert_array_equal(told, ~after.visible)
+        is_unfilled[each.first : each.last + 1, each.marker] = True
+    np.testing.assert_array_equal(is_unfilled, ~after.visible)
 
 
 def test_take_without_faults_is_unchanged(rod):
     take = Take(rod[:, :6], LABELS[:6], RATE, FIRST)
-    after, left = given(take)
+    after, left = fill(take)
     assert left == ()
-    assert untouched(take, after, np.ones(take.visible.shape, bool))
+    assert are_bits_equal(take, after, np.ones(take.visible.shape, bool))
 
 
 def test_body_fills_a_lost_limb_and_clusters_fill_other_markers(cleaned):
@@ -142,16 +142,16 @@ def test_body_fills_a_lost_limb_and_clusters_fill_other_markers(cleaned):
     labels = (*subject.labels, "prop")[::-1]
     columns = np.array([labels.index(label) for label in subject.labels])
     arm = [labels.index(label) for label in ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN")]
-    truly = markers.copy()
+    true_markers = markers.copy()
     markers[300:420, arm] = np.nan
     markers[500:520, 0] = np.nan
     take = Take(markers, labels, truth.rate)
     joints, on_body = kinematics.compute_joint_and_marker_positions(subject, motion)
     after, left = fill_with_body(take, BodyFit(subject, subject, motion, columns, joints, on_body))
     assert left == ()
-    assert np.linalg.norm(after.markers - truly, axis=-1)[300:420, arm].max() < 0.03
-    assert np.linalg.norm(after.markers - truly, axis=-1)[500:520, 0].max() < 0.01
-    assert untouched(take, after, take.visible)
+    assert np.linalg.norm(after.markers - true_markers, axis=-1)[300:420, arm].max() < 0.03
+    assert np.linalg.norm(after.markers - true_markers, axis=-1)[500:520, 0].max() < 0.01
+    assert are_bits_equal(take, after, take.visible)
 
 
 def test_marker_set_may_have_markers_that_the_take_lacks(cleaned):

@@ -29,17 +29,17 @@ def prop(frames=400):
     return Take(markers, tuple("ABCDEF"), RATE)
 
 
-def estimate(place, sure):
-    """Return an estimate of one sample that lies at `place` on every axis"""
-    return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sure]]), FillMethod.SPLINE)
+def estimate(place, sd):
+    """Return an estimate of one sample at `place` on every axis."""
+    return build_marker_estimate(np.full((1, 1, 3), place), np.array([[sd]]), FillMethod.SPLINE)
 
 
 def test_estimates_are_combined_by_precision_with_correlation():
     nothing = estimate(np.nan, np.nan)
     mean, deviation, _ = combine_estimates([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
     np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
-    alike = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ESTIMATE_CORRELATION * 0.8 * 0.1 * 0.2 * 0.2
-    np.testing.assert_allclose(deviation[0, 0] ** 2, alike)
+    variance = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ESTIMATE_CORRELATION * 0.8 * 0.1 * 0.2 * 0.2
+    np.testing.assert_allclose(deviation[0, 0] ** 2, variance)
     assert np.isnan(combine_estimates([nothing, nothing])[0]).all()
     assert np.isnan(combine_estimates([nothing, nothing])[1]).all()
 
@@ -69,22 +69,22 @@ def test_only_outliers_are_estimated(first, length, bad):
     markers = truth.markers.copy()
     gap = slice(first, first + length)
     markers[gap, 3] += bad
-    believed = np.ones(markers.shape[:2], bool)
-    believed[gap, 3] = False
-    filled, deviation, _ = estimate_missing_samples(truth.replace_markers(markers), believed)
+    is_inlier = np.ones(markers.shape[:2], bool)
+    is_inlier[gap, 3] = False
+    filled, deviation, _ = estimate_missing_samples(truth.replace_markers(markers), is_inlier)
     assert np.abs(filled - truth.markers)[gap, 3].max() < 0.005
-    assert np.isnan(filled[believed]).all()
-    assert (~np.isnan(deviation) == ~believed).all()
+    assert np.isnan(filled[is_inlier]).all()
+    assert (~np.isnan(deviation) == ~is_inlier).all()
 
 
 @pytest.mark.parametrize("markers", [1, 2, 3])
 def test_no_estimate_without_support(markers):
     truth = prop()
     truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
-    believed = truth.visible.copy()
-    believed[:30, 0] = believed[380:, 0] = False
-    filled, _, _ = estimate_missing_samples(truth, believed)
-    assert np.isnan(filled[~believed]).all()
+    is_inlier = truth.visible.copy()
+    is_inlier[:30, 0] = is_inlier[380:, 0] = False
+    filled, _, _ = estimate_missing_samples(truth, is_inlier)
+    assert np.isnan(filled[~is_inlier]).all()
 
 
 def test_no_inliers_give_no_estimate():
@@ -98,10 +98,10 @@ def test_no_inliers_give_no_estimate():
 def test_real_hand_gap_is_filled_better_than_linearly():
     truth = capture.read_take(CAPTURE)
     hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
-    believed = truth.visible.copy()
-    assert believed[gap, hand].all()
-    believed[gap, hand] = False
-    filled, deviation, _ = estimate_missing_samples(truth, believed)
+    is_inlier = truth.visible.copy()
+    assert is_inlier[gap, hand].all()
+    is_inlier[gap, hand] = False
+    filled, deviation, _ = estimate_missing_samples(truth, is_inlier)
     step = np.linspace(0, 1, 122)[1:-1, None]
     line = (1 - step) * truth.markers[199, hand] + step * truth.markers[320, hand]
     error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
@@ -112,9 +112,9 @@ def test_real_hand_gap_is_filled_better_than_linearly():
 def test_impossible_speeds_are_found():
     t = np.arange(200) / 100.0
     path = np.stack([np.stack([t, 0 * t, 0 * t], 1), np.stack([0 * t, t, 0 * t], 1)], 1)  # both at a metre a second
-    believed = np.ones((200, 2), bool)
-    believed[40:140, 0] = believed[50:80, 1] = False
+    is_inlier = np.ones((200, 2), bool)
+    is_inlier[40:140, 0] = is_inlier[50:80, 1] = False
     path[60, 0] += [0.0, 0.9, 0.0]  # 90 metres a second
-    mask = find_impossible_speeds(path, believed, 100.0)
+    mask = find_impossible_speeds(path, is_inlier, 100.0)
     assert mask[40:87, 0].all()
     assert mask.sum() == 47

@@ -8,26 +8,26 @@ from mocapfix.fill.spline_fill import build_hermite_map, fill_with_splines, find
 RATE = 120.0
 
 
-def struck(markers, first, last):
+def remove_samples(markers, first, last):
     damaged = markers.copy()
     damaged[first : last + 1, 0] = np.nan
     return damaged
 
 
-def swinging(frames=600, noise=0.0):
+def build_swing(frames=600, noise=0.0):
     t = np.arange(frames) / RATE
     path = np.stack([0.3 * np.sin(5 * t), 1 + 0.1 * np.cos(7 * t), 0.5 * t], -1)[:, None]
     return path + np.random.default_rng(0).normal(scale=noise, size=path.shape)
 
 
-@given(gap=st.integers(1, 60), listened=st.integers(3, 9), seed=st.integers(0, 99))
-def test_parabola_is_exact(gap, listened, seed):
-    t = np.arange(gap + 2 * listened) / 50
+@given(gap=st.integers(1, 60), edge_count=st.integers(3, 9), seed=st.integers(0, 99))
+def test_parabola_is_exact(gap, edge_count, seed):
+    t = np.arange(gap + 2 * edge_count) / 50
     path = np.random.default_rng(seed).normal(size=(3, 3)) @ np.stack([np.ones_like(t), t, t**2])
-    beside = np.r_[np.arange(listened)[::-1], listened + gap : len(t)]
+    beside = np.r_[np.arange(edge_count)[::-1], edge_count + gap : len(t)]
     np.testing.assert_allclose(
-        build_hermite_map(gap, np.arange(listened), np.arange(listened)) @ path[:, beside].T,
-        path[:, listened : listened + gap].T,
+        build_hermite_map(gap, np.arange(edge_count), np.arange(edge_count)) @ path[:, beside].T,
+        path[:, edge_count : edge_count + gap].T,
         atol=1e-9,
     )
 
@@ -35,8 +35,8 @@ def test_parabola_is_exact(gap, listened, seed):
 @given(first=st.integers(20, 400), seconds=st.floats(0.01, 0.25))
 def test_swing_is_filled_within_its_sd(first, seconds):
     last = first + round(seconds * RATE)
-    truth = swinging(noise=0.0003)
-    filled, deviation = fill_with_splines(struck(truth, first, last), RATE, 0.5)
+    truth = build_swing(noise=0.0003)
+    filled, deviation = fill_with_splines(remove_samples(truth, first, last), RATE, 0.5)
     gap = slice(first, last + 1)
     error = np.abs(filled - truth)[gap, 0]
     assert (error < 5 * deviation[gap]).all()
@@ -45,13 +45,15 @@ def test_swing_is_filled_within_its_sd(first, seconds):
 
 
 def test_sd_grows_with_gap_duration():
-    sure = [fill_with_splines(struck(swinging(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (11, 23, 35, 47)]
-    assert sure == sorted(sure)
-    assert sure[-1] > 4 * sure[0]
+    sds = [
+        fill_with_splines(remove_samples(build_swing(), 200, 200 + n), RATE, 0.5)[1][200 + n // 2, 0] for n in (11, 23, 35, 47)
+    ]
+    assert sds == sorted(sds)
+    assert sds[-1] > 4 * sds[0]
 
 
 def test_random_missing_samples_are_tolerated():
-    truth = swinging(noise=0.0003)
+    truth = build_swing(noise=0.0003)
     damaged = truth.copy()
     damaged[np.random.default_rng(1).random(600) < 0.1, 0] = np.nan
     filled, deviation = fill_with_splines(damaged, RATE, 0.5)
@@ -61,8 +63,8 @@ def test_random_missing_samples_are_tolerated():
 
 
 def test_one_outlier_at_the_edge_has_little_influence():
-    truth = swinging()
-    damaged = struck(truth, 200, 229)
+    truth = build_swing()
+    damaged = remove_samples(truth, 200, 229)
     damaged[199, 0, 1] += 0.01
     filled, _ = fill_with_splines(damaged, RATE, 0.5)
     assert np.abs(filled - truth)[200:230, 0].max() < 0.035  # 46 with the velocity of the last two samples alone
@@ -72,18 +74,18 @@ def test_one_outlier_at_the_edge_has_little_influence():
     ("first", "last", "why"), [(0, 20, "leading"), (580, 599, "trailing"), (100, 200, "long"), (2, 10, "too near the start")]
 )
 def test_unsuitable_gaps_are_not_filled(first, last, why):
-    filled, deviation = fill_with_splines(struck(swinging(), first, last), RATE, 0.5)
+    filled, deviation = fill_with_splines(remove_samples(build_swing(), first, last), RATE, 0.5)
     assert np.isnan(filled).all(), why
     assert np.isnan(deviation).all()
 
 
 def test_marker_with_few_complete_stretches_is_not_filled():
-    assert np.isnan(fill_with_splines(struck(swinging(40), 12, 28), RATE, 0.5)[0]).all()
+    assert np.isnan(fill_with_splines(remove_samples(build_swing(40), 12, 28), RATE, 0.5)[0]).all()
 
 
 def test_gaps_of_one_pattern_are_filled_like_single_gaps():
-    """What a gap listens to is what is seen beside it, however many other gaps are alike."""
-    truth = swinging(noise=0.0003)
+    """A gap is filled from the samples beside it, also if other gaps have the same pattern."""
+    truth = build_swing(noise=0.0003)
     damaged = truth.copy()
     firsts = [100, 200, 300, 301, 420]
     damaged[firsts, 0] = np.nan

@@ -18,15 +18,17 @@ from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-SKELETON, WORN = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
-SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.zeros(len(WORN.labels)))
-STRAIGHT = np.tile([1.0, 0.0], (1, 31, 1))  # no twist, hardly sure
-WAYS = ("naive", "adaptive", "x")
+SKELETON, MARKER_SET = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
+SUBJECT = Subject(
+    SKELETON, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, np.zeros(len(MARKER_SET.labels))
+)
+NO_TWIST = np.tile([1.0, 0.0], (1, 31, 1))  # with little information
+VARIANTS = ("naive", "adaptive", "x")
 
 
 @pytest.fixture(scope="module")
 def people():
-    """Return 100 poses of people somewhere in the world, their joints (100, J, 3) and markers (100, K, 3)."""
+    """Return 100 poses at random places in the world, their joints (100, J, 3) and markers (100, K, 3)."""
     rng = np.random.default_rng(0)
     rotations, places = unseen_poses.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
     rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
@@ -42,10 +44,10 @@ def index(name):
     return SKELETON.find_joint(name)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_exact_joints_are_reproduced(people, way):
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_exact_joints_are_reproduced(people, variant):
     _, joints, _ = people
-    found = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(joints, SUBJECT, variant=variant, twists=NO_TWIST)
     assert np.abs(joints_of(found) - joints).max() < 5e-5
     assert (found.status == FrameStatus.PLACED).all()
 
@@ -72,8 +74,8 @@ def true_twists(rotations):
 
 def test_markers_determine_the_twist(people):
     _, joints, markers = people
-    by_markers = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT, markers=markers)
-    without = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
+    by_markers = initial_motion.solve_hybrik(joints, SUBJECT, twists=NO_TWIST, markers=markers)
+    without = initial_motion.solve_hybrik(joints, SUBJECT, twists=NO_TWIST)
     assert np.abs(joints_of(by_markers) - joints).max() < 5e-5
     off = [
         np.linalg.norm(kinematics.compute_joint_and_marker_positions(SUBJECT, each)[1] - markers, axis=2).mean()
@@ -82,46 +84,46 @@ def test_markers_determine_the_twist(people):
     assert off[0] < 0.5e-3 < 10e-3 < off[1]
 
 
-def shaken(joints):
+def add_noise(joints):
     return joints + np.random.default_rng(1).uniform(-0.02, 0.02, joints.shape)
 
 
 def test_naive_accumulates_bone_length_errors(people):
-    """Eq. 15: a joint misses its place by the sum of its ancestors' errors, each along its bone as it is given."""
-    given = shaken(people[1])
-    missed = given - joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="naive", twists=STRAIGHT))
+    """Eq. 15: the error of a joint is the sum of its ancestors' errors, each along the given bone."""
+    given_joints = add_noise(people[1])
+    deviation = given_joints - joints_of(initial_motion.solve_hybrik(given_joints, SUBJECT, variant="naive", twists=NO_TWIST))
     for chain in (("LHipJoint", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"), ("LeftArm", "LeftForeArm", "LeftHand")):
         for parent, child in pairwise(chain):
-            bone = given[:, index(child)] - given[:, index(parent)]
+            bone = given_joints[:, index(child)] - given_joints[:, index(parent)]
             length = np.linalg.norm(bone, axis=1, keepdims=True)
             error = bone * (1 - np.linalg.norm(SKELETON.offsets[index(child)]) / length)
-            assert np.allclose(missed[:, index(child)], missed[:, index(parent)] + error, atol=1e-9)
+            assert np.allclose(deviation[:, index(child)], deviation[:, index(parent)] + error, atol=1e-9)
 
 
 def test_adaptive_has_only_the_last_bone_error(people):
-    """Eq. 17: what a joint misses lies along its own bone, from where that begins."""
-    given = shaken(people[1])
-    found = joints_of(initial_motion.solve_hybrik(given, SUBJECT, variant="adaptive", twists=STRAIGHT))
+    """Eq. 17: the error of a joint lies along its own bone."""
+    given_joints = add_noise(people[1])
+    found = joints_of(initial_motion.solve_hybrik(given_joints, SUBJECT, variant="adaptive", twists=NO_TWIST))
     for parent, child in (("LeftUpLeg", "LeftLeg"), ("RightForeArm", "RightHand"), ("Neck1", "Head"), ("LowerBack", "Spine")):
-        bone = given[:, index(child)] - found[:, index(parent)]
+        bone = given_joints[:, index(child)] - found[:, index(parent)]
         length = np.linalg.norm(bone, axis=1)
-        missed = np.linalg.norm(given[:, index(child)] - found[:, index(child)], axis=1)
-        assert np.allclose(missed, np.abs(length - np.linalg.norm(SKELETON.offsets[index(child)])), atol=1e-9)
+        deviation = np.linalg.norm(given_joints[:, index(child)] - found[:, index(child)], axis=1)
+        assert np.allclose(deviation, np.abs(length - np.linalg.norm(SKELETON.offsets[index(child)])), atol=1e-9)
 
 
 def test_x_reaches_hands_and_head_despite_wrong_bone_lengths(people):
     _, joints, _ = people
     other = SKELETON.offsets * np.where(np.arange(31) % 2, 1.04, 0.97)[:, None]
-    stranger = Subject(
+    other_subject = Subject(
         Skeleton(SKELETON.names, SKELETON.parents, other, SKELETON.ends),
-        WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, SUBJECT.marker_spread,
+        MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, SUBJECT.marker_spread,
     )  # fmt: skip
     ends = [index("Head"), index("LeftHand"), index("RightHand")]
     off, status = {}, {}
-    for way in ("adaptive", "x"):
-        found = initial_motion.solve_hybrik(joints, stranger, variant=way, twists=STRAIGHT)
-        off[way] = np.linalg.norm(joints_of(found, stranger) - joints, axis=2)[:, ends]
-        status[way] = found.status
+    for variant in ("adaptive", "x"):
+        found = initial_motion.solve_hybrik(joints, other_subject, variant=variant, twists=NO_TWIST)
+        off[variant] = np.linalg.norm(joints_of(found, other_subject) - joints, axis=2)[:, ends]
+        status[variant] = found.status
     reached = status["x"] == FrameStatus.PLACED
     assert reached.sum() > 80
     head, hands = off["x"][reached, 0], off["x"][reached, 1:]
@@ -138,7 +140,7 @@ def test_unreachable_hands_have_a_status_and_are_pointed_at(people):
     far[:, hand] += direction[:, None]  # twice as far, farther than any arm
     far[:, hand] += 0.5 * (direction / np.linalg.norm(direction, axis=1, keepdims=True))[:, None]
     near[:, hand] -= joints[:2, hand[:1]] - shoulder[:, None]
-    stretched, folded = (initial_motion.solve_hybrik(each, SUBJECT, twists=STRAIGHT) for each in (far, near))
+    stretched, folded = (initial_motion.solve_hybrik(each, SUBJECT, twists=NO_TWIST) for each in (far, near))
     assert (stretched.status == FrameStatus.OUT_OF_REACH).all()
     assert (folded.status == FrameStatus.TOO_NEAR).all()
     wrist = joints_of(stretched)[:, hand[0]] - joints_of(stretched)[:, index("LeftArm")]
@@ -146,12 +148,12 @@ def test_unreachable_hands_have_a_status_and_are_pointed_at(people):
     assert np.allclose(np.linalg.norm(wrist, axis=1), reach, atol=1e-6)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_pose_is_equivariant_to_world_motion(people, way):
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_pose_is_equivariant_to_world_motion(people, variant):
     _, joints, _ = people
     turn, shift = Rotation.from_rotvec([0.3, -2.0, 1.1]).as_matrix(), np.array([5.0, -1.0, 2.0])
-    here = initial_motion.solve_hybrik(joints, SUBJECT, variant=way, twists=STRAIGHT)
-    there = initial_motion.solve_hybrik(joints @ turn.T + shift, SUBJECT, variant=way, twists=STRAIGHT)
+    here = initial_motion.solve_hybrik(joints, SUBJECT, variant=variant, twists=NO_TWIST)
+    there = initial_motion.solve_hybrik(joints @ turn.T + shift, SUBJECT, variant=variant, twists=NO_TWIST)
     assert np.allclose(there.root_position, here.root_position @ turn.T + shift, atol=1e-9)
     assert np.allclose(there.local_rotations[:, 0], turn @ here.local_rotations[:, 0], atol=1e-9)
     assert np.allclose(there.local_rotations[:, 1:], here.local_rotations[:, 1:], atol=1e-7)
@@ -159,16 +161,16 @@ def test_pose_is_equivariant_to_world_motion(people, way):
 
 def test_root_of_a_mirrored_body_is_no_reflection(people):
     _, joints, _ = people
-    found = initial_motion.solve_hybrik(joints * [-1, 1, 1], SUBJECT, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(joints * [-1, 1, 1], SUBJECT, twists=NO_TWIST)
     assert np.allclose(np.linalg.det(found.local_rotations[:, 0]), 1)
 
 
 def test_frames_are_independent(people):
     _, joints, _ = people
-    whole = initial_motion.solve_hybrik(joints, SUBJECT, twists=STRAIGHT)
-    spoilt = joints.copy()
-    spoilt[50] = np.random.default_rng(0).normal(size=(31, 3))
-    again = initial_motion.solve_hybrik(spoilt, SUBJECT, twists=STRAIGHT)
+    whole = initial_motion.solve_hybrik(joints, SUBJECT, twists=NO_TWIST)
+    damaged = joints.copy()
+    damaged[50] = np.random.default_rng(0).normal(size=(31, 3))
+    again = initial_motion.solve_hybrik(damaged, SUBJECT, twists=NO_TWIST)
     others = np.arange(100) != 50
     assert np.array_equal(again.local_rotations[others], whole.local_rotations[others])
 
@@ -177,7 +179,7 @@ def test_unknown_joints_do_not_affect_others(people):
     _, joints, _ = people
     lost = joints.copy()
     lost[:, [index("LeftForeArm"), index("LThumb"), index("RightFoot"), index("RightToeBase")], 1] = np.nan
-    found = joints_of(initial_motion.solve_hybrik(lost, SUBJECT, twists=STRAIGHT))
+    found = joints_of(initial_motion.solve_hybrik(lost, SUBJECT, twists=NO_TWIST))
     assert np.isfinite(found).all()
     known = ~np.isnan(lost[0, :, 1])
     assert np.abs(found - joints)[:, known].max() < 5e-5  # the hand, too, which x reaches across the lost elbow
@@ -189,7 +191,7 @@ def test_frame_without_hips_uses_its_trunk_or_its_neighbours(people):
     hips = [index(name) for name in ("Hips", "LHipJoint", "RHipJoint", "LowerBack", "LeftUpLeg", "RightUpLeg")]
     take[1, hips] = np.nan
     take[3] = np.nan
-    found = initial_motion.solve_hybrik(take, SUBJECT, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(take, SUBJECT, twists=NO_TWIST)
     assert found.status.tolist() == [
         FrameStatus.PLACED,
         FrameStatus.PLACED,
@@ -204,21 +206,21 @@ def test_frame_without_hips_uses_its_trunk_or_its_neighbours(people):
 
 
 def test_empty_and_unknown_input_give_poses():
-    assert len(initial_motion.solve_hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=STRAIGHT).root_position) == 0
-    nothing = initial_motion.solve_hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=STRAIGHT)
+    assert len(initial_motion.solve_hybrik(np.zeros((0, 31, 3)), SUBJECT, twists=NO_TWIST).root_position) == 0
+    nothing = initial_motion.solve_hybrik(np.full((3, 31, 3), np.nan), SUBJECT, twists=NO_TWIST)
     assert (nothing.status == FrameStatus.GUESSED).all()
     assert np.isfinite(nothing.local_rotations).all()
 
 
 def test_other_skeletons_are_rejected():
     fewer = Skeleton(("Hips", "Spine"), np.array([-1, 0]), np.zeros((2, 3)), np.zeros((2, 3)))
-    stranger = Subject(fewer, "none", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
+    other_subject = Subject(fewer, "none", (), np.zeros(0, int), np.zeros((0, 3)), np.zeros(0))
     with pytest.raises(ConstraintError, match="31 joints of the CMU skeleton"):
-        initial_motion.solve_hybrik(np.zeros((5, 2, 3)), stranger)
+        initial_motion.solve_hybrik(np.zeros((5, 2, 3)), other_subject)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"positions": np.zeros((5, 30, 3))}, r"positions must be of shape \(any, 31, 3\), not \(5, 30, 3\)"),
         ({"positions": np.full((5, 31, 3), np.inf)}, "positions holds a number that is not finite"),
@@ -237,18 +239,18 @@ def test_other_skeletons_are_rejected():
         ({"variant": "best"}, "naive, adaptive, x"),
     ],
 )
-def test_invalid_arguments_are_rejected(wrong, said):
-    given = {"positions": np.zeros((5, 31, 3)), "twists": STRAIGHT} | wrong
-    with pytest.raises(ConstraintError, match=said):
-        initial_motion.solve_hybrik(given.pop("positions"), SUBJECT, **given)
+def test_invalid_arguments_are_rejected(wrong, message):
+    arguments = {"positions": np.zeros((5, 31, 3)), "twists": NO_TWIST} | wrong
+    with pytest.raises(ConstraintError, match=message):
+        initial_motion.solve_hybrik(arguments.pop("positions"), SUBJECT, **arguments)
 
 
 def test_array_type_and_memory_order_are_irrelevant(people):
     _, joints, markers = people
-    plain = initial_motion.solve_hybrik(joints, SUBJECT, markers=markers, twists=STRAIGHT)
+    plain = initial_motion.solve_hybrik(joints, SUBJECT, markers=markers, twists=NO_TWIST)
     for kind in (lambda a: np.asfortranarray(a), lambda a: a.tolist(), lambda a: a[::-1][::-1]):
         again = initial_motion.solve_hybrik(
-            kind(joints), SUBJECT, markers=kind(markers), twists=STRAIGHT, held_joints=[j in (1, 6) for j in range(31)]
+            kind(joints), SUBJECT, markers=kind(markers), twists=NO_TWIST, held_joints=[j in (1, 6) for j in range(31)]
         )
         assert np.array_equal(again.local_rotations, plain.local_rotations)
 
@@ -258,7 +260,7 @@ def test_partly_unknown_marker_is_unknown(people):
     part, none = markers.copy(), markers.copy()
     part[:, 3, 1] = none[:, 3] = np.nan
     one, other = (
-        initial_motion.solve_hybrik(joints, SUBJECT, markers=each, twists=STRAIGHT).local_rotations for each in (part, none)
+        initial_motion.solve_hybrik(joints, SUBJECT, markers=each, twists=NO_TWIST).local_rotations for each in (part, none)
     )
     assert np.array_equal(one, other)
     assert np.isfinite(one).all()
@@ -266,11 +268,11 @@ def test_partly_unknown_marker_is_unknown(people):
 
 def test_head_with_one_central_marker_keeps_the_mean_pose(people):
     _, joints, markers = people
-    places, head = WORN.marker_offsets.copy(), WORN.joints == index("Head")
+    places, head = MARKER_SET.marker_offsets.copy(), MARKER_SET.joints == index("Head")
     places[head] = 0.0
-    one = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, places, np.zeros(len(WORN.labels)))
+    one = Subject(SKELETON, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, places, np.zeros(len(MARKER_SET.labels)))
     markers = np.where(head[:, None], joints[:, [index("Head")]], markers)
-    found = initial_motion.solve_hybrik(joints, one, markers=markers, twists=STRAIGHT)
+    found = initial_motion.solve_hybrik(joints, one, markers=markers, twists=NO_TWIST)
     assert np.allclose(
         found.local_rotations[:, index("Head")],
         mean_pose.load_mean_pose_prior("mean-pose", SKELETON).mean_rotations[index("Head")],
@@ -281,8 +283,8 @@ def test_hips_alone_keep_their_position(people):
     _, joints, _ = people
     take = np.repeat(joints[:1], 9, axis=0) + np.linspace(0, 1, 9)[:, None, None]
     take[4:, 1:] = np.nan
-    for way in ("adaptive", "x"):
-        found = initial_motion.solve_hybrik(take, SUBJECT, variant=way, twists=STRAIGHT)
+    for variant in ("adaptive", "x"):
+        found = initial_motion.solve_hybrik(take, SUBJECT, variant=variant, twists=NO_TWIST)
         assert np.allclose(found.root_position, take[:, 0], atol=1e-4)
         assert np.allclose(found.local_rotations[4:, 0], found.local_rotations[3, 0])
 
@@ -290,34 +292,36 @@ def test_hips_alone_keep_their_position(people):
 def test_subject_without_marker_spread_can_be_posed(people):
     _, joints, markers = people
     found = initial_motion.initialise_motion(
-        Take(markers, WORN.labels, 30.0),
+        Take(markers, MARKER_SET.labels, 30.0),
         SUBJECT,
         load_cmu31_body(),
         mean_pose.load_mean_pose_prior("mean-pose", SKELETON),
         "hybrik-x",
     )
-    told = [index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "LeftForeArm", "RightHand")]
-    assert np.median(np.linalg.norm(joints_of(found) - joints, axis=2)[:, told]) < 0.002
+    determined = [index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "LeftForeArm", "RightHand")]
+    assert np.median(np.linalg.norm(joints_of(found) - joints, axis=2)[:, determined]) < 0.002
 
 
 def test_outlying_marker_has_no_influence():
-    """End to end: where joints are placed without it, it must not turn the head, the hips or a forearm either."""
+    """An outlier that is excluded from the joint positions must not rotate the head, the hips or a forearm either."""
     rotations = unseen_poses.load_unseen_poses()[::20]
     true = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     markers = kinematics.compute_joint_and_marker_positions(SUBJECT, true)[1] + np.random.default_rng(0).normal(
         0, 0.002, (len(rotations), 41, 3)
     )
-    body, habits = load_cmu31_body(), mean_pose.load_mean_pose_prior("mean-pose", SKELETON)
-    wearing = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.full(41, 0.005))
+    body, prior = load_cmu31_body(), mean_pose.load_mean_pose_prior("mean-pose", SKELETON)
+    subject = Subject(
+        SKELETON, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, np.full(41, 0.005)
+    )
 
     def turned(markers):
-        found = initial_motion.initialise_motion(Take(markers, WORN.labels, 30.0), wearing, body, habits, "hybrik-x")
+        found = initial_motion.initialise_motion(Take(markers, MARKER_SET.labels, 30.0), subject, body, prior, "hybrik-x")
         world = [kinematics.compute_world_poses(SKELETON, motion)[1] for motion in (found, true)]
         off = np.swapaxes(world[0], 2, 3) @ world[1]
         return np.degrees(Rotation.from_matrix(off.reshape(-1, 3, 3)).magnitude()).reshape(off.shape[:2])
 
     sound = turned(markers)
     for label, joint in (("LBWT", "Hips"), ("LFHD", "Head"), ("STRN", "Spine1"), ("LWRB", "LeftForeArm")):
-        spoilt = markers.copy()
-        spoilt[:, WORN.labels.index(label)] += [0.3, -0.3, 0.4]
-        assert np.median(turned(spoilt)[:, index(joint)]) < np.median(sound[:, index(joint)]) + 6
+        damaged = markers.copy()
+        damaged[:, MARKER_SET.labels.index(label)] += [0.3, -0.3, 0.4]
+        assert np.median(turned(damaged)[:, index(joint)]) < np.median(sound[:, index(joint)]) + 6

@@ -24,9 +24,9 @@ def truth():
 
 def started(truth, markers, by):
     """Return the start, and what the solve makes of it"""
-    worn = Take(markers, truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN, by)
-    return start, motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    take = Take(markers, truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN, by)
+    return start, motion_solver.solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
 
 
 def off(truth, motion):

@@ -38,7 +38,7 @@ SWAP = [BODY.find_joint(mirror_joint_name(name)) for name in BODY.names]
 
 @pytest.fixture(scope="module")
 def people():
-    """Return local rotations of people whom the network has not seen, and where their joints are, the root at rest"""
+    """Return local rotations of subjects that the network was not trained on, and their joint positions, the root at rest."""
     poses = unseen_poses.load_unseen_poses()[::4]
     poses[:, 0] = np.eye(3)
     return poses, compute_tree_poses(build_kinematic_tree(BODY), np.zeros((len(poses), 3)), poses)[0]
@@ -57,8 +57,8 @@ def random_network(rng: np.random.Generator, width: int = 8) -> TwistRegressor:
     return TwistRegressor(weights, offsets, np.where(HAS, rng.uniform(0.1, 0.5, len(HAS)), np.inf))
 
 
-def apart(one, other):
-    """Return radians between angles given by cosines and sines (..., 2) of any length"""
+def compute_angle_difference(one, other):
+    """Return the differences in radians between angles given by cosines and sines (..., 2) of any length."""
     a, b = (np.arctan2(each[..., 1], each[..., 0]) for each in (one, other))
     return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi)
 
@@ -83,10 +83,10 @@ def test_rotation_about_the_bone_is_its_angle_and_across_it_zero():
 
 
 def test_batches_and_joints_without_a_bone():
-    told = compute_twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
-    assert told.shape == (2, 5, 31, 2)
-    assert np.isnan(told[:, :, ~HAS]).all()
-    np.testing.assert_allclose(told[:, :, HAS], np.broadcast_to([1.0, 0.0], (2, 5, HAS.sum(), 2)), atol=1e-12)
+    twists = compute_twists(np.tile(np.eye(3), (2, 5, 31, 1, 1)), BONES)
+    assert twists.shape == (2, 5, 31, 2)
+    assert np.isnan(twists[:, :, ~HAS]).all()
+    np.testing.assert_allclose(twists[:, :, HAS], np.broadcast_to([1.0, 0.0], (2, 5, HAS.sum(), 2)), atol=1e-12)
 
 
 def test_bones_point_to_the_mean_of_separate_children():
@@ -107,10 +107,12 @@ def test_prediction_length_is_at_most_the_information():
     lengths = np.linalg.norm(raw, axis=2)
     assert (lengths < 0.7).any()
     assert (lengths > 1.4).any()
-    told = network.predict_twists(positions, upright(400))
-    assert not told[:, ~HAS].any()
-    np.testing.assert_allclose(np.linalg.norm(told[:, HAS], axis=2) * network.sd_rad[HAS] ** 2, np.minimum(lengths, 1), rtol=1e-5)
-    np.testing.assert_allclose(apart(told[:, HAS], raw), 0, atol=1e-5)
+    twists = network.predict_twists(positions, upright(400))
+    assert not twists[:, ~HAS].any()
+    np.testing.assert_allclose(
+        np.linalg.norm(twists[:, HAS], axis=2) * network.sd_rad[HAS] ** 2, np.minimum(lengths, 1), rtol=1e-5
+    )
+    np.testing.assert_allclose(compute_angle_difference(twists[:, HAS], raw), 0, atol=1e-5)
 
 
 def test_frames_are_independent():
@@ -137,39 +139,41 @@ def test_unknown_frames_get_the_typical_twist(people):
     np.testing.assert_array_equal(load_shipped_regressor().predict_twists(people[1][:1], np.full((1, 3, 3), np.nan)), nothing)
     arm = BODY.find_joint("LeftArm")
     usual = load_shipped_regressor().predict_twists(people[1], upright(len(people[1])))[:, arm]
-    assert np.linalg.norm(nothing[0, arm]) < 0.9 * np.linalg.norm(usual, axis=1).mean()  # and it is said to be less sure
+    assert np.linalg.norm(nothing[0, arm]) < 0.9 * np.linalg.norm(usual, axis=1).mean()  # with less information
 
 
 def test_shipped_regressor_predicts_held_out_twists(people):
     poses, places = people
     true = compute_twists(poses, BONES)[:, HAS]
-    said = load_shipped_regressor().predict_twists(places, upright(len(places)))[:, HAS]
-    none, away = apart(np.array([1.0, 0.0]), true), apart(said, true)
-    assert away.mean() < 0.7 * none.mean()  # hands included, of whose twist no joint tells
+    predicted = load_shipped_regressor().predict_twists(places, upright(len(places)))[:, HAS]
+    none, error = compute_angle_difference(np.array([1.0, 0.0]), true), compute_angle_difference(predicted, true)
+    assert error.mean() < 0.7 * none.mean()  # including the hands, whose twist the joints do not determine
     arms = [j in (BODY.find_joint("LeftArm"), BODY.find_joint("RightArm")) for j in np.flatnonzero(HAS)]
-    assert away[:, arms].mean() < 0.35 * none[:, arms].mean()
+    assert error[:, arms].mean() < 0.35 * none[:, arms].mean()
 
 
 def test_displaced_or_missing_joints_have_little_effect(people):
     poses, places = people
     rng, true = np.random.default_rng(0), compute_twists(poses, BONES)[:, HAS]
-    spoiled = places + rng.uniform(-0.02, 0.02, places.shape)
-    spoiled[rng.random(places.shape[:2]) < 0.1] = np.nan
-    away = apart(load_shipped_regressor().predict_twists(spoiled, upright(len(places)))[:, HAS], true)
-    assert away.mean() < 0.85 * apart(np.array([1.0, 0.0]), true).mean()
+    displaced = places + rng.uniform(-0.02, 0.02, places.shape)
+    displaced[rng.random(places.shape[:2]) < 0.1] = np.nan
+    error = compute_angle_difference(load_shipped_regressor().predict_twists(displaced, upright(len(places)))[:, HAS], true)
+    assert error.mean() < 0.85 * compute_angle_difference(np.array([1.0, 0.0]), true).mean()
 
 
 def test_sd_covers_held_out_twists(people):
     poses, places = people
-    away = apart(load_shipped_regressor().predict_twists(places, upright(len(places))), compute_twists(poses, BONES))[:, HAS]
-    assert ((away < 2 * load_shipped_regressor().sd_rad[HAS]).mean(axis=0) > 0.9).all()
+    error = compute_angle_difference(
+        load_shipped_regressor().predict_twists(places, upright(len(places))), compute_twists(poses, BONES)
+    )[:, HAS]
+    assert ((error < 2 * load_shipped_regressor().sd_rad[HAS]).mean(axis=0) > 0.9).all()
 
 
 def test_mirrored_joints_give_nearly_mirrored_twists(people):
     _, places = people
-    said = load_shipped_regressor().predict_twists(places, upright(len(places)))
+    predicted = load_shipped_regressor().predict_twists(places, upright(len(places)))
     mirrored = load_shipped_regressor().predict_twists(places[:, SWAP] * [-1, 1, 1], upright(len(places)))[:, SWAP] * [1, -1]
-    assert np.degrees(apart(said, mirrored)[:, HAS].mean()) < 2
+    assert np.degrees(compute_angle_difference(predicted, mirrored)[:, HAS].mean()) < 2
 
 
 # files

@@ -12,8 +12,10 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 
-SKELETON, WORN = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
-SUBJECT = Subject(SKELETON, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, np.zeros(len(WORN.labels)))
+SKELETON, MARKER_SET = load_cmu31_body().skeleton, marker_sets.load_marker_set("cmu41")
+SUBJECT = Subject(
+    SKELETON, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, np.zeros(len(MARKER_SET.labels))
+)
 HABITS = mean_pose.load_mean_pose_prior("mean-pose", SKELETON)
 NECK = [SKELETON.find_joint(name) for name in ("Neck", "Neck1", "Head")]
 

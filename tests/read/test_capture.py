@@ -183,7 +183,7 @@ def test_a_take_is_not_read_from_an_animation(tmp_path):
 
 def test_an_amc_is_detected_with_and_without_keywords(tmp_path):
     (tmp_path / "09.asf").write_text(ASF)
-    for text in (AMC, FRAMES, f"# somebody's\n{FRAMES}"):
+    for text in (AMC, FRAMES, f"# a comment\n{FRAMES}"):
         (tmp_path / "09_01.dat").write_text(text)
         animation = capture.read_capture(tmp_path / "09_01.dat")
         assert isinstance(animation, Animation)

@@ -29,7 +29,7 @@ def test_continuation_fills_missing_samples_only(take):
     kept = np.r_[0:10, 20:30]
     np.testing.assert_array_equal(joined.markers[kept, 0], take.markers[kept, 0])
     np.testing.assert_array_equal(joined.markers[:, 1], take.markers[:, 1])
-    assert np.isnan(joined.markers[10:20, 2]).all()  # what was given is gone there; the rest stays where it was
+    assert np.isnan(joined.markers[10:20, 2]).all()  # the joined samples are removed from the donor; the others stay
     np.testing.assert_array_equal(joined.markers[[8, 9, 20, 21], 2], take.markers[[8, 9, 20, 21], 2])
     np.testing.assert_array_equal(joined.source_points[:, 0], np.where((np.arange(30) >= 10) & (np.arange(30) < 20), 3, 1))
     assert joined.measured[10:20, 0].all()

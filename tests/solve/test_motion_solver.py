@@ -16,17 +16,19 @@ from mocapfix.solve import kinematics, motion_solver, occluded_joints
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-BODY, WORN = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
+BODY, MARKER_SET = load_cmu31_body(), marker_sets.load_marker_set("cmu41")
 MEAN, NONE = (mean_pose.load_mean_pose_prior(name, BODY.skeleton) for name in ("mean-pose", "none"))
 LIMITS = load_joint_limits(BODY.skeleton)
 NO_LIMITS = replace(LIMITS, lower_rad=np.full_like(LIMITS.lower_rad, -np.inf), upper_rad=np.full_like(LIMITS.upper_rad, np.inf))
 NAMES = BODY.skeleton.names
-SUBJECT = Subject(BODY.skeleton, WORN.name, WORN.labels, WORN.joints, WORN.marker_offsets, WORN.marker_spread)
+SUBJECT = Subject(
+    BODY.skeleton, MARKER_SET.name, MARKER_SET.labels, MARKER_SET.joints, MARKER_SET.marker_offsets, MARKER_SET.marker_spread
+)
 
 
 @pytest.fixture(scope="module")
 def exact():
-    """Return a composed take whose markers are exactly where the body carries them, at a rate"""
+    """Return a function that composes a take with markers exactly at their positions on the body."""
 
     def at(rate, seconds=3.0):
         truth = synthetic.compose_take(seed=2, seconds=seconds, rate=rate)
@@ -35,21 +37,21 @@ def exact():
     return at
 
 
-def solved(truth, markers, habits=NONE, limits=LIMITS):
-    worn = Take(markers, truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, habits)
-    return motion_solver.solve_motion(worn, truth.subject, BODY, habits, limits, start, SolveOptions())
+def solved(truth, markers, prior=NONE, limits=LIMITS):
+    take = Take(markers, truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, prior)
+    return motion_solver.solve_motion(take, truth.subject, BODY, prior, limits, start, SolveOptions())
 
 
-def off(truth, motion, frames=slice(None)):
-    """Return (T, J) metres: the joints from the true ones"""
+def compute_joint_errors(truth, motion, frames=slice(None)):
+    """Return (T, J) the distances of the joints from the true ones in metres."""
     return np.linalg.norm(
         kinematics.compute_world_poses(truth.subject.skeleton, motion)[0] - truth.joint_positions[frames], axis=-1
     )
 
 
 def check(motion: Motion):
-    """What holds of every motion whatever was seen: finite, rotations, a deviation for every marker."""
+    """Check what holds for every motion: finite values, rotation matrices, and a standard deviation for every marker."""
     assert np.isfinite(motion.root_position).all()
     np.testing.assert_allclose(np.linalg.det(motion.local_rotations), 1.0)
     across = motion.local_rotations @ np.swapaxes(motion.local_rotations, 2, 3)
@@ -63,16 +65,16 @@ def test_exact_markers_give_the_true_joints_at_any_rate(exact, rate, millimetres
     truth = exact(rate)
     motion = solved(truth, truth.marker_positions)
     check(motion)
-    assert off(truth, motion).mean() * 1e3 < millimetres
+    assert compute_joint_errors(truth, motion).mean() * 1e3 < millimetres
     assert (motion.status < 2).all()
 
 
 def test_static_body_is_accurate_to_a_fifth_of_a_millimetre(exact):
     truth = exact(120.0)
     still = np.tile(truth.marker_positions[200], (30, 1, 1))
-    motion = solved(truth, still, limits=NO_LIMITS)  # markers alone: limits may bend it
-    assert off(truth, motion, slice(200, 201)).max() < 2e-3
-    assert off(truth, motion, slice(200, 201)).mean() < 2e-4
+    motion = solved(truth, still, limits=NO_LIMITS)  # without joint limits, which may bend the body
+    assert compute_joint_errors(truth, motion, slice(200, 201)).max() < 2e-3
+    assert compute_joint_errors(truth, motion, slice(200, 201)).mean() < 2e-4
 
 
 def test_prior_hardly_biases_the_markers(exact):
@@ -80,8 +82,8 @@ def test_prior_hardly_biases_the_markers(exact):
     motion = solved(truth, truth.marker_positions, MEAN, LIMITS)
     carried = kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1]
     assert np.linalg.norm(carried - truth.marker_positions, axis=-1).mean() < 0.002
-    told = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
-    assert off(truth, motion)[:, told].mean() < 0.003
+    determined = [NAMES.index(name) for name in ("Hips", "LeftLeg", "RightFoot", "Spine1", "Head", "LeftArm", "RightHand")]
+    assert compute_joint_errors(truth, motion)[:, determined].mean() < 0.003
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 5, 20])
@@ -90,7 +92,7 @@ def test_very_short_takes_are_solved(exact, frames):
     motion = solved(truth, truth.marker_positions[100 : 100 + frames])
     check(motion)
     assert motion.frame_count == frames
-    assert off(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
+    assert compute_joint_errors(truth, motion, slice(100, 100 + frames)).mean() < 1.2e-3
 
 
 def test_frames_without_markers_are_guessed_between_neighbours(exact):
@@ -106,31 +108,31 @@ def test_frames_without_markers_are_guessed_between_neighbours(exact):
     np.testing.assert_allclose(np.diff(motion.root_position[145:165], 2, axis=0), 0.0, atol=1e-3)  # no jump
 
 
-@pytest.mark.parametrize("habits", [NONE, MEAN], ids=["none", "mean-pose"])
-def test_short_blackout_is_bridged(exact, habits):
+@pytest.mark.parametrize("prior", [NONE, MEAN], ids=["none", "mean-pose"])
+def test_short_blackout_is_bridged(exact, prior):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[150:160] = np.nan
-    assert off(truth, solved(truth, markers, habits))[150:160].mean() < 0.02
+    assert compute_joint_errors(truth, solved(truth, markers, prior))[150:160].mean() < 0.02
 
 
 def test_outlying_marker_has_no_influence(exact):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[:, truth.labels.index("LKNE")] += [0.0, 0.0, 0.4]
-    assert off(truth, solved(truth, markers)).mean() < 0.004
+    assert compute_joint_errors(truth, solved(truth, markers)).mean() < 0.004
 
 
 def test_missing_marker_increases_its_sd_only(exact):
     truth = exact(120.0)
     markers, k = truth.marker_positions.copy(), truth.labels.index("LFIN")
-    sure = solved(truth, markers).marker_sd
+    sd_before = solved(truth, markers).marker_sd
     markers[150:250, k] = np.nan
     motion = solved(truth, markers)
-    assert (motion.marker_sd[160:240, k] > 1.3 * sure[160:240, k]).all()
+    assert (motion.marker_sd[160:240, k] > 1.3 * sd_before[160:240, k]).all()
     other = truth.labels.index("RFIN")
-    np.testing.assert_allclose(motion.marker_sd[:, other], sure[:, other], rtol=0.05)
-    assert off(truth, motion)[160:240, NAMES.index("LeftHand")].mean() < 0.01
+    np.testing.assert_allclose(motion.marker_sd[:, other], sd_before[:, other], rtol=0.05)
+    assert compute_joint_errors(truth, motion)[160:240, NAMES.index("LeftHand")].mean() < 0.01
 
 
 def test_lost_arm_moves_smoothly_and_the_rest_is_unaffected(exact):
@@ -143,17 +145,17 @@ def test_lost_arm_moves_smoothly_and_the_rest_is_unaffected(exact):
     joints = kinematics.compute_world_poses(truth.subject.skeleton, motion)[0]
     step = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
     assert step.max() < 1.5 * np.linalg.norm(np.diff(truth.joint_positions, axis=0), axis=-1).max()
-    far = [NAMES.index(name) for name in ("RightHand", "LeftFoot", "RightFoot", "Hips")]
-    assert off(truth, motion)[:, far].mean() < 0.003
+    other_joints = [NAMES.index(name) for name in ("RightHand", "LeftFoot", "RightFoot", "Hips")]
+    assert compute_joint_errors(truth, motion)[:, other_joints].mean() < 0.003
 
 
 def test_inputs_are_not_modified(exact):
     truth = exact(30.0)
-    worn = Take(truth.marker_positions.copy(), truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
-    was = [field.copy() for field in (worn.markers, *vars(start).values())]
-    motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
-    for now, before in zip((worn.markers, *vars(start).values()), was, strict=True):
+    take = Take(truth.marker_positions.copy(), truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
+    was = [field.copy() for field in (take.markers, *vars(start).values())]
+    motion_solver.solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    for now, before in zip((take.markers, *vars(start).values()), was, strict=True):
         np.testing.assert_array_equal(now, before)
 
 
@@ -162,29 +164,32 @@ def test_pose_model_is_not_loaded_if_all_segments_are_observed(exact):
     markers = truth.marker_positions.copy()
     markers[100:140, truth.labels.index("LWRA")] = np.nan  # the forearm carries others
 
-    def never():
-        raise AssertionError("asked")
+    def refuse_to_load():
+        raise AssertionError("the pose model was loaded")
 
-    worn = Take(markers, truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
-    given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
-    with_model, without = motion_solver.solve_motion(*given, load_pose_model=never), motion_solver.solve_motion(*given)
+    take = Take(markers, truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
+    arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    with_model, without = (
+        motion_solver.solve_motion(*arguments, load_pose_model=refuse_to_load),
+        motion_solver.solve_motion(*arguments),
+    )
     for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
-    monkeypatch.setattr(occluded_joints, "MIN_QUERY_SD_RAD", 0.0)  # this take is quiet, and would not ask
+    monkeypatch.setattr(occluded_joints, "MIN_QUERY_SD_RAD", 0.0)  # the motion is slow, so the model would not be used
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     arm = [NAMES.index(name) for name in ("LeftArm", "LeftForeArm", "LeftHand")]
-    markers[100:, np.isin(truth.subject.joints, arm)] = np.nan  # never seen again: the take is not sure of it
-    worn = Take(markers, truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
-    given = (worn, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
+    markers[100:, np.isin(truth.subject.joints, arm)] = np.nan  # to the end of the take
+    take = Take(markers, truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
+    arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
-        motion_solver.solve_motion(*given, load_pose_model=lambda: io.load_pose_model("gaussian", BODY.skeleton)),
-        motion_solver.solve_motion(*given),
+        motion_solver.solve_motion(*arguments, load_pose_model=lambda: io.load_pose_model("gaussian", BODY.skeleton)),
+        motion_solver.solve_motion(*arguments),
     )
     moved = np.linalg.norm(
         np.subtract(*(kinematics.compute_world_poses(truth.subject.skeleton, each)[0] for each in motions)), axis=-1

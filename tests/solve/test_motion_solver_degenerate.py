@@ -17,9 +17,9 @@ LIMITS = load_joint_limits(BODY.skeleton)
 
 
 def solved(truth, markers):
-    worn = Take(markers, truth.labels, truth.rate)
-    start = initial_motion.initialise_motion(worn, truth.subject, BODY, MEAN)
-    return motion_solver.solve_motion(worn, truth.subject, BODY, MEAN, LIMITS, start, motion_solver.SolveOptions())
+    take = Take(markers, truth.labels, truth.rate)
+    start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
+    return motion_solver.solve_motion(take, truth.subject, BODY, MEAN, LIMITS, start, motion_solver.SolveOptions())
 
 
 def finite(motion):

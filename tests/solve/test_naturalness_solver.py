@@ -30,9 +30,9 @@ def points(joints, places) -> PointTerm:
     return given(np.random.default_rng(0), TREE, ROOT, LOCAL, joints, places=places)
 
 
-def costs(model, seen, root, local, scale=1.0):
+def costs(model, term, root, local, scale=1.0):
     """Return (T,) half the squares of points and number over their deviations"""
-    frames = [seen._replace(measured=seen.measured[[t]], weight=seen.weight[[t]]) for t in range(len(root))]
+    frames = [term._replace(measured=term.measured[[t]], weight=term.weight[[t]]) for t in range(len(root))]
     away = [
         dense_oracle.compute_residual(each, dense_oracle.compute_world(TREE, root[t], local[t])) for t, each in enumerate(frames)
     ]
@@ -40,18 +40,18 @@ def costs(model, seen, root, local, scale=1.0):
 
 
 def test_cost_decreases_monotonically(model):
-    seen, told = points(HANDS_AND_FEET, 1), [START]
+    term, states = points(HANDS_AND_FEET, 1), [START]
     pose_solver.solve_poses(
-        TREE, (seen,), model, *START, prior_scale=0.1, callback=lambda root, local, _: told.append((root.copy(), local.copy()))
+        TREE, (term,), model, *START, prior_scale=0.1, callback=lambda root, local, _: states.append((root.copy(), local.copy()))
     )
-    fell = np.diff([costs(model, seen, *each, scale=0.1) for each in told], axis=0)
-    assert (fell <= 1e-6).all()
-    assert (fell[1:] < -0.05).any()
+    changes = np.diff([costs(model, term, *each, scale=0.1) for each in states], axis=0)
+    assert (changes <= 1e-6).all()
+    assert (changes[1:] < -0.05).any()
 
 
 def test_stronger_prior_gives_more_natural_poses(model):
-    seen = points(HANDS_AND_FEET, 1)
-    found = [pose_solver.solve_poses(TREE, (seen,), model, *START, prior_scale=scale) for scale in (0.1, 1e6)]
+    term = points(HANDS_AND_FEET, 1)
+    found = [pose_solver.solve_poses(TREE, (term,), model, *START, prior_scale=scale) for scale in (0.1, 1e6)]
     natural, free = (model.evaluate(each.local_rotations)[0] for each in found)
     assert (natural < free).all()
 
@@ -63,10 +63,10 @@ def test_complete_observations_change_little(model):
 
 
 def test_batches_and_frame_order_are_irrelevant(model, monkeypatch):
-    seen = points(HANDS_AND_FEET, 1)
-    found = pose_solver.solve_poses(TREE, (seen,), model, *START)
+    term = points(HANDS_AND_FEET, 1)
+    found = pose_solver.solve_poses(TREE, (term,), model, *START)
     order = np.array([2, 0, 3, 1])
     monkeypatch.setattr(pose_solver, "MAX_BATCH_FRAMES", 3)
-    turned = seen._replace(measured=seen.measured[order], weight=seen.weight[order])
+    turned = term._replace(measured=term.measured[order], weight=term.weight[order])
     again = pose_solver.solve_poses(TREE, (turned,), model, *(each[order] for each in START))
     np.testing.assert_allclose(again.local_rotations, found.local_rotations[order], atol=1e-4)

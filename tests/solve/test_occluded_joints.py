@@ -16,109 +16,109 @@ RATE, FRAMES = 60.0, 600
 LOST = slice(300, 400)
 
 
-def mirroring(rng, frames=FRAMES):
-    """Return root (T, 3) and local (T, J, 3, 3) of somebody who stands and whose left arm does what the right one does"""
+def draw_mirrored_motion(rng, frames=FRAMES):
+    """Return root (T, 3) and local (T, J, 3, 3) of a standing person whose left arm mirrors the right one."""
     t = np.arange(frames) / RATE
     local = np.tile(np.eye(3), (frames, len(BODY.skeleton.names), 1, 1))
     for left, right in zip(LEFT, RIGHT, strict=True):
         frequency, phase = rng.uniform(0.2, 0.9, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
-        turns = 0.25 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(1)
-        local[:, right] = Rotation.from_rotvec(turns).as_matrix()
-        local[:, left] = Rotation.from_rotvec(turns * [1, -1, -1]).as_matrix()
+        rotation_vectors = 0.25 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(1)
+        local[:, right] = Rotation.from_rotvec(rotation_vectors).as_matrix()
+        local[:, left] = Rotation.from_rotvec(rotation_vectors * [1, -1, -1]).as_matrix()
     return np.tile([0.0, 1.0, 0.0], (frames, 1)), local
 
 
-def recalled(root, truth, gone):
-    """Return rotations and variances after recalling, and before"""
-    solved, unsure = truth.copy(), np.full(gone.shape, 1e-4)
-    solved[gone], unsure[gone] = np.eye(3), 0.3
-    found, variance = solved.copy(), unsure.copy()
-    occluded_joints.infer_occluded_joints(root, found, variance, gone, BODY.free_joints, RATE)
-    return found, variance, solved, unsure
+def infer(root, truth, is_unobserved):
+    """Return rotations and variances after the inference, and before it."""
+    solved, variance_before = truth.copy(), np.full(is_unobserved.shape, 1e-4)
+    solved[is_unobserved], variance_before[is_unobserved] = np.eye(3), 0.3
+    inferred, variance = solved.copy(), variance_before.copy()
+    occluded_joints.infer_occluded_joints(root, inferred, variance, is_unobserved, BODY.free_joints, RATE)
+    return inferred, variance, solved, variance_before
 
 
-def away(a, b):
-    """Return the angle between rotations (N, 3, 3), radians"""
+def compute_angles(a, b):
+    """Return the angles between rotations (N, 3, 3) in radians."""
     return Rotation.from_matrix(np.swapaxes(a, 1, 2) @ b).magnitude()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_arm_that_mirrors_the_other_is_inferred(seed):
-    root, truth = mirroring(np.random.default_rng(seed))
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
-    found, variance, solved, _ = recalled(root, truth, gone)
+    root, truth = draw_mirrored_motion(np.random.default_rng(seed))
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
+    inferred, variance, solved, _ = infer(root, truth, is_unobserved)
     for j in LEFT:
-        off, guessed = away(found[LOST, j], truth[LOST, j]), away(solved[LOST, j], truth[LOST, j])
-        assert off.mean() < 0.25 * guessed.mean()
-        assert off.max() < 0.3
+        error, error_before = compute_angles(inferred[LOST, j], truth[LOST, j]), compute_angles(solved[LOST, j], truth[LOST, j])
+        assert error.mean() < 0.25 * error_before.mean()
+        assert error.max() < 0.3
         assert ((variance[LOST, j] > 0) & (variance[LOST, j] < 0.3)).all()
-        assert variance[LOST.start, j] < 0.2 * variance[(LOST.start + LOST.stop) // 2, j]  # surest at its edges
+        assert variance[LOST.start, j] < 0.2 * variance[(LOST.start + LOST.stop) // 2, j]  # smallest at the edges
 
 
 def test_inferred_arm_is_continuous_at_the_edges():
-    root, truth = mirroring(np.random.default_rng(2))
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
-    found = recalled(root, truth, gone)[0]
+    root, truth = draw_mirrored_motion(np.random.default_rng(2))
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
+    inferred = infer(root, truth, is_unobserved)[0]
     for j in LEFT:
-        step = away(found[LOST.start - 2 : LOST.stop + 1, j], found[LOST.start - 1 : LOST.stop + 2, j])
-        assert step.max() < 1.5 * away(truth[:-1, j], truth[1:, j]).max()
+        step = compute_angles(inferred[LOST.start - 2 : LOST.stop + 1, j], inferred[LOST.start - 1 : LOST.stop + 2, j])
+        assert step.max() < 1.5 * compute_angles(truth[:-1, j], truth[1:, j]).max()
 
 
 def test_observed_joints_are_bit_identical():
-    root, truth = mirroring(np.random.default_rng(0))
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
-    found, variance, solved, was = recalled(root, truth, gone)
-    assert found[~gone].tobytes() == solved[~gone].tobytes()
-    assert variance[~gone].tobytes() == was[~gone].tobytes()
-    np.testing.assert_allclose(np.linalg.det(found), 1.0)
+    root, truth = draw_mirrored_motion(np.random.default_rng(0))
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
+    inferred, variance, solved, variance_before = infer(root, truth, is_unobserved)
+    assert inferred[~is_unobserved].tobytes() == solved[~is_unobserved].tobytes()
+    assert variance[~is_unobserved].tobytes() == variance_before[~is_unobserved].tobytes()
+    np.testing.assert_allclose(np.linalg.det(inferred), 1.0)
 
 
 def test_nearby_frames_count_more_where_mirroring_ends():
-    root, truth = mirroring(np.random.default_rng(1))
+    root, truth = draw_mirrored_motion(np.random.default_rng(1))
     bent = Rotation.from_rotvec([0.3, 0.0, 0.0]).as_matrix()
-    truth[250:450, LEFT[1]] = truth[250:450, LEFT[1]] @ bent  # it stops mirroring a while before it is lost
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
-    off = away(recalled(root, truth, gone)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
-    assert off[[0, -1]].max() < 0.08
+    truth[250:450, LEFT[1]] = truth[250:450, LEFT[1]] @ bent  # the arms stop mirroring each other 0.8 s before the gap
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
+    error = compute_angles(infer(root, truth, is_unobserved)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
+    assert error[[0, -1]].max() < 0.08
 
 
 def test_arm_learns_from_frames_that_lost_the_leg_alone():
-    root, truth = mirroring(np.random.default_rng(3))
+    root, truth = draw_mirrored_motion(np.random.default_rng(3))
     leg = [BODY.skeleton.find_joint(name) for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
-    gone[250:500][:, leg] = True
-    off = away(recalled(root, truth, gone)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
-    assert off[[0, -1]].max() < 0.03
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
+    is_unobserved[250:500][:, leg] = True
+    error = compute_angles(infer(root, truth, is_unobserved)[0][LOST, LEFT[1]], truth[LOST, LEFT[1]])
+    assert error[[0, -1]].max() < 0.03
 
 
 def test_nothing_is_inferred_if_most_of_the_body_is_lost():
-    root, truth = mirroring(np.random.default_rng(0))
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, 1:] = BODY.free_joints[1:]
-    found, variance, solved, was = recalled(root, truth, gone)
-    np.testing.assert_array_equal(found, solved)
-    np.testing.assert_array_equal(variance, was)
+    root, truth = draw_mirrored_motion(np.random.default_rng(0))
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, 1:] = BODY.free_joints[1:]
+    inferred, variance, solved, variance_before = infer(root, truth, is_unobserved)
+    np.testing.assert_array_equal(inferred, solved)
+    np.testing.assert_array_equal(variance, variance_before)
 
 
 def test_rarely_observed_arm_is_not_inferred():
-    root, truth = mirroring(np.random.default_rng(0), frames=200)
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[occluded_joints.MIN_TRAINING_FRAMES - 1 :, LEFT] = True
-    found, variance, solved, was = recalled(root, truth, gone)
-    np.testing.assert_array_equal(found, solved)
-    np.testing.assert_array_equal(variance, was)
+    root, truth = draw_mirrored_motion(np.random.default_rng(0), frames=200)
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[occluded_joints.MIN_TRAINING_FRAMES - 1 :, LEFT] = True
+    inferred, variance, solved, variance_before = infer(root, truth, is_unobserved)
+    np.testing.assert_array_equal(inferred, solved)
+    np.testing.assert_array_equal(variance, variance_before)
 
 
 def test_nothing_unobserved_changes_nothing():
-    root, truth = mirroring(np.random.default_rng(0))
-    found, variance, solved, was = recalled(root, truth, np.zeros(truth.shape[:2], bool))
-    np.testing.assert_array_equal(found, solved)
-    np.testing.assert_array_equal(variance, was)
+    root, truth = draw_mirrored_motion(np.random.default_rng(0))
+    inferred, variance, solved, variance_before = infer(root, truth, np.zeros(truth.shape[:2], bool))
+    np.testing.assert_array_equal(inferred, solved)
+    np.testing.assert_array_equal(variance, variance_before)
 
 
 class Oracle(PriorConditioner):
@@ -145,29 +145,32 @@ class Oracle(PriorConditioner):
         return (2 * np.where(is_opposite, -quaternions, quaternions)).reshape(reference.shape)
 
 
-@pytest.mark.parametrize(("scale", "better"), [(1.0, 0.95), (0.2, 0.6), (0.05, 0.4)])
-def test_pose_model_innovation_is_used_and_its_bias_ignored(scale, better):
-    root, truth = mirroring(np.random.default_rng(4))
-    own = mirroring(np.random.default_rng(5))[1]
-    truth[:, LEFT] = own[:, LEFT]  # it does not mirror: nothing in the take tells of it
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[LOST, LEFT] = True
+@pytest.mark.parametrize(("scale", "max_ratio"), [(1.0, 0.95), (0.2, 0.6), (0.05, 0.4)])
+def test_pose_model_innovation_is_used_and_its_bias_ignored(scale, max_ratio):
+    root, truth = draw_mirrored_motion(np.random.default_rng(4))
+    other = draw_mirrored_motion(np.random.default_rng(5))[1]
+    truth[:, LEFT] = other[:, LEFT]  # the arms do not mirror each other, so the take has no information on the lost one
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[LOST, LEFT] = True
     oracle = Oracle(truth, scale)
-    found, variance = truth.copy(), np.full(gone.shape, 1e-4)
-    found[gone] = np.eye(3)
-    occluded_joints.infer_occluded_joints(root, found, variance, gone, BODY.free_joints, RATE, conditioner=oracle)
-    alone = recalled(root, truth, gone)[0]
+    inferred, variance = truth.copy(), np.full(is_unobserved.shape, 1e-4)
+    inferred[is_unobserved] = np.eye(3)
+    occluded_joints.infer_occluded_joints(root, inferred, variance, is_unobserved, BODY.free_joints, RATE, conditioner=oracle)
+    without_model = infer(root, truth, is_unobserved)[0]
     assert len(oracle.calls) == 1
     for j in LEFT:
-        assert away(found[LOST, j], truth[LOST, j]).mean() < better * away(alone[LOST, j], truth[LOST, j]).mean()
+        assert (
+            compute_angles(inferred[LOST, j], truth[LOST, j]).mean()
+            < max_ratio * compute_angles(without_model[LOST, j], truth[LOST, j]).mean()
+        )
 
 
 def test_pose_model_is_not_used_for_certain_gaps():
-    root, truth = mirroring(np.random.default_rng(0))
-    gone = np.zeros(truth.shape[:2], bool)
-    gone[300:306, LEFT] = True
+    root, truth = draw_mirrored_motion(np.random.default_rng(0))
+    is_unobserved = np.zeros(truth.shape[:2], bool)
+    is_unobserved[300:306, LEFT] = True
     oracle = Oracle(truth)
     occluded_joints.infer_occluded_joints(
-        root, truth.copy(), np.full(gone.shape, 1e-4), gone, BODY.free_joints, RATE, conditioner=oracle
+        root, truth.copy(), np.full(is_unobserved.shape, 1e-4), is_unobserved, BODY.free_joints, RATE, conditioner=oracle
     )
     assert not oracle.calls

@@ -20,7 +20,7 @@ NAMES = tuple("abcdef")
 
 
 def unbent(rng) -> GaussianModel:
-    """Return a linear model whose poses lie well away from half a turn"""
+    """Return a linear model whose rotations are much smaller than half a turn."""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
     middle = random_terms.draw_rotations(rng, JOINTS, 1.0)
@@ -162,11 +162,11 @@ def test_true_cost_never_increases(height):
     rng = np.random.default_rng(3)
     model = bent(rng, height=height)
     tree, points, start, _ = case(rng, model, joints=(2, 5))
-    told = []
+    states = []
     found = pose_solver.solve_poses(
-        tree, (points,), model, *start, callback=lambda *state: told.append([each.copy() for each in state])
+        tree, (points,), model, *start, callback=lambda *state: states.append([each.copy() for each in state])
     )
-    after = [costs(tree, points, model, replace(found, root_position=r, local_rotations=q, codes=z)) for r, q, z in told]
+    after = [costs(tree, points, model, replace(found, root_position=r, local_rotations=q, codes=z)) for r, q, z in states]
     fell = np.diff(after, axis=0)
     np.testing.assert_allclose(found.cost, after[-1], rtol=1e-6)
     assert (fell <= 1e-9).all()
@@ -217,11 +217,11 @@ def test_converged_frames_are_not_linearised_again(monkeypatch):
 
 def test_linear_model_is_linearised_once_and_callback_is_called():
     rng = np.random.default_rng(7)
-    model, told = unbent(rng), []
+    model, states = unbent(rng), []
     tree, points, start, _ = case(rng, model)
-    found = pose_solver.solve_poses(tree, (points,), model, *start, callback=lambda *state: told.append(state))
-    assert len(told) == 1
-    np.testing.assert_array_equal(told[0][2], found.codes)
+    found = pose_solver.solve_poses(tree, (points,), model, *start, callback=lambda *state: states.append(state))
+    assert len(states) == 1
+    np.testing.assert_array_equal(states[0][2], found.codes)
 
 
 def test_start_is_not_modified_and_iterations_are_limited():

@@ -24,17 +24,17 @@ MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)
 NAMES = BODY.skeleton.names
 
 
-@pytest.mark.parametrize("taken_up", [0.0, 0.3, 0.8])
-def test_absorbed_marker_errors_are_corrected(taken_up):
-    left = np.random.default_rng(0).normal(0, 0.005 * np.sqrt(1 - taken_up), (400, 40, 3))
-    distance = np.linalg.norm(left, axis=-1)
-    distance[:20] = 0.3  # some markers are not where they are believed to be
-    share, everywhere = np.full(distance.shape, taken_up), np.ones(distance.shape, bool)
-    assert estimate_marker_sd(distance, share, everywhere, 0.01) == pytest.approx(0.005, rel=0.07)
+@pytest.mark.parametrize("absorbed", [0.0, 0.3, 0.8])
+def test_absorbed_marker_errors_are_corrected(absorbed):
+    residual = np.random.default_rng(0).normal(0, 0.005 * np.sqrt(1 - absorbed), (400, 40, 3))
+    distance = np.linalg.norm(residual, axis=-1)
+    distance[:20] = 0.3  # outliers
+    share, all_usable = np.full(distance.shape, absorbed), np.ones(distance.shape, bool)
+    assert estimate_marker_sd(distance, share, all_usable, 0.01) == pytest.approx(0.005, rel=0.07)
     distance[:, 0], share[:, 0] = 0.0, 1.0  # a marker that the pose follows wholly
-    tell = everywhere.copy()
-    tell[:, 0] = False
-    assert estimate_marker_sd(distance, share, tell, 0.01) == pytest.approx(0.005, rel=0.07)
+    usable = all_usable.copy()
+    usable[:, 0] = False
+    assert estimate_marker_sd(distance, share, usable, 0.01) == pytest.approx(0.005, rel=0.07)
 
 
 def test_default_sd_without_usable_markers_and_lower_bound():
@@ -45,18 +45,18 @@ def test_default_sd_without_usable_markers_and_lower_bound():
 
 @pytest.fixture(scope="module")
 def scene():
-    """Return a person, their motion and a problem whose markers lie 4 mm per axis off, those of the left hand not seen"""
+    """Return a subject, its motion and a problem: markers with noise of 4 mm per axis, those of the left hand unused."""
     truth = synthetic.compose_take(seed=101, seconds=2.0, rate=60.0)
     subject = truth.subject
-    listened = np.ones(truth.missing_mask.shape, bool)
-    listened[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False
+    solver_mask = np.ones(truth.missing_mask.shape, bool)
+    solver_mask[:, np.isin(subject.joints, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")])] = False
     noise = np.random.default_rng(1).normal(0, 0.004, truth.marker_positions.shape)
     tree = KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, BODY.free_joints)
     problem = PoseProblem(
         tree,
         MarkerAttachment(subject.joints, subject.marker_offsets),
         truth.marker_positions + noise,
-        listened,
+        solver_mask,
         0.01,
         build_pose_prior_term(MEAN.scale_information(0.01)),
         build_no_joint_limits(31),
@@ -64,25 +64,25 @@ def scene():
     return subject, truth.motion, problem
 
 
-def foretold(scene, course_sd=None, subject=None):
+def predict_sd(scene, tracking_sd=None, subject=None):
     person, motion, problem = scene
-    alone = problem.compute_uncertainty(motion.root_position, motion.local_rotations, build_no_tracking(31), 0.05).marker_sd
+    nominal_sd = problem.compute_uncertainty(motion.root_position, motion.local_rotations, build_no_tracking(31), 0.05).marker_sd
     time = build_no_tracking(31)
-    if course_sd is not None:
+    if tracking_sd is not None:
         weight = np.zeros((1, 31))
-        weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / course_sd**2
+        weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / tracking_sd**2
         time = time._replace(rotations=motion.local_rotations[:1], weight=weight)
-    return compute_pose_sd(problem, motion, subject or person, MEAN, alone, time, 0.05)
+    return compute_pose_sd(problem, motion, subject or person, MEAN, nominal_sd, time, 0.05)
 
 
 def test_joint_without_markers_is_less_certain_and_tracking_helps(scene):
-    _, free = foretold(scene)
-    _, held = foretold(scene, course_sd=0.1)
+    _, untracked = predict_sd(scene)
+    _, tracked = predict_sd(scene, tracking_sd=0.1)
     lost, seen = NAMES.index("LeftHand"), NAMES.index("RightHand")
-    assert free.shape == (scene[1].frame_count, 31)
-    assert (free[:, lost] > 10 * free[:, seen]).all()
-    assert (held[:, lost] < 0.8 * free[:, lost]).all()
-    np.testing.assert_allclose(held[:, NAMES.index("LeftLeg")], free[:, NAMES.index("LeftLeg")], rtol=1e-3)
+    assert untracked.shape == (scene[1].frame_count, 31)
+    assert (untracked[:, lost] > 10 * untracked[:, seen]).all()
+    assert (tracked[:, lost] < 0.8 * untracked[:, lost]).all()
+    np.testing.assert_allclose(tracked[:, NAMES.index("LeftLeg")], untracked[:, NAMES.index("LeftLeg")], rtol=1e-3)
 
 
 def test_smaller_marker_errors_give_more_certain_joints(scene):
@@ -90,16 +90,16 @@ def test_smaller_marker_errors_give_more_certain_joints(scene):
     markers = problem.marker_positions - 0.5 * (
         problem.marker_positions - kinematics.compute_joint_and_marker_positions(subject, motion)[1]
     )
-    _, near = foretold((subject, motion, replace(problem, marker_positions=markers)))
-    _, far = foretold(scene)
+    _, half_error = predict_sd((subject, motion, replace(problem, marker_positions=markers)))
+    _, full_error = predict_sd(scene)
     knee = NAMES.index("LeftLeg")
-    assert np.median(near[:, knee] / far[:, knee]) == pytest.approx(0.5, abs=0.1)
+    assert np.median(half_error[:, knee] / full_error[:, knee]) == pytest.approx(0.5, abs=0.1)
 
 
 def test_calibration_error_is_added(scene):
     subject, _, _ = scene
-    posed_markers, posed_joints = foretold(scene)
-    doubted = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))
-    markers, joints = foretold(scene, subject=doubted)
+    posed_markers, posed_joints = predict_sd(scene)
+    uncertain_subject = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))
+    markers, joints = predict_sd(scene, subject=uncertain_subject)
     np.testing.assert_allclose(joints**2, posed_joints**2 + (CALIBRATION_SD_RATIO * 0.02) ** 2)
     np.testing.assert_allclose(markers**2, posed_markers**2 + (CALIBRATION_SD_RATIO * 0.03) ** 2)

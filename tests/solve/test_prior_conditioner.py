@@ -11,7 +11,7 @@ from mocapfix.solve.prior_conditioner import PriorConditioner
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)
 LEFT, RIGHT = NAMES.index("LeftArm"), NAMES.index("RightArm")
-TOLD = np.array([j for j in np.flatnonzero(BODY.free_joints)[1:] if j != LEFT])
+OBSERVED = np.array([j for j in np.flatnonzero(BODY.free_joints)[1:] if j != LEFT])
 
 
 def mirrors():
@@ -23,7 +23,7 @@ def mirrors():
 
 
 def poses(angles):
-    """Return local rotations of somebody whose right arm is turned by so much about x"""
+    """Return local rotations of a person whose right arm is rotated about x by these angles."""
     local = np.tile(np.eye(3), (len(angles), JOINTS, 1, 1))
     local[:, RIGHT] = Rotation.from_euler("x", angles[:, None]).as_matrix()
     return local
@@ -34,7 +34,7 @@ def test_occluded_arm_follows_the_observed_one(sign):
     angles, frames = np.linspace(-1, 1, 9), np.array([1, 4, 8])
     local = poses(angles)
     near = np.tile([0.0, 0.0, 0.0, sign], (3, 1))
-    turns = PriorConditioner(mirrors, 1.0).predict_rotations(local, TOLD, np.array([LEFT]), frames, near)
+    turns = PriorConditioner(mirrors, 1.0).predict_rotations(local, OBSERVED, np.array([LEFT]), frames, near)
     half = angles[frames] / 2
     expected = 2 * sign * np.stack([np.sin(half), 0 * half, 0 * half, np.cos(half)], axis=1)
     np.testing.assert_allclose(turns, expected, atol=0.02)
@@ -45,7 +45,9 @@ def test_occluded_joints_are_ignored_and_input_is_not_modified():
     elsewhere = local.copy()
     elsewhere[:, LEFT] = Rotation.from_euler("y", 1.0).as_matrix()
     was = elsewhere.copy()
-    asked = (TOLD, np.array([LEFT]), np.arange(4), np.ones((4, 4)))
+    arguments = (OBSERVED, np.array([LEFT]), np.arange(4), np.ones((4, 4)))
     people = PriorConditioner(mirrors, 1.0)
-    np.testing.assert_allclose(people.predict_rotations(elsewhere, *asked), people.predict_rotations(local, *asked), atol=1e-3)
+    np.testing.assert_allclose(
+        people.predict_rotations(elsewhere, *arguments), people.predict_rotations(local, *arguments), atol=1e-3
+    )
     np.testing.assert_array_equal(elsewhere, was)

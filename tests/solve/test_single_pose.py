@@ -25,7 +25,7 @@ GAUSSIAN = io.load_pose_model("gaussian", SKELETON)
 INDEX = SKELETON.find_joint
 
 
-def somebody(seed=0, heading=0.0):
+def draw_person(seed=0, heading=0.0):
     """Return joints (31, 3) and world rotations (31, 3, 3) of a pose that the Gaussian knows, facing anywhere"""
     code = np.random.default_rng(seed).normal(0, 0.7, (1, GAUSSIAN.code_size))
     local = Rotation.from_rotvec(GAUSSIAN.decode(code)[0]).as_matrix() @ GAUSSIAN.reference_rotations
@@ -42,7 +42,7 @@ def at(found, joint):
 
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.2])
 def test_all_joints_determine_the_pose_in_any_heading(heading):
-    joints, _ = somebody(1, heading)
+    joints, _ = draw_person(1, heading)
     found = single_pose.solve_pose(
         [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)], "gaussian"
     )
@@ -53,7 +53,7 @@ def test_all_joints_determine_the_pose_in_any_heading(heading):
 
 
 def test_prior_predicts_unconstrained_joints_better_than_none():
-    joints, _ = somebody(2)
+    joints, _ = draw_person(2)
     given = [
         PositionConstraint(name, joints[INDEX(name)])
         for name in ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot", "Hips")
@@ -66,7 +66,7 @@ def test_prior_predicts_unconstrained_joints_better_than_none():
 
 
 def test_sd_is_small_at_constraints():
-    joints, _ = somebody(3)
+    joints, _ = draw_person(3)
     names = ("Head", "LeftHand", "LeftFoot", "RightFoot", "Hips")
     found = single_pose.solve_pose([PositionConstraint(name, joints[INDEX(name)], 0.004) for name in names], GAUSSIAN)
     assert all(found.joint_sd[INDEX(name)] < 0.0045 for name in names)
@@ -74,7 +74,7 @@ def test_sd_is_small_at_constraints():
 
 
 def test_point_direction_and_orientation_constraints_hold():
-    joints, rotation = somebody(4)
+    joints, rotation = draw_person(4)
     thumb = np.array([0.02, -0.05, 0.01])
     tip, bone = (
         joints[INDEX("LeftHand")] + rotation[INDEX("LeftHand")] @ thumb,
@@ -108,21 +108,21 @@ def test_distance_constraint_holds():
 
 @pytest.mark.parametrize("perspective", [True, False])
 def test_two_cameras_determine_the_pose(perspective):
-    joints, _ = somebody(5)
-    said, views = [], []
+    joints, _ = draw_person(5)
+    constraints, views = [], []
     for turn in (0.3, 1.7):
         rotation = Rotation.from_euler("xy", [np.pi, turn]).as_matrix()
         camera = Camera(rotation, np.array([0.1, 0.9, 4.0]) - rotation @ joints[0], 800.0, (640.0, 360.0), perspective)
         before = joints @ rotation.T + camera.translation
         pixels = 800.0 * before[:, :2] / (before[:, 2:] if perspective else 1.0) + [640.0, 360.0]
         views.append(pixels)
-        said += [PixelConstraint(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
-    found = single_pose.solve_pose(said, GAUSSIAN)
+        constraints += [PixelConstraint(name, camera, pixel, 2.0) for name, pixel in zip(SKELETON.names, pixels, strict=True)]
+    found = single_pose.solve_pose(constraints, GAUSSIAN)
     np.testing.assert_allclose(found.joint_positions, joints, atol=0.03)
 
 
 def test_solve_starts_at_the_given_pose():
-    joints, _ = somebody(6)
+    joints, _ = draw_person(6)
     given = [PositionConstraint(name, p, 0.003) for name, p in zip(SKELETON.names, joints, strict=True)]
     first = single_pose.solve_pose(given, GAUSSIAN)
     again = single_pose.solve_pose(given, GAUSSIAN, start=(first.root_position, first.local_rotations))

@@ -12,16 +12,16 @@ RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)
 
 
-def dense_course(path, variance, power, rate):
-    """argmin over x of sum |x_t - path_t|^2 / variance_t + sum of (x''_t)^2 / (rate power_t), row by row of A x = b."""
+def solve_densely(path, variance, power, rate):
+    """Return the argmin over x of sum |x_t - path_t|^2 / variance_t + sum of (x''_t)^2 / (rate power_t), by rows of A x = b."""
     second = np.diff(np.eye(len(path)), 2, axis=0) * rate**2 / np.sqrt(rate * power[1:-1])[:, None]
     rows = np.vstack([np.diag(variance**-0.5), second])
-    wanted = np.vstack([path / np.sqrt(variance)[:, None], np.zeros((len(second), path.shape[1]))])
-    return np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    targets = np.vstack([path / np.sqrt(variance)[:, None], np.zeros((len(second), path.shape[1]))])
+    return np.linalg.lstsq(rows, targets, rcond=None)[0]
 
 
-def wandering(rng, seconds, rate, intensity, components=1):
-    """Return (T, C) an integrated random acceleration, drawn in steps a hundredth of a frame's"""
+def draw_random_acceleration_path(rng, seconds, rate, intensity, components=1):
+    """Return (T, C) an integrated random acceleration, drawn in twenty steps per frame."""
     fine = 20
     kick = rng.normal(0, np.sqrt(intensity / (rate * fine)), (round(seconds * rate) * fine, components))
     return (np.cumsum(np.cumsum(kick, 0), 0) / (rate * fine))[::fine]
@@ -32,8 +32,8 @@ def test_smooth_path_is_the_least_squares_solution(seed, frames, power, rate):
     rng = np.random.default_rng(seed)
     path, variance = rng.normal(size=(frames, 2)), 10.0 ** rng.uniform(-5, -1, frames)
     powers = 10.0 ** (power + rng.uniform(-0.5, 0.5, frames))
-    found = smoothing.smooth_path(path, variance, powers, rate)
-    np.testing.assert_allclose(found, dense_course(path, variance, powers, rate), atol=1e-6)
+    estimated = smoothing.smooth_path(path, variance, powers, rate)
+    np.testing.assert_allclose(estimated, solve_densely(path, variance, powers, rate), atol=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 100])
@@ -44,9 +44,9 @@ def test_straight_line_is_a_fixed_point(frames):
 
 def test_gap_between_straight_ends_is_linear():
     line = np.linspace(0, 1, 60)[:, None] * [[1.0, 2.0]]
-    variance, torn = np.full(60, 1e-4), line.copy()
-    variance[20:40], torn[20:40] = 1e8, 100.0
-    np.testing.assert_allclose(smoothing.smooth_path(torn, variance, np.ones(60), RATE), line, atol=1e-4)
+    variance, damaged = np.full(60, 1e-4), line.copy()
+    variance[20:40], damaged[20:40] = 1e8, 100.0
+    np.testing.assert_allclose(smoothing.smooth_path(damaged, variance, np.ones(60), RATE), line, atol=1e-4)
 
 
 def test_certain_frames_are_kept_and_stiff_paths_are_lines():
@@ -61,67 +61,67 @@ def test_certain_frames_are_kept_and_stiff_paths_are_lines():
 @pytest.mark.parametrize("rate", [60.0, 240.0])
 @pytest.mark.parametrize("power", [0.05, 20.0])
 def test_power_of_a_random_acceleration_is_estimated(rate, power):
-    path = wandering(np.random.default_rng(1), 40.0, rate, power, components=3)
-    found = smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), rate, max_sd=0.1)
-    assert power < np.median(found) / smoothing.PEAK_POWER_RATIO * 2 < 4 * power
+    path = draw_random_acceleration_path(np.random.default_rng(1), 40.0, rate, power, components=3)
+    estimated = smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), rate, max_sd=0.1)
+    assert power < np.median(estimated) / smoothing.PEAK_POWER_RATIO * 2 < 4 * power
 
 
 def test_fast_stretch_is_distinguished_from_slow_ones():
     t = np.arange(1200) / RATE
-    quiet, lively = 0.02 * np.sin(2 * np.pi * t), np.where(abs(t - 6) < 1, 0.5 * np.sin(2 * np.pi * 3 * (t - 5)) ** 3, 0)
-    found = smoothing.estimate_acceleration_power((quiet + lively)[:, None], np.full(1200, 1e-6), RATE, 0.1)
-    assert np.median(found[540:660]) > 20 * np.median(found[:450])
+    slow, fast = 0.02 * np.sin(2 * np.pi * t), np.where(abs(t - 6) < 1, 0.5 * np.sin(2 * np.pi * 3 * (t - 5)) ** 3, 0)
+    estimated = smoothing.estimate_acceleration_power((slow + fast)[:, None], np.full(1200, 1e-6), RATE, 0.1)
+    assert np.median(estimated[540:660]) > 20 * np.median(estimated[:450])
 
 
 def test_uncertain_frames_do_not_affect_the_power():
     rng = np.random.default_rng(2)
-    path = wandering(rng, 20.0, RATE, 1.0)
-    variance, torn = np.full(len(path), 1e-6), path.copy()
-    variance[500:700], torn[500:700] = 1.0, torn[500:700] + rng.normal(0, 5.0, (200, 1))
-    told = smoothing.estimate_acceleration_power(torn, variance, RATE, 0.1).max()
-    assert told < 10 * smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), RATE, 0.1).max()
-    assert smoothing.estimate_acceleration_power(torn, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * told
+    path = draw_random_acceleration_path(rng, 20.0, RATE, 1.0)
+    variance, damaged = np.full(len(path), 1e-6), path.copy()
+    variance[500:700], damaged[500:700] = 1.0, damaged[500:700] + rng.normal(0, 5.0, (200, 1))
+    power_estimate = smoothing.estimate_acceleration_power(damaged, variance, RATE, 0.1).max()
+    assert power_estimate < 10 * smoothing.estimate_acceleration_power(path, np.full(len(path), 1e-6), RATE, 0.1).max()
+    assert smoothing.estimate_acceleration_power(damaged, np.full(len(path), 1e-6), RATE, 0.1).max() > 10 * power_estimate
 
 
 def test_steady_rotation_is_a_fixed_point_and_missing_frames_follow_it():
     t = np.arange(200) / RATE
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
-    variance, torn = np.full(200, 1e-4), steady.as_quat()
-    variance[90:110], torn[90:110] = 1e4, [0.0, 0.0, 0.0, 1.0]
-    smooth = Rotation.from_quat(smoothing.smooth_quaternions(torn, variance, RATE))
+    variance, damaged = np.full(200, 1e-4), steady.as_quat()
+    variance[90:110], damaged[90:110] = 1e4, [0.0, 0.0, 0.0, 1.0]
+    smooth = Rotation.from_quat(smoothing.smooth_quaternions(damaged, variance, RATE))
     assert (smooth * steady.inv()).magnitude().max() < np.radians(1)
 
 
 def test_bridged_rotation_has_its_variance():
     t = np.arange(200) / RATE
     steady = Rotation.from_rotvec(t[:, None] * [[0.0, 0.8, 0.0]])
-    unsure, torn = np.zeros(200, bool), steady.as_quat()
-    unsure[90:110], torn[90:110] = True, [0.0, 0.0, 0.0, 1.0]
-    bridge, variance = smoothing.bridge_quaternions(torn, np.full(200, 1e-4), unsure, RATE)
-    assert (Rotation.from_quat(bridge) * steady.inv()).magnitude().max() < np.radians(1)
-    np.testing.assert_array_equal(variance > 0, unsure)
+    is_uncertain, damaged = np.zeros(200, bool), steady.as_quat()
+    is_uncertain[90:110], damaged[90:110] = True, [0.0, 0.0, 0.0, 1.0]
+    smoothed, variance = smoothing.bridge_quaternions(damaged, np.full(200, 1e-4), is_uncertain, RATE)
+    assert (Rotation.from_quat(smoothed) * steady.inv()).magnitude().max() < np.radians(1)
+    np.testing.assert_array_equal(variance > 0, is_uncertain)
     assert 99 <= variance.argmax() <= 100  # the middle
 
 
 def test_gap_variance_is_that_of_an_integrated_random_acceleration():
-    unsure, power = np.zeros(100, bool), np.full(100, 2.0)
-    unsure[40:59] = unsure[95:] = True
-    found = smoothing.compute_gap_variance(unsure, power, RATE) / smoothing.GAP_POWER_RATIO
-    assert found[49] == pytest.approx(2.0 * 0.1**3 / 24)  # a = b = 0.1 s
-    assert found[-1] == pytest.approx(2.0 * 0.05**3 / 3)  # beyond the last known end
-    assert not found[~unsure].any()
+    is_uncertain, power = np.zeros(100, bool), np.full(100, 2.0)
+    is_uncertain[40:59] = is_uncertain[95:] = True
+    estimated = smoothing.compute_gap_variance(is_uncertain, power, RATE) / smoothing.GAP_POWER_RATIO
+    assert estimated[49] == pytest.approx(2.0 * 0.1**3 / 24)  # a = b = 0.1 s
+    assert estimated[-1] == pytest.approx(2.0 * 0.05**3 / 3)  # beyond the last known end
+    assert not estimated[~is_uncertain].any()
 
 
 def test_root_continues_through_missing_frames():
     t = np.arange(200)[:, None] / RATE
     root = t * [[1.2, 0.0, 0.1]]
-    variance, torn = np.full(200, 1e-6), root.copy()
-    variance[60:90], torn[60:90] = 1e4, 0.0
-    np.testing.assert_allclose(smoothing.smooth_root_path(torn, variance, RATE)[0], root, atol=1e-3)
+    variance, damaged = np.full(200, 1e-6), root.copy()
+    variance[60:90], damaged[60:90] = 1e4, 0.0
+    np.testing.assert_allclose(smoothing.smooth_root_path(damaged, variance, RATE)[0], root, atol=1e-3)
 
 
 def test_sparsely_known_path_has_finite_power():
-    """Three frames of every 200 tell of one acceleration: too little of any moment to say how lively it is."""
+    """Three known frames of every 200 give one acceleration, which is too little to estimate the power at any time."""
     frames, rate = 6000, 120.0
     variance = np.ones(frames)
     for lag in (0, 7, 14):
