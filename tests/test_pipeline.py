@@ -370,7 +370,7 @@ def test_a_known_subject_keeps_its_bones_and_is_not_calibrated(cleaned, brief, s
     assert result.subject_report["take"]["marker_set"] == "cmu41"
 
 
-def test_an_arm_whose_markers_all_have_jitter_is_solved(tmp_path):
+def test_arm_with_jitter_on_all_markers_is_solved(tmp_path):
     truth, path = synthetic.compose_take(seed=3, seconds=4.0), tmp_path / "jitter.c3d"
     arm, positions = [truth.labels.index(f"L{name}") for name in ("FRM", "WRA", "WRB", "FIN")], truth.marker_positions.copy()
     positions[120:360, arm] += np.random.default_rng(0).normal(0, 0.02, (240, 4, 3))

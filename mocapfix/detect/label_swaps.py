@@ -1,9 +1,9 @@
 """Label swaps: two labels, or three in a cycle, that follow one another's markers for a while.
 
 Where labels are exchanged, each trajectory leaps to where another one was going. In between, the distances to each marker's
-segment are broken, and they hold again once the labels are put back. Often the exchange happens in a gap and no leap is
-visible, or the take ends before the labels are put back. Then the distances decide which part is wrong, or else the shorter
-part is assumed to be. A swap without such evidence has a low confidence, and its labels are left unchanged.
+segment are broken, and they hold again after the exchange ends. Often the exchange happens in a gap and no leap is visible, or
+the take ends before the exchange does. Then the distances decide which part is wrong; without them the shorter part is assumed
+to be wrong. A swap without such evidence has a low confidence, and its labels are left unchanged.
 
 Swaps are searched among few candidates. Marker i may have label j's samples if j leaps or appears where i would have
 continued while i leaps or disappears, or if i's own samples contradict i's distances for some time and those of j match

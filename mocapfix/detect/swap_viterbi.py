@@ -45,8 +45,8 @@ def find_exchanges(group: tuple[int, ...], trajectories: MarkerTrajectories, dis
     """Find the exchanges of labels in a group of two or three markers, ordered by first frame."""
     states = np.array(list(permutations(range(len(group)))))  # marker i has the samples of label states[s, i]
     step_cost, state_cost = compute_exchange_costs(states, np.array(group), trajectories, distances)
-    doubt = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
-    state = find_cheapest_states(step_cost[1:], state_cost + doubt)
+    swapped_cost = SWAPPED_COST_PER_S / trajectories.rate * (np.arange(len(states)) > 0)
+    state = find_cheapest_states(step_cost[1:], state_cost + swapped_cost)
     visible = ~np.isnan(trajectories.markers[:, group, 0])
     exchanges: list[LabelExchange] = []
     for s in range(1, len(states)):

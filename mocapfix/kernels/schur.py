@@ -174,7 +174,9 @@ def eliminate_pose_frames(
 ):  # fmt: skip
     """Apply `eliminate_pose` to the frames first..stop - 1, each into its own row."""
     no_shared = np.zeros((len(root), 0))
-    work = allocate_workspace(local.shape[1], no_shared.shape[1], None)  # a literal 0 would be another type and compile anew
+    work = allocate_workspace(
+        local.shape[1], no_shared.shape[1], None
+    )  # a literal 0 has another type and would be compiled again
     for t in range(first, stop):
         load_pose(root, local, no_shared, t, work.pose)
         cost[t] = eliminate_pose(

@@ -72,7 +72,7 @@ def read_keypoints(path: Path, skeleton: Skeleton) -> Keypoints:
 
 
 def track_person(people: list[Float[np.ndarray, "_ V 3"]], points: int) -> Float[np.ndarray, "T V 3"]:
-    """Return the points (x, y, confidence) of one of the people found in each frame; zero where nobody was found.
+    """Return the points (x, y, confidence) of one of the people found in each frame; zero where no person was found.
 
     The person is the most visible one in the first frame with people, and then the one nearest to their last position.
     """

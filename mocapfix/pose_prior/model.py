@@ -1,4 +1,4 @@
-"""The interface of trained pose models, linear models and neural networks alike.
+"""The interface of trained pose models, both linear models and neural networks.
 
 A pose is given as rotation vectors that lead from a reference pose to the pose, in the axes of each joint's parent. The root's
 vector is its tilt: position and heading are not part of the pose. A code has P numbers that are independent and standard normal

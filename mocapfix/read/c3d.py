@@ -36,7 +36,7 @@ def is_c3d(head: bytes) -> bool:
 def read_c3d(path: Path, data: bytes) -> Take:
     """Return the take in the bytes of a C3D file.
 
-    A sample is missing if its residual is below 0 or its coordinates are not a position, as `find_valid_points` has it. Source:
+    A sample is missing if its residual is below 0 or `find_valid_points` rejects its coordinates. Source:
     C3D User Guide, "The 3D Data Section".
 
     Raises:
@@ -140,7 +140,7 @@ def _count_frames(path: Path, parameters: C3dParameters, file_bytes: int, frame_
     """Return the number of frames: the declared one, if the file is large enough.
 
     A file that ends with the last frame of its header is complete even if a parameter, left over from a longer trial, declares
-    more. So is a file that somebody shortened without changing its header: it ends with a frame and not with a block, as a file
+    more. So is a file that was shortened without changing its header: it ends with a frame and not with a block, as a file
     that was cut off in a transfer may. A file may also have more frames than a word can declare.
     """
     declared, data_bytes = parameters.declared_frame_count, file_bytes - parameters.data_start_byte

@@ -92,7 +92,7 @@ def find_xyz_triples(axes: Sequence[str]) -> list[int]:
 def read_marker_table(table: MarkerTable) -> Take:
     """Return the take in a table.
 
-    Points are missing where a coordinate is blank or spelled as missing, and as `find_valid_points` has it.
+    Points are missing where a coordinate is blank or spelled as missing, and where `find_valid_points` rejects them.
 
     Raises:
         ReadError: If a field is not a number, frame numbers are not consecutive, the last line is incomplete, or no point is
@@ -137,7 +137,7 @@ def build_take(
 
     Args:
         path: The file.
-        points_file: Coordinates in file units and axes; missing as `find_valid_points` has it.
+        points_file: Coordinates in file units and axes; points that `find_valid_points` rejects are missing.
         labels: Labels of the points.
         unit_m: Metres per file unit.
         rate: Frames per second.
@@ -206,8 +206,8 @@ def read_first_frame(
 def _check_completeness(table: MarkerTable) -> tuple[str, ...]:
     """Return a note if the header declares another number of frames than the table has.
 
-    Fewer complete lines are what remains of a longer trial that somebody shortened. A copy that was cut off ends within a line
-    or, with too few frames, without a line end.
+    Fewer complete lines than declared are accepted: the trial was shortened. A copy that was cut off ends within a line or,
+    with too few frames, without a line end.
 
     Raises:
         ReadError: If there are no frames, or the file was cut off.

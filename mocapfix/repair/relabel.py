@@ -1,4 +1,4 @@
-"""Relabelling: fragments are joined to their markers, and exchanged labels are put back."""
+"""Relabelling: fragments are joined to their markers, and exchanges of labels are undone."""
 
 from collections.abc import Iterable
 from dataclasses import replace

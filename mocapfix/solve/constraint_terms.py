@@ -30,7 +30,7 @@ AnyConstraint = TypeVar("AnyConstraint", bound=Constraint)
 
 
 def build_constraint_terms(constraints: Sequence[Constraint], skeleton: Skeleton, frame_count: int) -> ConstraintTerms:
-    """Return the terms that constrain `frame_count` poses alike, one of each type.
+    """Return the terms that constrain `frame_count` poses equally, one of each type.
 
     Raises ConstraintError, naming the constraint, for an invalid value.
     """

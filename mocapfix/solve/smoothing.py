@@ -108,7 +108,7 @@ def smooth_quaternions(
     return smooth_path(joint_quaternions, variance, estimate_rotation_power(joint_quaternions, variance, rate), rate)
 
 
-def bridge_quaternions(
+def interpolate_quaternions(
     joint_quaternions: Float[np.ndarray, "T 4"],
     variance: Float[np.ndarray, " T"],
     is_uncertain: Bool[np.ndarray, " T"],
@@ -166,7 +166,7 @@ def track_across_gaps(
     rotations, weight, gap_variance = local_rotations.copy(), np.zeros(is_uncertain.shape), np.zeros(is_uncertain.shape)
     for j in np.flatnonzero(is_uncertain.any(0)):
         joint = quaternions.extract_joint_quaternions(local_rotations, j, ~is_uncertain[:, j])
-        trajectory, gap_variance[:, j] = bridge_quaternions(joint, variance[:, j], is_uncertain[:, j], rate)
+        trajectory, gap_variance[:, j] = interpolate_quaternions(joint, variance[:, j], is_uncertain[:, j], rate)
         quaternions.store_joint_quaternions(trajectory, j, rotations)
         tracking_variance = gap_variance[:, j] + options.rotation_tracking_sd_rad**2
         weight[:, j] = np.where(is_uncertain[:, j], 1 / tracking_variance, 0.0)

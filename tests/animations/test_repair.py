@@ -33,24 +33,26 @@ def places(root: np.ndarray, local: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("kind", list(ANIMATION_FAULT_INJECTORS))
 def test_injected_faults_are_repaired_and_the_rest_is_unchanged(kind):
     truth = composed()
-    struck, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(1))
+    damaged, put = inject_animation_faults(truth, SKELETON, RATE, kind, "long", np.random.default_rng(1))
     faults = [fault for each in put for fault in build_expected_faults(each, len(SKELETON.names))]
-    mended = repair.repair_animation(SKELETON.parents, struck.root_position, struck.local_rotations, ["ZYX"] * 31, faults, RATE)
-    about = mended.method != repair.RepairMethod.UNCHANGED
+    repaired = repair.repair_animation(
+        SKELETON.parents, damaged.root_position, damaged.local_rotations, ["ZYX"] * 31, faults, RATE
+    )
+    about = repaired.method != repair.RepairMethod.UNCHANGED
     for fault in faults:
         assert about[fault.frame_slice, list(fault.markers)].all()
         about[fault.frame_slice, list(fault.markers)] = False
     assert not about.any()
-    sound = mended.method == repair.RepairMethod.UNCHANGED
-    assert (mended.local_rotations[sound[:, :-1]] == truth.local_rotations[sound[:, :-1]]).all()
-    assert (mended.root_position[sound[:, -1]] == truth.root_position[sound[:, -1]]).all()
-    assert (mended.variance > 0)[~sound].all()
+    sound = repaired.method == repair.RepairMethod.UNCHANGED
+    assert (repaired.local_rotations[sound[:, :-1]] == truth.local_rotations[sound[:, :-1]]).all()
+    assert (repaired.root_position[sound[:, -1]] == truth.root_position[sound[:, -1]]).all()
+    assert (repaired.variance > 0)[~sound].all()
     true = places(truth.root_position, truth.local_rotations)
     ours, linear = (
         np.linalg.norm(places(*each) - true, axis=-1).sum()
         for each in (
-            (mended.root_position, mended.local_rotations),
-            interpolate_faults(struck.root_position, struck.local_rotations, put),
+            (repaired.root_position, repaired.local_rotations),
+            interpolate_faults(damaged.root_position, damaged.local_rotations, put),
         )
     )
     assert ours < MOST[kind] * linear
@@ -58,10 +60,10 @@ def test_injected_faults_are_repaired_and_the_rest_is_unchanged(kind):
 
 def test_no_faults_change_nothing():
     truth = composed()
-    mended = repair.repair_animation(SKELETON.parents, truth.root_position, truth.local_rotations, ["ZYX"] * 31, [], RATE)
-    assert (mended.local_rotations == truth.local_rotations).all()
-    assert (mended.root_position == truth.root_position).all()
-    assert not mended.method.any()
+    repaired = repair.repair_animation(SKELETON.parents, truth.root_position, truth.local_rotations, ["ZYX"] * 31, [], RATE)
+    assert (repaired.local_rotations == truth.local_rotations).all()
+    assert (repaired.root_position == truth.root_position).all()
+    assert not repaired.method.any()
 
 
 def test_joint_that_is_always_missing_stays_missing():
@@ -72,6 +74,6 @@ def test_joint_that_is_always_missing_stays_missing():
         inject_animation_faults(truth, SKELETON, RATE, "limb gap", "long", np.random.default_rng(0))[1][0], 31
     )[0]
     whole = type(gap)("gap", 5, 0, truth.frame_count - 1, np.nan, "")
-    mended = repair.repair_animation(SKELETON.parents, truth.root_position, local, ["ZYX"] * 31, [whole], RATE)
-    assert np.isfinite(mended.local_rotations).all()
-    assert not mended.method[:, 5].any()
+    repaired = repair.repair_animation(SKELETON.parents, truth.root_position, local, ["ZYX"] * 31, [whole], RATE)
+    assert np.isfinite(repaired.local_rotations).all()
+    assert not repaired.method[:, 5].any()

@@ -169,10 +169,10 @@ def test_performing_subject_is_calibrated_close_to_the_truth(truth):
     assert found.true_joint_positions.shape == (performance.motion.frame_count, len(NAMES), 3)
     assert found.take.visible.all()
     assert found.subject.frame_count > 0
-    alike = np.linalg.norm(found.subject.skeleton.offsets, axis=1) / np.linalg.norm(
+    length_ratio = np.linalg.norm(found.subject.skeleton.offsets, axis=1) / np.linalg.norm(
         initialisation_takes.draw_subject(np.random.default_rng(0), asymmetric=True).skeleton.offsets, axis=1
     ).clip(1e-9)
-    assert alike[NAMES.index("LeftFoot")] == pytest.approx(1.0, abs=0.1)
+    assert length_ratio[NAMES.index("LeftFoot")] == pytest.approx(1.0, abs=0.1)
 
 
 def test_captures_are_read_without_truth(truth, tmp_path):

@@ -39,7 +39,7 @@ def opened(cleaned, moments, tmp_path_factory) -> dict[str, dict]:
         {"path": str(path), "scale": SCALES.get(kind, 0.01), "moments": [(lead(kind) + int(t)) / 120 for t in moments]}
         for kind, path in paths.items()
     ]
-    jobs_path, answers = folder / "asked.json", folder / "answers.json"
+    jobs_path, answers = folder / "jobs.json", folder / "answers.json"
     jobs_path.write_text(json.dumps(jobs))
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     process = subprocess.run(

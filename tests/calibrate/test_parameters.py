@@ -104,10 +104,10 @@ def test_mean_pose_has_information_for_free_joints_only():
     *_, found = FREE.compute_body(unknowns(turns=turns))
     np.testing.assert_array_equal(found[TURNING], turns)
     assert not np.delete(found, TURNING, 0).any()
-    habits = np.linalg.inv(FREE.information[SHIFTS.stop :, SHIFTS.stop :])
+    covariance = np.linalg.inv(FREE.information[SHIFTS.stop :, SHIFTS.stop :])
     np.testing.assert_allclose(
-        habits[:3, :3], MEAN.between_take_covariance[TURNING[0]] + parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9
+        covariance[:3, :3], MEAN.between_take_covariance[TURNING[0]] + parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9
     )
     clavicle = 3 * list(TURNING).index(BODY.skeleton.find_joint("LeftShoulder"))
     its = slice(clavicle, clavicle + 3)
-    np.testing.assert_allclose(habits[its, its], parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(covariance[its, its], parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)

@@ -17,27 +17,27 @@ MARKERS = 9
 
 
 def shared(seed, joints, hidden=()):
-    """Return a random frame of markers that weigh alike and pulls, and deformations in which its offsets and places change"""
+    """Return a random frame of markers of equal weight and priors, and deformations in which its offsets and places change"""
     rng = np.random.default_rng(seed)
     frame = random_terms.draw_frame(rng, joints, random_terms.SOLVER_KINDS)
     points, *pulls = frame.terms
     weight = np.full((1, MARKERS), SD**-2)
     weight[:, list(hidden)] = 0.0
-    alike = points._replace(weight=weight, loss=random_terms.GEMAN_MCCLURE)
+    robust_points = points._replace(weight=weight, loss=random_terms.GEMAN_MCCLURE)
     pulls[1] = pulls[1]._replace(mean_vectors=rng.normal(0, 0.2, (joints, 3)))
     deformations = ShapeDeformations(rng.normal(0, 0.3, (COUNT, joints, 3)), rng.normal(0, 0.1, (COUNT, MARKERS, 3)))
-    return frame._replace(terms=(alike, *pulls)), deformations
+    return frame._replace(terms=(robust_points, *pulls)), deformations
 
 
 def changed(frame, deformations, unknowns):
     """Return the frame on a body whose shared unknowns (Q,) are moved"""
-    points, course, targets, limits = frame.terms
+    points, tracking, targets, limits = frame.terms
     offsets = frame.tree.offsets + np.tensordot(unknowns[:COUNT], deformations.joint_offsets, 1)
     own = COUNT + 3 * MARKERS
     places = points.offsets + np.tensordot(unknowns[:COUNT], deformations.marker_offsets, 1) + unknowns[COUNT:own].reshape(-1, 3)
     vectors = targets.mean_vectors.copy()
     vectors[np.flatnonzero(frame.tree.free)[1:]] += unknowns[own:].reshape(-1, 3)
-    terms = points._replace(offsets=places), course, targets._replace(mean_vectors=vectors), limits
+    terms = points._replace(offsets=places), tracking, targets._replace(mean_vectors=vectors), limits
     return frame._replace(tree=frame.tree._replace(offsets=offsets), terms=terms)
 
 
@@ -49,8 +49,8 @@ def count(frame):
 def problem_of(frame, frames=1):
     """Return the same as the pose problem of a take that repeats the frame"""
     points, _, prior, limits = frame.terms
-    markers, listened = np.tile(points.measured, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
-    return PoseProblem(frame.tree, MarkerAttachment(points.joints, points.offsets), markers, listened, SD, prior, limits)
+    markers, solver_mask = np.tile(points.measured, (frames, 1, 1)), np.tile(points.weight > 0, (frames, 1))
+    return PoseProblem(frame.tree, MarkerAttachment(points.joints, points.offsets), markers, solver_mask, SD, prior, limits)
 
 
 def respond(frame, deformations, scale, frames=1):

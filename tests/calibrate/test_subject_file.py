@@ -49,7 +49,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
     )
     np.testing.assert_array_equal(back.skeleton.parents, average.parents)
     np.testing.assert_array_equal(back.joints, NOMINAL.joints)
-    for ours, theirs in (
+    for read_back, expected in (
         (back.skeleton.offsets, offsets),
         (back.skeleton.ends, skeleton.ends),
         (back.marker_offsets, places),
@@ -57,7 +57,7 @@ def test_round_trip(tmp_path_factory, offsets, places, spread, frames, joint_sd,
         (back.joint_sd, joint_sd),
         (back.marker_sd, marker_sd),
     ):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(read_back, expected, rtol=0, atol=1e-6)
 
 
 def test_file_is_readable(tmp_path):

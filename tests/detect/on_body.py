@@ -12,7 +12,7 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 RATE = 120.0
-FAR = 0.004  # metres: how sure the solver says it is of every marker
+FAR = 0.004  # metres: predicted standard deviation of every marker
 
 
 class Solved(NamedTuple):
@@ -26,8 +26,8 @@ def solved(seed: int = 0, seconds: float = 3.0) -> Solved:
     """Return sound markers with skin motion, and the body that carries them."""
     truth = synthetic.compose_take(seed, seconds, RATE)
     motion = truth.motion
-    sure = np.full(truth.missing_mask.shape, FAR)
-    known = replace(motion, marker_sd=sure)
+    marker_sd = np.full(truth.missing_mask.shape, FAR)
+    known = replace(motion, marker_sd=marker_sd)
     return Solved(Take(truth.marker_positions, truth.labels, RATE), truth.subject, known)
 
 

@@ -87,8 +87,8 @@ def test_marker_that_leaps_once_and_stays_has_moved(first, last, since):
 
 def test_only_the_worst_simultaneous_outliers_are_selected():
     small, later = BodyOutlier(1, np.arange(10, 20), 0.03, 8.0), BodyOutlier(3, np.arange(40, 50), 0.03, 8.0)
-    large, alike = BodyOutlier(2, np.arange(15, 25), 0.1, 30.0), BodyOutlier(4, np.arange(12, 30), 0.08, 20.0)
-    assert body_outliers.select_dominant_outliers([small, later, large, alike]) == [large, alike, later]
+    large, similar = BodyOutlier(2, np.arange(15, 25), 0.1, 30.0), BodyOutlier(4, np.arange(12, 30), 0.08, 20.0)
+    assert body_outliers.select_dominant_outliers([small, later, large, similar]) == [large, similar, later]
 
 
 def test_short_outlier_is_a_spike_and_the_reason_is_a_sentence():

@@ -17,22 +17,22 @@ def falling(frames=60):
 
 
 def test_velocities_span_two_steps():
-    courses = continuity.build_trajectories(falling(), RATE)
+    trajectories = continuity.build_trajectories(falling(), RATE)
     t = 30 / RATE
-    np.testing.assert_allclose(courses.velocity_before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
-    np.testing.assert_allclose(courses.velocity_after[30, 0], [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
-    assert np.isnan(courses.velocity_before[0]).all()
-    assert np.isnan(courses.velocity_after[-1]).all()
+    np.testing.assert_allclose(trajectories.velocity_before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
+    np.testing.assert_allclose(trajectories.velocity_after[30, 0], [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
+    assert np.isnan(trajectories.velocity_before[0]).all()
+    assert np.isnan(trajectories.velocity_after[-1]).all()
 
 
 def test_velocities_next_to_gaps():
     markers = falling()
     markers[20:30, 0] = np.nan
-    courses = continuity.build_trajectories(markers, RATE)
-    np.testing.assert_allclose(courses.velocity_before[31, 0], (markers[31, 0] - markers[30, 0]) * RATE)
-    assert np.isnan(courses.velocity_before[30, 0]).all()
-    assert np.isnan(courses.velocity_after[19, 0]).all()
-    assert np.isfinite(courses.velocity_before[19, 0]).all()
+    trajectories = continuity.build_trajectories(markers, RATE)
+    np.testing.assert_allclose(trajectories.velocity_before[31, 0], (markers[31, 0] - markers[30, 0]) * RATE)
+    assert np.isnan(trajectories.velocity_before[30, 0]).all()
+    assert np.isnan(trajectories.velocity_after[19, 0]).all()
+    assert np.isfinite(trajectories.velocity_before[19, 0]).all()
 
 
 def test_previous_frame_across_gaps():
@@ -62,20 +62,20 @@ def test_leap_grows_with_the_distance_up_to_one():
 def test_leap_to_another_trajectory_continues_that_one():
     markers = falling()
     markers[30:] = markers[30:, ::-1].copy()
-    courses = continuity.build_trajectories(markers, RATE)
-    assert compute_leap(courses, 30, 0, 0) == compute_leap(courses, 30, 1, 1) == 1.0
-    assert compute_leap(courses, 30, 0, 1) < 0.01
-    assert compute_leap(courses, 30, 1, 0) < 0.01
+    trajectories = continuity.build_trajectories(markers, RATE)
+    assert compute_leap(trajectories, 30, 0, 0) == compute_leap(trajectories, 30, 1, 1) == 1.0
+    assert compute_leap(trajectories, 30, 0, 1) < 0.01
+    assert compute_leap(trajectories, 30, 1, 0) < 0.01
 
 
 def test_leap_is_zero_without_samples_to_compare():
     markers = falling()
     markers[10:50, 0] = np.nan  # 0.4 s: forgotten
     markers[50:, 0] += 1.0
-    courses = continuity.build_trajectories(markers, RATE)
-    assert compute_leap(courses, 50, 0, 0) == 0.0
-    assert compute_leap(courses, 0, 1, 1) == 0.0  # the take begins
-    assert compute_leap(courses, 20, 1, 0) == 0.0  # not seen
+    trajectories = continuity.build_trajectories(markers, RATE)
+    assert compute_leap(trajectories, 50, 0, 0) == 0.0
+    assert compute_leap(trajectories, 0, 1, 1) == 0.0  # the take begins
+    assert compute_leap(trajectories, 20, 1, 0) == 0.0  # not seen
 
 
 def test_isolated_sample_has_a_larger_tolerance():
@@ -92,6 +92,6 @@ def test_isolated_sample_has_a_larger_tolerance():
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_trajectories_of_the_shortest_takes(frames):
-    courses = continuity.build_trajectories(np.zeros((frames, 3, 3)), RATE)
-    assert courses.velocity_before.shape == (frames, 3, 3)
-    assert compute_own_leaps(courses).shape == (frames, 3)
+    trajectories = continuity.build_trajectories(np.zeros((frames, 3, 3)), RATE)
+    assert trajectories.velocity_before.shape == (frames, 3, 3)
+    assert compute_own_leaps(trajectories).shape == (frames, 3)

@@ -13,7 +13,7 @@ from tests.detect.bodies import exchanged, hidden, turning
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 
 
-def haunted(take: Take, marker: int, first: int, last: int, away=(0.0, 0.25, 0.0)) -> Take:
+def add_ghost(take: Take, marker: int, first: int, last: int, away=(0.0, 0.25, 0.0)) -> Take:
     """Keep the label over first..last at its first position plus `away` (3,)."""
     markers = take.markers.copy()
     markers[first : last + 1, marker] = markers[first, marker] + np.array(away)
@@ -26,15 +26,15 @@ def where(found):
 
 @given(seed=st.integers(0, 20), marker=st.integers(0, 9), first=st.integers(1, 300), length=st.integers(10, 90))
 def test_ghost_that_comes_back_is_found_to_the_frame(seed, marker, first, length):
-    (ghost,) = ghosts.detect_ghosts(haunted(turning(seed=seed), marker, first, first + length - 1))
+    (ghost,) = ghosts.detect_ghosts(add_ghost(turning(seed=seed), marker, first, first + length - 1))
     assert where([ghost]) == [(marker, first, first + length - 1)]
     assert ghost.confidence > 0.6
 
 
 def test_ghost_between_gaps_and_persistent_ghost():
-    between = hidden(hidden(haunted(turning(), 3, 150, 200), 3, 120, 149), 3, 201, 240)
+    between = hidden(hidden(add_ghost(turning(), 3, 150, 200), 3, 120, 149), 3, 201, 240)
     assert where(ghosts.detect_ghosts(between)) == [(3, 150, 200)]
-    assert where(ghosts.detect_ghosts(haunted(turning(), 3, 410, 479))) == [(3, 410, 479)]
+    assert where(ghosts.detect_ghosts(add_ghost(turning(), 3, 410, 479))) == [(3, 410, 479)]
 
 
 def test_shift_on_the_segment_is_no_ghost():
@@ -47,11 +47,11 @@ def test_shift_on_the_segment_is_no_ghost():
 def test_spikes_gaps_and_a_sound_take_are_no_ghosts():
     take = turning()
     assert ghosts.detect_ghosts(take) == []
-    assert ghosts.detect_ghosts(hidden(haunted(take, 2, 100, 104), 2, 200, 290)) == []
+    assert ghosts.detect_ghosts(hidden(add_ghost(take, 2, 100, 104), 2, 200, 290)) == []
 
 
 def test_reason_names_label_duration_and_distance():
-    (ghost,) = ghosts.detect_ghosts(haunted(turning(), 4, 100, 159))
+    (ghost,) = ghosts.detect_ghosts(add_ghost(turning(), 4, 100, 159))
     assert ghost.reason.startswith(f"M4 is {ghost.severity * 1e3:.0f} mm off its segment for 0.50 s (60 frames), ")
     assert ghost.reason.endswith("and returns.")
     assert ghost.severity > 0.05

@@ -20,9 +20,9 @@ def found(markers, rate=120.0):
 
 
 def add_jitter(markers, first, last, size, seed=0):
-    shaken = markers.copy()
-    shaken[first : last + 1] += np.random.default_rng(seed).normal(scale=size, size=shaken[first : last + 1].shape)
-    return shaken
+    noisy = markers.copy()
+    noisy[first : last + 1] += np.random.default_rng(seed).normal(scale=size, size=noisy[first : last + 1].shape)
+    return noisy
 
 
 @settings(deadline=None, max_examples=40)
@@ -36,11 +36,11 @@ def test_burst_of_12_mm_is_found_to_a_few_frames(rate, start, seconds, seed):
     first, last = round(start * rate), round((start + seconds) * rate)
     bursts = found(add_jitter(swinging(rate), first, last, 0.012, seed), rate)
     assert {f.kind for f in bursts} == {"jitter"}
-    struck = np.zeros(1000 + last, bool)
+    is_detected = np.zeros(1000 + last, bool)
     for f in bursts:
-        struck[f.first : f.last + 1] = True
-    assert struck[first : last + 1].mean() > 0.85
-    assert struck[: first - 6].sum() + struck[last + 7 :].sum() == 0
+        is_detected[f.first : f.last + 1] = True
+    assert is_detected[first : last + 1].mean() > 0.85
+    assert is_detected[: first - 6].sum() + is_detected[last + 7 :].sum() == 0
 
 
 def test_severity_is_that_of_the_noise():

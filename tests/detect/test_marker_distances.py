@@ -6,7 +6,7 @@ from mocapfix.detect.marker_distances import MarkerDistances
 from mocapfix.kernels.label_evidence import compute_contradiction, compute_own_contradictions
 from tests.detect.bodies import hidden, turning
 
-NOBODY = np.zeros(3, bool)
+NONE_EXCLUDED = np.zeros(3, bool)
 TRIANGLE = np.array([[[0.0, 0, 0], [0.3, 0, 0], [0, 0.4, 0]]])  # sides of 3, 4 and 5 parts
 KNOWN = MarkerDistances(
     partner=np.array([[1, 2], [0, 2], [0, -1]]),
@@ -63,27 +63,27 @@ def test_rarely_visible_marker_has_no_partners():
 @pytest.mark.parametrize("off", [0.0, 0.005, 0.02])
 def test_contradiction_grows_with_the_distance_error(off):
     markers = moved(2, [0, off, 0])  # marker 2 has one partner only, 0
-    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 1.0) == pytest.approx(min(1.0, (off / 0.01) ** 2))
+    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NONE_EXCLUDED, 1.0) == pytest.approx(min(1.0, (off / 0.01) ** 2))
 
 
 def test_votes_are_weighted_by_steadiness():
-    markers = moved(1, [0.1, 0, 0])  # breaks both; asked of marker 1 where 0 is left out, only 2 votes
-    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == 1.0
+    markers = moved(1, [0.1, 0, 0])  # breaks both distances; marker 0 is excluded, so only marker 2 votes
+    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NONE_EXCLUDED, 1.0) == 1.0
     markers = TRIANGLE.copy()
     markers[0, 0] -= [0.1, 0, 0]  # marker 1's distance to 0 is broken, that to 2 is not
-    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NOBODY, 1.0) == pytest.approx(0.01**-2 / (0.01**-2 + 0.02**-2))
+    assert compute_contradiction(markers, KNOWN, 0, 1, 1, NONE_EXCLUDED, 1.0) == pytest.approx(0.01**-2 / (0.01**-2 + 0.02**-2))
     assert compute_contradiction(markers, KNOWN, 0, 1, 1, np.array([True, False, False]), 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_missing_partners_have_the_unseen_vote():
     markers = TRIANGLE.copy()
     markers[0, 0] = np.nan
-    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NOBODY, 0.25) == 0.25
+    assert compute_contradiction(markers, KNOWN, 0, 2, 2, NONE_EXCLUDED, 0.25) == 0.25
     assert compute_contradiction(TRIANGLE, KNOWN, 0, 2, 2, np.array([True, False, False]), 0.25) == 0.25  # nobody is left to vote
 
 
 def test_contradiction_under_another_label():
-    assert compute_contradiction(TRIANGLE, KNOWN, 0, 1, 2, NOBODY, 1.0) == 1.0  # 0.3 m from 0, where marker 2 keeps 0.4
+    assert compute_contradiction(TRIANGLE, KNOWN, 0, 1, 2, NONE_EXCLUDED, 1.0) == 1.0  # 0.3 m from 0, where marker 2 keeps 0.4
     own = compute_own_contradictions(TRIANGLE, KNOWN, 1.0)
     assert own.shape == (1, 3)
     np.testing.assert_allclose(own, 0, atol=1e-12)

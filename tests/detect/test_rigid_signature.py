@@ -33,7 +33,7 @@ def test_marker_matches_its_own_signature_only():
 def test_mirror_image_matches_the_distances_but_not_the_side():
     markers, turn = rigid()
     image = markers[:, 4] - 2 * 0.12 * turn[:, :, 2]
-    markers[:, 3] += 5 * np.random.default_rng(1).normal(size=(300, 3))  # out of the plane, so not asked
+    markers[:, 3] += 5 * np.random.default_rng(1).normal(size=(300, 3))  # not in the plane, so not compared
     like = RigidSignatures(markers).match_samples(np.arange(300), image, 4)
     assert like is None or like.side_sd > 20
     three = np.delete(markers, 3, axis=1)

@@ -44,11 +44,11 @@ def test_spike_within_a_burst_is_part_of_the_burst():
 
 def test_faulty_mask_covers_the_damaged_samples():
     take = damaged()
-    doubted = sample_faults.detect_sample_faults(take).compute_faulty_mask(take)
-    assert np.flatnonzero(doubted[:, 2]).tolist() == [20, 21]
-    assert doubted[[50, 330], 0].all()
-    assert not doubted[:, 1].any()
-    assert not (doubted & ~take.visible).any()
+    is_faulty = sample_faults.detect_sample_faults(take).compute_faulty_mask(take)
+    assert np.flatnonzero(is_faulty[:, 2]).tolist() == [20, 21]
+    assert is_faulty[[50, 330], 0].all()
+    assert not is_faulty[:, 1].any()
+    assert not (is_faulty & ~take.visible).any()
 
 
 def test_sound_take_has_no_faults():

@@ -93,13 +93,13 @@ def test_samples_between_gaps_are_no_spikes(island):
 
 def test_spikes_in_a_fifth_of_all_samples():
     rng, markers = np.random.default_rng(5), swinging(seconds=5, markers=8)
-    hurt = rng.random(markers.shape[:2]) < 0.2
-    markers[hurt] += rng.uniform(-0.3, 0.3, (hurt.sum(), 3))
-    markers[rng.random(hurt.shape) < 0.05] = np.nan
+    is_spike = rng.random(markers.shape[:2]) < 0.2
+    markers[is_spike] += rng.uniform(-0.3, 0.3, (is_spike.sum(), 3))
+    markers[rng.random(is_spike.shape) < 0.05] = np.nan
     take = Take(markers, tuple("abcdefgh"), 120.0)
-    doubted = Faults(tuple(spikes.detect_spikes(take, SMALLEST, LONGEST))).compute_faulty_mask(take)
-    assert doubted[hurt & take.visible].mean() > 0.97
-    assert doubted[~hurt & take.visible].mean() < 0.005
+    is_faulty = Faults(tuple(spikes.detect_spikes(take, SMALLEST, LONGEST))).compute_faulty_mask(take)
+    assert is_faulty[is_spike & take.visible].mean() > 0.97
+    assert is_faulty[~is_spike & take.visible].mean() < 0.005
 
 
 def test_result_does_not_depend_on_position_and_rotation():

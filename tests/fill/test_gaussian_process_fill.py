@@ -109,21 +109,21 @@ def test_frames_with_fewer_than_three_markers_stay_empty():
 def test_gaps_with_precise_estimates_are_skipped():
     damaged = walking()
     damaged[300:350, 8] = damaged[600:640, 9] = np.nan
-    others, sure = np.zeros(damaged.shape), np.full(damaged.shape[:2], np.nan)
-    sure[300:350, 8], sure[600:640, 9] = 0.9 * MAX_SETTLED_SD_M, 1.1 * MAX_SETTLED_SD_M
-    filled, _ = fill_from_gaussian_process(damaged, others, sure, RATE)
+    others, sd = np.zeros(damaged.shape), np.full(damaged.shape[:2], np.nan)
+    sd[300:350, 8], sd[600:640, 9] = 0.9 * MAX_SETTLED_SD_M, 1.1 * MAX_SETTLED_SD_M
+    filled, _ = fill_from_gaussian_process(damaged, others, sd, RATE)
     assert np.isnan(filled[:, 8]).all()
     assert not np.isnan(filled[600:640, 9]).any()
 
 
 def test_precise_estimates_are_used_as_inputs():
-    """A gap through which only three markers are seen, but the others are filled so surely that they may be asked."""
+    """Only three markers are visible throughout the gap, but the others are filled with a small sd and serve as inputs."""
     truth = walking()
-    damaged, others, sure = truth.copy(), truth.copy(), np.full(truth.shape[:2], 0.005)
+    damaged, others, sd = truth.copy(), truth.copy(), np.full(truth.shape[:2], 0.005)
     damaged[300:400, 3:] = np.nan
-    sure[300:400, 13] = 0.2
+    sd[300:400, 13] = 0.2
     alone, _ = given_nothing_else(damaged, RATE)
-    filled, _ = fill_from_gaussian_process(damaged, others, sure, RATE)
+    filled, _ = fill_from_gaussian_process(damaged, others, sd, RATE)
     assert np.isnan(alone[350, 13]).all()
     assert error(filled, truth, slice(300, 400), [13]) < 0.02
 

@@ -85,7 +85,7 @@ def test_markers_recover_the_code_of_a_decoded_pose(seed):
     frame = dense_oracle.Frame(body, (), rng.normal(size=3), local, code)
     markers = draw_exact_markers(rng, frame, sd=1e-5)
     markers.weight[:, np.isin(markers.joints, [3, 6])] = 0.0
-    elsewhere = rng.normal(size=(1, size))  # where the decoder was asked; it is linear, so that does not matter
+    elsewhere = rng.normal(size=(1, size))  # where the decoder was linearised; it is linear, so the place is irrelevant
     decoded = (slope @ elsewhere[0])[None]
     information = np.tile(1e8 * np.eye(3), (joints, 1, 1))
     prior = LatentCodeTerm.build(middle, decoded, slope[None], elsewhere, information, np.zeros(1), np.zeros(1, int))

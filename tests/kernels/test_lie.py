@@ -109,7 +109,7 @@ def test_orthonormalisation_corrects_a_drifted_rotation():
     assert np.linalg.det(corrected) == pytest.approx(1)
 
 
-def leant(vector):
+def compute_tilt_and_slopes(vector):
     """Return x, z and the derivative (3, 3) of a tilt"""
     x, z, slopes = lie.compute_tilt(numbers(turned(vector)))
     return np.array([x, 0.0, z]), np.reshape(slopes, (3, 3))
@@ -138,7 +138,7 @@ def test_tilt_derivative_is_to_a_rotation_in_the_rotated_axes(angle, seed):
 
 @pytest.mark.parametrize("angle", [np.pi - 1e-2, np.pi - 1e-5, np.pi])
 def test_upside_down_tilt_is_a_half_turn_with_finite_derivative(angle):
-    vector, slopes = leant(np.array([0.0, 0.0, angle]))
+    vector, slopes = compute_tilt_and_slopes(np.array([0.0, 0.0, angle]))
     assert np.linalg.norm(vector) == pytest.approx(np.pi, abs=0.011)
     assert np.isfinite(slopes).all()
     np.testing.assert_allclose(slopes @ np.array([0.0, 0, 1]) if angle < 3.14 else [0, 0, 1], [0, 0, 1], atol=1e-6)

@@ -307,11 +307,11 @@ def test_captures_are_upright_and_have_the_expected_markers(path):
 def test_captures_agree_with_ezc3d(path):
     take = capture.read_take(path)
     oracle = ezc3d.c3d(str(path))
-    theirs = oracle["data"]["points"][:3, take.point_columns].transpose(2, 1, 0)
+    expected_positions = oracle["data"]["points"][:3, take.point_columns].transpose(2, 1, 0)
     assert isinstance(take.layout, C3dLayout)
     ours = take.markers @ take.layout.rotation_y_up_file / take.layout.unit_m
-    np.testing.assert_allclose(ours[take.visible], theirs[take.visible], rtol=1e-6, atol=1e-4)
-    assert (~np.isfinite(theirs[~take.visible]) | (theirs[~take.visible] == 0)).all()
+    np.testing.assert_allclose(ours[take.visible], expected_positions[take.visible], rtol=1e-6, atol=1e-4)
+    assert (~np.isfinite(expected_positions[~take.visible]) | (expected_positions[~take.visible] == 0)).all()
     assert take.rate == pytest.approx(oracle["parameters"]["POINT"]["RATE"]["value"][0])
     # ezc3d counts from 0 and reads a first frame 0 as 1.
     assert max(take.first_frame, 1) == oracle["header"]["points"]["first_frame"] + 1

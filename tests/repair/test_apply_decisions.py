@@ -50,9 +50,9 @@ def write_review(faulty, folder, **by_decision) -> Path:
     return path
 
 
-def clean_again(faulty, folder, **asked):
+def clean_again(faulty, folder, **options):
     """Clean the take with other options; return the result and the C3D file."""
-    result, output = pipeline.clean(faulty.path, subject=faulty.subject, **asked), folder / "again.c3d"
+    result, output = pipeline.clean(faulty.path, subject=faulty.subject, **options), folder / "again.c3d"
     assert write.patch_c3d(output, result.input_take, result.take) == []
     return result, output
 
@@ -123,7 +123,7 @@ def test_kept_samples_are_used_in_the_solve(faulty, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("asked", "made"),
+    ("options", "made"),
     [
         ({"repair_kinds": ("gap",)}, {GAP}),
         ({"repair_kinds": ("spike", "fragment")}, {SPIKE, LABELLED_FRAGMENT, UNLABELLED_FRAGMENT}),
@@ -132,8 +132,8 @@ def test_kept_samples_are_used_in_the_solve(faulty, tmp_path):
     ],
     ids=["gaps", "two kinds", "one of a swapped pair", "frames that cut a swap"],
 )
-def test_only_requested_samples_are_changed(faulty, tmp_path, asked, made):
-    result, output = clean_again(faulty, tmp_path, **asked)
+def test_only_requested_samples_are_changed(faulty, tmp_path, options, made):
+    result, output = clean_again(faulty, tmp_path, **options)
     assert find_changed_runs(faulty.path, output) == list_changed_runs(made)
     assert {change.id for change in result.changes} == made
 

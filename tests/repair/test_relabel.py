@@ -10,7 +10,9 @@ RNG = np.random.default_rng(0)
 TAKE = Take(RNG.normal(size=(30, 4, 3)), tuple("ABCD"), 100.0)
 
 swaps = st.builds(
-    lambda order, size, a, b, sure: Fault("swap", order[0], min(a, b), max(a, b), 0.1, "", sure, tuple(order[1:size])),
+    lambda order, size, a, b, confidence: Fault(
+        "swap", order[0], min(a, b), max(a, b), 0.1, "", confidence, tuple(order[1:size])
+    ),
     st.permutations(range(4)),
     st.sampled_from([2, 3]),
     st.integers(0, 29),

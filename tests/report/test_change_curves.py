@@ -97,7 +97,7 @@ def test_a_sliding_marker_has_a_curve_of_its_own_until_it_settles(scene, settled
     assert (is_known(find_values(curves, "now")) == (curves.frames >= settled)).all()
 
 
-def test_a_marker_that_is_missing_meanwhile_is_no_reference(scene):
+def test_marker_missing_during_the_change_is_no_reference(scene):
     gap, after = find_fault(scene, "gap", 3), scene.comparison.cleaned_take
     nearest = after.labels.index(build_change_curves(scene.comparison, gap).reference_labels[0])
     markers = after.markers.copy()

@@ -10,12 +10,12 @@ from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.mixture import MixtureModel
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.solve import pose_solver
-from tests.solve.test_pose_solver import CODE, JOINTS, body, given, posed, unbent
+from tests.solve.test_pose_solver import CODE, JOINTS, body, build_linear_model, given, posed
 
 
 def mixed(rng, count=2) -> MixtureModel:
     """Return a mixture of well separated components; a pose has a tilt, but no heading"""
-    model = unbent(rng)
+    model = build_linear_model(rng)
     axes = rng.normal(size=(CODE, JOINTS, 3))
     axes[:, 0, 1] = 0.0
     axes = np.linalg.qr(axes.reshape(CODE, -1).T)[0].T.reshape(axes.shape)

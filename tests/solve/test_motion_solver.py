@@ -109,7 +109,7 @@ def test_frames_without_markers_are_guessed_between_neighbours(exact):
 
 
 @pytest.mark.parametrize("prior", [NONE, MEAN], ids=["none", "mean-pose"])
-def test_short_blackout_is_bridged(exact, prior):
+def test_short_gap_of_all_markers_is_interpolated(exact, prior):
     truth = exact(120.0)
     markers = truth.marker_positions.copy()
     markers[150:160] = np.nan

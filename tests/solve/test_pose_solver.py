@@ -19,7 +19,7 @@ JOINTS, CODE = 6, 3
 NAMES = tuple("abcdef")
 
 
-def unbent(rng) -> GaussianModel:
+def build_linear_model(rng) -> GaussianModel:
     """Return a linear model whose rotations are much smaller than half a turn."""
     mean, components = rng.normal(0, 0.2, (JOINTS, 3)), rng.normal(0, 0.3, (CODE, JOINTS, 3))
     mean[0, 1] = components[:, 0, 1] = 0.0  # the root's is a tilt
@@ -50,7 +50,7 @@ class Bent(GaussianModel):
 
 
 def bent(rng, **how) -> Bent:
-    return Bent(**vars(unbent(rng)), asked=[], **how)
+    return Bent(**vars(build_linear_model(rng)), asked=[], **how)
 
 
 def body(rng) -> KinematicTree:
@@ -98,7 +98,7 @@ def costs(tree, points, model, found, scale=1.0):
     return np.array([true_cost(tree, points, model, t, *frame, scale) for t, frame in enumerate(frames)])
 
 
-@pytest.mark.parametrize("make", [unbent, bent])
+@pytest.mark.parametrize("make", [build_linear_model, bent])
 def test_poses_of_the_model_are_recovered_from_all_joints(make):
     rng = np.random.default_rng(0)
     model = make(rng)
@@ -113,7 +113,7 @@ def test_poses_of_the_model_are_recovered_from_all_joints(make):
 
 def test_linear_model_gives_the_least_squares_solution():
     rng = np.random.default_rng(1)
-    model = unbent(rng)
+    model = build_linear_model(rng)
     tree, points, start, _ = case(rng, model)
     found = pose_solver.solve_poses(tree, (points,), model, *start, prior_scale=1.5)
     np.testing.assert_allclose(found.cost, costs(tree, points, model, found, 1.5), rtol=1e-9)
@@ -173,7 +173,7 @@ def test_true_cost_never_increases(height):
     assert (fell < -1e-3).any()
 
 
-@pytest.mark.parametrize("make", [unbent, bent])
+@pytest.mark.parametrize("make", [build_linear_model, bent])
 def test_batches_and_frame_order_are_irrelevant(make, monkeypatch):
     rng = np.random.default_rng(4)
     model = make(rng)
@@ -188,7 +188,7 @@ def test_batches_and_frame_order_are_irrelevant(make, monkeypatch):
 
 def test_prior_scale_multiplies_all_model_deviations():
     rng = np.random.default_rng(5)
-    model = unbent(rng)
+    model = build_linear_model(rng)
     tree, points, start, _ = case(rng, model)
     wider = replace(model, residual_sd_rad=2 * model.residual_sd_rad, components=2 * model.components)
     expected, found = (
@@ -212,12 +212,12 @@ def test_converged_frames_are_not_linearised_again(monkeypatch):
     model.asked.clear()
     again = pose_solver.solve_poses(tree, (points,), model, root, local, codes, max_iterations=200)
     assert (again.status == FrameStatus.CONVERGED).all()
-    assert model.asked[:2] == [5, 2]  # codes of the first round differ, else one would be asked for all
+    assert model.asked[:2] == [5, 2]  # the codes of the first round differ, otherwise one evaluation would serve all
 
 
 def test_linear_model_is_linearised_once_and_callback_is_called():
     rng = np.random.default_rng(7)
-    model, states = unbent(rng), []
+    model, states = build_linear_model(rng), []
     tree, points, start, _ = case(rng, model)
     found = pose_solver.solve_poses(tree, (points,), model, *start, callback=lambda *state: states.append(state))
     assert len(states) == 1
@@ -239,7 +239,7 @@ def test_start_is_not_modified_and_iterations_are_limited():
 def test_model_determines_the_tilt_but_not_the_heading():
     """Nothing but the root's place is known: the body stands as the mean does, whichever way it faces."""
     rng = np.random.default_rng(9)
-    model, tree = unbent(rng), body(rng)
+    model, tree = build_linear_model(rng), body(rng)
     root, local = np.zeros((1, 3)), np.tile(model.reference_rotations, (1, 1, 1, 1))
     heading = Rotation.from_rotvec([0, 1.2, 0]).as_matrix()
     local[0, 0] = heading @ Rotation.from_rotvec([0.4, 0, -0.3]).as_matrix()

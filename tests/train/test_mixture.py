@@ -51,10 +51,10 @@ def test_two_clusters_are_separated():
 def test_density_agrees_with_scikit_learn():
     poses, _ = draw_poses()
     model, _ = fit(poses)
-    theirs = GaussianMixture(2, weights_init=model.component_weights, means_init=model.component_means)
-    theirs.weights_, theirs.means_ = model.component_weights, model.component_means
-    theirs.precisions_cholesky_ = np.swapaxes(np.linalg.inv(model.component_cholesky), 1, 2)
-    np.testing.assert_allclose(log_density(model, poses), theirs.score_samples(model.project_poses(poses)), rtol=1e-9)
+    reference = GaussianMixture(2, weights_init=model.component_weights, means_init=model.component_means)
+    reference.weights_, reference.means_ = model.component_weights, model.component_means
+    reference.precisions_cholesky_ = np.swapaxes(np.linalg.inv(model.component_cholesky), 1, 2)
+    np.testing.assert_allclose(log_density(model, poses), reference.score_samples(model.project_poses(poses)), rtol=1e-9)
 
 
 def test_em_has_converged():

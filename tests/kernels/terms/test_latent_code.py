@@ -13,7 +13,7 @@ seeds = st.integers(0, 2**32 - 1)
 SIZE, BENT = 5, 3
 
 
-def asked(rng) -> LatentCodeTerm:
+def draw_linearised_term(rng) -> LatentCodeTerm:
     """Return two linearisations of a decoder that bends the first numbers of its code, and is linear in the others"""
     frame = random_terms.draw_frame(rng, 4, codes=SIZE)
     return random_terms.draw_latent_code(rng, dense_oracle.compute_world(frame.tree, frame.root, frame.local, frame.shared))
@@ -25,14 +25,14 @@ def curved(term: LatentCodeTerm) -> np.ndarray:
 
 @given(seeds)
 def test_curvature_is_the_sum_over_joints(seed):
-    term = asked(np.random.default_rng(seed))
+    term = draw_linearised_term(np.random.default_rng(seed))
     np.testing.assert_allclose(term.curvature, curved(term), atol=1e-9 * term.curvature.max(initial=1.0))
 
 
 @given(seeds)
 def test_broyden_update_explains_the_step_with_the_least_change(seed):
     rng = np.random.default_rng(seed)
-    term = asked(rng)
+    term = draw_linearised_term(rng)
     before = LatentCodeTerm(*(np.copy(each) for each in term))
     step, decoded = rng.normal(size=(1, SIZE)), rng.normal(size=(1, 4, 3))
     update_linearisations(term, np.array([1]), before.code[1:] + step, decoded, BENT)
@@ -50,7 +50,7 @@ def test_broyden_update_explains_the_step_with_the_least_change(seed):
 
 
 def test_zero_step_changes_nothing():
-    term = asked(np.random.default_rng(0))
+    term = draw_linearised_term(np.random.default_rng(0))
     before = term.jacobian.copy()
     update_linearisations(term, np.array([0, 1]), term.code.copy(), term.decoded + 1e-9, BENT)
     np.testing.assert_array_equal(term.jacobian, before)
@@ -58,7 +58,7 @@ def test_zero_step_changes_nothing():
 
 @pytest.mark.parametrize("rows", [[0], [1, 0]])
 def test_only_selected_linearisations_are_updated(rows):
-    term = asked(np.random.default_rng(1))
+    term = draw_linearised_term(np.random.default_rng(1))
     right = term.curvature.copy()
     term.curvature[:] = -1.0
     update_code_curvature(term, np.array(rows), SIZE)
