@@ -50,7 +50,7 @@ def test_joints_channels_and_values_are_read(tmp_path):
         lambda text: "\ufeff" + text.replace("End Site", "End Site of the foot"),
     ],
 )
-def test_spelling_variants_are_read_alike(tmp_path, change):
+def test_spelling_variants_are_equivalent(tmp_path, change):
     found, plain = read(tmp_path, change(TEXT)), read(tmp_path, TEXT)
     assert (found.names, found.channels, found.rate) == (plain.names, plain.channels, plain.rate)
     np.testing.assert_array_equal(found.values, VALUES)

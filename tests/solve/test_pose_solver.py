@@ -32,7 +32,7 @@ def build_linear_model(rng) -> GaussianModel:
 class Bent(GaussianModel):
     """A linear model with a sine on top; it counts how many codes it is linearised at."""
 
-    asked: list
+    evaluated_counts: list
     height: float = 0.3
     is_linear = False
 
@@ -40,7 +40,7 @@ class Bent(GaussianModel):
         return super().decode(codes) + self.height * np.sin(2 * super().decode(codes))
 
     def linearise(self, codes):
-        self.asked.append(len(codes))
+        self.evaluated_counts.append(len(codes))
         decoded, slopes = super().linearise(codes)
         return self.decode(codes), slopes * (1 + 2 * self.height * np.cos(2 * decoded))[..., None]
 
@@ -50,7 +50,7 @@ class Bent(GaussianModel):
 
 
 def bent(rng, **how) -> Bent:
-    return Bent(**vars(build_linear_model(rng)), asked=[], **how)
+    return Bent(**vars(build_linear_model(rng)), evaluated_counts=[], **how)
 
 
 def body(rng) -> KinematicTree:
@@ -209,10 +209,10 @@ def test_converged_frames_are_not_linearised_again(monkeypatch):
     root, local, codes = start[0], start[1], np.zeros((5, CODE))
     for t in (0, 1, 3):  # three frames begin where they end
         root[t], local[t], codes[t] = first.root_position[t], first.local_rotations[t], first.codes[t]
-    model.asked.clear()
+    model.evaluated_counts.clear()
     again = pose_solver.solve_poses(tree, (points,), model, root, local, codes, max_iterations=200)
     assert (again.status == FrameStatus.CONVERGED).all()
-    assert model.asked[:2] == [5, 2]  # the codes of the first round differ, otherwise one evaluation would serve all
+    assert model.evaluated_counts[:2] == [5, 2]  # the codes of the first round differ, otherwise one evaluation would serve all
 
 
 def test_linear_model_is_linearised_once_and_callback_is_called():
