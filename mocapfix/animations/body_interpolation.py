@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import compose_transforms
 from mocapfix.animations.rotation_repair import FrameSpan, make_quaternions_continuous
-from mocapfix.solve import state_features
+from mocapfix.solve import occluded_joints
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
 from mocapfix.stats.sequences import sample_evenly
@@ -153,7 +153,7 @@ def predict_gap_bias(
 ) -> GapBias | None:
     """Return the predicted error of the interpolation with these weights of context frames, None if it cannot be learned."""
     length = span.last - span.first + 1
-    half_span = max(1, round(state_features.VELOCITY_HALF_SPAN_S * span.rate))
+    half_span = max(1, round(occluded_joints.VELOCITY_HALF_SPAN_S * span.rate))
     offsets = context_frames - span.first
     required = np.unique(np.r_[offsets, -1 - 2 * half_span, length + 2 * half_span, np.arange(-1, length + 1)])
     starts = np.arange(-required.min(), len(motion.root_position) - required.max())
@@ -187,7 +187,7 @@ def compute_edge_features(
     displacement = (world_to_heading @ (root_position[after] - root_position[before])[..., None])[..., 0] / DISPLACEMENT_UNIT_M
     rotation = np.swapaxes(local_rotations[before, 0], -1, -2) @ local_rotations[after, 0]
     states = [
-        state_features.compute_joint_state_features(root_position, local_rotations, joints, frames, rate)
+        occluded_joints.compute_joint_state_features(root_position, local_rotations, joints, frames, rate)
         for frames in (before, after)
     ]
     return np.concatenate([*states, displacement, rotation.reshape(len(start_frames), 9) / np.sqrt(2)], axis=1)

@@ -39,7 +39,7 @@ from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
 from mocapfix.subject import Subject
 from mocapfix.take import Take
-from mocapfix.write.animation_patch import patch_animation
+from mocapfix.write.patches import patch_animation
 
 if TYPE_CHECKING:
     from mocapfix.report.comparison import CleaningComparison

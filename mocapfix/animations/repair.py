@@ -20,8 +20,8 @@ from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.animations.rotation_repair import FrameSpan
 from mocapfix.faults import Fault, build_fault_mask
 from mocapfix.kernels import quaternions
-from mocapfix.solve import occluded_joints, state_features
-from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve import occluded_joints
+from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.stats.sequences import find_runs
 
 EXACT_VARIANCE_RAD2 = 1e-8
@@ -164,7 +164,7 @@ def _infer_lost_joints(
         free_joints,
         rate,
         conditioner=conditioner,
-        kernel=state_features.RECORDED_ROTATION_KERNEL,
+        kernel=occluded_joints.RECORDED_ROTATION_KERNEL,
     )
     is_inferred = is_unobserved & (variance != EXACT_VARIANCE_RAD2)
     repair.variance[:, :-1][is_inferred] = variance[is_inferred]

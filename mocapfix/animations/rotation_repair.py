@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.solve import state_features
+from mocapfix.solve import occluded_joints
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.constant_offsets import OffsetModel
 from mocapfix.stats.gaussian_process import fit_gaussian_process
@@ -60,9 +60,9 @@ def smooth_joint_jitter(
     training = np.sort(np.r_[steady, frames])
     has_jitter = np.isin(training, frames)
     noise = np.where(has_jitter, QUATERNION_VARIANCE_RATIO * jitter_sd_rad**2, 0.0)
-    states = state_features.compute_joint_state_features(root_position, local_rotations, joints, training, rate)
+    states = occluded_joints.compute_joint_state_features(root_position, local_rotations, joints, training, rate)
     process = fit_gaussian_process(
-        2 * quaternions[training], states, training / rate, noise, state_features.RECORDED_ROTATION_KERNEL
+        2 * quaternions[training], states, training / rate, noise, occluded_joints.RECORDED_ROTATION_KERNEL
     )
     smoothed, variance = process.predict(states[has_jitter], frames / rate)
     return smoothed / np.linalg.norm(smoothed, axis=1, keepdims=True), variance * process.signal_power.sum() / 3

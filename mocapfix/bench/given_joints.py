@@ -1,8 +1,10 @@
-"""Benchmark of pose priors when the positions of a few random joints are given (MNN-IK, 4.2): accuracy, convergence and speed.
+"""Benchmark of pose priors when joint positions are given: a few random joints (MNN-IK, 4.2), or all of them.
 
-As in the paper, poses are at the origin without heading, and every solve starts at the mean pose. All priors solve the same poses
-with the same joints. The error of a pose is the mean over its 31 joints. The paper does not define its standard deviations; here
-they are those of the errors of poses.
+With a few joints, accuracy, convergence and speed are measured. As in the paper, poses are at the origin without heading, and
+every solve starts at the mean pose. All priors solve the same poses with the same joints. The error of a pose is the mean over
+its 31 joints. The paper does not define its standard deviations; here they are those of the errors of poses.
+
+With all joints a prior is not needed; then its side effects are measured.
 """
 
 import time
@@ -10,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.bench.compared_priors import (
@@ -23,6 +25,72 @@ from mocapfix.bench.compared_priors import (
     solve_joint_task,
 )
 from mocapfix.report.stage_timer import ProgressCallback
+from mocapfix.skeleton import Skeleton
+
+ALL_JOINTS_SD_M = 0.003  # per axis: standard deviation of the noise, also assumed by the solver
+MIN_TWIST_BONE_LENGTH_M = 0.01  # two joints that are closer together have no bone between them
+
+
+def measure_all_joints(
+    rotations: Float[np.ndarray, "N J 3 3"],
+    priors: ComparedPriors,
+    reference_rotations: Float[np.ndarray, "J 3 3"],
+    progress: ProgressCallback,
+) -> dict[str, dict[str, float]]:
+    """Return the effect of each prior on poses whose joint positions are all given.
+
+    bias_mm    mean distance of exactly given joints from where they are without a prior
+    noisy_mm   mean distance of joints from the truth if the given positions have noise of ALL_JOINTS_SD_M
+    twist_deg  mean error of the bones' twist if the positions are given exactly
+    """
+    shape = rotations.shape[:2]
+    noise = np.random.default_rng(0).normal(0, ALL_JOINTS_SD_M, (*shape, 3))
+    exact_task = build_joint_task(rotations, np.ones(shape, bool), ALL_JOINTS_SD_M)
+    noisy_task = build_joint_task(rotations, np.ones(shape, bool), ALL_JOINTS_SD_M, noise)
+    truth = place_known_poses(exact_task.skeleton, np.zeros((len(rotations), 3)), rotations)
+    results: dict[str, dict[str, float]] = {}
+    without_prior = None
+    for name, model in priors.items():
+        progress(f"all joints given, {name}")
+        exact, noisy = (solve_joint_task(task, model, task.build_start(reference_rotations)) for task in (exact_task, noisy_task))
+        without_prior = without_prior or exact  # the first of the compared priors is no prior
+        results[name] = {
+            "bias_mm": compute_joint_distance_mm(exact, without_prior),
+            "noisy_mm": compute_joint_distance_mm(noisy, truth),
+            "twist_deg": float(np.degrees(compute_bone_twist_errors(exact_task.skeleton, exact, truth).mean())),
+        }
+    return results
+
+
+def compute_joint_distance_mm(first: PlacedPoses, second: PlacedPoses) -> float:
+    """Return the mean distance of the joints in mm."""
+    return 1e3 * float(np.linalg.norm(first.joint_positions - second.joint_positions, axis=2).mean())
+
+
+def compute_bone_twist_errors(skeleton: Skeleton, solution: PlacedPoses, truth: PlacedPoses) -> Float[np.ndarray, "N B"]:
+    """Return the error of each bone's rotation about itself in radians.
+
+    A bone is a joint with one child: two children determine its rotation, and a joint without children has no direction.
+    """
+    bones, children = find_twist_bones(skeleton)
+    direction = truth.joint_positions[:, children] - truth.joint_positions[:, bones]
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    difference = solution.world_rotations[:, bones] @ np.swapaxes(truth.world_rotations[:, bones], 2, 3)
+    quaternions = Rotation.from_matrix(difference.reshape(-1, 3, 3)).as_quat().reshape(*direction.shape[:2], 4)
+    angle = 2 * np.arctan2((quaternions[..., :3] * direction).sum(axis=2), quaternions[..., 3])
+    return np.abs((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def find_twist_bones(skeleton: Skeleton) -> tuple[Int[np.ndarray, " B"], Int[np.ndarray, " B"]]:
+    """Return the joints that have exactly one child at some distance, and these children."""
+    pairs: list[tuple[int, int]] = []
+    for joint in range(len(skeleton.names)):
+        children = np.flatnonzero(skeleton.parents == joint)
+        if len(children) == 1 and np.linalg.norm(skeleton.offsets[children[0]]) > MIN_TWIST_BONE_LENGTH_M:
+            pairs.append((joint, int(children[0])))
+    bones, children = np.array(pairs).T
+    return bones, children
+
 
 GIVEN_JOINT_COUNTS = (6, 8, 10, 15)
 GIVEN_JOINT_SD_M = 0.005  # standard deviation of a given position that the solver assumes

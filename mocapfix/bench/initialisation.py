@@ -16,6 +16,13 @@ from jaxtyping import Float
 
 from mocapfix.bench.common_task import build_known_motion
 from mocapfix.bench.given_joints import time_rounds
+from mocapfix.bench.hybrik_tables import (
+    NO_TWISTS,
+    build_cmu41_subject,
+    compute_noise_ratios,
+    measure_joint_noise,
+    measure_twist_sources,
+)
 from mocapfix.bench.initialisation_outcomes import (
     StartMethod,
     StartOutcome,
@@ -32,9 +39,7 @@ from mocapfix.bench.initialisation_takes import (
     perform_test_recordings,
     read_captures,
 )
-from mocapfix.bench.joint_noise import NO_TWISTS, build_cmu41_subject, compute_noise_ratios, measure_joint_noise
-from mocapfix.bench.twists import measure_twist_sources
-from mocapfix.bench.unseen_poses import load_unseen_poses, sample_subject_poses
+from mocapfix.bench.sound_takes import load_unseen_poses, sample_subject_poses
 from mocapfix.initialise import initial_motion
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.motion import Motion

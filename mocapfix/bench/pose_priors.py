@@ -6,11 +6,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.bench.all_joints import measure_all_joints
 from mocapfix.bench.compared_priors import ComparedPrior, ComparedPriors, load_compared_priors
-from mocapfix.bench.given_joints import compute_improvements, measure_given_joints, measure_iterations, measure_prior_speed
+from mocapfix.bench.given_joints import (
+    compute_improvements,
+    measure_all_joints,
+    measure_given_joints,
+    measure_iterations,
+    measure_prior_speed,
+)
 from mocapfix.bench.lost_limbs import measure_lost_limbs
-from mocapfix.bench.unseen_poses import load_unseen_poses, sample_interleaved_poses, sample_subject_poses
+from mocapfix.bench.sound_takes import load_unseen_poses, sample_interleaved_poses, sample_subject_poses
 from mocapfix.errors import SceneError
 from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior

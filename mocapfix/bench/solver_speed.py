@@ -13,9 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mocapfix.bench.common_task import build_common_task
+from mocapfix.bench.compared_solvers import (
+    build_task_scene,
+    build_workspace,
+    solve_with_mocapfix,
+    solve_with_scipy,
+    time_sparse_direction,
+)
 from mocapfix.bench.dense_solver import DenseSolver
-from mocapfix.bench.mocapfix_solver import build_task_scene, build_workspace, solve_with_mocapfix, time_sparse_direction
-from mocapfix.bench.scipy_solver import solve_with_scipy
 from mocapfix.bench.scope_scenes import SCOPE_JOINT_COUNTS, ScopeScene, build_scope_experiments
 from mocapfix.solve.parallel import count_cores
 

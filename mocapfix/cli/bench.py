@@ -8,8 +8,7 @@ import tyro
 from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
-from mocapfix.cli.bench_hybrik import run_bench_hybrik
-from mocapfix.cli.bench_prior import run_bench_hands, run_bench_prior
+from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, show_progress, stdout_console
 
 FAULT_COLUMNS = (

@@ -14,9 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import TakeError
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.keypoints.camera_scale import build_camera, fit_camera_scale, solve_camera_scale, subtract_weighted_mean
 from mocapfix.keypoints.keypoint_file import Keypoints
-from mocapfix.keypoints.reprojection_problem import MIN_KEYPOINT_CONFIDENCE, WIDE_ROBUST_SCALE_SD, ReprojectionProblem
+from mocapfix.keypoints.reprojection_problem import (
+    MIN_KEYPOINT_CONFIDENCE,
+    WIDE_ROBUST_SCALE_SD,
+    ReprojectionProblem,
+    build_camera,
+    fit_camera_scale,
+    solve_camera_scale,
+    subtract_weighted_mean,
+)
 from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.model import PoseModel

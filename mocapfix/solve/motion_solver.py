@@ -19,6 +19,8 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics, observability, occluded_joints, smoothing
+from mocapfix.solve.observability import compute_pose_sd
+from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,
@@ -27,8 +29,6 @@ from mocapfix.solve.pose_problem import (
     build_no_tracking,
     build_pose_prior_term,
 )
-from mocapfix.solve.pose_uncertainty import compute_pose_sd
-from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.state import BodyFit, CleaningState
 from mocapfix.subject import Subject
 from mocapfix.take import Take

@@ -17,8 +17,7 @@ from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.solve.constraint_terms import ConstraintTerms, build_constraint_terms, is_rotation
-from mocapfix.solve.constraints import Constraint
+from mocapfix.solve.constraints import Constraint, ConstraintTerms, build_constraint_terms, is_rotation
 from mocapfix.solve.latent_solver import build_latent_term
 from mocapfix.solve.pose_solver import PoseSolution, solve_poses
 

@@ -4,14 +4,12 @@
 whatever the take was read from.
 """
 
-from mocapfix.write.animation_patch import patch_animation
 from mocapfix.write.asf_amc import write_asf_amc
 from mocapfix.write.bvh import write_bvh, write_rig_bvh
 from mocapfix.write.c3d import write_c3d
-from mocapfix.write.c3d_patch import patch_c3d
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.npz import write_npz
-from mocapfix.write.table_patch import patch_table
+from mocapfix.write.patches import patch_animation, patch_c3d, patch_table
 from mocapfix.write.text_tables import write_csv, write_trc
 
 __all__ = [

@@ -20,12 +20,11 @@ from mocapfix.write import rig
 from mocapfix.write.asf_amc import write_asf_amc
 from mocapfix.write.bvh import write_bvh, write_rig_bvh
 from mocapfix.write.c3d import write_c3d
-from mocapfix.write.c3d_patch import patch_c3d
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.npz import write_npz
+from mocapfix.write.patches import patch_c3d, patch_table
 from mocapfix.write.resampling import is_frame_subset, resample_motion
 from mocapfix.write.rig import Rig
-from mocapfix.write.table_patch import patch_table
 from mocapfix.write.text_tables import write_csv, write_trc
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from mocapfix.animations.clean import AnimationResult
 from mocapfix.animations.detect import detect_animation_faults
 from mocapfix.cli import app
 from mocapfix.read import amc, bvh
-from mocapfix.write.animation_patch import patch_animation
+from mocapfix.write.patches import patch_animation
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
 ARM = ("RightArm", "RightForeArm")

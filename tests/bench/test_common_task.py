@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import common_task, mocapfix_solver, scipy_solver
+from mocapfix.bench import common_task, compared_solvers
 from mocapfix.stats.sequences import find_runs
 
 TASK = common_task.build_common_task()
@@ -50,7 +50,7 @@ def test_bone_lengths_are_constant_and_speeds_are_human():
 
 
 def test_joint_error_of_a_translated_body_is_the_distance():
-    poses = mocapfix_solver.solve_with_mocapfix(TASK, "clean", use_all_cores=False)
+    poses = compared_solvers.solve_with_mocapfix(TASK, "clean", use_all_cores=False)
     error = TASK.compute_joint_error(poses.root_position, poses.rotations)
     assert error < 0.67e-3
     assert TASK.compute_joint_error(poses.root_position + [0.3, 0.0, 0.4], poses.rotations) == pytest.approx(0.5, abs=error)
@@ -63,13 +63,13 @@ def test_zyx_rotations_agree_with_scipy(angles):
 
 
 def test_scipy_solver_jacobian_is_the_derivative_of_the_markers():
-    x, moves_marker = np.random.default_rng(0).normal(0, 0.4, 96), scipy_solver.find_moving_joints(TASK)
+    x, moves_marker = np.random.default_rng(0).normal(0, 0.4, 96), compared_solvers.find_moving_joints(TASK)
     steps = 1e-6 * np.eye(96)
     numeric = (
         np.stack(
             [
-                scipy_solver.place_markers(TASK, x + h).marker_positions
-                - scipy_solver.place_markers(TASK, x - h).marker_positions
+                compared_solvers.place_markers(TASK, x + h).marker_positions
+                - compared_solvers.place_markers(TASK, x - h).marker_positions
                 for h in steps
             ],
             axis=-1,
@@ -77,14 +77,14 @@ def test_scipy_solver_jacobian_is_the_derivative_of_the_markers():
         / 2e-6
     )
     np.testing.assert_allclose(
-        scipy_solver.compute_marker_jacobian(scipy_solver.place_markers(TASK, x), moves_marker), numeric, atol=1e-8
+        compared_solvers.compute_marker_jacobian(compared_solvers.place_markers(TASK, x), moves_marker), numeric, atol=1e-8
     )
 
 
 def test_both_solvers_find_nearly_the_same_poses():
     scipy, own = (
-        scipy_solver.solve_with_scipy(TASK, "noisy", 6),
-        mocapfix_solver.solve_with_mocapfix(TASK, "noisy", use_all_cores=False),
+        compared_solvers.solve_with_scipy(TASK, "noisy", 6),
+        compared_solvers.solve_with_mocapfix(TASK, "noisy", use_all_cores=False),
     )
     assert scipy.rotations.shape == (6, 31, 3, 3)
     own_error, scipy_error = (
@@ -97,8 +97,8 @@ def test_both_solvers_find_nearly_the_same_poses():
 @pytest.mark.parametrize(("name", "least", "most"), [("clean", 0.60, 0.67), ("noisy", 2.15, 2.23)])
 def test_sweep_gives_equal_results_on_one_thread_and_on_all(name, least, most):
     one, every = (
-        mocapfix_solver.solve_with_mocapfix(TASK, name, use_all_cores=False),
-        mocapfix_solver.solve_with_mocapfix(TASK, name, use_all_cores=True),
+        compared_solvers.solve_with_mocapfix(TASK, name, use_all_cores=False),
+        compared_solvers.solve_with_mocapfix(TASK, name, use_all_cores=True),
     )
     assert least < 1e3 * TASK.compute_joint_error(one.root_position, one.rotations) <= most
     np.testing.assert_array_equal(one.rotations, every.rotations)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from mocapfix.bench import scope_scenes
 from mocapfix.bench.common_task import build_common_task
+from mocapfix.bench.compared_solvers import build_task_scene, build_workspace, compute_sparse_direction
 from mocapfix.bench.dense_solver import DenseSolver
-from mocapfix.bench.mocapfix_solver import build_task_scene, build_workspace, compute_sparse_direction
 from mocapfix.bench.scope_scenes import ScopeScene
 from tests.kernels.dense_oracle import Frame, compute_quadratic
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from mocapfix.bench import initialisation, joint_noise, unseen_poses
+from mocapfix.bench import hybrik_tables, initialisation, sound_takes
 from mocapfix.cli import app
 
 VARIANTS = ["naive", "adaptive", "x"]
@@ -14,7 +14,7 @@ PARTS = ["all_mm", "body_mm", "hands_mm"]
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """Use few poses, few timed frames, and one synthetic result of the starts."""
-    poses = unseen_poses.load_unseen_poses()[::50]
+    poses = sound_takes.load_unseen_poses()[::50]
     monkeypatch.setattr(initialisation, "load_unseen_poses", lambda: poses)
     monkeypatch.setattr(initialisation, "SPEED_FRAME_COUNT", 30)
     row = {
@@ -45,7 +45,7 @@ def test_json_has_its_keys(capsys):
         for variants in results[key].values():
             assert list(variants) == VARIANTS
             assert all(list(parts) == PARTS for parts in variants.values())
-    assert results["ratios"]["jitter_mm"] == joint_noise.compute_noise_ratios(results["jitter_mm"])
+    assert results["ratios"]["jitter_mm"] == hybrik_tables.compute_noise_ratios(results["jitter_mm"])
     assert {"random", "zero", "regressed", "markers"} < set(results["twist"])
     assert all({"joints_mm", "markers_mm"} < set(row) for row in results["twist"].values())
     assert list(results["fps_by_way"]) == VARIANTS

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.bench import compared_priors, given_joints, pictures, unseen_poses
+from mocapfix.bench import compared_priors, given_joints, pictures, sound_takes
 from mocapfix.bench.compared_priors import ComparedPriors, build_joint_task
 from mocapfix.bench.given_joints import GIVEN_JOINT_SD_M, compute_pose_errors, draw_given_joints
 from mocapfix.pose_prior import io, mean_pose
@@ -17,7 +17,7 @@ PRIORS: ComparedPriors = {"none": None, "gaussian": GAUSSIAN}
 
 @pytest.fixture(scope="module")
 def poses():
-    return unseen_poses.load_unseen_poses()[::200]
+    return sound_takes.load_unseen_poses()[::200]
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mocapfix.bench import joint_noise, unseen_poses
+from mocapfix.bench import hybrik_tables, sound_takes
 from mocapfix.initialise.hybrik import DEFAULT_JOINT_SD_M
 from mocapfix.skeleton import load_cmu31_body
 
@@ -12,7 +12,7 @@ MEAN_CUBE_DISTANCE = 0.9606  # mean distance of a uniform point in a cube from i
 
 @pytest.fixture(scope="module")
 def results():
-    return joint_noise.measure_joint_noise(unseen_poses.load_unseen_poses()[::2], lambda text: None)
+    return hybrik_tables.measure_joint_noise(sound_takes.load_unseen_poses()[::2], lambda text: None)
 
 
 def test_exact_joints_are_met_by_every_variant(results):
@@ -21,7 +21,7 @@ def test_exact_joints_are_met_by_every_variant(results):
 
 
 def test_adaptive_reduces_the_error_of_naive_and_x_that_of_the_hands(results):
-    for ratios in joint_noise.compute_noise_ratios(results["jitter_mm"]).values():
+    for ratios in hybrik_tables.compute_noise_ratios(results["jitter_mm"]).values():
         assert ratios["adaptive_over_naive_all"] < 0.6
         assert ratios["adaptive_over_naive_body"] < 0.66
         assert ratios["x_over_adaptive_hands"] < 0.9
@@ -47,17 +47,17 @@ def test_hands_have_eight_joints():
         found = true.copy()
         found[0, names.index(name)] = [0.03, 0, 0.04]
         expected = {"all_mm": 50 / 62, "body_mm": 0, "hands_mm": 0, part: 50 / (2 * (8 if part == "hands_mm" else 23))}
-        assert joint_noise.summarise_body_parts(found, true) == pytest.approx(expected)
+        assert hybrik_tables.summarise_body_parts(found, true) == pytest.approx(expected)
 
 
 def test_noise_is_uniform_and_reproducible():
     true = np.random.default_rng(3).normal(size=(500, 31, 3))
-    task = joint_noise.add_joint_noise(true, 20)
+    task = hybrik_tables.add_joint_noise(true, 20)
     off = task.given_positions - true
     assert 0.0199 < np.abs(off).max() <= 0.02
     assert task.sd_m == pytest.approx(off.std(), rel=0.01)
-    np.testing.assert_array_equal(joint_noise.add_joint_noise(true, 20).given_positions, task.given_positions)
-    assert joint_noise.add_joint_noise(true, 0).sd_m == DEFAULT_JOINT_SD_M
+    np.testing.assert_array_equal(hybrik_tables.add_joint_noise(true, 20).given_positions, task.given_positions)
+    assert hybrik_tables.add_joint_noise(true, 0).sd_m == DEFAULT_JOINT_SD_M
 
 
 def test_ratios_omit_zero_noise():
@@ -66,4 +66,4 @@ def test_ratios_omit_zero_noise():
         way: {f"{part}_mm": far for part, far in zip(("all", "body", "hands"), row, strict=True)} for way, row in rows.items()
     }
     expected = {"adaptive_over_naive_all": 0.5, "adaptive_over_naive_body": 0.6, "x_over_adaptive_hands": 0.75}
-    assert joint_noise.compute_noise_ratios({"0": ways, "10": ways}) == {"10": expected}
+    assert hybrik_tables.compute_noise_ratios({"0": ways, "10": ways}) == {"10": expected}

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import joint_noise, pictures, twists, unseen_poses
+from mocapfix.bench import hybrik_tables, pictures, sound_takes
 from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import ReadError
 from mocapfix.skeleton import load_cmu31_skeleton
 from tests.train.motion_files import write_bvh
 
 JOINT_NAMES = load_cmu31_skeleton().names
-SUBJECT = joint_noise.build_cmu41_subject()
+SUBJECT = hybrik_tables.build_cmu41_subject()
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def motion(tmp_path):
 
 
 def test_percentiles_are_of_twists_in_degrees(motion):
-    percentiles = twists.compute_twist_distribution(motion)
+    percentiles = hybrik_tables.compute_twist_distribution(motion)
     assert len(percentiles) == 23
     np.testing.assert_allclose(percentiles.pop("LeftArm"), [0.6, 15, 30, 45, 59.4], atol=1e-3)
     np.testing.assert_allclose(list(percentiles.values()), 0, atol=1e-3)
@@ -39,16 +39,16 @@ def test_frames_beyond_a_jump_are_skipped(motion):
     rotations[20:, JOINT_NAMES.index("RightHand")] = Rotation.from_euler("x", 170, degrees=True).as_matrix()
     (motion / "01_01.bvh").unlink()
     write_bvh(motion / "01_02.bvh", rotations)
-    np.testing.assert_allclose(twists.compute_twist_distribution(motion)["RightHand"], 0, atol=1e-3)
+    np.testing.assert_allclose(hybrik_tables.compute_twist_distribution(motion)["RightHand"], 0, atol=1e-3)
 
 
 def test_folder_without_motion_raises(tmp_path):
     with pytest.raises(ReadError, match="holds no motion"):
-        twists.compute_twist_distribution(tmp_path)
+        hybrik_tables.compute_twist_distribution(tmp_path)
 
 
 def test_figure_is_drawn(motion, tmp_path):
-    pictures.draw_twists(tmp_path / "twists.png", twists.compute_twist_distribution(motion))
+    pictures.draw_twists(tmp_path / "twists.png", hybrik_tables.compute_twist_distribution(motion))
     assert (tmp_path / "twists.png").read_bytes().startswith(b"\x89PNG\r\n")
 
 
@@ -65,7 +65,7 @@ def test_sides_share_a_row():
 
 @pytest.fixture(scope="module")
 def results():
-    return twists.measure_twist_sources(unseen_poses.load_unseen_poses()[::5], SUBJECT, lambda text: None)
+    return hybrik_tables.measure_twist_sources(sound_takes.load_unseen_poses()[::5], SUBJECT, lambda text: None)
 
 
 def test_better_twists_reduce_marker_errors(results):
@@ -95,7 +95,7 @@ def test_twisted_forearm_has_its_angle_and_marker_errors():
     rotations = true.local_rotations.copy()
     rotations[1, arm] = Rotation.from_rotvec(0.6 * direction).as_matrix()
     rotations[1, hand] = rotations[1, arm].T
-    errors = twists.compute_twist_source_errors(SUBJECT, build_known_motion(true.root_position, rotations), true)
+    errors = hybrik_tables.compute_twist_source_errors(SUBJECT, build_known_motion(true.root_position, rotations), true)
     assert errors["joints_mm"] == pytest.approx(0, abs=1e-9)
     assert errors["twist_deg"]["LeftForeArm"] == pytest.approx(np.degrees(0.6) / 2)
     assert errors["twist_deg"]["LeftHand"] == errors["twist_deg"]["LeftArm"] == pytest.approx(0, abs=1e-6)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_sets
-from mocapfix.bench import unseen_poses
+from mocapfix.bench import sound_takes
 from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import ConstraintError
 from mocapfix.initialise import initial_motion
@@ -30,7 +30,7 @@ VARIANTS = ("naive", "adaptive", "x")
 def people():
     """Return 100 poses at random places in the world, their joints (100, J, 3) and markers (100, K, 3)."""
     rng = np.random.default_rng(0)
-    rotations, places = unseen_poses.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
+    rotations, places = sound_takes.load_unseen_poses()[::10].copy(), rng.normal(0, 1, (100, 3))
     rotations[:, 0] = Rotation.random(100, rng).as_matrix() @ rotations[:, 0]
     motion = build_known_motion(places, rotations)
     return motion, *kinematics.compute_joint_and_marker_positions(SUBJECT, motion)
@@ -304,7 +304,7 @@ def test_subject_without_marker_spread_can_be_posed(people):
 
 def test_outlying_marker_has_no_influence():
     """An outlier that is excluded from the joint positions must not rotate the head, the hips or a forearm either."""
-    rotations = unseen_poses.load_unseen_poses()[::20]
+    rotations = sound_takes.load_unseen_poses()[::20]
     true = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     markers = kinematics.compute_joint_and_marker_positions(SUBJECT, true)[1] + np.random.default_rng(0).normal(
         0, 0.002, (len(rotations), 41, 3)

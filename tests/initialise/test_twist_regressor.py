@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
-from mocapfix.bench import unseen_poses
+from mocapfix.bench import sound_takes
 from mocapfix.errors import SceneError
 from mocapfix.initialise.twist_regressor import (
     TwistRegressor,
@@ -39,7 +39,7 @@ SWAP = [BODY.find_joint(mirror_joint_name(name)) for name in BODY.names]
 @pytest.fixture(scope="module")
 def people():
     """Return local rotations of subjects that the network was not trained on, and their joint positions, the root at rest."""
-    poses = unseen_poses.load_unseen_poses()[::4]
+    poses = sound_takes.load_unseen_poses()[::4]
     poses[:, 0] = np.eye(3)
     return poses, compute_tree_poses(build_kinematic_tree(BODY), np.zeros((len(poses), 3)), poses)[0]
 

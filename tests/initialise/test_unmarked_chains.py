@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_sets
-from mocapfix.bench import unseen_poses
+from mocapfix.bench import sound_takes
 from mocapfix.bench.common_task import build_known_motion
 from mocapfix.initialise import initial_motion
 from mocapfix.pose_prior import mean_pose
@@ -25,7 +25,7 @@ def test_neck_is_the_only_unmarked_chain():
 
 
 def test_ends_keep_their_rotation_and_joints_between_share_it():
-    rotations = unseen_poses.load_unseen_poses()[::50]
+    rotations = sound_takes.load_unseen_poses()[::50]
     before = build_known_motion(np.zeros((len(rotations), 3)), rotations)
     after = initial_motion.bend_unmarked_chains(before, SUBJECT, PRIOR)
     worlds = [kinematics.compute_world_poses(SKELETON, motion)[1] for motion in (before, after)]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix.keypoints import film_solver, keypoint_file, keypoint_scene
-from mocapfix.keypoints.camera_scale import build_camera_rotation
-from mocapfix.keypoints.reprojection_problem import ReprojectionProblem
+from mocapfix.keypoints.reprojection_problem import ReprojectionProblem, build_camera_rotation
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
 

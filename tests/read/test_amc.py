@@ -11,7 +11,7 @@ from mocapfix.animation import Animation, compose_transforms
 from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError
 from mocapfix.read import amc, bvh
-from mocapfix.write.animation_patch import patch_animation
+from mocapfix.write.patches import patch_animation
 from tests.asf_files import AMC, ASF, FRAMES
 
 CMU = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu"

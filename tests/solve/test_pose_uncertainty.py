@@ -10,6 +10,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.solve.observability import CALIBRATION_SD_RATIO, MIN_ESTIMATED_MARKER_SD_M, compute_pose_sd, estimate_marker_sd
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,
@@ -17,7 +18,6 @@ from mocapfix.solve.pose_problem import (
     build_no_tracking,
     build_pose_prior_term,
 )
-from mocapfix.solve.pose_uncertainty import CALIBRATION_SD_RATIO, MIN_ESTIMATED_MARKER_SD_M, compute_pose_sd, estimate_marker_sd
 
 BODY = load_cmu31_body()
 MEAN = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton)

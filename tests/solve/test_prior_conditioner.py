@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.pose_prior.gaussian import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.occluded_joints import PriorConditioner
 
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)

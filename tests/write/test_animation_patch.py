@@ -6,7 +6,7 @@ import pytest
 
 from mocapfix.errors import WriteError
 from mocapfix.read import amc, bvh
-from mocapfix.write.animation_patch import patch_animation
+from mocapfix.write.patches import patch_animation
 from tests.asf_files import AMC, ASF
 from tests.bvh_files import TEXT
 
