@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from mocapfix.errors import TakeError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.matching import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
+from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 from mocapfix.options import SubjectOptions
 from mocapfix.result import CleaningResult
 from mocapfix.take import Take

@@ -21,7 +21,7 @@ from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.marker_sets.matching import choose_marker_set, describe_marker_set_match, resolve_subject
+from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, resolve_subject
 from mocapfix.multi_subject import split_known_subjects
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader

@@ -31,7 +31,7 @@ from mocapfix.write.output_formats import (
 )
 
 if TYPE_CHECKING:
-    from mocapfix.report.comparison import CleaningComparison
+    from mocapfix.report.sample_states import CleaningComparison
 
 DEFAULT_OUTPUT_OPTIONS = OutputOptions()
 
@@ -184,7 +184,7 @@ class CleaningResult:
     @cached_property
     def comparison(self) -> "CleaningComparison":
         """The take before and after cleaning, as the HTML report and the recording show it."""
-        from mocapfix.report.comparison import CleaningComparison
+        from mocapfix.report.sample_states import CleaningComparison
         from mocapfix.report.terms import get_point_terms
 
         skeleton, joints = self.subject.skeleton if self.subject else None, self.joint_position_world

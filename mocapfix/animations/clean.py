@@ -42,7 +42,7 @@ from mocapfix.take import Take
 from mocapfix.write.patches import patch_animation
 
 if TYPE_CHECKING:
-    from mocapfix.report.comparison import CleaningComparison
+    from mocapfix.report.sample_states import CleaningComparison
 
 
 @dataclass(frozen=True, kw_only=True)

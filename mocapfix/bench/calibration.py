@@ -14,8 +14,7 @@ from mocapfix.calibrate.parameters import CalibratedBody, build_calibration_para
 from mocapfix.calibrate.refinement import build_calibration_problem, compute_calibration_sd, linearise_frames
 from mocapfix.initialise import initial_motion
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.subject import Subject

@@ -19,8 +19,7 @@ from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.solve.pose_problem import PoseProblem, build_no_tracking

@@ -20,7 +20,7 @@ from mocapfix.calibrate import calibration
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.errors import ReadError
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.matching import resolve_subject
+from mocapfix.marker_sets.library import resolve_subject
 from mocapfix.motion import Motion
 from mocapfix.options import SubjectOptions
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior

@@ -20,8 +20,7 @@ from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body

@@ -22,8 +22,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import load_shipped_marker_sets
 from mocapfix.motion import Motion
-from mocapfix.pose_prior.joint_limits import JointLimits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import (

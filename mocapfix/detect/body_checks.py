@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocapfix.detect import body_label_swaps, body_outliers, body_residuals, marker_shifts
+from mocapfix.detect import body_label_swaps, body_outliers, marker_shifts
 from mocapfix.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, SHIFT_KINDS, Fault
 from mocapfix.motion import Motion
 from mocapfix.options import DetectOptions
@@ -40,7 +40,7 @@ def detect_body_faults(
     Returns:
         Faults ordered by marker and first frame. Markers are indices into the subject's markers.
     """
-    residuals = body_residuals.compute_body_residuals(subject_take, solver_mask, subject, motion)
+    residuals = body_outliers.compute_body_residuals(subject_take, solver_mask, subject, motion)
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)
     swaps = body_label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
     single_outliers = [

@@ -14,8 +14,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.joint_limits import JointLimits, load_joint_limits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import (

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect.body_outliers import BodyOutlier
-from mocapfix.detect.body_residuals import BodyResiduals
-from mocapfix.detect.continuity import build_trajectories
+from mocapfix.detect.body_outliers import BodyOutlier, BodyResiduals
+from mocapfix.detect.trajectory_segments import build_trajectories
 from mocapfix.faults import Fault
 from mocapfix.kernels.label_evidence import MAX_SMOOTH_LEAP, compute_own_leaps
 from mocapfix.take import Take

@@ -1,9 +1,16 @@
 """Fills of other programs: samples that no camera measured.
 
-`detect_virtual_samples` reads them from the file's own marks. `detect_polynomial_fills` finds samples on an exact line,
-parabola or cubic. No polynomial fits a measured tenth of a second to the file's resolution, because cameras have noise and
-bodies do not move along polynomials. In a file of coarse integers a longer stretch is needed to tell the two apart, and for
+`detect_virtual_samples` reads them from the file's own marks. The other detectors find samples that follow a polynomial exactly.
+A measured marker has noise of some tenths of a millimetre, and its coordinates have a last digit. Samples that are constant, or
+that lie on a line, a parabola or a cubic to that digit, were not measured.
+
+`detect_polynomial_fills`: no polynomial fits a measured tenth of a second to the file's resolution, because cameras have noise
+and bodies do not move along polynomials. In a file of coarse integers a longer stretch is needed to tell the two apart, and for
 a marker at rest it is impossible.
+
+`detect_frozen`: a marker keeps one value, to the resolution of a 32-bit float, while its neighbours move, as some programs fill
+gaps. In a file of coarse integers the markers of a body at rest are constant as well, but then their neighbours move by a few of
+these integers at most.
 
 Such samples are no evidence for the solve. Whether they are as good as this program's own estimates is decided after the
 fill.
@@ -12,16 +19,109 @@ fill.
 from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
-from mocapfix.detect.exact_samples import (
-    compute_polynomial_misfits,
-    estimate_resolution,
-    find_exact_stretches,
-    trim_measured_ends,
-)
+from mocapfix.detect.marker_distances import estimate_distance_changes
 from mocapfix.faults import Fault
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
+
+# Relative resolution of the 32-bit floats in which files store coordinates.
+FLOAT32_RESOLUTION = 2.0**-23
+# Number of steps, evenly spread, from which a common divisor of the coordinates is estimated.
+MAX_SAMPLED_STEPS = 50_000
+# Quantiles of the steps that may equal the common divisor once.
+STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
+# Fraction of the steps that must lie near a multiple of the divisor, and how near, as a fraction of it (by chance: one in five).
+MIN_MULTIPLE_FRACTION = 0.9
+MULTIPLE_TOLERANCE = 0.1
+
+
+def estimate_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Estimate the smallest difference in metres that the coordinates of the markers resolve.
+
+    A file of integers stores multiples of its scale, and so does a file that was converted from one, whatever its header says.
+    """
+    resolution = compute_float_resolution(markers)
+    steps = np.abs(np.diff(markers, axis=0)).ravel()
+    steps = steps[steps > resolution]
+    if len(steps) == 0:
+        return resolution
+    steps = steps[np.linspace(0, len(steps) - 1, min(MAX_SAMPLED_STEPS, len(steps))).astype(int)]
+    for divisor in np.quantile(steps, STEP_QUANTILES):
+        remainder = np.abs(steps / divisor - np.rint(steps / divisor))
+        if (remainder < MULTIPLE_TOLERANCE).mean() > MIN_MULTIPLE_FRACTION:
+            return float(divisor)
+    return resolution
+
+
+def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
+    """Compute the resolution in metres of a 32-bit float at the largest coordinate of the markers."""
+    return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
+
+
+def compute_polynomial_misfits(
+    path: Float[np.ndarray, "T 3"], degree: int, length: int, starts: Int[np.ndarray, " S"]
+) -> Float[np.ndarray, " S"]:
+    """Compute by how much the best polynomial misses any of the `length` samples from each start on.
+
+    Args:
+        path: World positions in metres, NaN where missing, which makes the misfit NaN.
+        degree: Degree of the polynomial.
+        length: Number of samples of a stretch.
+        starts: Index of the first sample of each stretch.
+
+    Returns:
+        The largest absolute residual of a coordinate in metres.
+    """
+    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
+    projection = np.eye(length) - basis @ basis.T
+    return np.abs(sliding_window_view(path, length, axis=0)[starts] @ projection).max((1, 2))
+
+
+def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
+    """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
+
+    Args:
+        path: World positions in metres, NaN where missing.
+        degree: Degree of the polynomial.
+        length: Smallest number of samples.
+        resolution: Resolution of the coordinates in metres.
+
+    Returns:
+        The first and the last index of each stretch.
+    """
+    if len(path) < length:
+        return []
+    # The finite difference of order degree + 1, with samples as far apart as fit, vanishes for such a polynomial.
+    # It rejects most stretches before the polynomial is fitted.
+    spacing, order = (length - 1) // (degree + 1), degree + 1
+    difference = path[: len(path) - length + 1].copy()
+    weight = 1.0
+    for k in range(1, order + 1):
+        weight *= -(order - k + 1) / k
+        difference += weight * path[k * spacing : k * spacing + len(difference)]
+    candidates = np.flatnonzero(np.abs(difference).max(1) <= 2**order * resolution)
+    is_exact = np.zeros(len(difference), bool)
+    is_exact[candidates] = compute_polynomial_misfits(path, degree, length, candidates) <= resolution
+    stretches = ((first, last + length - 1) for first, last in find_runs(is_exact))
+    return [
+        (a, b)
+        for a, b in stretches
+        if compute_polynomial_misfits(path[a : b + 1], degree, b - a + 1, np.zeros(1, int))[0] <= resolution
+    ]
+
+
+def trim_measured_ends(visible: Bool[np.ndarray, " T"], first: int, last: int) -> tuple[int, int]:
+    """Return first, last without the measured samples that a fill connects.
+
+    Next to a gap and at the ends of the take a fill connects to nothing, and nothing is removed there.
+    """
+    has_start = first > 0 and visible[first - 1]
+    has_end = last + 1 < len(visible) and visible[last + 1]
+    return first + int(has_start), last - int(has_end)
+
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
 # Number of samples beyond those that every polynomial of the degree fits.
@@ -128,3 +228,59 @@ def _remove_overlapping_fills(faults: list[Fault]) -> list[Fault]:
             known.update(frames)
             kept.append(fault)
     return sorted(kept, key=lambda fault: (fault.marker, fault.first))
+
+
+MAX_COMPARED_NEIGHBOURS = 3
+# Number of samples of the shortest stretch.
+MIN_FROZEN_SAMPLES = 4
+# Travel of the neighbours of a marker at rest, in multiples of the file's resolution.
+MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS = 50.0
+
+
+def detect_frozen(take: Take, min_duration_s: float = 0.1, min_neighbour_travel_m: float = 0.002) -> list[Fault]:
+    """Detect stretches in which a marker keeps one value while its neighbours move.
+
+    Args:
+        take: The measured samples.
+        min_duration_s: Duration of the shortest stretch.
+        min_neighbour_travel_m: Distance that each compared neighbour travels.
+
+    Returns:
+        The faults, ordered by marker and first frame. Their severity is the median travel of the neighbours in metres.
+    """
+    resolution = compute_float_resolution(take.markers)
+    length = max(MIN_FROZEN_SAMPLES, round(min_duration_s * take.rate))
+    stretches = [
+        (m, first, last)
+        for m in range(len(take.labels))
+        for first, last in find_exact_stretches(take.markers[:, m], 0, length, resolution)
+    ]
+    if not stretches:
+        return []
+    min_travel_m = max(min_neighbour_travel_m, MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS * estimate_resolution(take.markers))
+    neighbours = np.argsort(estimate_distance_changes(take.markers, take.rate), axis=1)[:, :-1]
+    faults: list[Fault] = []
+    for marker, first, last in stretches:
+        travel_m = _measure_neighbour_travel(take.markers[first : last + 1, neighbours[marker]])
+        if len(travel_m) and travel_m.min() >= min_travel_m:
+            faults.append(_build_frozen_fault(take, marker, (first, last), travel_m, min_travel_m))
+    return faults
+
+
+def _measure_neighbour_travel(markers: np.ndarray) -> np.ndarray:
+    """Measure how far, in metres, the first few markers (T, M, 3) that are visible at least half the time travel."""
+    near = markers[:, (~np.isnan(markers[..., 0])).mean(0) >= 0.5][:, :MAX_COMPARED_NEIGHBOURS]
+    start = near[(~np.isnan(near[..., 0])).argmax(0), np.arange(near.shape[1])]
+    return np.nanmax(np.linalg.norm(near - start, axis=-1), axis=0)
+
+
+def _build_frozen_fault(
+    take: Take, marker: int, interval: tuple[int, int], neighbour_travel_m: np.ndarray, min_travel_m: float
+) -> Fault:
+    first, last = interval
+    first += int(first > 0 and take.visible[first - 1, marker])  # the first sample of the constant value was measured
+    severity, duration_s = float(np.median(neighbour_travel_m)), (last - first + 1) / take.rate
+    label = take.bare_labels[marker]
+    reason = f"{label} keeps one value for {duration_s:.2f} s while its neighbours move by {severity * 1e3:.0f} mm."
+    confidence = 1 - min_travel_m / (min_travel_m + float(neighbour_travel_m.min()))
+    return Fault("stuck", marker, first, last, severity, reason, confidence)

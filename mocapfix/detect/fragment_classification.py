@@ -6,8 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from mocapfix.detect.continuity import MAX_DUPLICATE_DISTANCE_M, is_smoother
-from mocapfix.detect.trajectory_segments import TrajectorySegment
+from mocapfix.detect.trajectory_segments import MAX_DUPLICATE_DISTANCE_M, TrajectorySegment, is_smoother
 from mocapfix.faults import Fragment, FragmentRelation
 from mocapfix.take import Take
 

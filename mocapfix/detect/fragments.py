@@ -10,7 +10,6 @@ and its samples help to decide about the next segment.
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.detect.continuity import MAX_DUPLICATE_DISTANCE_M, compute_join_cost
 from mocapfix.detect.fragment_classification import (
     MarkerMatch,
     classify_continuation,
@@ -19,8 +18,13 @@ from mocapfix.detect.fragment_classification import (
     classify_unassigned,
     merge_unassigned,
 )
-from mocapfix.detect.rigid_signature import RigidSignatures
-from mocapfix.detect.trajectory_segments import TrajectorySegment, find_loose_segments
+from mocapfix.detect.marker_distances import RigidSignatures
+from mocapfix.detect.trajectory_segments import (
+    MAX_DUPLICATE_DISTANCE_M,
+    TrajectorySegment,
+    compute_join_cost,
+    find_loose_segments,
+)
 from mocapfix.faults import Fragment, overlap_in_time
 from mocapfix.take import Take
 

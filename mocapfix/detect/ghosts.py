@@ -2,7 +2,7 @@
 
 In each frame a label is in one of two states: on its marker, or elsewhere. The cheapest sequence of states pays for leaps
 and for broken distances while the label is on its marker, a constant rate while it is elsewhere, and for each change of
-state (compare `swap_viterbi`). A label that continues smoothly does not change its state. What lasts no longer than a spike
+state (compare `label_swaps`). A label that continues smoothly does not change its state. What lasts no longer than a spike
 is left to the spike detector. A new position that moves with the segment and is not left again is no ghost, because the
 marker itself may have moved.
 
@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocapfix.detect.continuity import build_trajectories
 from mocapfix.detect.marker_distances import MarkerDistances, estimate_distances
+from mocapfix.detect.trajectory_segments import build_trajectories
 from mocapfix.faults import Fault
 from mocapfix.kernels.label_evidence import (
     CONTRADICTION_S_PER_LEAP,

@@ -4,12 +4,17 @@ Two markers on the same segment keep their distance (Ringer & Lasenby 2004, "A p
 parameters in optical motion capture"). Which ones do, and how well, is estimated from the take. A sample under the wrong label
 breaks the distances to its label's partners and keeps those to another marker's partners. Each partner has one bounded vote, so
 that a faulty or mislabelled partner cannot outvote the others.
+
+The rigid signature of a marker is its distances to the markers of its segment, and on which side of them it lies. Distances do
+not distinguish a position from its mirror image. The signed height above the plane of three of the markers does.
 """
 
+from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import ndtri
 
 # Number of partners of a marker.
@@ -119,3 +124,112 @@ def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) 
         row = np.rint(DISTANCE_CHANGE_QUANTILE * (visible_count[others] - 1)).astype(int)
         usual_change[i, others] = usual_change[others, i] = change[row, others]
     return usual_change
+
+
+MAX_SIGNATURE_FRAMES = 300
+# Number of these frames, or all of them if there are fewer, in which a plane's corners and the marker must be visible.
+MIN_CORNER_FRAMES = 20
+# Standard deviation of a distance even on a rigid segment.
+MIN_SIGNATURE_SD_M = 0.004
+# Standard deviation relative to the distance, for motion that the take rarely shows: near markers weigh more.
+RELATIVE_DISTANCE_SD = 0.04
+# A distance with a larger standard deviation does not identify a marker.
+MAX_SIGNATURE_SD_M = 0.04
+# Number of partners whose distances are compared, and of those from which three form a plane.
+MAX_SIGNATURE_PARTNERS = 4
+MAX_PLANE_CANDIDATES = 5
+# With a larger deviation of the distances, in standard deviations, the side is not computed.
+MAX_DISTANCE_FOR_SIDE_SD = 10.0
+# Fraction of the compared frames in which a partner must be visible.
+MIN_PARTNER_VISIBLE_FRACTION = 0.8
+# Fraction of the frames from which the spread of a distance is estimated: limbs bend only in a part of a take.
+SIGNATURE_COVERAGE_FRACTION = 0.9
+# Quantiles of the heights, and the number of standard deviations between them.
+LOW_HEIGHT_QUANTILE = 0.05
+HIGH_HEIGHT_QUANTILE = 0.95
+HEIGHT_QUANTILE_WIDTH_SD = 3.29
+# Number of samples, evenly spread, that are compared with a signature.
+MAX_COMPARED_SAMPLES = 60
+
+
+@dataclass(frozen=True)
+class SignatureMatch:
+    """How well samples match the signature of a marker.
+
+    Attributes:
+        distance_sd: Root mean square deviation of the distances to the partners, in standard deviations.
+        side_sd: Deviation of the height above the plane of three markers, in standard deviations. 0 if no plane is known,
+            or if the distances do not match at all.
+        distance_error_m: Root mean square deviation of the distances in metres.
+        partners: Indices of the partners.
+    """
+
+    distance_sd: float
+    side_sd: float
+    distance_error_m: float
+    partners: tuple[int, ...]
+
+
+class RigidSignatures:
+    """The signatures of the markers of a take."""
+
+    def __init__(self, markers: Float[np.ndarray, "T M 3"]):
+        """Estimate the signatures from world positions in metres, NaN where missing."""
+        self.markers = markers
+        self.sampled_markers = markers[np.unique(np.linspace(0, len(markers) - 1, MAX_SIGNATURE_FRAMES).astype(int))]
+        self.distance_m, sd_m = estimate_distance_statistics(self.sampled_markers, SIGNATURE_COVERAGE_FRACTION)
+        known_m = np.where(np.isfinite(self.distance_m), self.distance_m, 0.0)
+        self.distance_sd_m = np.hypot(sd_m, RELATIVE_DISTANCE_SD * known_m)
+
+    def match_samples(
+        self, frames: Int[np.ndarray, " N"], points: Float[np.ndarray, "N 3"], marker: int
+    ) -> SignatureMatch | None:
+        """Compare samples at the given frames with the signature of a marker; None if it has fewer than three partners."""
+        pick = np.unique(np.linspace(0, len(frames) - 1, MAX_COMPARED_SAMPLES).astype(int))
+        points, others = points[pick], self.markers[frames[pick]]
+        candidates = np.argsort(self.distance_sd_m[marker], kind="stable")
+        candidates = candidates[self.distance_sd_m[marker, candidates] < MAX_SIGNATURE_SD_M]
+        visible_fraction = (~np.isnan(others[:, candidates, 0])).mean(0)
+        candidates = candidates[visible_fraction >= MIN_PARTNER_VISIBLE_FRACTION]
+        if len(candidates) < 3:
+            return None
+        partners = candidates[:MAX_SIGNATURE_PARTNERS]
+        error_m = np.linalg.norm(others[:, partners] - points[:, None], axis=-1) - self.distance_m[marker, partners]
+        typical_m = np.nanmedian(np.abs(error_m), axis=0)  # the median over the frames ignores a partner's spikes
+        distance_sd = _compute_rms(typical_m / np.hypot(self.distance_sd_m[marker, partners], MIN_SIGNATURE_SD_M))
+        side_sd = 0.0
+        if distance_sd < MAX_DISTANCE_FOR_SIDE_SD:
+            side_sd = self._measure_side(points, others, marker, candidates[:MAX_PLANE_CANDIDATES])
+        return SignatureMatch(distance_sd, side_sd, _compute_rms(typical_m), tuple(partners.tolist()))
+
+    def _measure_side(self, points: np.ndarray, others: np.ndarray, marker: int, candidates: np.ndarray) -> float:
+        """Measure the deviation, in standard deviations, of the height above the plane that separates the sides best."""
+        best_separation, side_sd = 0.0, 0.0
+        for corners in combinations(candidates, 3):
+            heights = compute_plane_heights(self.sampled_markers[:, marker], self.sampled_markers[:, corners])
+            low, median, high = _compute_quantiles(heights[:, None])[:, 0]
+            sd = np.hypot((high - low) / HEIGHT_QUANTILE_WIDTH_SD, MIN_SIGNATURE_SD_M) if np.isfinite(high) else np.inf
+            if abs(median) > best_separation * sd:
+                best_separation = abs(median) / sd
+                height = float(np.nanmedian(compute_plane_heights(points, others[:, corners])))
+                side_sd = abs(height - median) / sd
+        return float(side_sd)
+
+
+def compute_plane_heights(points: Float[np.ndarray, "T 3"], corners: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, " T"]:
+    """Compute the heights in metres of points above planes of three corners, positive along the right-hand normal."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    return np.einsum("ta,ta->t", points - a, normal) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+
+
+def _compute_quantiles(values: np.ndarray) -> np.ndarray:
+    """Compute the low, middle and high quantile (3, N) of each column (T, N) without NaN; infinite with too few values."""
+    ordered = np.sort(values, axis=0)  # NaN sorts last
+    count = (~np.isnan(ordered)).sum(0)
+    rows = np.rint(np.outer([LOW_HEIGHT_QUANTILE, 0.5, HIGH_HEIGHT_QUANTILE], np.maximum(count - 1, 0))).astype(int)
+    return np.where(count >= min(MIN_CORNER_FRAMES, len(values)), ordered[rows, np.arange(values.shape[1])], np.inf)
+
+
+def _compute_rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect.body_residuals import BodyResiduals
+from mocapfix.detect.body_outliers import BodyResiduals
 from mocapfix.detect.ramp_fit import Ramp, RegressedPath, compute_residual_rms, fit_slow_ramp, fit_step, regress_out
 from mocapfix.faults import MarkerShift
 from mocapfix.motion import Motion

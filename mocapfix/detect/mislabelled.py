@@ -19,7 +19,7 @@ from mocapfix.detect.body_fitter import (
     compute_marker_misfit,
     compute_rest_markers,
 )
-from mocapfix.detect.swap_viterbi import find_permutation_cycles
+from mocapfix.detect.label_swaps import find_permutation_cycles
 from mocapfix.faults import Fault
 from mocapfix.marker_set import MarkerSet
 from mocapfix.skeleton import load_cmu31_body

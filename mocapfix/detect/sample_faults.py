@@ -1,6 +1,6 @@
 """Faults of the samples under correct labels, detected from the trajectories alone."""
 
-from mocapfix.detect import external_fills, frozen, gaps, ghosts, jitter, spikes
+from mocapfix.detect import external_fills, gaps, ghosts, jitter, spikes
 from mocapfix.faults import Faults, build_fault_mask
 from mocapfix.marker_set import MarkerSet
 from mocapfix.options import DetectOptions
@@ -20,7 +20,7 @@ def detect_sample_faults(
     virtual = external_fills.detect_virtual_samples(take)
     measured = take.masked(take.measured & ~build_fault_mask(virtual, shape))
     all_spikes = spikes.detect_spikes(measured, options.min_spike_m, options.max_spike_duration_s)
-    exact = frozen.detect_frozen(measured) + external_fills.detect_polynomial_fills(measured)
+    exact = external_fills.detect_frozen(measured) + external_fills.detect_polynomial_fills(measured)
     is_usable = measured.visible & ~build_fault_mask([*all_spikes, *exact], shape)
     bursts = jitter.detect_jitter(
         measured, is_usable, options.min_jitter_m, options.min_jitter_ratio, options.min_jitter_duration_s

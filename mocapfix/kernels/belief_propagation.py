@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from mocapfix.kernels import registration_statistics as statistics
+from mocapfix.kernels import robust_registration as statistics
 from mocapfix.kernels.robust_registration import fit_segment_pose_robustly
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, transpose_matrix
 

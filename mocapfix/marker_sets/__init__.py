@@ -6,8 +6,15 @@ label_words  the segment of a marker from the words in its label
 learning     a new set from a take
 """
 
-from mocapfix.marker_sets.library import build_subject_marker_set, load_marker_set, load_shipped_marker_sets, write_marker_set
-from mocapfix.marker_sets.matching import MarkerSetMatch, choose_marker_set, describe_marker_set_match
+from mocapfix.marker_sets.library import (
+    MarkerSetMatch,
+    build_subject_marker_set,
+    choose_marker_set,
+    describe_marker_set_match,
+    load_marker_set,
+    load_shipped_marker_sets,
+    write_marker_set,
+)
 
 __all__ = [
     "MarkerSetMatch",

@@ -16,10 +16,8 @@ from mocapfix.calibrate.unlabelled_markers import guess_from_marker_cloud
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.label_words import guess_marker_set_from_words
-from mocapfix.marker_sets.library import load_marker_set
-from mocapfix.marker_sets.matching import choose_marker_set, describe_marker_set_match
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_marker_set
+from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.read.capture import read_take
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body

@@ -67,11 +67,11 @@ def save_pose_model(path: Path, model: PoseModel) -> None:
 def get_model_class(kind: str) -> type[PoseModel]:
     """Return the class of models of a kind. Only the class of neural networks imports torch."""
     if kind == "linear":
-        from mocapfix.pose_prior.gaussian import GaussianModel
+        from mocapfix.pose_prior.gaussian_models import GaussianModel
 
         return GaussianModel
     if kind == "mixture":
-        from mocapfix.pose_prior.mixture import MixtureModel
+        from mocapfix.pose_prior.gaussian_models import MixtureModel
 
         return MixtureModel
     if kind == "autoencoder":

@@ -8,10 +8,9 @@ from markupsafe import Markup
 
 from mocapfix.changes import Change
 from mocapfix.faults import MISSING_KINDS, Fault
-from mocapfix.report.change_curves import build_change_curves
-from mocapfix.report.change_figures import draw_change_figure
-from mocapfix.report.comparison import CleaningComparison
+from mocapfix.report.change_figures import build_change_curves, draw_change_figure
 from mocapfix.report.report import UnfilledEntry
+from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.summary import format_severity
 from mocapfix.report.terms import format_frame_range, format_number
 

@@ -16,10 +16,9 @@ from mocapfix.report.change_list import (
     build_unchanged_list,
     build_unfilled_list,
 )
-from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.html_page import write_page
 from mocapfix.report.report import ErrorSummary, Report, SolveSection, SubjectSection
-from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
 from mocapfix.report.stick_figures import CM_PER_M, draw_stick_figures, find_worst_frame
 from mocapfix.report.summary import describe_changes, describe_faults, describe_remaining
 from mocapfix.report.terms import FAULT_GROUPS, JOINT_TERMS, format_number, get_fault_group

@@ -23,8 +23,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.report.comparison import CleaningComparison
-from mocapfix.report.sample_states import AMBER, GREEN, RED, VIOLET, SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import (
+    AMBER,
+    GREEN,
+    RED,
+    VIOLET,
+    CleaningComparison,
+    SampleOutcome,
+    classify_input_samples,
+    find_estimated_samples,
+)
 from mocapfix.skeleton import Skeleton
 from mocapfix.take import Take
 

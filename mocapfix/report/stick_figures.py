@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from markupsafe import Markup
 
-from mocapfix.report.comparison import CleaningComparison
-from mocapfix.report.sample_states import SampleOutcome, classify_input_samples, find_estimated_samples
+from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
 from mocapfix.skeleton import Skeleton
 
 VIEW_YAW_RAD = np.radians(25)

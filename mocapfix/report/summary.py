@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mocapfix.faults import MISSING_KINDS, Fault, Fragment
-from mocapfix.report.comparison import CleaningComparison
 from mocapfix.report.report import Report
+from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.terms import JOINT_TERMS, format_fault_counts, format_number, join_words
 
 MAX_SENTENCE_MARKERS = 12  # labels in one sentence

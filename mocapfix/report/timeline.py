@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.faults import Fault
-from mocapfix.report.comparison import CleaningComparison
-from mocapfix.report.sample_states import SampleOutcome
+from mocapfix.report.sample_states import CleaningComparison, SampleOutcome
 from mocapfix.report.terms import get_fault_group
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take

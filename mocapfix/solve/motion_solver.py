@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions, SolveOptions
-from mocapfix.pose_prior.joint_limits import JointLimits, load_joint_limits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
+from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics, observability, occluded_joints, smoothing

@@ -11,8 +11,7 @@ from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
 from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
-from mocapfix.pose_prior.joint_limits import JointLimits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_sequentially, run_over_frames
 from mocapfix.stats.sequences import find_runs
 

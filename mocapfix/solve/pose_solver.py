@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import LatentCodeTerm, ScalarTerm, TrackingTerm
 from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.mixture import MixtureModel
+from mocapfix.pose_prior.gaussian_models import MixtureModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.solve.latent_solver import INITIAL_CODE_DAMPING, LatentSolver, SolverCallback, Terms, build_latent_term
 from mocapfix.solve.parallel import run_in_parallel

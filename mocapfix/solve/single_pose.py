@@ -13,7 +13,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm, count_rows
 from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior import io, mean_pose
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics

@@ -10,8 +10,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 
 from mocapfix.errors import SceneError
-from mocapfix.pose_prior.gaussian import GaussianModel
-from mocapfix.pose_prior.mixture import MixtureModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel, MixtureModel
 from mocapfix.train.settings import MixtureSettings
 
 MIN_NOISE_SD_RAD = np.radians(1.0)  # smaller deviations are noise of the solved motion that the poses come from

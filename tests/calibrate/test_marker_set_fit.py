@@ -10,7 +10,7 @@ from mocapfix.calibrate import marker_set_fit, unlabelled_markers
 from mocapfix.errors import TakeError
 from mocapfix.marker_sets import label_words, load_marker_set
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
+from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 

@@ -4,7 +4,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from mocapfix.detect import body_label_swaps, body_outliers, body_residuals
+from mocapfix.detect import body_label_swaps, body_outliers
 from mocapfix.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.take import Take
 from tests.detect.bodies import exchanged, hidden
@@ -14,7 +14,7 @@ LABELS = solved().take.labels
 
 
 def detect_swaps(take: Take):
-    residuals = body_residuals.compute_body_residuals(take, take.visible, solved().subject, solved().motion)
+    residuals = body_outliers.compute_body_residuals(take, take.visible, solved().subject, solved().motion)
     return body_label_swaps.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
 
 
@@ -56,7 +56,7 @@ def test_swap_extends_over_frames_in_which_the_misled_body_hides_it():
     turned = motion.local_rotations.copy()
     turned[frames, 0] = turned[frames, 0] @ np.diag([-1.0, 1.0, -1.0])  # front is back, left is right
     wrong = replace(motion, local_rotations=turned)
-    residuals = body_residuals.compute_body_residuals(take, take.visible, solved().subject, wrong)
+    residuals = body_outliers.compute_body_residuals(take, take.visible, solved().subject, wrong)
     (swap,) = body_label_swaps.detect_body_label_swaps(residuals, body_outliers.detect_body_outliers(residuals, RATE, 0.02), take)
     assert (set(swap.markers), swap.first, swap.last) == (set(indices("LFWT", "RBWT")), 100, 200)
 

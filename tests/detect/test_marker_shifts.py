@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.detect import body_residuals, marker_shifts
+from mocapfix.detect import body_outliers, marker_shifts
 from mocapfix.detect.body_checks import detect_body_faults
 from mocapfix.detect.marker_shifts import ShiftEstimate
 from mocapfix.solve import kinematics
@@ -41,7 +41,7 @@ def sound():
 def detect(take):
     subject, motion = solved(seconds=SECONDS).subject, solved(seconds=SECONDS).motion
     return marker_shifts.detect_marker_shifts(
-        body_residuals.compute_body_residuals(take, take.visible, subject, motion), subject, motion, RATE
+        body_outliers.compute_body_residuals(take, take.visible, subject, motion), subject, motion, RATE
     )
 
 
@@ -119,7 +119,7 @@ def test_displacement_that_follows_a_joint_is_no_shift(follows, found):
     share = bent if follows else (time >= 9).astype(float)
     markers[:, FOREARM] += share[:, None] * (turn[:, FOREARM] @ [0.0, 0.015, 0.0])
     take = sound().replace_markers(markers)
-    residuals = body_residuals.compute_body_residuals(take, take.visible, subject, bends)
+    residuals = body_outliers.compute_body_residuals(take, take.visible, subject, bends)
     assert [shift.marker for shift in marker_shifts.detect_marker_shifts(residuals, subject, bends, RATE)] == found
 
 

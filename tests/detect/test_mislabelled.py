@@ -6,8 +6,8 @@ import pytest
 
 from mocapfix import marker_sets, synthetic
 from mocapfix.detect import mislabelled
+from mocapfix.detect.label_swaps import find_permutation_cycles
 from mocapfix.detect.mislabelled import select_fullest_frames
-from mocapfix.detect.swap_viterbi import find_permutation_cycles
 from mocapfix.faults import MIN_LABEL_CONFIDENCE
 from mocapfix.read import capture
 from mocapfix.take import Take

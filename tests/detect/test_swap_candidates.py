@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from mocapfix.detect import continuity, marker_distances
+from mocapfix.detect import marker_distances, trajectory_segments
 from mocapfix.detect.label_swaps import find_swap_candidates
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take):
     return find_swap_candidates(
-        continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+        trajectory_segments.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     )
 
 

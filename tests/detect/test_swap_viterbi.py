@@ -1,13 +1,13 @@
 import pytest
 
-from mocapfix.detect import continuity, marker_distances
-from mocapfix.detect.swap_viterbi import find_exchanges
+from mocapfix.detect import marker_distances, trajectory_segments
+from mocapfix.detect.label_swaps import find_exchanges
 from tests.detect.bodies import exchanged, hidden, turning
 
 
 def among(take, group):
     return find_exchanges(
-        group, continuity.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
+        group, trajectory_segments.build_trajectories(take.markers, take.rate), marker_distances.estimate_distances(take.markers)
     )
 
 

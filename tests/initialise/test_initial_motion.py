@@ -8,7 +8,7 @@ from mocapfix.initialise import initial_motion
 from mocapfix.initialise.initial_motion import start_from_previous
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
+from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.take import Take

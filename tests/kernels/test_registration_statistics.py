@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.kernels.registration_statistics import (
+from mocapfix.kernels.robust_registration import (
     BODY_CENTROID_INDEX,
     INFORMATION_INDEX,
     ROTATION_INDEX,

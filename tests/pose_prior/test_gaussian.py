@@ -1,6 +1,6 @@
 import numpy as np
 
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 
 RNG = np.random.default_rng(0)
 JOINTS = ("Hips", "Spine", "Head")

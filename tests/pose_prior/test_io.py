@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior import io
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
 from tests.pose_prior.test_autoencoder import draw_model
 

@@ -5,9 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.pose_prior import joint_limits, mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.pose_prior import mean_pose
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 
 SKELETON = load_cmu31_body().skeleton
@@ -184,8 +183,7 @@ def test_invalid_limits_raise_with_file_and_joint(tmp_path, monkeypatch, change,
     change(data)
     (tmp_path / "joint-limits.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
     (tmp_path / "mean-pose.yaml").write_bytes(SHIPPED.read_bytes())
-    for module in (mean_pose, joint_limits):
-        monkeypatch.setattr(module, "find_shipped_folder", lambda name: tmp_path)
+    monkeypatch.setattr(mean_pose, "find_shipped_folder", lambda name: tmp_path)
     with pytest.raises(SceneError) as raised:
         load_joint_limits(SKELETON)
     assert str(raised.value) == f"{tmp_path / 'joint-limits.yaml'}: {message}"

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from mocapfix.pose_prior import io
-from mocapfix.pose_prior.mixture import MixtureModel
+from mocapfix.pose_prior.gaussian_models import MixtureModel
 from mocapfix.skeleton import load_cmu31_body
 
 RNG = np.random.default_rng(0)

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.pose_prior.model import compute_pose_vectors, remove_heading
 from mocapfix.skeleton import load_cmu31_body
 

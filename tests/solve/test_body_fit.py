@@ -9,8 +9,7 @@ from mocapfix import marker_sets, pipeline, repair
 from mocapfix.calibrate import calibration, subject_file
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults, MarkerShift
-from mocapfix.marker_sets.library import build_subject_marker_set
-from mocapfix.marker_sets.matching import resolve_subject
+from mocapfix.marker_sets.library import build_subject_marker_set, resolve_subject
 from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.read import capture

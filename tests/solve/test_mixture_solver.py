@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix.motion import FrameStatus
-from mocapfix.pose_prior.gaussian import GaussianModel
-from mocapfix.pose_prior.mixture import MixtureModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel, MixtureModel
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.solve import pose_solver
 from tests.solve.test_pose_solver import CODE, JOINTS, body, build_linear_model, given, posed

@@ -10,7 +10,7 @@ from mocapfix.initialise import initial_motion
 from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import io, mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
+from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver, occluded_joints
 from mocapfix.subject import Subject

@@ -6,7 +6,7 @@ from mocapfix import synthetic
 from mocapfix.initialise import initial_motion
 from mocapfix.motion import FrameStatus
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
+from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
 from mocapfix.take import Take

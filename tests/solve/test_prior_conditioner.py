@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.occluded_joints import PriorConditioner
 

@@ -5,10 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.pose_prior import joint_limits as joint_limits_prior
 from mocapfix.pose_prior import mean_pose
-from mocapfix.pose_prior.joint_limits import load_joint_limits
-from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.pose_prior import mean_pose as joint_limits_prior
+from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import joint_limits
 from mocapfix.train.mean_pose import FOREARM_TWIST_SD_RAD, LOCKED_JOINT_SD_RAD

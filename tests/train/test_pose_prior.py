@@ -8,7 +8,7 @@ from mocapfix.cli import app
 from mocapfix.errors import WriteError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior import io
-from mocapfix.pose_prior.gaussian import GaussianModel
+from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import pose_prior as training
 from mocapfix.train import settings

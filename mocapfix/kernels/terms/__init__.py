@@ -14,8 +14,7 @@ from mocapfix.kernels.terms.coupling import DistanceTerm, ScalarTerm, count_rows
 from mocapfix.kernels.terms.joint_rotations import JointLimitTerm, PosePriorTerm, TrackingTerm
 from mocapfix.kernels.terms.latent_code import LatentCodeTerm
 from mocapfix.kernels.terms.orientations import DirectionTerm, OrientationTerm
-from mocapfix.kernels.terms.points import PointTerm
-from mocapfix.kernels.terms.reprojection import ReprojectionTerm, normalise_pixels
+from mocapfix.kernels.terms.points import PointTerm, ReprojectionTerm, normalise_pixels
 
 __all__ = [
     "GEMAN_MCCLURE",

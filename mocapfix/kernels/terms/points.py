@@ -1,9 +1,13 @@
-"""Measured positions of points on the body: markers on a joint's segment, or joints themselves (offset zero)."""
+"""Measured points of the body: in space (markers on a joint's segment, or joints themselves, offset zero), or in camera images.
+
+Images are SCOPE's first loss (Eq. 5), and MNN-IK's 2-D application (Eq. 5.2).
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms.contract import GEMAN_MCCLURE, compute_robust_loss, register_term
 
 MAX_POINT_DISTANCE_M = 1e6  # from the body; samples farther away, infinite or NaN are ignored
@@ -64,4 +68,72 @@ def add_point_term(term, t, scale2, tree, pose, equations):
         g[j, 3] += w * ex
         g[j, 4] += w * ey
         g[j, 5] += w * ez
+    return cost
+
+
+MIN_CAMERA_DEPTH_M = 0.01  # in front of a perspective camera; points nearer than this, or behind it, are ignored
+
+
+class ReprojectionTerm(NamedTuple):
+    """Residual: (image of the point - measured) / standard deviation, two numbers, robust together.
+
+    A camera's axes are x to the right, y down, z ahead. A perspective camera measures (x, y) / z: the tangents of the angles, so
+    radians near the axis. A scaled orthographic camera measures (x, y), in metres. `normalise_pixels` converts pixels to these.
+    """
+
+    joints: np.ndarray  # (V,)
+    offsets: np.ndarray  # (V, 3) metres, in the joint's axes
+    cameras: np.ndarray  # (V,) index of the camera
+    rotation: np.ndarray  # (C, 3, 3) world to camera
+    translation: np.ndarray  # (C, 3) metres: camera = rotation @ world + translation
+    perspective: np.ndarray  # (C,) bool
+    measured: np.ndarray  # (T, V, 2); anything where the weight is 0
+    weight: np.ndarray  # (T, V) 1 / rad^2, or 1 / m^2 for an orthographic camera; 0 for a missing sample
+    loss: int = GEMAN_MCCLURE
+
+
+def normalise_pixels(pixels: np.ndarray, scale: float | np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return the measurements (..., 2) of a `ReprojectionTerm` for pixels (..., 2).
+
+    scale   focal length in pixels, one or (fx, fy); of a scaled orthographic camera: pixels per metre
+    centre  (2,) the principal point, in pixels
+    """
+    return np.ascontiguousarray((pixels - centre) / scale)
+
+
+@register_term(ReprojectionTerm)
+def add_reprojection_term(term, t, scale2, tree, pose, equations):
+    """Add the images to the curvature and gradient of their bodies' twists. Returns the cost."""
+    h, g, cost, position = equations.h, equations.g, 0.0, pose.position
+    for k in range(len(term.joints)):
+        precision = term.weight[t, k]
+        if precision == 0.0:
+            continue
+        j, camera = term.joints[k], term.cameras[k]
+        offset = term.offsets[k]
+        x, y, z = multiply_vector(load_matrix(pose.rotation, j), offset[0], offset[1], offset[2])
+        x, y, z = x + position[j, 0], y + position[j, 1], z + position[j, 2]
+        m = load_matrix(term.rotation, camera)
+        u, v, depth = multiply_vector(m, x, y, z)
+        u, v, depth = u + term.translation[camera, 0], v + term.translation[camera, 1], depth + term.translation[camera, 2]
+        du, dv = (m[0], m[1], m[2]), (m[3], m[4], m[5])
+        if term.perspective[camera]:
+            if not depth > MIN_CAMERA_DEPTH_M:
+                continue
+            u, v = u / depth, v / depth
+            du = ((m[0] - u * m[6]) / depth, (m[1] - u * m[7]) / depth, (m[2] - u * m[8]) / depth)
+            dv = ((m[3] - v * m[6]) / depth, (m[4] - v * m[7]) / depth, (m[5] - v * m[8]) / depth)
+        eu, ev = u - term.measured[t, k, 0], v - term.measured[t, k, 1]
+        if not eu * eu + ev * ev < np.inf:
+            continue
+        loss, weight = compute_robust_loss(term.loss, precision * (eu * eu + ev * ev), scale2)
+        cost += loss
+        w = precision * weight
+        x, y, z = x - position[0, 0], y - position[0, 1], z - position[0, 2]
+        u_row = (y * du[2] - z * du[1], z * du[0] - x * du[2], x * du[1] - y * du[0], du[0], du[1], du[2])
+        v_row = (y * dv[2] - z * dv[1], z * dv[0] - x * dv[2], x * dv[1] - y * dv[0], dv[0], dv[1], dv[2])
+        for a in range(6):
+            g[j, a] += w * (u_row[a] * eu + v_row[a] * ev)
+            for b in range(a + 1):
+                h[j, a, b] += w * (u_row[a] * u_row[b] + v_row[a] * v_row[b])
     return cost
