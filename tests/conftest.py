@@ -8,6 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from jaxtyping import install_import_hook
+
+# MOCAPFIX_CHECK_TYPES=1 checks annotated types and array shapes while the tests run. It is off by default: some tests in
+# tests/bench and tests/report pass values that do not match the annotations, and the checks take a noticeable share of the time.
+PACKAGE = Path(__file__).parent.parent / "mocapfix"
+UNCHECKED_MODULES = (
+    "kernels",  # compiled code
+    "options.py",  # accepts a single value for a tuple, and validates values itself
+    "solve/constraint",  # accepts any constraints, which are validated when their terms are built
+    "solve/single_pose.py",  # passes these constraints on
+)
+TYPE_CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"  # accepts an int as a float
+if os.environ.get("MOCAPFIX_CHECK_TYPES", "0") == "1":
+    install_import_hook(
+        [
+            ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+            for path in sorted(PACKAGE.rglob("*.py"))
+            if not path.name.startswith("__") and not path.relative_to(PACKAGE).as_posix().startswith(UNCHECKED_MODULES)
+        ],
+        TYPE_CHECKER,
+    )
 
 from mocapfix import pipeline, synthetic, write
 from mocapfix.calibrate import subject_file
