@@ -11,7 +11,7 @@ from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # MOCAPFIX_CHECK_TYPES=1 checks annotated types and array shapes while the tests run. It is off by default: some tests in
-# tests/bench and tests/report pass values that do not match the annotations, and the checks take a noticeable share of the time.
+# tests/bench, tests/cli and tests/report pass values that do not match the annotations, and the checks about double the time.
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
 UNCHECKED_MODULES = (
     "kernels",  # compiled code
