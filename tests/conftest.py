@@ -15,6 +15,7 @@ from jaxtyping import install_import_hook
 PACKAGE = Path(__file__).parent.parent / "mocapfix"
 UNCHECKED_MODULES = (
     "kernels",  # compiled code
+    "bench/compared_solvers.py",  # has a compiled function
     "options.py",  # accepts a single value for a tuple, and validates values itself
     "solve/constraint",  # accepts any constraints, which are validated when their terms are built
     "solve/single_pose.py",  # passes these constraints on

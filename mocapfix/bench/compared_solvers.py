@@ -6,7 +6,7 @@ the root.
 """
 
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -176,7 +176,7 @@ def build_workspace(scene: ScopeScene) -> SolveWorkspace:
 
 
 @njit(cache=True)
-def repeat_direction(tree, terms, pose, work, times):
+def repeat_direction(tree: KinematicTree, terms: Any, pose: Any, work: SolveWorkspace, times: int) -> None:
     """Linearise all terms of a scene and solve for the Gauss-Newton step, repeatedly; write the step to the workspace."""
     for _ in range(times):
         linearise_terms(tree, terms, 0, np.inf, pose, work.equations)
