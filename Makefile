@@ -4,13 +4,18 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test docs blender lint clean
+.PHONY: demo test shapes docs blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
 test: $(VENV)/installed-dev
 	$(VENV)/bin/python -m pytest --numprocesses 2
+
+# Tests with annotated types and array shapes checked, in the folders where every test passes with them. They take twice as long.
+CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
+shapes: $(VENV)/installed-dev
+	MOCAPFIX_CHECK_TYPES=1 $(VENV)/bin/python -m pytest --quiet --numprocesses 2 $(CHECKED_TESTS)
 
 # The documentation as a site, in site/index.html. Any warning is an error.
 docs: $(VENV)/installed-docs
