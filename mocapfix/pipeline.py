@@ -204,10 +204,12 @@ def calibrate_takes(
         mean_pose_prior: the name of the mean pose prior.
 
     Raises:
-        TakeError: if no marker set fits, the takes have different marker sets, or a take shows several subjects and none is
-            named.
+        TakeError: if there is no take, no marker set fits, the takes have different marker sets, or a take shows several
+            subjects and none is named.
     """
     options = options.change(**changed_options)
+    if not paths:
+        raise TakeError("There is no take to calibrate from; name at least one.")
     selected: list[tuple[Take, CleaningState]] = []
     for path in paths:
         state = _detect_for_calibration(path, options)

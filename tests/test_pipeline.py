@@ -394,6 +394,11 @@ def test_two_takes_of_a_person_are_calibrated_together(cleaned, brief):
     assert np.abs(length_error_m).max() < 0.025
 
 
+def test_calibration_from_no_take_is_refused():
+    with pytest.raises(TakeError, match="no take to calibrate from"):
+        pipeline.calibrate_takes([])
+
+
 def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tmp_path):
     source = tmp_path / "prop.c3d"
     source.write_bytes(build_c3d(cleaned.truth.damaged_positions, [f"P{n + 1}" for n in range(41)]))
