@@ -30,7 +30,7 @@ def test_size_ratio_is_one_without_visible_distances():
 def test_predicted_markers_match_the_measured_ones():
     markers = np.ascontiguousarray(compose_person().markers[::30])
     off = np.linalg.norm(body_fitter.build_average_body_fitter(CMU41, markers).predict_markers(markers) - markers, axis=-1)
-    assert np.median(off) < 0.03  # places strayed by 12 mm per axis, bones by some per cent
+    assert np.median(off) < 0.03  # marker offsets vary by 12 mm per axis, bones by some per cent
     assert off.max() < 0.12
 
 
