@@ -29,7 +29,7 @@ class FrameStatus(IntEnum):
 _FRAME_STATUS_DESCRIPTIONS = {
     FrameStatus.CONVERGED: "solved: the solve converged",
     FrameStatus.ITERATION_LIMIT: "solved: the iteration limit was reached while the cost still fell slightly",
-    FrameStatus.POOR_FIT: "poor: the markers lie far from the body; check labels and swaps in these frames",
+    FrameStatus.POOR_FIT: "poor: the markers lie far from the body",
     FrameStatus.GUESSED: "guessed: too few markers are visible; the pose comes from the neighbouring frames",
     FrameStatus.EXACT: "solved: the markers lie exactly on the body",
     FrameStatus.UNCONSTRAINED: "not solved: nothing constrains the pose; it is left unchanged",

@@ -21,6 +21,7 @@ from mocapfix.report.report import (
     SubjectSection,
     TakeSection,
 )
+from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.state import CleaningState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -97,6 +98,8 @@ def build_solve_section(
     prior_name: str,
     prior_scale: float,
     start_name: str,
+    *,
+    lost_parts: Sequence[LostPart] = (),
 ) -> SolveSection:
     """Return the section on the solve.
 
@@ -104,6 +107,7 @@ def build_solve_section(
     prior_name   pose prior for occluded limbs, "none" without one
     prior_scale  factor of the prior's standard deviations
     start_name   method that initialises each pose
+    lost_parts   the parts of the body that were lost in sight
     """
     compared = np.flatnonzero(~np.isnan(residual_m).all(0))
     repeated = {label for label, count in Counter(take.labels).items() if count > 1}
@@ -120,6 +124,7 @@ def build_solve_section(
         "start": start_name,
         "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
+        "lost_in_sight": {part.name: part.frame_count for part in lost_parts},
         "status": {FrameStatus(code).description: count for code, count in sorted(Counter(motion.status.tolist()).items())},
     }
 
@@ -175,6 +180,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
     take, detection, body, residual_m = state.original_take, state.detection, state.body, state.residual_m
     solve, body_notes = None, list[str]()
     if body and residual_m is not None:
+        lost_parts = notes.find_lost_body_parts(detection, detection.epochs, body)
         solve = build_solve_section(
             take,
             body.subject,
@@ -183,8 +189,9 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             options.prior.prior,
             options.solve.prior_scale,
             options.initialise.init_method,
+            lost_parts=lost_parts,
         )
-        body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m)
+        body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
     return {
         "take": build_take_section(take, state.marker_set.name if state.marker_set else None),
         "faults": build_fault_entries(take, detection.faults),

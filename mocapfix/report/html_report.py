@@ -189,6 +189,8 @@ def _build_facts(report: Report, comparison: CleaningComparison) -> list[tuple[s
         facts.insert(1, (f"{fill['relabelled']:,}", f"{samples} relabelled"))
     if solve is not None:
         facts.append((f"{format_number(solve['marker_residual_mm']['mean'])} mm", "mean distance of markers from the body"))
+        if lost := sum(solve["lost_in_sight"].values()):
+            facts.append((f"{lost:,}", "frames with a part of the body lost in sight"))
     return facts
 
 

@@ -1,13 +1,14 @@
-"""Notes of a report: sentences on unobserved joints, unassigned markers, large residuals and uncertain fills."""
+"""Notes of a report: sentences on unobserved joints, unassigned markers, large residuals, lost limbs and uncertain fills."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from mocapfix.faults import EXTERNAL_FILL_KINDS, REPLACED_SAMPLE_KINDS
+from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
 from mocapfix.repair import MarkerEpochs
-from mocapfix.report.terms import MARKER_TERMS, PointTerms
+from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, join_words
+from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
 from mocapfix.state import BodyFit, DetectionState
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
@@ -19,21 +20,30 @@ MIN_STRAY_DURATION_S = 0.05
 MAX_IMPORTED_FILL_DISTANCE_M = 0.02  # from the body; compared with the median over the fill of another program
 MISLABELLED_MARKER_DISTANCE_M = 0.06  # from the body; a marker farther away in most of its frames probably has a wrong label
 MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
+MAX_LISTED_RANGES = 12  # frame ranges in one sentence
 
 
 def build_body_notes(
-    detection: DetectionState, epochs: MarkerEpochs, body: BodyFit, residual_m: Float[np.ndarray, "T M"]
+    detection: DetectionState,
+    epochs: MarkerEpochs,
+    body: BodyFit,
+    residual_m: Float[np.ndarray, "T M"],
+    lost_parts: tuple[LostPart, ...],
 ) -> list[str]:
     """Return the notes on where the body fits poorly or is unknown.
 
     residual_m  distance of each inlier marker from the body in metres, NaN for other samples
+    lost_parts  the parts of the body that were lost in sight
     """
     columns = body.marker_columns
     marker_set_take = epochs.take.select(columns, epochs.split_mask(detection.inlier_take.visible))
     return [
         *describe_unobserved_joints(marker_set_take, body.extended_subject),
         *describe_unassigned_markers(detection.take, epochs.column_marker[columns[columns >= 0]], detection.donor_markers),
-        *describe_stray_markers(detection.take, residual_m),
+        *(describe_lost_part(detection.take, part, columns, epochs, detection.inlier_mask) for part in lost_parts),
+        *describe_stray_markers(
+            detection.take, residual_m, detection.faults.items, merge_lost_samples(lost_parts, columns, epochs)
+        ),
         *describe_imported_fills(detection, residual_m),
     ]
 
@@ -59,8 +69,21 @@ def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], frag
     return [f"{solved}Not in its marker set, filled without the skeleton: {', '.join(unassigned)}."]
 
 
-def describe_stray_markers(take: Take, residual_m: Float[np.ndarray, "T M"]) -> list[str]:
-    """Return notes on markers far from the body: in most frames, or in intervals in which labels may be swapped."""
+def describe_stray_markers(
+    take: Take,
+    residual_m: Float[np.ndarray, "T M"],
+    faults: Iterable[Fault] = (),
+    described_mask: Bool[np.ndarray, "T M"] | None = None,
+) -> list[str]:
+    """Return notes on markers far from the body: in most frames, or in intervals.
+
+    residual_m      distance of each inlier marker from the body in metres, NaN for other samples
+    faults          the detected faults: an exchange of labels that was too uncertain to be corrected is mentioned
+    described_mask  samples that another note describes
+    """
+    suspected = [fault for fault in faults if fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE]
+    suspected_mask = build_fault_mask(suspected, residual_m.shape)
+    residual_m = residual_m if described_mask is None else np.where(described_mask, np.nan, residual_m)
     notes: list[str] = []
     for m in np.flatnonzero((residual_m > MISLABELLED_MARKER_DISTANCE_M).any(0)):
         compared = ~np.isnan(residual_m[:, m])
@@ -72,8 +95,64 @@ def describe_stray_markers(take: Take, residual_m: Float[np.ndarray, "T M"]) -> 
             if (last - first + 1) / take.rate >= MIN_STRAY_DURATION_S:
                 frames = f"frames {take.get_frame_number(first)} to {take.get_frame_number(last)}"
                 distance = _format_mm(float(np.median(residual_m[first : last + 1, m])))
-                notes.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; check for swapped labels.")
+                is_suspected = suspected_mask[first : last + 1, m].any()
+                assumption = "check the suspected label swap" if is_suspected else "its label was assumed to be right"
+                notes.append(f"{take.labels[m]}, {frames}: {distance} from the body, left unchanged; {assumption}.")
     return notes
+
+
+def describe_lost_part(
+    take: Take,
+    part: LostPart,
+    columns: Int[np.ndarray, " K"],
+    epochs: MarkerEpochs,
+    inlier_mask: Bool[np.ndarray, "T M"],
+) -> str:
+    """Return a note on a part of the body that the solve lost in sight: frames, distance, and what was assumed of its markers.
+
+    columns      the epoch column of each of the subject's markers, -1 where it has none
+    inlier_mask  the samples of the take that are not taken for faults
+    """
+    ranges = [
+        format_frame_range(take.get_frame_number(first), take.get_frame_number(last)) for first, last in find_runs(part.frames)
+    ]
+    more = f" and {len(ranges) - MAX_LISTED_RANGES} more intervals" if len(ranges) > MAX_LISTED_RANGES else ""
+    listed = ", ".join(ranges[:MAX_LISTED_RANGES]) + more if more else join_words(ranges)
+    frames = "1 frame" if part.frame_count == 1 else f"{part.frame_count:,} frames"
+    lost_samples = merge_lost_samples((part,), columns, epochs)
+    labels = join_words([take.labels[m] for m in np.flatnonzero(lost_samples.any(0))])
+    distance = _format_mm(float(np.nanmean(part.distance_m)))
+    replaced_count = int((lost_samples & ~inlier_mask).sum())
+    assumption = "Its markers were assumed to be right and left unchanged"
+    if replaced_count:
+        kept = "its other markers" if (lost_samples & inlier_mask).any() else "none of its markers"
+        were = "sample was" if replaced_count == 1 else "samples were"
+        assumption = f"{replaced_count:,} of their {were} taken for faults; {kept} were assumed to be right"
+    return (
+        f"The {part.name} of the solved body lies {distance} from its markers on average in {frames} ({listed}), although "
+        f"{labels} are seen there and keep possible distances from one another. {assumption}; do not use the solved "
+        f"{part.name} in these frames."
+    )
+
+
+def merge_lost_samples(
+    parts: Iterable[LostPart], columns: Int[np.ndarray, " K"], epochs: MarkerEpochs
+) -> Bool[np.ndarray, "T M"]:
+    """Return the mask of the take's samples that show where lost parts of the body are.
+
+    columns  the epoch column of each of the subject's markers, -1 where it has none
+    """
+    mask = np.zeros(epochs.take.visible.shape, bool)
+    for part in parts:
+        mask[:, columns[columns >= 0]] |= part.markers[:, columns >= 0]
+    return epochs.merge_columns(mask)
+
+
+def find_lost_body_parts(detection: DetectionState, epochs: MarkerEpochs, body: BodyFit) -> tuple[LostPart, ...]:
+    """Return the parts of the body that the solve lost in sight, judged by everything that was measured under correct labels."""
+    measured = epochs.take.select(body.marker_columns, epochs.split_mask(detection.take.measured))
+    inlier_take = epochs.take.select(body.marker_columns, epochs.split_mask(detection.inlier_mask))
+    return find_lost_parts(measured.markers, inlier_take.visible, body.extended_subject, body.marker_positions)
 
 
 def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndarray, "T M"]) -> list[str]:

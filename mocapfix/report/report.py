@@ -106,6 +106,9 @@ class SolveSection(TypedDict):
     joint_deviation_mm  predicted standard deviation per axis by joint
     start               method that initialises each pose
     prior               pose prior for occluded limbs; None without one
+    lost_in_sight       number of frames in which each part of the body lies more than 60 mm from at least three of its markers
+                        that are seen and keep possible distances from one another; without entries if no part does. A frame
+                        counts for the largest part alone: with the arm, not also with its forearm
     status              number of frames by final status
     """
 
@@ -114,6 +117,7 @@ class SolveSection(TypedDict):
     start: str
     prior: PriorEntry | None
     iterations_mean: float
+    lost_in_sight: dict[str, int]
     status: dict[str, int]
 
 

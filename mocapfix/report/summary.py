@@ -86,7 +86,7 @@ def _describe_declined_changes(report: Report) -> str:
 
 
 def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
-    """Return the number of samples that are still missing, and the faults that were left unchanged."""
+    """Return the number of samples that are still missing, the faults that were left unchanged, and the parts lost in sight."""
     fill, terms = report["fill"], comparison.terms
     missing = fill["left_empty"]
     text = f"No missing {terms.samples}."
@@ -96,7 +96,15 @@ def describe_remaining(report: Report, comparison: CleaningComparison) -> str:
         text = f"{missing:,} {terms.sample if missing == 1 else terms.samples} still missing"
         text += f": {join_words([*labels[:MAX_SENTENCE_MARKERS], *more])}. The reasons are listed below." if labels else "."
     unchanged = [f.kind for f in comparison.unchanged_faults if f.kind not in (*MISSING_KINDS, "fragment")]
-    return f"{text} Unchanged faults: {format_fault_counts(unchanged)}." if unchanged else text
+    text += f" Unchanged faults: {format_fault_counts(unchanged)}." if unchanged else ""
+    return text + _describe_lost_parts(report)
+
+
+def _describe_lost_parts(report: Report) -> str:
+    """Return a sentence on the parts of the body that the solve lost although their markers are seen; empty without any."""
+    lost = report["solve"]["lost_in_sight"] if report["solve"] else {}
+    parts = [f"{name} ({count:,} frame{'' if count == 1 else 's'})" for name, count in lost.items()]
+    return f" Lost by the solved body although their markers are seen: {join_words(parts)}." if parts else ""
 
 
 def format_severity(fault: Fault) -> str:

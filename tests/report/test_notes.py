@@ -1,13 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mocapfix.faults import Fault
+from mocapfix.repair.moved_markers import split_moved_markers
 from mocapfix.report.notes import (
+    describe_lost_part,
     describe_stray_markers,
     describe_unassigned_markers,
     describe_uncertain_fills,
     describe_unobserved_joints,
 )
 from mocapfix.report.terms import JOINT_TERMS
+from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.take import Take
 
 NAN = np.nan
@@ -35,8 +41,60 @@ def test_a_marker_far_from_the_body_for_a_while_is_listed_with_its_frames():
     residual_m[20:24, 0] = 0.2  # shorter
     residual_m[30:35, 1] = 0.1  # at the limit
     assert describe_stray_markers(build_take("A", "B"), residual_m) == [
-        "A, frames 111 to 115: 150 mm from the body, left unchanged; check for swapped labels."
+        "A, frames 111 to 115: 150 mm from the body, left unchanged; its label was assumed to be right."
     ]
+
+
+def test_a_label_swap_is_mentioned_only_where_one_is_suspected():
+    residual_m = np.full((FRAMES, 3), 0.01)
+    residual_m[10:15] = 0.15
+    suspected = Fault("swap", 0, 8, 12, 0.2, "", 0.5, other_markers=(1,))
+    assert describe_stray_markers(
+        build_take("A", "B", "C"), residual_m, [suspected, replace(suspected, marker=2, confidence=0.9)]
+    ) == [
+        "A, frames 111 to 115: 150 mm from the body, left unchanged; check the suspected label swap.",
+        "B, frames 111 to 115: 150 mm from the body, left unchanged; check the suspected label swap.",
+        "C, frames 111 to 115: 150 mm from the body, left unchanged; its label was assumed to be right.",
+    ]
+
+
+def test_samples_that_another_note_describes_are_not_listed():
+    residual_m = np.full((FRAMES, 2), 0.01)
+    residual_m[10:15] = 0.15
+    described = np.zeros((FRAMES, 2), bool)
+    described[:, 0] = True
+    (note,) = describe_stray_markers(build_take("A", "B"), residual_m, (), described)
+    assert note.startswith("B, ")
+
+
+def build_lost_arm(*frames):
+    lost, markers = np.zeros(FRAMES, bool), np.zeros((FRAMES, 4), bool)
+    lost[list(frames)] = True
+    markers[np.ix_(list(frames), [0, 1, 3])] = True
+    return LostPart("left arm", lost, np.where(lost, 0.31, NAN), markers)
+
+
+def test_a_lost_limb_is_described_with_its_frames_markers_and_what_was_assumed():
+    take, columns = (
+        build_take("A", "B", "C"),
+        np.array([2, 0, -1, 1]),
+    )  # the order of the subject, with one marker not in the take
+    epochs, inliers = split_moved_markers(take, ()), np.ones((FRAMES, 3), bool)
+    note = describe_lost_part(take, build_lost_arm(5, 6, 7, 20), columns, epochs, inliers)
+    assert note == (
+        "The left arm of the solved body lies 310 mm from its markers on average in 4 frames (106–108 and 121), although A, B and C "
+        "are seen there and keep possible distances from one another. Its markers were assumed to be right and left unchanged; do "
+        "not use the solved left arm in these frames."
+    )
+    inliers[5] = False
+    assert "3 of their samples were taken for faults; its other markers were assumed to be right;" in describe_lost_part(
+        take, build_lost_arm(5, 6), columns, epochs, inliers
+    )
+    assert "3 of their samples were taken for faults; none of its markers were assumed to be right;" in describe_lost_part(
+        take, build_lost_arm(5), columns, epochs, inliers
+    )
+    many = describe_lost_part(take, build_lost_arm(*range(0, 40, 2)), columns, epochs, inliers)
+    assert "20 frames (101, 103, 105, 107, 109, 111, 113, 115, 117, 119, 121, 123 and 8 more intervals)" in many
 
 
 def test_markers_near_the_body_or_without_residuals_have_no_note():

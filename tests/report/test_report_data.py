@@ -21,6 +21,7 @@ from mocapfix.report.build_report import (
     build_take_section,
 )
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -107,9 +108,21 @@ def test_solve_section_has_residuals_iterations_and_statuses(subject):
     motion = build_motion(np.array([0, 0, 3, 0, 1, 0]), np.arange(6), joint_sd)
     residual_m = np.full((6, 3), NAN)
     residual_m[:, 0], residual_m[:5, 1] = 0.002, [0.001, 0.002, 0.003, 0.004, 0.005]
-    section = encode(build_solve_section(build_take(), subject, motion, residual_m, "gaussian", 2.0, "hybrik-x"))
+    lost = LostPart("left foot", np.arange(6) < 2, np.full(6, 0.1), np.ones((6, 3), bool))
+    section = encode(
+        build_solve_section(build_take(), subject, motion, residual_m, "gaussian", 2.0, "hybrik-x", lost_parts=[lost])
+    )
     residual = section["marker_residual_mm"]
-    assert set(section) == {"marker_residual_mm", "joint_deviation_mm", "start", "prior", "iterations_mean", "status"}
+    assert set(section) == {
+        "marker_residual_mm",
+        "joint_deviation_mm",
+        "start",
+        "prior",
+        "iterations_mean",
+        "lost_in_sight",
+        "status",
+    }
+    assert section["lost_in_sight"] == {"left foot": 2}
     assert section["start"] == "hybrik-x"
     assert section["prior"] == {"name": "gaussian", "scale": 2.0}
     assert len(section["joint_deviation_mm"]) == 31
@@ -128,6 +141,7 @@ def test_solve_section_without_any_residual(subject):
     residual_m = np.full((6, 3), NAN)
     section = encode(build_solve_section(build_take(), subject, motion, residual_m, "none", 1.0, "registration"))
     assert section["prior"] is None
+    assert section["lost_in_sight"] == {}
     assert section["marker_residual_mm"] == {"mean": None, "p95": None, "by_marker": {}}
 
 

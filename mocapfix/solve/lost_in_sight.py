@@ -1,0 +1,254 @@
+"""Limbs lost in sight: frames in which the solved body leaves a part of the body although its markers show where it is.
+
+A part of the body counts as lost in a frame if at least MIN_CONSISTENT_MARKERS of its markers are seen and mutually consistent, and their
+mean distance from the body exceeds MIN_LOST_DISTANCE_M. What was measured counts, whatever detection made of it: a limb all of
+whose samples were taken for spikes is lost as well.
+
+Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
+another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
+those of the folded and the stretched chain. A sample that detection took for a fault counts only if it keeps its distance from
+another marker on the same segment. Of the markers of a part the one with the most contradictions is left out, until none is left.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mocapfix.skeleton import Skeleton
+from mocapfix.subject import Subject
+
+MIN_CONSISTENT_MARKERS = 3
+"""the number of seen, mutually consistent markers that show where a part of the body is"""
+MIN_LOST_DISTANCE_M = 0.06
+"""compared with the mean distance of a part's consistent markers from the body"""
+MIN_DISTANCE_TOLERANCE_M = 0.025
+"""by which the distance of two markers on one segment may differ from its median over the take"""
+DISTANCE_TOLERANCE_SD = 4.0
+"""the same in robust standard deviations of that distance, for pairs whose skin moves more"""
+CHAIN_TOLERANCE_M = 0.04
+"""by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error of
+the bones, and the motion of the skin"""
+MIN_PROXIMAL_DISTANCE_M = 0.03
+"""a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
+lost foot is not called a lost leg"""
+MEDIAN_DEVIATIONS_PER_SD = 1.4826
+"""of a normal distribution: its standard deviation over the median absolute deviation"""
+
+BODY_PARTS: dict[str, tuple[str, ...]] = {
+    "head": ("Neck", "Neck1", "Head"),
+    "trunk": ("LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder"),
+    "pelvis": ("Hips", "LHipJoint", "RHipJoint"),
+    "left arm": ("LeftArm", "LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
+    "right arm": ("RightArm", "RightForeArm", "RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
+    "left forearm": ("LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
+    "right forearm": ("RightForeArm", "RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
+    "left hand": ("LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
+    "right hand": ("RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
+    "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
+    "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
+    "left lower leg": ("LeftLeg", "LeftFoot", "LeftToeBase"),
+    "right lower leg": ("RightLeg", "RightFoot", "RightToeBase"),
+    "left foot": ("LeftFoot", "LeftToeBase"),
+    "right foot": ("RightFoot", "RightToeBase"),
+}
+"""the joints of each part"""
+LIMB_CHAINS = (
+    ("left hand", "left forearm", "left arm"),
+    ("right hand", "right forearm", "right arm"),
+    ("left foot", "left lower leg", "left leg"),
+    ("right foot", "right lower leg", "right leg"),
+)
+"""parts of which each is contained in the next: a frame counts for one of them only"""
+
+
+@dataclass(frozen=True)
+class LostPart:
+    """A part of the body that the solve lost in sight.
+
+    Attributes:
+        name: A key of BODY_PARTS.
+        frames: The frames (T,) in which it is lost, without those in which a part that contains it or is contained counts.
+        distance_m: Mean distance (T,) in metres of its consistent markers from the body, NaN in the other frames.
+        markers: The samples (T, K) of its consistent markers in the lost frames.
+    """
+
+    name: str
+    frames: Bool[np.ndarray, " T"]
+    distance_m: Float[np.ndarray, " T"]
+    markers: Bool[np.ndarray, "T K"]
+
+    @property
+    def frame_count(self) -> int:
+        """The number of lost frames."""
+        return int(self.frames.sum())
+
+    def restrict(self) -> "LostPart":
+        """Return the part without distances and markers in other frames than its own."""
+        return LostPart(
+            self.name, self.frames, np.where(self.frames, self.distance_m, np.nan), self.markers & self.frames[:, None]
+        )
+
+
+def find_lost_parts(
+    markers: Float[np.ndarray, "T K 3"],
+    inlier_mask: Bool[np.ndarray, "T K"],
+    subject: Subject,
+    body_markers: Float[np.ndarray, "T K 3"],
+) -> tuple[LostPart, ...]:
+    """Return the parts of the body that are lost in at least one frame, in the order of BODY_PARTS.
+
+    Args:
+        markers: The measured positions of the subject's markers in metres, NaN where missing.
+        inlier_mask: The samples that are not taken for faults.
+        subject: The subject, with K markers.
+        body_markers: Where the solved body carries the markers, in metres.
+    """
+    distance_m = np.linalg.norm(markers - body_markers, axis=-1)
+    parts: dict[str, LostPart] = {}
+    for name, joint_names in BODY_PARTS.items():
+        columns = np.flatnonzero(np.isin(subject.joints, _find_joints(subject.skeleton, joint_names)))
+        if len(columns) >= MIN_CONSISTENT_MARKERS:
+            parts[name] = _find_lost_frames(name, columns, markers, inlier_mask, subject, distance_m)
+    for chain in LIMB_CHAINS:
+        _assign_frames([parts[name] for name in chain if name in parts], subject, distance_m)
+    return tuple(part.restrict() for part in parts.values() if part.frames.any())
+
+
+def _assign_frames(chain: list[LostPart], subject: Subject, distance_m: np.ndarray) -> None:
+    """Leave each frame to one of the parts: to the smallest, or to a larger one whose other markers are far away as well."""
+    for n, outer in enumerate(chain[1:], start=1):
+        inner_joints = _find_joints(subject.skeleton, BODY_PARTS[chain[n - 1].name])
+        is_proximal = outer.markers & ~np.isin(subject.joints, inner_joints)
+        total_m = np.where(is_proximal, distance_m, 0).sum(1)
+        is_outer = outer.frames & (total_m > MIN_PROXIMAL_DISTANCE_M * np.maximum(is_proximal.sum(1), 1))
+        outer.frames[np.logical_or.reduce([inner.frames for inner in chain[:n]]) & ~is_outer] = False
+        for inner in chain[:n]:
+            inner.frames[is_outer] = False
+
+
+def _find_joints(skeleton: Skeleton, names: Iterable[str]) -> list[int]:
+    return [skeleton.find_joint(name) for name in names if name in skeleton.names]
+
+
+def _find_lost_frames(
+    name: str,
+    columns: np.ndarray,
+    markers: np.ndarray,
+    inlier_mask: np.ndarray,
+    subject: Subject,
+    distance_m: np.ndarray,
+) -> LostPart:
+    """Find the frames in which the markers (k,) of one part are consistent and far from the body."""
+    frames = np.zeros(len(markers), bool)
+    mean_m, consistent = np.full(len(markers), np.nan), np.zeros(inlier_mask.shape, bool)
+    # The mean over consistent markers exceeds the limit only where at least one of them does.
+    candidates = np.flatnonzero(np.nanmax(np.nan_to_num(distance_m[:, columns]), axis=1) > MIN_LOST_DISTANCE_M)
+    if not len(candidates):
+        return LostPart(name, frames, mean_m, consistent)
+    is_consistent = select_consistent_markers(markers, inlier_mask, subject, columns, candidates)
+    count = is_consistent.sum(1)
+    total_m = np.where(is_consistent, distance_m[np.ix_(candidates, columns)], 0).sum(1)
+    mean_m[candidates] = total_m / np.maximum(count, 1)
+    frames[candidates] = (count >= MIN_CONSISTENT_MARKERS) & (mean_m[candidates] > MIN_LOST_DISTANCE_M)
+    consistent[np.ix_(candidates, columns)] = is_consistent
+    return LostPart(name, frames, mean_m, consistent)
+
+
+def select_consistent_markers(
+    markers: Float[np.ndarray, "T K 3"],
+    inlier_mask: Bool[np.ndarray, "T K"],
+    subject: Subject,
+    columns: np.ndarray,
+    frames: np.ndarray,
+) -> Bool[np.ndarray, "N k"]:
+    """Return which of k markers are seen and mutually consistent in each of N frames.
+
+    Args:
+        markers: Measured positions in metres, NaN where missing.
+        inlier_mask: The samples that are not taken for faults.
+        subject: The subject, with K markers.
+        columns: Indices of the k markers.
+        frames: Indices of the N frames.
+    """
+    low_m, high_m = compute_distance_ranges(markers, inlier_mask, subject, columns)
+    position = markers[np.ix_(frames, columns)]
+    is_same_segment = subject.joints[columns][:, None] == subject.joints[columns]
+    np.fill_diagonal(is_same_segment, False)
+    distance_m = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+    is_possible = (distance_m >= low_m) & (distance_m <= high_m)
+    is_selected = ~np.isnan(position[..., 0])
+    is_selected &= inlier_mask[np.ix_(frames, columns)] | (is_possible & is_same_segment).any(2)
+    contradicts = ~is_possible
+    for _ in range(len(columns)):
+        pairs = contradicts & is_selected[:, :, None] & is_selected[:, None]
+        contradiction_count = pairs.sum(2)
+        is_contradicted = contradiction_count.max(1) > 0
+        if not is_contradicted.any():
+            break
+        # Of equally contradicted markers the one with the largest excess over the possible distances.
+        excess_m = np.where(pairs, np.maximum(distance_m - high_m, low_m - distance_m), 0).sum(2)
+        worst = np.argmax(contradiction_count + excess_m / (1 + excess_m), axis=1)
+        is_selected[is_contradicted, worst[is_contradicted]] = False
+    return is_selected
+
+
+def compute_distance_ranges(
+    markers: Float[np.ndarray, "T K 3"], inlier_mask: Bool[np.ndarray, "T K"], subject: Subject, columns: np.ndarray
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]]:
+    """Return the smallest and the largest possible distance in metres of each pair of k markers of a subject."""
+    count = len(columns)
+    low_m, high_m = np.zeros((count, count)), np.full((count, count), np.inf)
+    inliers = np.where(inlier_mask[:, columns, None], markers[:, columns], np.nan)
+    for a in range(count):
+        for b in range(a):
+            if subject.joints[columns[a]] == subject.joints[columns[b]]:
+                limits = _compute_rigid_range(inliers[:, a] - inliers[:, b])
+            else:
+                limits = _compute_chain_range(subject, int(columns[a]), int(columns[b]))
+            low_m[a, b], high_m[a, b] = limits
+            low_m[b, a], high_m[b, a] = limits
+    return low_m, high_m
+
+
+def _compute_rigid_range(difference: np.ndarray) -> tuple[float, float]:
+    """Return the range of the distance of two markers on one segment, from their differences (T, 3) over the take."""
+    distance_m = np.linalg.norm(difference, axis=-1)
+    distance_m = distance_m[~np.isnan(distance_m)]
+    if not len(distance_m):
+        return 0.0, float("inf")
+    median_m = float(np.median(distance_m))
+    sd_m = MEDIAN_DEVIATIONS_PER_SD * float(np.median(np.abs(distance_m - median_m)))
+    tolerance_m = max(MIN_DISTANCE_TOLERANCE_M, DISTANCE_TOLERANCE_SD * sd_m)
+    return median_m - tolerance_m, median_m + tolerance_m
+
+
+def _compute_chain_range(subject: Subject, one: int, other: int) -> tuple[float, float]:
+    """Return the range of the distance of two markers on two segments: that of the chain of lengths between them."""
+    lengths_m = _list_chain_lengths(subject, one, other)
+    total_m, longest_m = sum(lengths_m), max(lengths_m)
+    return max(0.0, 2 * longest_m - total_m) - CHAIN_TOLERANCE_M, total_m + CHAIN_TOLERANCE_M
+
+
+def _list_chain_lengths(subject: Subject, one: int, other: int) -> list[float]:
+    """Return the lengths in metres from a marker along the joints to another marker."""
+    parents, offsets = subject.skeleton.parents, subject.skeleton.offsets
+    paths = [_list_ancestors(parents, int(subject.joints[k])) for k in (one, other)]
+    common = next(joint for joint in paths[0] if joint in paths[1])
+    lengths_m: list[float] = []
+    ends: list[np.ndarray] = []  # in the axes of the segment that both paths reach: a joint, or the marker itself
+    for k, path in zip((one, other), paths, strict=True):
+        point = subject.marker_offsets[k]
+        for joint in path[: path.index(common)]:
+            lengths_m.append(float(np.linalg.norm(point)))
+            point = offsets[joint]
+        ends.append(point)
+    return [*lengths_m, float(np.linalg.norm(ends[0] - ends[1]))]
+
+
+def _list_ancestors(parents: np.ndarray, joint: int) -> list[int]:
+    path = [joint]
+    while parents[path[-1]] >= 0:
+        path.append(int(parents[path[-1]]))
+    return path
