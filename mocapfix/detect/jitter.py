@@ -2,7 +2,8 @@
 
 The noise of a sample is its deviation from the cubic through its four neighbours. That removes almost all of a body's motion
 and keeps the noise. The median over the take ignores spikes, bursts and gaps; the median over the shortest burst that counts
-ignores single samples.
+ignores single samples. Fast motion leaves a residual as well, which the markers of a segment share: only the noise that is not
+proportional to that of the marker's neighbours is jitter.
 """
 
 from collections.abc import Iterator
@@ -12,12 +13,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
+from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.shared_motion import compute_weighted_deviations, remove_shared_noise
 from mocapfix.faults import Fault
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 # The neighbours of a sample through which the cubic goes.
 NEIGHBOUR_OFFSETS = (-2, -1, 1, 2)
+# The weights of the neighbours in the cubic's value at the sample, where none is missing.
+NEIGHBOUR_WEIGHTS = (-1 / 6, 2 / 3, 2 / 3, -1 / 6)
 # Number of samples from which a noise level is estimated: one outlier affects five of them.
 MIN_NOISE_SAMPLES = 11
 # Median norm of a vector of three independent standard normal numbers.
@@ -89,6 +94,7 @@ def detect_jitter(
         The faults, ordered by marker and first frame. Their severity is the noise in metres.
     """
     faults: list[Fault] = []
+    partners = None
     for m, label in enumerate(take.bare_labels):
         frames = np.flatnonzero(is_usable[:, m])
         if len(frames) < MIN_NOISE_SAMPLES:
@@ -97,6 +103,10 @@ def detect_jitter(
         usual_m = float(np.median(residual_m))
         threshold_m = max(min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2, min_ratio * usual_m)
         for burst in _find_bursts(frames, residual_m, threshold_m, min_duration_s * take.rate):
+            partners = estimate_distances(take.markers).partner if partners is None else partners
+            usable = np.where(is_usable[..., None], take.markers, np.nan)[:, [m, *partners[m][partners[m] >= 0]]]
+            if _is_shared_burst(usable, burst, threshold_m):
+                continue
             duration_s = (burst.last - burst.first + 1) / take.rate
             reason = (
                 f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; "
@@ -125,3 +135,21 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
             first, last = int(frames[stretch[a]]), int(frames[stretch[b]])
             if len(stretch) >= MIN_NOISE_SAMPLES and last - first + 1 >= min_frames:
                 yield _Burst(first, last, float(median_m[a : b + 1].max()))
+
+
+def _is_shared_burst(markers: np.ndarray, burst: _Burst, min_residual_m: float) -> bool:
+    """Return whether a marker's noise in a burst is that of its neighbours.
+
+    Args:
+        markers: World positions (T, 1 + K, 3) in metres of the marker and its neighbours, NaN where missing.
+        burst: The burst.
+        min_residual_m: Smallest noise of a burst.
+    """
+    frames = np.arange(max(burst.first, 2), min(burst.last, len(markers) - 3) + 1)
+    around = frames[:, None] + np.array(NEIGHBOUR_OFFSETS)
+    residual = compute_weighted_deviations(markers, frames, around, np.tile(NEIGHBOUR_WEIGHTS, (len(frames), 1)))
+    residual = residual[~np.isnan(residual[:, 0, 0])]
+    if len(residual) < MIN_NOISE_SAMPLES:
+        return False
+    unexplained_m = np.linalg.norm(remove_shared_noise(residual[:, 0], residual[:, 1:]), axis=-1)
+    return bool(np.median(unexplained_m) / np.sqrt(1 + np.square(NEIGHBOUR_WEIGHTS).sum()) < min_residual_m)

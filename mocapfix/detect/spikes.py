@@ -6,13 +6,16 @@ bends; omitting its samples costs less. The cheapest chain is found exactly, by 
 kept last (Viterbi's algorithm; the cost of a bend is Blake and Zisserman's truncated quadratic). Hence neither a dense burst
 of spikes nor a gap next to one misleads it, as they do local means and medians.
 
-An omitted sample is a spike only if it lies far from a local fit to the kept samples.
+An omitted sample is a spike only if it lies far from a local fit to the kept samples, and if the marker's neighbours do not
+deviate alike from their own fits to the same frames: a strike or a landing bends the paths of all markers of a segment.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.shared_motion import compute_weighted_deviations, find_shared_deviations
 from mocapfix.faults import Fault
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.stats.sequences import find_runs
@@ -28,6 +31,8 @@ FIT_JERK_SD_M_PER_S3 = 5000.0
 FIT_SAMPLES_PER_SIDE = 3
 # Smallest distance of a spike from the fit, in standard deviations of the fit.
 MIN_SPIKE_DEVIATION_SD = 4.0
+# Largest acceleration of a body part. A deviation that needs a larger one is no motion, even if several markers share it.
+MAX_BODY_ACCELERATION_M_PER_S2 = 3000.0
 
 
 def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float) -> list[Fault]:
@@ -37,12 +42,17 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float) -> l
         The faults, ordered by marker and first frame. Their severity is the largest distance from the path in metres.
     """
     faults: list[Fault] = []
-    visible = take.visible
+    visible, partners = take.visible, None
     for m, label in enumerate(take.bare_labels):
         frames = np.flatnonzero(visible[:, m])
         path = _Path(frames, np.ascontiguousarray(take.markers[frames, m]), take.rate)
+        excursion = _find_excursions(path, min_distance_m, max_duration_s)
+        if not len(excursion.frames):
+            continue
+        partners = estimate_distances(take.markers).partner if partners is None else partners
+        is_spike = ~_find_shared_excursions(take, excursion, partners[m][partners[m] >= 0])
         distance_m = np.zeros(take.frame_count)
-        distance_m[frames] = _measure_path_deviation(path, min_distance_m, max_duration_s)
+        distance_m[excursion.frames[is_spike]] = np.linalg.norm(excursion.deviation[is_spike], axis=-1)
         faults += [_build_spike_fault(label, m, first, distance_m[first : last + 1]) for first, last in find_runs(distance_m > 0)]
     return faults
 
@@ -61,38 +71,74 @@ def _build_spike_fault(label: str, marker: int, first: int, distance_m: np.ndarr
     return Fault("spike", marker, first, first + len(distance_m) - 1, severity, reason)
 
 
-def _measure_path_deviation(path: _Path, min_distance_m: float, max_duration_s: float) -> np.ndarray:
-    """Measure the distance (N,) in metres of each spike sample from the marker's path; 0 for all other samples."""
+class _Excursions(NamedTuple):
+    """The samples of a marker that lie far off its path.
+
+    Attributes:
+        frames: Frame indices (N,).
+        deviation: Deviations (N, 3) in metres from the path.
+        fitted_frames: Indices (N, S) of the frames to which the path is fitted locally.
+        weight: Weights (N, S) of the positions there, with the sum 1: their weighted mean is the position on the path.
+    """
+
+    frames: np.ndarray
+    deviation: np.ndarray
+    fitted_frames: np.ndarray
+    weight: np.ndarray
+
+
+def _find_excursions(path: _Path, min_distance_m: float, max_duration_s: float) -> _Excursions:
+    """Find the samples that lie more than `min_distance_m` off the cheapest chain, for at most `max_duration_s`."""
     frames, points, rate = path
-    deviation_m = np.zeros(len(frames))
-    if len(frames) < 3:
-        return deviation_m
-    is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))
+    is_kept = np.ones(len(frames), bool)
+    if len(frames) >= 3:
+        is_kept = find_cheapest_chain(frames, points, rate, max(1, round(max_duration_s * rate)))
     omitted = np.flatnonzero(~is_kept)
-    if len(omitted):
-        expected, sd_m = _fit_locally(frames[is_kept] / rate, points[is_kept], frames[omitted] / rate)
-        distance_m = np.linalg.norm(points[omitted] - expected, axis=-1)
-        is_spike = distance_m > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * sd_m)
-        deviation_m[omitted] = np.where(is_spike, distance_m, 0.0)
-    return deviation_m
+    fit = _fit_locally(frames[is_kept] / rate, frames[omitted] / rate)
+    deviation = points[omitted] - np.einsum("ns,nsx->nx", fit.weight, points[is_kept][fit.samples])
+    is_far = np.linalg.norm(deviation, axis=-1) > np.maximum(min_distance_m, MIN_SPIKE_DEVIATION_SD * fit.sd_m)
+    return _Excursions(frames[omitted][is_far], deviation[is_far], frames[is_kept][fit.samples[is_far]], fit.weight[is_far])
 
 
-def _fit_locally(times_s: np.ndarray, points: np.ndarray, query_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_shared_excursions(take: Take, excursion: _Excursions, partners: np.ndarray) -> np.ndarray:
+    """Find (N,) the excursions that the marker's partners share and that a body can make."""
+    before = excursion.frames - excursion.fitted_frames[:, FIT_SAMPLES_PER_SIDE - 1]
+    after = excursion.fitted_frames[:, FIT_SAMPLES_PER_SIDE] - excursion.frames
+    max_distance_m = MAX_BODY_ACCELERATION_M_PER_S2 * np.abs(before * after) / take.rate**2 / 2
+    is_possible = np.linalg.norm(excursion.deviation, axis=-1) < max_distance_m
+    neighbours = take.markers[:, partners]
+    deviation = compute_weighted_deviations(neighbours, excursion.frames, excursion.fitted_frames, excursion.weight)
+    return is_possible & find_shared_deviations(excursion.deviation, deviation)
+
+
+class _LocalFit(NamedTuple):
+    """Local fits at N times.
+
+    Attributes:
+        samples: Indices (N, S) of the nearest samples.
+        weight: Weights (N, S) of these samples in the fitted position, with the sum 1.
+        sd_m: Standard deviation (N,) in metres per axis of the fitted position.
+    """
+
+    samples: np.ndarray
+    weight: np.ndarray
+    sd_m: np.ndarray
+
+
+def _fit_locally(times_s: np.ndarray, query_s: np.ndarray) -> _LocalFit:
     """Fit parabolas through the nearest samples.
 
     Bayesian least squares: a sample weighs less the farther away in time it is, since a path is close to a parabola only for a
     moment. Where the samples are far away or few, the standard deviation is large and nothing is a spike.
-
-    Returns:
-        The positions (N, 3) at the query times (N,), and their standard deviations (N,) per axis.
     """
     near = np.searchsorted(times_s, query_s)[:, None] + np.arange(-FIT_SAMPLES_PER_SIDE, FIT_SAMPLES_PER_SIDE)
     exists = (near >= 0) & (near < len(times_s))
     near = near.clip(0, len(times_s) - 1)
     lag = times_s[near] - query_s[:, None]
-    weight = exists / (FIT_NOISE_SD_M**2 + (FIT_JERK_SD_M_PER_S3 * lag**3 / 6) ** 2)
+    precision = exists / (FIT_NOISE_SD_M**2 + (FIT_JERK_SD_M_PER_S3 * lag**3 / 6) ** 2)
     basis = np.stack([np.ones_like(lag), lag, lag**2 / 2], -1)
-    origin = points[near[:, FIT_SAMPLES_PER_SIDE]][:, None]
-    covariance = np.linalg.inv(np.einsum("nk,nka,nkb->nab", weight, basis, basis) + np.diag(FIT_PRIOR_SD**-2))
-    moment = np.einsum("nk,nka,nkx->nax", weight, basis, points[near] - origin)
-    return origin[:, 0] + np.einsum("na,nax->nx", covariance[:, 0], moment), np.sqrt(covariance[:, 0, 0])
+    covariance = np.linalg.inv(np.einsum("nk,nka,nkb->nab", precision, basis, basis) + np.diag(FIT_PRIOR_SD**-2))
+    weight = np.einsum("na,nka,nk->nk", covariance[:, 0], basis, precision)
+    # The prior's mean is the position of the first sample that follows.
+    weight[:, FIT_SAMPLES_PER_SIDE] += 1 - weight.sum(1)
+    return _LocalFit(near, weight, np.sqrt(covariance[:, 0, 0]))
