@@ -4,7 +4,8 @@ In each frame a label is in one of two states: on its marker, or elsewhere. The 
 and for broken distances while the label is on its marker, a constant rate while it is elsewhere, and for each change of
 state (compare `label_swaps`). A label that continues smoothly does not change its state. What lasts no longer than a spike
 is left to the spike detector. A new position that moves with the segment and is not left again is no ghost, because the
-marker itself may have moved.
+marker itself may have moved. A label whose distances change gradually at an end has not leapt there: it is a rare pose. If the
+marker keeps its distance to one partner, and that partner has the same new distances to others, a joint has moved between them.
 
 Swaps have to be undone first, since both labels of a swap look like ghosts.
 """
@@ -36,6 +37,10 @@ ELSEWHERE_CONTRADICTION = 0.5
 MIN_GHOST_GAIN = 1.0
 # Number of steadiest partners by which the displacement is measured.
 MAX_GHOST_PARTNERS = 3
+# Smallest change of the deviation of a distance at an end of a ghost, relative to the deviation within it.
+MIN_END_CHANGE_RATIO = 0.5
+# Smallest deviation of a partner's distance to another partner, relative to the marker's own, that voids the latter.
+MIN_SHARED_DEVIATION_RATIO = 0.5
 
 
 def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s: float = 0.05) -> list[Fault]:
@@ -58,11 +63,11 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
         state = find_cheapest_states(step_cost[1:], state_cost) if len(visible) else np.zeros(0, int)
         for a, b in find_runs(state == 1):
             frames = visible[a : b + 1]
-            displacement = _measure_displacement(take.markers[frames], distances, m)
             is_persistent = b == len(visible) - 1 or a == 0
+            displacement = _measure_displacement(take.markers, distances, m, visible, (a, b))
             may_be_moved = is_persistent and displacement.sd_m < min_distance_m / 3
             is_long = len(frames) > max_spike_duration_s * take.rate
-            if is_long and displacement.distance_m > min_distance_m and not may_be_moved:
+            if is_long and displacement.distance_m > min_distance_m and displacement.is_abrupt and not may_be_moved:
                 t = np.arange(max(a, 1), min(b + 2, len(visible)))
                 saved_step_cost = (step_cost[t, 0, 0] - step_cost[t, state[t - 1], state[t]]).sum()
                 gain = float(saved_step_cost + (state_cost[a : b + 1] @ [1, -1]).sum())
@@ -94,21 +99,74 @@ def _compute_ghost_costs(
 
 
 class _Displacement(NamedTuple):
-    """The deviation of a marker's distances to its partners in metres: its size, and its standard deviation over time."""
+    """The deviation of a marker's distances to its partners in metres, and whether it begins and ends abruptly.
+
+    Attributes:
+        distance_m: Size of the deviation, NaN if unknown.
+        sd_m: Standard deviation over time.
+        is_abrupt: Whether the deviation changes abruptly at both ends, or may do so.
+    """
 
     distance_m: float
     sd_m: float
+    is_abrupt: bool
 
 
-def _measure_displacement(markers: np.ndarray, distances: MarkerDistances, marker: int) -> _Displacement:
-    """Measure the deviation from the distances to the steadiest partners; NaN if none is visible throughout."""
-    partners = distances.partner[marker, :MAX_GHOST_PARTNERS]
+def _measure_displacement(
+    markers: np.ndarray, distances: MarkerDistances, marker: int, visible: np.ndarray, interval: tuple[int, int]
+) -> _Displacement:
+    """Measure the deviation from the distances to the steadiest partners.
+
+    Args:
+        markers: World positions (T, M, 3) in metres.
+        distances: The usual distances.
+        marker: Index of the marker.
+        visible: The frames (N,) in which the marker is visible.
+        interval: Indices into these, of the first and the last sample of the displacement.
+    """
+    a, b = interval
+    frames, partners = visible[a : b + 1], distances.partner[marker, :MAX_GHOST_PARTNERS]
     partners = partners[partners >= 0]
-    error = np.linalg.norm(markers[:, [marker]] - markers[:, partners], axis=-1) - distances.length_m[marker, : len(partners)]
-    error = error[:, ~np.isnan(error).any(0)]
-    if not error.size:
-        return _Displacement(float("nan"), float("nan"))
-    return _Displacement(float(np.median(np.abs(error).max(1))), float(error.std(0).max()))
+    partners = partners[~np.isnan(markers[frames][:, partners, 0]).any(0)]
+    partners = partners[~_find_shared_deviations(markers[frames], distances, marker, partners)]
+    if not partners.size:
+        return _Displacement(float("nan"), float("nan"), True)
+    deviation = _compute_deviations(markers[frames], distances, marker, partners)
+    ends = [(frames[0], visible[a - 1])] if a > 0 else []
+    ends += [(frames[-1], visible[b + 1])] if b + 1 < len(visible) else []
+    is_abrupt = all(_is_abrupt(_compute_deviations(markers[[*end]], distances, marker, partners)) for end in ends)
+    return _Displacement(float(np.median(np.abs(deviation).max(1))), float(deviation.std(0).max()), is_abrupt)
+
+
+def _compute_deviations(markers: np.ndarray, distances: MarkerDistances, marker: int, partners: np.ndarray) -> np.ndarray:
+    """Compute the deviations (N, P), in metres, of a marker's distances to partners in N frames, NaN where missing."""
+    position = [distances.partner[marker].tolist().index(p) for p in partners.tolist()]
+    return np.linalg.norm(markers[:, [marker]] - markers[:, partners], axis=-1) - distances.length_m[marker, position]
+
+
+def _is_abrupt(deviation: np.ndarray) -> bool:
+    """Return whether the largest deviation of the first of two frames (2, P) is not there in the second, or is unknown there."""
+    inside, outside = deviation[:, np.abs(deviation[0]).argmax()]
+    return not abs(inside - outside) < MIN_END_CHANGE_RATIO * abs(inside)
+
+
+def _find_shared_deviations(markers: np.ndarray, distances: MarkerDistances, marker: int, partners: np.ndarray) -> np.ndarray:
+    """Find the partners (P,) from which another partner, which keeps its distance to the marker, deviates as the marker does."""
+    is_shared = np.zeros(len(partners), bool)
+    if not len(partners):
+        return is_shared
+    deviation_m = np.median(_compute_deviations(markers, distances, marker, partners), axis=0)
+    for keeper, kept_m in zip(partners.tolist(), deviation_m, strict=True):
+        known = distances.partner[keeper].tolist()
+        if marker not in known or abs(kept_m) > distances.tolerance_m[keeper, known.index(marker)]:
+            continue
+        others = np.array([p != keeper and p in known for p in partners.tolist()])
+        if others.any():
+            keeper_m = np.median(_compute_deviations(markers, distances, keeper, partners[others]), axis=0)
+            is_shared[others] |= keeper_m * np.sign(deviation_m[others]) > MIN_SHARED_DEVIATION_RATIO * np.abs(
+                deviation_m[others]
+            )
+    return is_shared
 
 
 def _build_ghost_fault(
