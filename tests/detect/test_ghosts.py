@@ -71,3 +71,26 @@ def test_swapped_labels_look_like_ghosts():
 @pytest.mark.parametrize("name", ["cmu/02_05", "cmu/85_02", "c3d/tennis_serve_motive", "c3d/squat"])
 def test_captures_have_no_ghosts(name):
     assert ghosts.detect_ghosts(capture.read_take(CAPTURES / f"{name}.c3d")) == []
+
+
+def test_return_in_small_steps_is_no_ghost():
+    """After a gap a marker is displaced on its segment, and slides back while the whole body is thrown."""
+    take = hidden(turning(), 3, 100, 149)
+    markers = take.markers.copy()
+    slide = np.interp(np.arange(len(markers)), [149, 150, 186, 198], [0, 0.08, 0.08, 0])
+    markers[:, 3, 1] += slide
+    markers[192:] += [0.0, 0.0, 0.03]
+    assert ghosts.detect_ghosts(take.replace_markers(markers)) == []
+    markers[192:, 3, 1] -= slide[192:]  # the same, but the rest of the way in a frame
+    assert where(ghosts.detect_ghosts(take.replace_markers(markers))) == [(3, 150, 191)]
+
+
+def test_bent_joint_is_no_ghost():
+    """After a gap a marker and its neighbour lie elsewhere, with one another, and then all of them are missing."""
+    markers = turning(segments=1, each=4).markers.copy()
+    markers[330:420, :2] += 0.2 * np.sin(np.linspace(0, 3, 90))[:, None, None] * [1.0, 0.3, 0.0]
+    markers[300:350, :2] = markers[400:430] = np.nan
+    take = Take(markers, ("A", "B", "C", "D"), 120.0)
+    assert ghosts.detect_ghosts(take) == []
+    markers[350:400, 1] = turning(segments=1, each=4).markers[350:400, 1]  # the neighbour stays: the marker alone has gone
+    assert where(ghosts.detect_ghosts(take.replace_markers(markers))) == [(0, 350, 399)]
