@@ -48,6 +48,8 @@ CORRECT_LABEL_LOG_ODDS = 1.6
 MAX_EXCHANGE_COUNT = 12
 # With a larger mean misfit of the markers, in log likelihood, these are not the set's markers, whatever their labels.
 MAX_MEAN_MISFIT = 2.0
+# Largest distance of the exchanged markers from the body after an exchange is undone, relative to that before.
+MAX_REMAINING_MISPLACEMENT = 0.7
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,8 @@ def detect_mislabelled(take: Take, marker_set: MarkerSet, subject: Subject | Non
         np.linalg.norm(markers - predicted_before, axis=-1), np.linalg.norm(relabelled - predicted_after, axis=-1)
     )
     cycles = select_one_sided_cycles(find_permutation_cycles(order), find_twins(marker_set))
-    return [_build_mislabelled_fault(take, columns, order, cycle, steps, misplacement) for cycle in cycles]
+    faults = [_build_mislabelled_fault(take, columns, order, cycle, steps, misplacement) for cycle in cycles]
+    return [fault for fault in faults if fault is not None]
 
 
 def select_fullest_frames(markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "N K 3"]:
@@ -215,11 +218,14 @@ def _build_mislabelled_fault(
     cycle: tuple[int, ...],
     steps: list[RelabelStep],
     misplacement: _Misplacement,
-) -> Fault:
+) -> Fault | None:
+    """Build the fault of a cycle; None if undoing it brings the markers no nearer to the body."""
     own_steps = [step for step in steps if step.is_exchanged[list(cycle)].any()]
     gain = sum(step.gain for step in own_steps)
     exchanged = np.flatnonzero(np.any([step.is_exchanged for step in own_steps], axis=0))
     before_m, after_m = (float(np.nanmedian(each[:, exchanged])) for each in misplacement)
+    if after_m > MAX_REMAINING_MISPLACEMENT * before_m:
+        return None
     where = f"their samples lie {before_m * 1e3:.0f} mm from the marker set's positions on the body"
     where += f", and {after_m * 1e3:.0f} mm after the exchange is undone."
     labels = [take.bare_labels[columns[k]] for k in cycle]
