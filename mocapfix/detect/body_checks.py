@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from mocapfix.detect import body_label_swaps, body_outliers, marker_shifts
+from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.outlier_evidence import is_body_wrong
 from mocapfix.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, SHIFT_KINDS, Fault
 from mocapfix.motion import Motion
 from mocapfix.options import DetectOptions
@@ -27,7 +29,8 @@ def detect_body_faults(
 ) -> list[Fault]:
     """Detect faults of markers by their distances from the solved body.
 
-    A fault that a larger fault nearby explains is not reported; the next round of detection finds it if it remains.
+    A fault that a larger fault nearby explains is not reported; the next round of detection finds it if it remains. Neither are
+    samples off the body where the other markers show that the body is wrong.
 
     Args:
         subject_take: the inliers in the order of the subject's K markers, NaN elsewhere.
@@ -43,10 +46,12 @@ def detect_body_faults(
     residuals = body_outliers.compute_body_residuals(subject_take, solver_mask, subject, motion)
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)
     swaps = body_label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
+    distances = estimate_distances(subject_take.markers)
     single_outliers = [
         outlier
         for outlier in body_outliers.select_dominant_outliers(outliers)
         if not any(body_outliers.overlap_in_time(outlier, swap) for swap in swaps)
+        and not is_body_wrong(outlier, residuals, distances)
     ]
     faults = swaps + [body_outliers.build_outlier_fault(each, subject_take, max_spike_duration_s) for each in single_outliers]
     shifts = marker_shifts.detect_marker_shifts(residuals, subject, motion, subject_take.rate)
