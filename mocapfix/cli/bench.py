@@ -9,6 +9,7 @@ from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
+from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, show_progress, stdout_console
 
 FAULT_COLUMNS = (
@@ -221,6 +222,7 @@ BENCH_COMMANDS = {
     "solver": run_bench_solver,
     "uncertainty": run_bench_uncertainty,
     "calibration": run_bench_calibration,
+    "stress": run_bench_stress,
     "faults": run_bench_faults,
     "files": run_bench_files,
     "animations": run_bench_animations,

@@ -106,9 +106,9 @@ class SolveSection(TypedDict):
     joint_deviation_mm  predicted standard deviation per axis by joint
     start               method that initialises each pose
     prior               pose prior for occluded limbs; None without one
-    lost_in_sight       number of frames in which each part of the body lies more than 60 mm from at least three of its markers
-                        that are seen and keep possible distances from one another; without entries if no part does. A frame
-                        counts for the largest part alone: with the arm, not also with its forearm
+    lost_in_sight       number of frames in which a part of the body lies more than 60 mm from at least three of its markers that
+                        are seen and keep possible distances from one another, by part; without entries if there are none. A
+                        frame counts for one part of a limb: with the arm, not also with its forearm
     status              number of frames by final status
     """
 

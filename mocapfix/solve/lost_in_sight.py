@@ -1,8 +1,8 @@
 """Limbs lost in sight: frames in which the solved body leaves a part of the body although its markers show where it is.
 
-A part of the body counts as lost in a frame if at least MIN_CONSISTENT_MARKERS of its markers are seen and mutually consistent, and their
-mean distance from the body exceeds MIN_LOST_DISTANCE_M. What was measured counts, whatever detection made of it: a limb all of
-whose samples were taken for spikes is lost as well.
+A part of the body counts as lost in a frame if at least MIN_CONSISTENT_MARKERS of its markers are seen and mutually consistent,
+and their mean distance from the body exceeds MIN_LOST_DISTANCE_M. What was measured counts, whatever detection made of it: a limb
+all of whose samples were taken for spikes is lost as well.
 
 Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
 another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
@@ -28,8 +28,8 @@ MIN_DISTANCE_TOLERANCE_M = 0.025
 DISTANCE_TOLERANCE_SD = 4.0
 """the same in robust standard deviations of that distance, for pairs whose skin moves more"""
 CHAIN_TOLERANCE_M = 0.04
-"""by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error of
-the bones, and the motion of the skin"""
+"""by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error
+of the bones, and the motion of the skin"""
 MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""

@@ -3,6 +3,9 @@
 footsteps        where the feet are: they do not slide
 gestures         rotations of arms, spine and head
 motions          a body over those feet, making those gestures
+key_poses        smooth motion between key poses
+extreme_motions  key poses of strikes, kicks, throws and acrobatics
+extreme_takes    takes of them
 synthetic_takes  a person, their motion, their markers before and after damage by gaps and spikes, and the C3D file
 """
 

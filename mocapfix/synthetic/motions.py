@@ -125,7 +125,7 @@ def compose_motion(subject: Subject, seconds: float, rate: float) -> Motion:
         hip = root + pelvis @ hips[side]
         posture[f"{name}UpLeg"], posture[f"{name}Leg"] = _solve_leg(hip, feet, side, leg, pelvis)
         posture[f"{name}Foot"] = posture[f"{name}ToeBase"] = feet.foot_rotation[:, side]
-    return _build_motion(subject, root, posture)
+    return build_posture_motion(subject, root, posture)
 
 
 def _compute_gait_phase(feet: FootMotion, stride_m: float, rate: float) -> Float[np.ndarray, " T"]:
@@ -204,8 +204,10 @@ def _solve_leg(
     return straight @ compute_axis_rotation("X", -lift), straight @ compute_axis_rotation("X", bend - lift)
 
 
-def _build_motion(subject: Subject, root: Float[np.ndarray, "T 3"], posture: dict[str, Float[np.ndarray, "T 3 3"]]) -> Motion:
-    """Return the motion of these postures, with zero iterations and uncertainty."""
+def build_posture_motion(
+    subject: Subject, root: Float[np.ndarray, "T 3"], posture: dict[str, Float[np.ndarray, "T 3 3"]]
+) -> Motion:
+    """Return the motion of the postures of all joints by name, with zero iterations and uncertainty."""
     skeleton = subject.skeleton
     standing = _compute_standing_rotations(skeleton)
     world = np.stack([posture[name] @ standing[name] for name in skeleton.names], axis=1)

@@ -65,6 +65,7 @@ def test_the_summary_lists_faults_changes_and_missing_samples(scene, tmp_path):
     assert "Its mean distance from the markers is 3.2 mm (95th percentile 7.4 mm)." in text
     assert f"{(~scene.comparison.cleaned_take.visible).sum()} samples still missing: <b>&\"'." in text
     assert "Unchanged faults: 1 burst of jitter." in text
+    assert "Lost by the solved body although their markers are seen: left arm (3 frames)." in text
     assert "The <hand> was hidden." in text
     assert "Look at M07 & its neighbours." in text
 

@@ -1,0 +1,198 @@
+"""Stress test: extreme motion with known truth, cleaned; limbs lost in sight, joint errors, and sound samples that were changed.
+
+Composed takes are those of `mocapfix.synthetic.extreme_takes` at several rates, with soft tissue, and with gaps. Performed takes
+are the fastest tenth of recordings of subjects that no model was trained on, by peak marker speed. Each is compared with ordinary
+motion of the same kind: takes of walking and reaching, and the recordings of median speed.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool
+
+from mocapfix import synthetic
+from mocapfix.bench.lost_limbs import build_full_marker_subject
+from mocapfix.bench.sound_takes import PerformedMotion, perform_take, read_performed_motions, remove_damage
+from mocapfix.bench.uncertainty import clean_composed_take
+from mocapfix.motion import FrameStatus
+from mocapfix.report.stage_timer import ProgressCallback
+from mocapfix.result import CleaningResult
+from mocapfix.solve.kinematics import compute_joint_and_marker_positions
+from mocapfix.subject import Subject
+from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic.extreme_motions import EXTREME_MOTIONS
+from mocapfix.synthetic.extreme_takes import compose_extreme_take
+
+STRESS_RATES_HZ = (60.0, 120.0, 240.0)
+SOFT_TISSUE_RATE_HZ = 60.0  # of the takes whose markers lag behind the bones
+GAP_RATE_HZ = 120.0  # of the takes with gaps
+ORDINARY_SEEDS = range(3)  # of the composed takes of ordinary motion
+ORDINARY_DURATION_S = 15.0  # of each
+FASTEST_SHARE = 0.1  # of the recordings of a folder
+ORDINARY_RECORDING_COUNT = 4  # recordings of median speed of each folder
+MIN_STRESS_RECORDING_S = 4.0  # shorter recordings are not used: a person cannot be calibrated on them
+MAX_STRESS_RECORDING_S = 12.0  # of a longer recording the part about its fastest frame is used
+MAX_LIMB_ERROR_M = 0.1  # limit of the error of a joint of a limb with all its markers seen
+MAX_ERROR_RATIO = 1.5  # limit of the mean joint error over that of ordinary motion
+UNOBSERVED_JOINTS = ("LeftHandIndex1", "RightHandIndex1")  # beyond joints that no marker turns; not scored
+LIMBS_WITH_JOINTS = {  # joints that carry a limb's markers or follow from them
+    "head": ("Neck1", "Head"),
+    "trunk": ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder"),
+    "left arm": ("LeftArm", "LeftForeArm", "LeftHand", "LeftFingerBase"),
+    "right arm": ("RightArm", "RightForeArm", "RightHand", "RightFingerBase"),
+    "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
+    "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
+}
+
+
+class StressTake(NamedTuple):
+    """A take of the test.
+
+    kind  "composed" or "performed"
+    """
+
+    kind: str
+    name: str
+    truth: SyntheticTake
+    is_ordinary: bool = False
+
+
+def measure_stress(
+    motion_folders: Sequence[Path] = (),
+    motions: Iterable[str] = tuple(EXTREME_MOTIONS),
+    rates_hz: Iterable[float] = STRESS_RATES_HZ,
+    progress: ProgressCallback = lambda _: None,
+) -> dict[str, Any]:
+    """Return the rows of all takes as `takes`, the mean joint error of ordinary motion by kind as `ordinary_mm`, the totals that
+    the limits hold for as `all`, and as `skipped` why recordings are not used, or None.
+
+    motion_folders  each holds test.npz and skeletons.json: motion of subjects that no model was trained on
+
+    Raises ReadError if a folder holds no such motion.
+    """
+    takes = [*iterate_composed_takes(motions, rates_hz), *iterate_performed_takes(motion_folders)]
+    rows: list[dict[str, Any]] = []
+    for number, take in enumerate(takes, start=1):
+        progress(f"{take.name} ({number} of {len(takes)})")
+        result = clean_composed_take(take.truth)
+        rows.append({"kind": take.kind, "name": take.name, "ordinary": take.is_ordinary, **score_stress_take(take.truth, result)})
+    ordinary_mm = {
+        kind: float(np.mean([row["joint_error_mm"] for row in rows if row["kind"] == kind and row["ordinary"]]))
+        for kind in dict.fromkeys(row["kind"] for row in rows)
+    }
+    for row in rows:
+        row["over_ordinary"] = row["joint_error_mm"] / ordinary_mm[row["kind"]]
+    skipped = None if motion_folders else "recordings were not used: name folders of motion with --data"
+    return {"takes": rows, "ordinary_mm": ordinary_mm, "all": summarise_stress(rows), "skipped": skipped}
+
+
+def iterate_composed_takes(motions: Iterable[str], rates_hz: Iterable[float]) -> Iterator[StressTake]:
+    """Yield composed takes: ordinary motion, then every motion at all rates, with soft tissue and with gaps."""
+    for seed in ORDINARY_SEEDS:
+        truth = remove_damage(synthetic.compose_take(seed, ORDINARY_DURATION_S, asymmetric=True))
+        yield StressTake("composed", f"ordinary, seed {seed}", truth, is_ordinary=True)
+    for seed, motion in enumerate(motions):
+        for rate in rates_hz:
+            yield StressTake("composed", f"{motion}, {rate:g} Hz", compose_extreme_take(motion, seed, rate))
+        soft = compose_extreme_take(motion, seed, SOFT_TISSUE_RATE_HZ, with_soft_tissue=True)
+        yield StressTake("composed", f"{motion}, {SOFT_TISSUE_RATE_HZ:g} Hz, soft tissue", soft)
+        yield StressTake(
+            "composed", f"{motion}, {GAP_RATE_HZ:g} Hz, gaps", compose_extreme_take(motion, seed, GAP_RATE_HZ, with_gaps=True)
+        )
+
+
+def iterate_performed_takes(motion_folders: Iterable[Path]) -> Iterator[StressTake]:
+    """Yield performed takes of each folder: those of median speed as ordinary motion, and the fastest.
+
+    Raises ReadError if a folder holds no motion.
+    """
+    subject = build_full_marker_subject()
+    for folder in motion_folders:
+        motions = [each for each in read_performed_motions(folder / "test.npz") if get_duration_s(each) >= MIN_STRESS_RECORDING_S]
+        speeds = [compute_marker_speeds(each, subject) for each in motions]
+        order = np.argsort([speed.max() for speed in speeds])
+        fastest = order[len(order) - max(1, round(FASTEST_SHARE * len(order))) :]
+        first = max(0, (len(order) - ORDINARY_RECORDING_COUNT) // 2)
+        for is_ordinary, chosen in ((True, order[first : first + ORDINARY_RECORDING_COUNT]), (False, fastest)):
+            for n in chosen:
+                part = cut_around(motions[n], int(speeds[n].argmax()))
+                yield StressTake("performed", motions[n].name, perform_take(part, np.random.default_rng(int(n))), is_ordinary)
+
+
+def get_duration_s(performance: PerformedMotion) -> float:
+    """Return the duration of a recording in seconds."""
+    return performance.motion.frame_count / performance.rate_hz
+
+
+def compute_marker_speeds(performance: PerformedMotion, subject: Subject) -> np.ndarray:
+    """Return the speed in m/s of the fastest marker from each frame (T - 1,) to the next."""
+    _, markers = compute_joint_and_marker_positions(subject, performance.motion)
+    return np.linalg.norm(np.diff(markers, axis=0), axis=-1).max(1) * performance.rate_hz
+
+
+def cut_around(performance: PerformedMotion, frame: int) -> PerformedMotion:
+    """Return the part of a recording about a frame, no longer than MAX_STRESS_RECORDING_S."""
+    count = min(performance.motion.frame_count, round(MAX_STRESS_RECORDING_S * performance.rate_hz))
+    first = min(max(0, frame - count // 2), performance.motion.frame_count - count)
+    return performance._replace(motion=performance.motion.select_frames(np.arange(first, first + count)))
+
+
+def score_stress_take(truth: SyntheticTake, result: CleaningResult) -> dict[str, Any]:
+    """Return the measures of one cleaned take; frames are counted from 0.
+
+    lost_in_sight      frames by part of the body, as in the report
+    joint_error_mm     mean over all frames and joints
+    limb_error_mm      largest error of a joint of a limb whose markers are all seen, with `limb` and `frame`
+    changed_share      share of the seen samples that were changed
+    poor_frames        frames in which the markers lie far from the body
+    """
+    report, motion, joints, sample_sd = result.report, result.motion, result.joint_position_world, result.take.sample_sd
+    if "solve" not in report or report["solve"] is None or motion is None or joints is None:
+        raise ValueError("a composed take has a known marker set, so it is solved")
+    error_m = np.linalg.norm(joints - truth.joint_positions, axis=-1)
+    is_scored = ~np.isin(truth.subject.skeleton.names, UNOBSERVED_JOINTS)
+    worst_m, limb, frame = find_worst_limb(truth, error_m)
+    is_changed = np.zeros_like(truth.missing_mask) if sample_sd is None else ~np.isnan(sample_sd) & ~truth.missing_mask
+    lost = report["solve"]["lost_in_sight"]
+    return {
+        "lost_frames": sum(lost.values()),
+        "lost_in_sight": lost,
+        "joint_error_mm": 1e3 * float(error_m[:, is_scored].mean()),
+        "limb_error_mm": 1e3 * worst_m,
+        "limb": limb,
+        "frame": frame,
+        "changed_samples": int(is_changed.sum()),
+        "changed_share": float(is_changed.sum() / (~truth.missing_mask).sum()),
+        "poor_frames": int((motion.status == FrameStatus.POOR_FIT).sum()),
+    }
+
+
+def find_worst_limb(truth: SyntheticTake, error_m: np.ndarray) -> tuple[float, str, int]:
+    """Return the largest joint error of a limb whose markers are all seen, in metres, with the limb and the frame.
+
+    error_m  error (T, J) of each joint
+    """
+    worst = (0.0, "", -1)
+    for limb, names in LIMBS_WITH_JOINTS.items():
+        joints = [truth.subject.skeleton.find_joint(name) for name in names]
+        is_own: Bool[np.ndarray, " M"] = np.isin(truth.subject.joints, joints)
+        limb_error_m = np.where(truth.missing_mask[:, is_own].any(1), 0.0, error_m[:, joints].max(1))
+        frame = int(limb_error_m.argmax())
+        worst = max(worst, (float(limb_error_m[frame]), limb, frame))
+    return worst
+
+
+def summarise_stress(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the totals over the takes of extreme motion, and whether they are within the limits."""
+    extreme = [row for row in rows if not row["ordinary"]]
+    totals = {
+        "lost_frames": sum(row["lost_frames"] for row in extreme),
+        "limb_error_mm": max(row["limb_error_mm"] for row in extreme),
+        "over_ordinary": float(np.mean([row["over_ordinary"] for row in extreme])),
+        "changed_share": float(np.mean([row["changed_share"] for row in extreme])),
+        "poor_frames": sum(row["poor_frames"] for row in extreme),
+    }
+    is_within = totals["lost_frames"] == 0 and totals["limb_error_mm"] <= 1e3 * MAX_LIMB_ERROR_M
+    return totals | {"within_limits": bool(is_within and totals["over_ordinary"] <= MAX_ERROR_RATIO)}
