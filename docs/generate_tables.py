@@ -46,7 +46,9 @@ def build_baseline_table() -> str:
     """Return the committed baseline as a table."""
     rows = ["| quantity | value | tolerance |", "|---|---:|---:|"]
     for name, entry in read_baseline(get_baseline_path()).items():
-        rows.append(f"| {name} | {entry.value:.4g} | {entry.tolerance_percent:g} % |")
+        tolerances = [f"{entry.tolerance_percent:g} %"] if entry.tolerance_percent else []
+        tolerances += [f"{entry.tolerance:g}"] if entry.tolerance else []
+        rows.append(f"| {name} | {entry.value:.4g} | {' or '.join(tolerances)} |")
     return "\n".join(rows)
 
 

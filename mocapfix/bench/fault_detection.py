@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.damaged_take import DamagedTake
 from mocapfix.bench.fault_injection import FAULT_INJECTIONS
-from mocapfix.bench.sound_takes import iterate_sound_takes
-from mocapfix.bench.uncertainty import clean_composed_take
+from mocapfix.bench.sound_takes import SOUND_TAKE_RATE_HZ, iterate_sound_takes, remove_damage
 from mocapfix.changes import compare_samples
 from mocapfix.faults import (
     EXTERNAL_FILL_KINDS,
@@ -34,9 +34,19 @@ from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
+from mocapfix.synthetic import compose_take
 
 REPLACED_KINDS = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS)
 REFILL_OPTIONS = CleanOptions(fill=FillOptions(refill=True))  # other programs' fills are estimated as well
+FAULT_MIXES: dict[str, tuple[str, ...]] = {
+    "samples": ("gap", "flicker", "spike", "jitter"),
+    "fills": ("stuck", "straight", "ghost"),
+    "labels": ("swap", "ring", "fragment"),
+    "placements": ("moved", "drift"),
+    "whole takes": ("mislabelled",),
+}
+"""kinds of FAULT_INJECTIONS that the short version of the benchmark injects into one take"""
+MIXED_TAKE_S = 10.0  # duration of a take of the short version
 FaultRow = dict[str, float | None]  # a row of the benchmark's table
 
 
@@ -83,6 +93,29 @@ def measure_fault_detection(
         progress(f"no faults, {name}")
         sound_take = DamagedTake(truth, np.random.default_rng(0))
         sound_scores.append(score_take(sound_take, clean_composed_take(sound_take.damaged_truth, REFILL_OPTIONS)))
+    return summarise_fault_kinds(scores, sound_scores)
+
+
+def measure_mixed_faults(progress: ProgressCallback = lambda _: None) -> dict[str, FaultRow]:
+    """Return the scores of the short version, as `measure_fault_detection` does: one take for each of FAULT_MIXES."""
+    scores: dict[str, list[FaultScore]] = {}
+    sound_scores: list[FaultScore] = []
+    for seed, (name, kinds) in enumerate(FAULT_MIXES.items()):
+        progress(name)
+        truth = remove_damage(compose_take(seed, MIXED_TAKE_S, SOUND_TAKE_RATE_HZ, asymmetric=True))
+        damaged_take = DamagedTake(truth, np.random.default_rng(seed))
+        for kind in kinds:
+            FAULT_INJECTIONS[kind](damaged_take)
+        scores[name] = [score_take(damaged_take, clean_composed_take(damaged_take.damaged_truth, REFILL_OPTIONS))]
+        if not sound_scores:
+            sound_scores = [
+                score_take(DamagedTake(truth, np.random.default_rng(seed)), clean_composed_take(truth, REFILL_OPTIONS))
+            ]
+    return summarise_fault_kinds(scores, sound_scores)
+
+
+def summarise_fault_kinds(scores: dict[str, list[FaultScore]], sound_scores: list[FaultScore]) -> dict[str, FaultRow]:
+    """Return the row of each kind, and "all" with those of all kinds together and the false alarms in takes without faults."""
     rows = {kind: summarise_fault_scores(each) for kind, each in scores.items()}
     total = summarise_fault_scores([score for each in scores.values() for score in each])
     alarms = summarise_fault_scores(sound_scores)["false_alarms_per_minute"]

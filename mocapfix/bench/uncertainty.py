@@ -5,16 +5,13 @@ deviation and 95 % within two.
 """
 
 from collections.abc import Iterable
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
-import mocapfix
 from mocapfix import synthetic
+from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.sound_takes import find_informative_markers
-from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
 from mocapfix.synthetic import SyntheticTake
@@ -35,8 +32,6 @@ class PredictedErrors(NamedTuple):
 
 ErrorGroups = dict[str, PredictedErrors]
 
-DEFAULT_BENCH_OPTIONS = CleanOptions()
-
 
 def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, dict[str, Any]]:
     """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`."""
@@ -48,14 +43,6 @@ def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, d
         joints.append(gather_joint_errors(truth, result))
         fills.append(gather_fill_errors(truth, result))
     return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(fills)}
-
-
-def clean_composed_take(truth: SyntheticTake, options: CleanOptions = DEFAULT_BENCH_OPTIONS) -> CleaningResult:
-    """Return the result of the pipeline for a composed take, which is written to a file and read."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "take.c3d"
-        synthetic.write_synthetic_take(path, truth)
-        return mocapfix.clean(path, options)
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:

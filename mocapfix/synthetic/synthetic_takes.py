@@ -92,9 +92,9 @@ def write_synthetic_take(path: Path, synthetic: SyntheticTake) -> None:
     write_c3d(path, Take(markers, synthetic.labels, synthetic.rate))
 
 
-def draw_subject(rng: np.random.Generator, asymmetric: bool) -> Subject:
-    """Return the average body with every group of bones scaled at random, and markers placed with errors."""
-    nominal = load_marker_set("cmu41")
+def draw_subject(rng: np.random.Generator, asymmetric: bool, marker_set_name: str = "cmu41") -> Subject:
+    """Return the average body with every group of bones scaled at random, and markers of a shipped set placed with errors."""
+    nominal = load_marker_set(marker_set_name)
     offsets = nominal.marker_offsets + rng.normal(0, MARKER_PLACEMENT_SD_M, nominal.marker_offsets.shape)
     spread = np.full(len(nominal.labels), SKIN_SLIDE_SD_M)
     skeleton = _vary_bone_groups(rng, load_cmu31_body())

@@ -171,6 +171,34 @@ def test_every_kind_has_a_row_and_sound_takes_give_the_alarms(monkeypatch):
     assert rows["all"]["false_alarms_per_minute"] == pytest.approx(6.0)
 
 
+def test_the_short_version_injects_every_kind_of_its_mixes(monkeypatch):
+    cleaned_truths = []
+
+    def return_unchanged(truth, options):
+        cleaned_truths.append(truth)
+        take = Take(truth.damaged_positions, truth.labels, truth.rate)
+        return Result(take, take, take, Faults((fault("spike", 1, 2, 0),)))
+
+    injected_kinds = set()
+    record_fault = DamagedTake.record_fault
+
+    def record(damaged_take, injected, *, is_main=True):
+        record_fault(damaged_take, injected, is_main=is_main)
+        injected_kinds.update([injected.kind] if is_main else [])
+
+    monkeypatch.setattr(DamagedTake, "record_fault", record)
+    monkeypatch.setattr(fault_detection, "clean_composed_take", return_unchanged)
+    rows = fault_detection.measure_mixed_faults()
+    assert list(rows) == [*fault_detection.FAULT_MIXES, "all"]
+    assert injected_kinds == {
+        "gap", "spike", "jitter", "stuck", "straight", "ghost", "swap", "fragment", "moved", "drift", "mislabelled"
+    }  # fmt: skip
+    sound = [truth for truth in cleaned_truths if np.array_equal(truth.damaged_positions, truth.marker_positions)]
+    assert (len(cleaned_truths), len(sound)) == (len(rows), 1)
+    assert rows["all"]["false_alarms_per_minute"] == pytest.approx(60.0 / fault_detection.MIXED_TAKE_S)
+    assert (rows["all"]["recall"] or 0.0) < 0.1  # only what the one reported spike happens to overlap
+
+
 def test_pipeline_finds_and_fills_flickers(damaged_take):
     score = score_take(damaged_take, fault_detection.clean_composed_take(damaged_take.damaged_truth))
     assert score.overlap == [1.0]
@@ -185,6 +213,9 @@ def test_command_prints_the_results(mocapfix, monkeypatch):
     monkeypatch.setattr(fault_detection, "measure_fault_detection", lambda *arguments: calls.append(arguments[:2]) or summary)
     status, out, _ = mocapfix("bench", "faults", "--takes", "2", "--json")
     assert (status, json.loads(out), calls) == (0, summary, [(None, 2)])
+    monkeypatch.setattr(fault_detection, "measure_mixed_faults", lambda progress: {"labels": nothing, "all": nothing})
+    status, out, _ = mocapfix("bench", "faults", "--short", "--json")
+    assert (status, list(json.loads(out)), len(calls)) == (0, ["labels", "all"], 1)
     status, out, _ = mocapfix("bench", "faults")
     assert status == 0
     assert "50%" in out
