@@ -59,9 +59,14 @@ def imported_modules(name: str) -> set[str]:
                 visit(each.body)
 
     visit(modules()[name].body)
-    packages = {each for each in modules() if any(other.startswith(f"{each}.") for other in modules())}
     targets = {each for each in found if each in modules() and each != name}
-    return {each for each in targets if each not in packages or not any(other.startswith(f"{each}.") for other in targets)}
+    return {each for each in targets if each not in packages() or not any(other.startswith(f"{each}.") for other in targets)}
+
+
+@cache
+def packages() -> set[str]:
+    """Return the names of the modules that contain others."""
+    return {name.rpartition(".")[0] for name in modules()} - {""}
 
 
 def functions() -> list[tuple[str, ast.FunctionDef]]:
@@ -145,7 +150,7 @@ def test_public_names_and_constants_are_unique() -> None:
 
 
 def test_private_words_do_not_come_back_as_names() -> None:
-    found: list[str] = []
+    names: dict[str, str] = {}
     test_trees = {path.stem: ast.parse(path.read_text(encoding="utf-8")) for path in Path(__file__).parent.rglob("*.py")}
     for module, tree in (*modules().items(), *test_trees.items()):
         for node in ast.walk(tree):
@@ -157,19 +162,23 @@ def test_private_words_do_not_come_back_as_names() -> None:
                 name = node.id
             else:
                 continue
-            parts = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_")
-            if set(parts) & set(BANNED_NAME_PARTS):
-                found.append(f"{module}: {name}")
+            names[name] = f"{module}: {name}"
+    banned = set(BANNED_NAME_PARTS)
+    found = [
+        place
+        for name, place in names.items()
+        if not banned.isdisjoint(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_"))
+    ]
     assert not found
 
 
 def test_private_phrases_do_not_come_back_in_texts() -> None:
-    root = PACKAGE.parent
+    root, banned = PACKAGE.parent, re.compile("|".join(BANNED_PHRASES), re.IGNORECASE)
     paths = [*PACKAGE.rglob("*.py"), root / "README.md", *(root / "docs").rglob("*.md"), *(root / "scenes").rglob("*.yaml")]
     found = [
         f"{path.relative_to(root)}:{number}: {line.strip()}"
         for path in paths
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-        if any(re.search(phrase, line, re.IGNORECASE) for phrase in BANNED_PHRASES)
+        if banned.search(line)
     ]
     assert not found
