@@ -4,18 +4,24 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test shapes docs blender lint clean
+.PHONY: demo test shapes bench docs blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
+# Two processes run tests, each with one thread for linear algebra: threads that wait for one another on two cores take several times as long.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 test: $(VENV)/installed-dev
-	$(VENV)/bin/python -m pytest --numprocesses 2
+	$(ONE_THREAD) $(VENV)/bin/python -m pytest --numprocesses 2
 
 # Tests with annotated types and array shapes checked, in the folders where every test passes with them. They take twice as long.
 CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
 shapes: $(VENV)/installed-dev
-	MOCAPFIX_CHECK_TYPES=1 $(VENV)/bin/python -m pytest --quiet --numprocesses 2 $(CHECKED_TESTS)
+	MOCAPFIX_CHECK_TYPES=1 $(ONE_THREAD) $(VENV)/bin/python -m pytest --quiet --numprocesses 2 $(CHECKED_TESTS)
+
+# Accuracy, speed and memory against scenes/bench/baseline.json. Fails if anything became worse than its tolerance.
+bench: $(VENV)/installed-dev
+	$(VENV)/bin/mocapfix bench baseline
 
 # The documentation as a site, in site/index.html. Any warning is an error.
 docs: $(VENV)/installed-docs
