@@ -1,7 +1,7 @@
 """Evidence that a sample off the solved body is right, and that the body is wrong there.
 
 A marker that leaves its place for a while leaps relative to its neighbours, when it leaves and when it returns. Where its
-neighbours carry it across both ends as a rigid body, it has not left. And where the body loses a limb, the samples of
+neighbours carry it across an end as a rigid body, it has not left or not returned. And where the body loses a limb, the samples of
 several markers of the limb lie off it in the same direction, which faults of single markers do not.
 """
 
@@ -17,7 +17,7 @@ MIN_RIGID_NEIGHBOURS = 3
 # Smallest extent of the neighbours along their second longest axis (standard deviation): a line shows no turn about it.
 MIN_NEIGHBOUR_WIDTH_M = 0.015
 # Largest leap relative to the neighbours at an end of an outlier that they carry, relative to its distance from the body.
-MAX_CARRIED_LEAP_RATIO = 0.35
+MAX_CARRIED_LEAP_RATIO = 0.5
 # Smallest fraction of an outlier's frames in which other markers lie off the body alike.
 MIN_SHARED_FRACTION = 0.5
 
@@ -37,8 +37,7 @@ def is_body_wrong(outlier: BodyOutlier, residuals: BodyResiduals, distances: Mar
     leap_m = measure_leaps_from_neighbours(
         residuals.measured_world, distances, outlier.marker, np.array(ends, int).reshape(-1, 2)
     )
-    known_m = leap_m[~np.isnan(leap_m)]
-    if len(known_m) and known_m.max() < MAX_CARRIED_LEAP_RATIO * outlier.distance_m:
+    if (leap_m < MAX_CARRIED_LEAP_RATIO * outlier.distance_m).any():
         return True
     residual_world = residuals.measured_world[outlier.frames] - residuals.expected_world[outlier.frames]
     partners = distances.partner[outlier.marker]
