@@ -5,7 +5,8 @@ and for broken distances while the label is on its marker, a constant rate while
 state (compare `label_swaps`). A label that continues smoothly does not change its state. What lasts no longer than a spike
 is left to the spike detector. A new position that moves with the segment and is not left again is no ghost, because the
 marker itself may have moved. A label whose distances change gradually at an end has not leapt there: it is a rare pose. If the
-marker keeps its distance to one partner, and that partner has the same new distances to others, a joint has moved between them.
+marker keeps its distances to its two steadiest partners, or to one that has the same new distances to others, a joint has moved
+between them.
 
 Swaps have to be undone first, since both labels of a swap look like ghosts.
 """
@@ -37,8 +38,12 @@ ELSEWHERE_CONTRADICTION = 0.5
 MIN_GHOST_GAIN = 1.0
 # Number of steadiest partners by which the displacement is measured.
 MAX_GHOST_PARTNERS = 3
+# Number of frames, evenly spread, from which the usual distance between two partners is computed.
+MAX_DISTANCE_SAMPLES = 300
 # Smallest change of the deviation of a distance at an end of a ghost, relative to the deviation within it.
 MIN_END_CHANGE_RATIO = 0.5
+# Largest deviation of the distances to the two steadiest partners that a marker has not left, relative to the largest deviation.
+MAX_KEPT_DEVIATION_RATIO = 0.15
 # Smallest deviation of a partner's distance to another partner, relative to the marker's own, that voids the latter.
 MIN_SHARED_DEVIATION_RATIO = 0.5
 
@@ -128,7 +133,7 @@ def _measure_displacement(
     frames, partners = visible[a : b + 1], distances.partner[marker, :MAX_GHOST_PARTNERS]
     partners = partners[partners >= 0]
     partners = partners[~np.isnan(markers[frames][:, partners, 0]).any(0)]
-    partners = partners[~_find_shared_deviations(markers[frames], distances, marker, partners)]
+    partners = partners[~_find_shared_deviations(markers, distances, marker, partners, frames)]
     if not partners.size:
         return _Displacement(float("nan"), float("nan"), True)
     deviation = _compute_deviations(markers[frames], distances, marker, partners)
@@ -150,22 +155,28 @@ def _is_abrupt(deviation: np.ndarray) -> bool:
     return not abs(inside - outside) < MIN_END_CHANGE_RATIO * abs(inside)
 
 
-def _find_shared_deviations(markers: np.ndarray, distances: MarkerDistances, marker: int, partners: np.ndarray) -> np.ndarray:
-    """Find the partners (P,) from which another partner, which keeps its distance to the marker, deviates as the marker does."""
+def _find_shared_deviations(
+    markers: np.ndarray, distances: MarkerDistances, marker: int, partners: np.ndarray, frames: np.ndarray
+) -> np.ndarray:
+    """Find the partners (P,) from which the marker has moved away together with others.
+
+    These are all that follow the two steadiest ones if it has not left those, and those from which another partner, which keeps
+    its distance to the marker, deviates as the marker does.
+    """
     is_shared = np.zeros(len(partners), bool)
     if not len(partners):
         return is_shared
-    deviation_m = np.median(_compute_deviations(markers, distances, marker, partners), axis=0)
-    for keeper, kept_m in zip(partners.tolist(), deviation_m, strict=True):
-        known = distances.partner[keeper].tolist()
-        if marker not in known or abs(kept_m) > distances.tolerance_m[keeper, known.index(marker)]:
-            continue
-        others = np.array([p != keeper and p in known for p in partners.tolist()])
-        if others.any():
-            keeper_m = np.median(_compute_deviations(markers, distances, keeper, partners[others]), axis=0)
-            is_shared[others] |= keeper_m * np.sign(deviation_m[others]) > MIN_SHARED_DEVIATION_RATIO * np.abs(
-                deviation_m[others]
-            )
+    position = [distances.partner[marker].tolist().index(p) for p in partners.tolist()]
+    own_m = np.median(_compute_deviations(markers[frames], distances, marker, partners), axis=0)
+    if (np.abs(own_m[:2]) < MAX_KEPT_DEVIATION_RATIO * np.abs(own_m).max()).all():
+        return np.arange(len(partners)) >= 2
+    sample = markers[:: max(1, len(markers) // MAX_DISTANCE_SAMPLES)]
+    for keeper in np.flatnonzero(np.abs(own_m) < distances.tolerance_m[marker, position]):
+        path, sampled = (each[:, partners[keeper], None] - each[:, partners] for each in (markers[frames], sample))
+        usual_m = np.nanmedian(np.linalg.norm(sampled, axis=-1), axis=0)
+        keeper_m = np.median(np.linalg.norm(path, axis=-1) - usual_m, axis=0)
+        is_shared |= keeper_m * np.sign(own_m) > MIN_SHARED_DEVIATION_RATIO * np.abs(own_m)
+        is_shared[keeper] = False
     return is_shared
 
 

@@ -1,8 +1,8 @@
 """Evidence that a sample off the solved body is right, and that the body is wrong there.
 
 A marker that leaves its place for a while leaps relative to its neighbours, when it leaves and when it returns. Where its
-neighbours carry it across an end as a rigid body, it has not left or not returned. And where the body loses a limb, the samples of
-several markers of the limb lie off it in the same direction, which faults of single markers do not.
+neighbours carry it across an end as a rigid body, it has not left or not returned. And where the body loses a limb, the samples
+of several markers of the limb lie off it in the same direction, which faults of single markers do not.
 """
 
 import numpy as np
