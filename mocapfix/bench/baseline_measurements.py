@@ -1,4 +1,4 @@
-"""The quantities of the baseline: short versions of the benchmarks of accuracy, uncertainty, faults and speed.
+"""The quantities of the baseline: short versions of the benchmarks of accuracy, uncertainty, faults, extreme motion and speed.
 
 Speeds are relative to a reference on the same machine in the same run, so that they can be compared between machines: the
 solver's to scipy's, a whole clean's to the solver's.
@@ -14,16 +14,20 @@ from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.demo import compute_fill_errors
 from mocapfix.bench.fault_detection import measure_mixed_faults
 from mocapfix.bench.solver_speed import TASK_TAKE_NAMES, measure_in_fresh_process
+from mocapfix.bench.stress import measure_stress
 from mocapfix.bench.uncertainty import gather_fill_errors, gather_joint_errors, summarise_error_groups
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.synthetic.synthetic_takes import compose_take
 
 BASELINE_SEEDS = (0, 1, 2)
+BASELINE_STRESS_MOTIONS = ("punch", "cartwheel")
+BASELINE_STRESS_RATES_HZ = (120.0,)
 ACCURACY_TOLERANCE_PERCENT = 2.0
 """Results are the same on the same versions of the libraries; other versions change the last digits."""
 COUNT_TOLERANCE_PERCENT = 5.0
 """of quantities that change by steps, such as the share of injected faults that is detected"""
 FALSE_ALARM_TOLERANCE = 6.0  # false alarms a minute: one in the short version's take
+CHANGED_TOLERANCE_PERCENT_POINTS = 0.02  # of sound samples that were changed
 COVERAGE_TOLERANCE_POINTS = 2.0  # percentage points
 SPEED_TOLERANCE_PERCENT = 33.0
 """Ratios of processor times on shared machines vary by less than this; see docs/benchmarks.md."""
@@ -46,6 +50,7 @@ def measure_baseline(progress: ProgressCallback, run_count: int = 1) -> Entries:
         | measure_solver_entries(progress)
         | measure_accuracy_entries(progress)
         | measure_fault_entries(progress)
+        | measure_stress_entries(progress)
     )
 
 
@@ -127,6 +132,19 @@ def measure_fault_entries(progress: ProgressCallback) -> Entries:
     assert alarms is not None
     entries["faults: false alarms per minute of a sound take"] = _build_entry(alarms, 0.0, tolerance=FALSE_ALARM_TOLERANCE)
     return entries
+
+
+def measure_stress_entries(progress: ProgressCallback) -> Entries:
+    """Measure takes of extreme motion."""
+    totals = measure_stress((), BASELINE_STRESS_MOTIONS, BASELINE_STRESS_RATES_HZ, progress)["all"]
+    return {
+        "stress: frames with a limb lost in sight": _build_entry(totals["lost_frames"], 0.0),
+        "stress: largest joint error of a seen limb, mm": _build_entry(totals["limb_error_mm"], COUNT_TOLERANCE_PERCENT),
+        "stress: joint error over that of ordinary motion": _build_entry(totals["over_ordinary"], COUNT_TOLERANCE_PERCENT),
+        "stress: sound samples changed, %": _build_entry(
+            100 * totals["changed_share"], 0.0, tolerance=CHANGED_TOLERANCE_PERCENT_POINTS
+        ),
+    }
 
 
 def _build_entry(

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from mocapfix import synthetic
+from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.lost_limbs import build_full_marker_subject
 from mocapfix.bench.sound_takes import PerformedMotion, perform_take, read_performed_motions, remove_damage
-from mocapfix.bench.uncertainty import clean_composed_take
 from mocapfix.motion import FrameStatus
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
