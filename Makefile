@@ -4,12 +4,12 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test shapes bench docs blender lint clean
+.PHONY: demo test test-others shapes bench docs blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
-# Two processes run tests, each with one thread for linear algebra: threads that wait for one another on two cores take several times as long.
+# Two processes run tests, each with one thread for linear algebra: with two each, threads wait for one another.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 test: $(VENV)/installed-dev
 	$(ONE_THREAD) $(VENV)/bin/python -m pytest --numprocesses 2
@@ -18,6 +18,10 @@ test: $(VENV)/installed-dev
 CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
 shapes: $(VENV)/installed-dev
 	MOCAPFIX_CHECK_TYPES=1 $(ONE_THREAD) $(VENV)/bin/python -m pytest --quiet --numprocesses 2 $(CHECKED_TESTS)
+
+# The tests that `make shapes` does not run: both together run every test once.
+test-others: $(VENV)/installed-dev
+	$(ONE_THREAD) $(VENV)/bin/python -m pytest --numprocesses 2 $(addprefix --ignore=,$(CHECKED_TESTS))
 
 # Accuracy, speed and memory against scenes/bench/baseline.json. Fails if anything became worse than its tolerance.
 bench: $(VENV)/installed-dev
