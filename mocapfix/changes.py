@@ -7,13 +7,15 @@ from itertools import groupby
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
 from mocapfix.take import Take
 
 # What a reviewer decides about a change (see `Change.decision`).
 Decision = Literal["accept", "reject", "keep"]
+# The frame and the marker of each of N samples.
+_SampleIndices = tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]
 
 
 @dataclass(frozen=True)
@@ -68,14 +70,26 @@ def list_affected_markers(fault: Fault, marker_count: int) -> list[int]:
     return [m for m in _list_named_markers(fault) if m < marker_count]
 
 
-def build_affected_mask(fault: Fault, relabelled: Take) -> Bool[np.ndarray, "T M"]:
-    """Return the mask of the samples that a fault concerns, in a take with correct labels.
+def build_affected_mask(faults: Iterable[Fault], relabelled: Take) -> Bool[np.ndarray, "T M"]:
+    """Return the mask of the samples that any of the faults concerns, in a take with correct labels.
 
     A fault of visible samples does not concern the missing samples among them: those belong to a gap.
     """
     mask = np.zeros(relabelled.visible.shape, bool)
-    mask[fault.frame_slice, list_affected_markers(fault, len(relabelled.labels))] = True
-    return mask & relabelled.visible if fault.kind in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS) else mask
+    for fault in faults:
+        mask[_find_affected_samples(fault, relabelled)] = True
+    return mask
+
+
+def _find_affected_samples(fault: Fault, relabelled: Take) -> _SampleIndices:
+    """Return the indices (frames, markers) of the samples that a fault concerns (see `build_affected_mask`)."""
+    markers = np.sort(np.array(list_affected_markers(fault, len(relabelled.labels)), int))
+    frames = np.arange(*fault.frame_slice.indices(relabelled.frame_count))
+    samples = np.repeat(frames, len(markers)), np.tile(markers, len(frames))
+    if fault.kind not in (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS):
+        return samples
+    is_visible = relabelled.visible[samples]
+    return samples[0][is_visible], samples[1][is_visible]
 
 
 def compare_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:
@@ -110,9 +124,9 @@ def build_changes(
     changes: list[tuple[Change, Fault]] = []
     id_counts: Counter[str] = Counter()
     for fault in faults:
-        mask = build_affected_mask(fault, relabelled)
+        samples = _find_affected_samples(fault, relabelled)
         is_shift = isinstance(fault, MarkerShift)
-        sample_count = 0 if is_shift else int(is_changed[mask].sum())
+        sample_count = 0 if is_shift else int(is_changed[samples].sum())
         if not sample_count and not is_shift:
             continue
         label, first = before.get_label(fault.marker), before.get_frame_number(fault.first)
@@ -126,10 +140,10 @@ def build_changes(
             last=before.get_frame_number(fault.last),
             samples=sample_count,
             why=fault.reason,
-            method=_describe_method(fault, before, fill_methods[mask]),
-            before=_measure_state(before if affects_labels(fault) else relabelled, mask, body_markers),
-            after=_measure_state(after, mask, body_markers),
-            predicted_mm=_compute_predicted_error_mm(after, mask),
+            method=_describe_method(fault, before, fill_methods[samples]),
+            before=_measure_state(before if affects_labels(fault) else relabelled, samples, body_markers),
+            after=_measure_state(after, samples, body_markers),
+            predicted_mm=_compute_predicted_error_mm(after, samples),
         )
         changes.append((change, fault))
     return changes
@@ -157,15 +171,15 @@ def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
     return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
 
 
-def _measure_state(take: Take, mask: np.ndarray, body_markers: np.ndarray | None) -> SampleState:
-    offset = np.full((1, 3), np.nan) if body_markers is None else take.markers[mask] - body_markers[mask]
+def _measure_state(take: Take, samples: _SampleIndices, body_markers: np.ndarray | None) -> SampleState:
+    offset = np.full((1, 3), np.nan) if body_markers is None else take.markers[samples] - body_markers[samples]
     distance_m = np.linalg.norm(offset, axis=-1)
     known = distance_m[~np.isnan(distance_m)]
-    return SampleState(int((~take.visible[mask]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
+    return SampleState(int((~take.visible[samples]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
 
 
-def _compute_predicted_error_mm(take: Take, mask: np.ndarray) -> float | None:
-    sample_sd = np.zeros(0) if take.sample_sd is None else take.sample_sd[mask]
+def _compute_predicted_error_mm(take: Take, samples: _SampleIndices) -> float | None:
+    sample_sd = np.zeros(0) if take.sample_sd is None else take.sample_sd[samples]
     known = sample_sd[~np.isnan(sample_sd)]
     return round(float(np.sqrt(3 * (known**2).mean())) * 1e3, 1) if len(known) else None
 

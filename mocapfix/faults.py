@@ -94,6 +94,10 @@ class Fault:
         """Return whether the two faults have a sample in common."""
         return overlap_in_time(self, other) and not set(self.markers).isdisjoint(other.markers)
 
+    def meets_mask(self, mask: Bool[np.ndarray, "T M"]) -> bool:
+        """Return whether any of the fault's samples is in a mask, for instance that of other faults."""
+        return bool(mask[self.frame_slice, list(self.markers)].any())
+
 
 @dataclass(frozen=True)
 class Fragment(Fault):

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex
 
@@ -58,15 +59,21 @@ class Take:
         """Number of frames."""
         return len(self.markers)
 
-    @property
+    @cached_property
     def visible(self) -> Bool[np.ndarray, "T M"]:
-        """Whether each sample is present."""
-        return ~np.isnan(self.markers[..., 0])
+        """Whether each sample is present. Read-only."""
+        visible = ~np.isnan(self.markers[..., 0])
+        visible.flags.writeable = False
+        return visible
 
-    @property
+    @cached_property
     def measured(self) -> Bool[np.ndarray, "T M"]:
-        """Whether each sample is present and was measured by cameras."""
-        return self.visible if self.computed is None else self.visible & ~self.computed
+        """Whether each sample is present and was measured by cameras. Read-only."""
+        if self.computed is None:
+            return self.visible
+        measured = self.visible & ~self.computed
+        measured.flags.writeable = False
+        return measured
 
     @property
     def name(self) -> str:
@@ -118,10 +125,9 @@ class Take:
             marker_indices: Index of each marker; -1 for a marker that the take does not have.
             mask: Samples to keep; all others are set to NaN, as are the markers that the take does not have.
         """
-        present = marker_indices >= 0
-        markers = np.full((self.frame_count, len(marker_indices), 3), np.nan)
-        kept = np.where(mask[..., None], self.markers, np.nan)
-        markers[:, present] = kept[:, marker_indices[present]]
+        markers = np.take(self.markers, marker_indices, axis=1)
+        markers[~np.take(mask, marker_indices, axis=1)] = np.nan
+        markers[:, marker_indices < 0] = np.nan
         labels = tuple(self.labels[m] if m >= 0 else "" for m in marker_indices)
         return Take(markers, labels, self.rate, self.first_frame, self.path, subject_name=self.subject_name)
 

@@ -133,7 +133,7 @@ def test_affected_mask_excludes_missing_samples_of_faulty_kinds(visible, kind, m
     take = Take(np.where(visible[..., None], 1.0, NAN).repeat(3, 2), tuple("ABC"), 100.0)
     expected = np.zeros(visible.shape, bool)
     expected[fault.first : fault.last + 1, marker] = True
-    np.testing.assert_array_equal(build_affected_mask(fault, take), expected if kind == "gap" else expected & visible)
+    np.testing.assert_array_equal(build_affected_mask([fault], take), expected if kind == "gap" else expected & visible)
 
 
 # unfilled runs

@@ -7,7 +7,7 @@ import numpy as np
 from mocapfix.detect import body_label_swaps, body_outliers, marker_shifts
 from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.outlier_evidence import is_body_wrong
-from mocapfix.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, SHIFT_KINDS, Fault
+from mocapfix.faults import LABEL_KINDS, MIN_LABEL_CONFIDENCE, SHIFT_KINDS, Fault, build_fault_mask
 from mocapfix.motion import Motion
 from mocapfix.options import DetectOptions
 from mocapfix.state import BodyFit, DetectionState
@@ -47,20 +47,20 @@ def detect_body_faults(
     outliers = body_outliers.detect_body_outliers(residuals, subject_take.rate, min_distance_m)
     swaps = body_label_swaps.detect_body_label_swaps(residuals, outliers, subject_take)
     distances = estimate_distances(subject_take.markers)
+    has_swap = np.any(build_fault_mask(swaps, subject_take.visible.shape), axis=1)
     single_outliers = [
         outlier
         for outlier in body_outliers.select_dominant_outliers(outliers)
-        if not any(body_outliers.overlap_in_time(outlier, swap) for swap in swaps)
+        if not has_swap[outlier.first : outlier.last + 1].any()
         and not is_body_wrong(outlier, residuals, distances)
     ]
     faults = swaps + [body_outliers.build_outlier_fault(each, subject_take, max_spike_duration_s) for each in single_outliers]
     shifts = marker_shifts.detect_marker_shifts(residuals, subject, motion, subject_take.rate)
+    faulty_markers = {marker for fault in faults for marker in fault.markers}
     shift_faults = [
         marker_shifts.build_shift_fault(shift, subject_take)
         for shift in marker_shifts.select_dominant_shifts(shifts, subject)
-        if not any(
-            marker_shifts.are_joints_adjacent(subject, shift.marker, marker) for fault in faults for marker in fault.markers
-        )
+        if not any(marker_shifts.are_joints_adjacent(subject, shift.marker, marker) for marker in faulty_markers)
     ]
     return sorted(faults + shift_faults, key=lambda fault: (fault.marker, fault.first))
 
@@ -88,13 +88,13 @@ def detect_epoch_faults(detection: DetectionState, body: BodyFit, options: Detec
         replace(fault, marker=take_marker[fault.marker], other_markers=tuple(take_marker[m] for m in fault.other_markers))
         for fault in faults
     ]
-    bursts = detection.sample_faults.select_kinds("jitter")
+    has_jitter = build_fault_mask(detection.sample_faults.select_kinds("jitter"), detection.take.visible.shape)
     return [
         fault
         for fault in mapped
         if -1 not in fault.markers
         and not (fault.kind in LABEL_KINDS and fault.confidence < MIN_LABEL_CONFIDENCE)
-        and (fault.kind in SHIFT_KINDS or not any(fault.overlaps(burst) for burst in bursts))
+        and (fault.kind in SHIFT_KINDS or not fault.meets_mask(has_jitter))
     ]
 
 

@@ -6,6 +6,7 @@ leap to leap, because a label that continues smoothly has not changed its marker
 other markers with it.
 """
 
+from bisect import bisect_left, bisect_right
 from typing import NamedTuple
 
 import numpy as np
@@ -54,10 +55,12 @@ def detect_body_label_swaps(residuals: BodyResiduals, outliers: list[BodyOutlier
     carried = [each for outlier in outliers for each in _find_carried_markers(residuals, is_home, outlier)]
     cycles = sorted(_find_cycles_of_carried(carried, take), key=lambda cycle: max(each.relative_distance for each in cycle))
     swaps: list[Fault] = []
+    is_swapped = np.zeros(take.visible.shape, bool)
     for cycle in cycles:
         swap = _build_body_swap_fault(cycle, is_smooth, take)
-        if not any(swap.overlaps(other) for other in swaps):
+        if not swap.meets_mask(is_swapped):
             swaps.append(swap)
+            is_swapped[swap.frame_slice, list(swap.markers)] = True
     return swaps
 
 
@@ -77,20 +80,28 @@ def _find_cycles_of_carried(carried: list[CarriedMarker], take: Take) -> list[tu
     A marker that is missing during the outlier may have been anywhere, also under the label of the outlier at its position.
     """
     cycles: list[tuple[CarriedMarker, ...]] = []
+    carried_by_label: dict[int, list[CarriedMarker]] = {}
+    for each in carried:
+        carried_by_label.setdefault(each.outlier.marker, []).append(each)
     for one in carried:
         frames, other = one.outlier.frames, one.marker
         is_home = one.distance_sd < MAX_HOME_DISTANCE_SD
         is_long = len(frames) >= MIN_OCCUPIED_DURATION_S * take.rate
         if is_home and is_long and take.visible[frames, other].mean() < MAX_HOME_FRACTION:
             cycles.append((one,))
-        for two in carried:
-            if two.outlier.marker != other or not _overlap_mostly(one.outlier, two.outlier):
-                continue
+        for two in _select_simultaneous(carried_by_label.get(other, []), one.outlier):
             if two.marker == one.outlier.marker:
                 cycles.append((one, two))
-            thirds = [each for each in carried if each.outlier.marker == two.marker and each.marker == one.outlier.marker]
-            cycles += [(one, two, three) for three in thirds if _overlap_mostly(one.outlier, three.outlier)]
+            thirds = _select_simultaneous(carried_by_label.get(two.marker, []), one.outlier)
+            cycles += [(one, two, three) for three in thirds if three.marker == one.outlier.marker]
     return cycles
+
+
+def _select_simultaneous(carried: list[CarriedMarker], outlier: BodyOutlier) -> list[CarriedMarker]:
+    """Select from the markers carried by one label, ordered by first frame, those that overlap mostly with an outlier."""
+    start = bisect_left(carried, outlier.first, key=lambda each: each.outlier.last)
+    stop = bisect_right(carried, outlier.last, key=lambda each: each.outlier.first)
+    return [each for each in carried[start:stop] if _overlap_mostly(outlier, each.outlier)]
 
 
 def _overlap_mostly(one: BodyOutlier, other: BodyOutlier) -> bool:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.faults import Fault, MarkerShift, overlap_in_time
+from mocapfix.faults import Fault, MarkerShift
 from mocapfix.motion import Motion
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
@@ -149,13 +149,15 @@ def detect_body_outliers(residuals: BodyResiduals, rate: float, min_distance_m: 
 
 def select_dominant_outliers(outliers: list[BodyOutlier]) -> list[BodyOutlier]:
     """Remove the outliers that a simultaneous one with a much larger score may cause."""
+    if not outliers:
+        return []
     selected: list[BodyOutlier] = []
+    largest_score_sd = np.zeros(max(outlier.last for outlier in outliers) + 1)  # of those selected, in each frame
     for outlier in sorted(outliers, key=lambda outlier: -outlier.score_sd):
-        if not any(
-            outlier.score_sd < MIN_RELATIVE_OUTLIER_SCORE * other.score_sd and overlap_in_time(outlier, other)
-            for other in selected
-        ):
+        frames = slice(outlier.first, outlier.last + 1)
+        if outlier.score_sd >= MIN_RELATIVE_OUTLIER_SCORE * largest_score_sd[frames].max():
             selected.append(outlier)
+            largest_score_sd[frames] = np.maximum(largest_score_sd[frames], outlier.score_sd)
     return selected
 
 

@@ -17,6 +17,7 @@ fill.
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -75,9 +76,15 @@ def compute_polynomial_misfits(
     Returns:
         The largest absolute residual of a coordinate in metres.
     """
+    residual = sliding_window_view(path, length, axis=0)[starts] @ _build_residual_projection(degree, length)
+    return np.abs(residual).max((1, 2))
+
+
+@lru_cache(maxsize=64)
+def _build_residual_projection(degree: int, length: int) -> Float[np.ndarray, "length length"]:
+    """Build the matrix that removes the best polynomial of a degree from `length` samples."""
     basis = np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
-    projection = np.eye(length) - basis @ basis.T
-    return np.abs(sliding_window_view(path, length, axis=0)[starts] @ projection).max((1, 2))
+    return np.eye(length) - basis @ basis.T
 
 
 def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
@@ -97,13 +104,17 @@ def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: in
     # The finite difference of order degree + 1, with samples as far apart as fit, vanishes for such a polynomial.
     # It rejects most stretches before the polynomial is fitted.
     spacing, order = (length - 1) // (degree + 1), degree + 1
-    difference = path[: len(path) - length + 1].copy()
-    weight = 1.0
-    for k in range(1, order + 1):
-        weight *= -(order - k + 1) / k
-        difference += weight * path[k * spacing : k * spacing + len(difference)]
-    candidates = np.flatnonzero(np.abs(difference).max(1) <= 2**order * resolution)
-    is_exact = np.zeros(len(difference), bool)
+    start_count = len(path) - length + 1
+    candidates = np.arange(start_count)
+    for coordinate in path.T:
+        difference, weight = np.zeros(start_count), 1.0
+        for k in range(order + 1):
+            difference += weight * coordinate[k * spacing : k * spacing + start_count]
+            weight *= -(order - k) / (k + 1)
+        candidates = candidates[np.abs(difference[candidates]) <= 2**order * resolution]
+        if not len(candidates):
+            return []
+    is_exact = np.zeros(start_count, bool)
     is_exact[candidates] = compute_polynomial_misfits(path, degree, length, candidates) <= resolution
     stretches = ((first, last + length - 1) for first, last in find_runs(is_exact))
     return [

@@ -23,6 +23,8 @@ from mocapfix.take import Take
 NEIGHBOUR_OFFSETS = (-2, -1, 1, 2)
 # The weights of the neighbours in the cubic's value at the sample, where none is missing.
 NEIGHBOUR_WEIGHTS = (-1 / 6, 2 / 3, 2 / 3, -1 / 6)
+# Samples whose times are this regular, relative to the time of a step, have no gap among them.
+MAX_STEP_VARIATION = 0.01
 # Number of samples from which a noise level is estimated: one outlier affects five of them.
 MIN_NOISE_SAMPLES = 11
 # Median norm of a vector of three independent standard normal numbers.
@@ -70,12 +72,17 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
     The cubic is evaluated with Lagrange weights at the samples' own times. The residual is scaled so that white noise keeps
     its standard deviation. The first and last two samples have their neighbours' residuals.
     """
-    middle = np.arange(2, len(times_s) - 2)
-    lag = [times_s[middle + offset] - times_s[middle] for offset in NEIGHBOUR_OFFSETS]
+    count = len(times_s) - 4
+    lag = [times_s[2 + offset : 2 + offset + count] - times_s[2:-2] for offset in NEIGHBOUR_OFFSETS]
+    steps = np.diff(times_s)
+    if np.ptp(steps) < MAX_STEP_VARIATION * steps[0]:
+        lag = [each[:1] for each in lag]  # the weights are the same for all samples
     weights = [np.prod([far / (far - near) for far in lag if far is not near], axis=0) for near in lag]
-    cubic = sum(weight[:, None] * points[middle + offset] for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True))
+    residual = points[2:-2].copy()
+    for weight, offset in zip(weights, NEIGHBOUR_OFFSETS, strict=True):
+        residual -= weight[:, None] * points[2 + offset : 2 + offset + count]
     gain = np.sqrt(1 + sum(weight**2 for weight in weights))
-    return np.pad(np.linalg.norm(points[middle] - cubic, axis=-1) / gain, 2, mode="edge")
+    return np.pad(np.sqrt((residual**2).sum(1)) / gain, 2, mode="edge")
 
 
 def detect_jitter(
@@ -128,8 +135,10 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
     """Find the bursts among samples at `frames` (N,). A gap of `min_frames` or longer ends a burst."""
     window = max(MIN_NOISE_SAMPLES, round(min_frames)) | 1
     for stretch in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames) > min_frames) + 1):
+        is_noisy = _is_median_above(residual_m[stretch], window, min_residual_m)
+        if not is_noisy.any():
+            continue
         median_m = median_filter(residual_m[stretch], window, mode="nearest")
-        is_noisy = median_m > min_residual_m
         is_burst = is_noisy | binary_closing(is_noisy, np.ones(window))  # a short pause does not end a burst
         for a, b in find_runs(is_burst):
             first, last = int(frames[stretch[a]]), int(frames[stretch[b]])
@@ -153,3 +162,13 @@ def _is_shared_burst(markers: np.ndarray, burst: _Burst, min_residual_m: float) 
         return False
     unexplained_m = np.linalg.norm(remove_shared_noise(residual[:, 0], residual[:, 1:]), axis=-1)
     return bool(np.median(unexplained_m) / np.sqrt(1 + np.square(NEIGHBOUR_WEIGHTS).sum()) < min_residual_m)
+
+
+def _is_median_above(values: np.ndarray, window: int, threshold: float) -> np.ndarray:
+    """Return (N,) whether the median over an odd window around each sample exceeds a threshold, without computing it.
+
+    The first and the last value continue beyond the ends, as those of `median_filter` with the mode "nearest".
+    """
+    is_above = np.pad(values > threshold, window // 2, mode="edge")
+    count = np.r_[0, np.cumsum(is_above)]
+    return count[window:] - count[:-window] > window // 2

@@ -14,7 +14,16 @@ from mocapfix.detect.label_swaps import detect_label_swaps
 from mocapfix.detect.mislabelled import detect_mislabelled
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.detect.trajectory_segments import find_namesakes
-from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, Faults, Fragment
+from mocapfix.faults import (
+    EXTERNAL_FILL_KINDS,
+    LABEL_KINDS,
+    MIN_LABEL_CONFIDENCE,
+    REPLACED_SAMPLE_KINDS,
+    Fault,
+    Faults,
+    Fragment,
+    build_fault_mask,
+)
 from mocapfix.marker_set import MarkerSet
 from mocapfix.options import CleanOptions
 from mocapfix.repair.relabel import join_fragments, undo_label_exchanges
@@ -58,23 +67,26 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     if body is None:
         return state
     unconfirmed_shifts = (*detection.unconfirmed_shifts, *find_unconfirmed_shifts(detection, body))
+    known = {_identify_fault(fault) for fault in detection.faults.items}
     new_faults = [
         fault
         for fault in detect_epoch_faults(detection, body, options.detect)
-        if state.accepts_fault(fault) and not any(_is_same_fault(fault, known) for known in detection.faults.items)
+        if state.accepts_fault(fault) and _identify_fault(fault) not in known
     ]
     swaps = [fault for fault in new_faults if fault.kind in LABEL_KINDS]
-    others = [fault for fault in new_faults if fault.kind not in LABEL_KINDS and not any(fault.overlaps(swap) for swap in swaps)]
+    is_swapped = build_fault_mask(swaps, detection.take.visible.shape)
+    others = [fault for fault in new_faults if fault.kind not in LABEL_KINDS and not fault.meets_mask(is_swapped)]
     if not swaps and not others and len(unconfirmed_shifts) == len(detection.unconfirmed_shifts):
         return state
     take = undo_label_exchanges(detection.take, swaps)
-    body_faults = (*(fault for fault in detection.body_faults if not any(fault.overlaps(swap) for swap in swaps)), *others)
+    body_faults = (*(fault for fault in detection.body_faults if not fault.meets_mask(is_swapped)), *others)
     if swaps:
         remaining = detect_remaining_faults(take, state.marker_set, state.accepts_fault, options)
         sample_faults = remaining.add_faults(body_faults)
     else:
         sample_faults = detection.sample_faults.add_faults(others)
-    confirmed = tuple(f for f in sample_faults.items if not any(_is_same_fault(f, rejected) for rejected in unconfirmed_shifts))
+    rejected = {_identify_fault(fault) for fault in unconfirmed_shifts}
+    confirmed = tuple(fault for fault in sample_faults.items if _identify_fault(fault) not in rejected)
     label_faults = (*detection.label_faults, *swaps)
     advanced = DetectionState(take, label_faults, Faults(confirmed), detection.replaced_kinds, body_faults, unconfirmed_shifts)
     return replace(state, detection=advanced)
@@ -108,5 +120,6 @@ def _is_unused_fragment(fault: Fault) -> bool:
     return isinstance(fault, Fragment) and fault.relation in ("other", "doubles")
 
 
-def _is_same_fault(one: Fault, other: Fault) -> bool:
-    return one.kind == other.kind and one.markers == other.markers and (one.first, one.last) == (other.first, other.last)
+def _identify_fault(fault: Fault) -> tuple[object, ...]:
+    """Return what two detections of the same fault have in common: the kind, the markers and the frames."""
+    return fault.kind, fault.markers, fault.first, fault.last

@@ -111,5 +111,7 @@ def compute_residual_rms(path: RegressedPath, ramp: Ramp, block_length: int) -> 
     """Compute the root mean square in metres of the residual with the ramp removed, averaged over blocks of samples."""
     progress = ramp.compute_progress(len(path.residual))
     residual = path.residual - np.outer(progress - path.basis @ (path.basis.T @ progress), ramp.displacement)
-    blocks = np.array_split(residual, max(1, len(residual) // block_length))
-    return float(np.sqrt(np.mean([(block.mean(0) ** 2).sum() for block in blocks])))
+    block_count = max(1, len(residual) // block_length)
+    if block_count < len(residual):
+        residual = np.array([block.mean(0) for block in np.array_split(residual, block_count)])
+    return float(np.sqrt(np.mean((residual**2).sum(1))))

@@ -139,9 +139,9 @@ def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> Mark
     velocity_before, velocity_after = np.full(markers.shape, np.nan), np.full(markers.shape, np.nan)
     for steps in range(1, min(MAX_VELOCITY_STEPS, len(markers) - 1) + 1):  # longer steps overwrite shorter ones
         velocity = (markers[steps:] - markers[:-steps]) * rate / steps
-        is_complete = np.all([visible[n : len(visible) - steps + n] for n in range(steps + 1)], axis=0)
-        velocity_before[steps:][is_complete] = velocity[is_complete]
-        velocity_after[:-steps][is_complete] = velocity[is_complete]
+        is_complete = np.all([visible[n : len(visible) - steps + n] for n in range(steps + 1)], axis=0)[..., None]
+        np.copyto(velocity_before[steps:], velocity, where=is_complete)
+        np.copyto(velocity_after[:-steps], velocity, where=is_complete)
     latest = np.maximum.accumulate(np.where(visible, np.arange(len(visible))[:, None], -1), axis=0)
     previous_frame = np.full(visible.shape, -1)
     previous_frame[1:] = latest[:-1]

@@ -109,7 +109,11 @@ def dump_yaml(data: Mapping[str, Any], max_line_length: int = MAX_LINE_LENGTH) -
     return yaml.dump(data, Dumper=_YamlDumper, sort_keys=False, width=max_line_length, allow_unicode=True)
 
 
-class _YamlDumper(yaml.SafeDumper):
+# The compiled writer, which gives the same text several times faster, where PyYAML was built with it.
+_SafeDumper: type[yaml.SafeDumper] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _YamlDumper(_SafeDumper):
     """PyYAML's safe writer, extended by InlineMapping and InlineSequence."""
 
 

@@ -40,6 +40,8 @@ def find_cheapest_chain(frames, points, rate, max_omitted):
             if j < steps:
                 cost[i, g] = edge_price[j] + step_price
             for h in range(min(steps, j)):
+                if cost[j, h] + step_price >= cost[i, g]:
+                    continue  # whatever the bend costs
                 total = cost[j, h] + step_price + _compute_bend(frames, points, rate, j - h - 1, j, i)
                 if total < cost[i, g]:
                     cost[i, g], predecessor[i, g] = total, h

@@ -96,11 +96,9 @@ def _revert_faults(original: Take, detection: DetectionState, repaired: Take, fa
 
     Where a label change is reverted, the repairs of the samples concerned are reverted too.
     """
-    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if fault not in faults])
-    revert_mask = np.zeros(original.visible.shape, bool)
-    for fault in faults:
-        if not affects_labels(fault):
-            revert_mask |= build_affected_mask(fault, detection.take)
+    reverted_label_faults = [fault for fault in faults if affects_labels(fault)]
+    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if fault not in reverted_label_faults])
+    revert_mask = build_affected_mask([fault for fault in faults if not affects_labels(fault)], detection.take)
     without_samples = revert_samples(repaired, detection.take, revert_mask)
     without_labels = revert_samples(without_samples, relabelled, compare_samples(detection.take, relabelled))
     return replace(without_labels, unlabelled=relabelled.unlabelled)
