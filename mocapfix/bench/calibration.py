@@ -11,7 +11,12 @@ from jaxtyping import Float
 from mocapfix import marker_sets, synthetic
 from mocapfix.calibrate.calibration import calibrate_subject, scale_average_subject, select_candidate_frames, select_varied_poses
 from mocapfix.calibrate.parameters import CalibratedBody, build_calibration_parameters
-from mocapfix.calibrate.refinement import build_calibration_problem, compute_calibration_sd, linearise_frames
+from mocapfix.calibrate.refinement import (
+    build_calibration_problem,
+    compute_calibration_sd,
+    compute_curvature,
+    linearise_frames,
+)
 from mocapfix.initialise import initial_motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_joint_limits, load_mean_pose_prior
@@ -106,7 +111,7 @@ def compute_irreducible_joint_sd(
     true_body = CalibratedBody(subject.skeleton.offsets, subject.marker_offsets, mean_pose_vectors)
     problem = build_calibration_problem(subject, body, prior, take.markers[frames], true_body)
     state = linearise_frames(parameters, problem, unknowns, root, local)
-    return compute_calibration_sd(state.responses, state.curvature)[0]
+    return compute_calibration_sd(state, compute_curvature(state))[0]
 
 
 def compute_bone_length_error(estimated: Skeleton, true: Skeleton) -> float:

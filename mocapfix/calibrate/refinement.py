@@ -8,21 +8,23 @@ The nominal marker offsets and bone lengths are the prior, which determines what
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, ShapeDeformations, build_calibration_parameters
+from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, build_calibration_parameters
+from mocapfix.calibrate.shared_responses import (
+    SharedResponses,
+    compute_shared_responses,
+    reduce_shared_curvature,
+    reduce_shared_gradient,
+)
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
-from mocapfix.kernels.schur import eliminate_pose_frames
-from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
-from mocapfix.solve.parallel import run_over_frames
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,
@@ -30,68 +32,8 @@ from mocapfix.solve.pose_problem import (
     build_no_tracking,
     build_pose_prior_term,
 )
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
-
-
-class SharedResponses(NamedTuple):
-    """Changes of T frames with Q shared unknowns, each frame's pose adapting, in metres per unit.
-
-    The last rows of `marker_response` and `prior_response` are the remaining errors after the pose's own next step, in metres and
-    radians.
-    """
-
-    cost: Float[np.ndarray, " T"]  # half the sum of squares, all terms included
-    marker_weight: Float[np.ndarray, "T K"]  # 1/m^2, robust
-    marker_shift: Float[np.ndarray, "T P K 3"]  # of markers, in their joints' axes, for a fixed pose
-    marker_response: Float[np.ndarray, "T rows K 3"]  # (T, Q + 1, K, 3) of markers, in their joints' axes
-    prior_response: Float[np.ndarray, "T rows F 3"]  # (T, Q + 1, F, 3) radians, of the joints' deviations from the mean pose
-    prior_information: Float[np.ndarray, "F 3 3"]  # 1/rad^2, of the prior about the mean pose
-    joint_response: Float[np.ndarray, "T Q J 3"]  # of joints, in world axes
-
-
-def compute_shared_responses(
-    problem: PoseProblem,
-    deformations: ShapeDeformations,
-    tracking: TrackingTerm,
-    robust_scale_m: float,
-    root: Float[np.ndarray, "T 3"],
-    local: Float[np.ndarray, "T J 3 3"],
-) -> SharedResponses:
-    """Return the responses of frames at their solved poses, root in metres and local rotations."""
-    frames, joints = local.shape[:2]
-    dense, markers = deformations.marker_offsets.shape[:2]
-    rotating = np.flatnonzero(problem.tree.free)[1:]
-    unknowns = dense + 3 * markers + 3 * len(rotating)
-    responses = SharedResponses(
-        np.empty(frames),
-        np.zeros((frames, markers)),
-        np.empty((frames, dense, markers, 3)),
-        np.empty((frames, unknowns + 1, markers, 3)),
-        np.empty((frames, unknowns + 1, len(rotating), 3)),
-        problem.pose_prior.information[0, rotating],
-        np.empty((frames, unknowns, joints, 3)),
-    )
-    run_over_frames(
-        eliminate_pose_frames, frames, problem.tree, problem.build_terms(tracking), deformations, rotating,
-        problem.normalise_robust_scales((robust_scale_m,))[0], root, local, *responses,
-    )  # fmt: skip
-    return responses
-
-
-def reduce_shared_equations(responses: SharedResponses) -> tuple[Float[np.ndarray, "Q Q"], Float[np.ndarray, " Q"]]:
-    """Return curvature and gradient of the shared unknowns, summed over frames."""
-    dense, unknowns = responses.marker_shift.shape[1], responses.marker_response.shape[1] - 1
-    own = dense + responses.marker_response[0, 0].size  # first unknown after the markers' own offsets
-    weighted = responses.marker_response * responses.marker_weight[:, None, :, None]
-    equations = np.empty((unknowns + 1, unknowns))
-    equations[:, dense:own] = weighted.sum(0).reshape(unknowns + 1, -1)
-    prior = np.einsum("qfa,fab->qfb", responses.prior_response.sum(0), responses.prior_information)
-    equations[:, own:] = -prior.reshape(unknowns + 1, -1)
-    for rows in (slice(0, dense), slice(unknowns, None)):
-        equations[rows, :dense] = np.tensordot(weighted[:, rows], responses.marker_shift, axes=([0, 2, 3], [0, 2, 3]))
-    equations[dense:unknowns, :dense] = equations[:dense, dense:].T
-    return equations[:unknowns], equations[unknowns]
-
 
 CALIBRATION_MARKER_SD_M = 0.010
 """Standard deviation per axis of a marker about its offset; skin moves less, but errors of neighbouring frames are correlated."""
@@ -109,30 +51,36 @@ MAX_REFINEMENT_ROUNDS = 25
 """Steps of the shared unknowns."""
 MIN_RELATIVE_DECREASE = 1e-3
 """Relative decrease of the cost below which the refinement ends."""
+MIN_CURVATURE_CHANGE_DECREASE = 0.02
+"""Relative decrease of the cost above which the curvature is computed again; after smaller steps it is nearly the same."""
 INITIAL_DAMPING = 1e-3
 """Marquardt damping at the start."""
 MIN_DAMPING = 1e-6
 """Smallest damping after accepted steps."""
 MAX_DAMPING = 1e3
 """Damping above which the refinement ends without an accepted step."""
+FRAMES_PER_BLOCK = 10
+"""Frames whose responses are held at a time: those of one frame take about a megabyte."""
+MAX_UNCERTAINTY_FRAMES = 30
+"""Frames from which the standard deviations are computed."""
 
 
 @dataclass(frozen=True)
 class RefinementState:
-    """A body with the poses of N frames, and the quadratic model of the cost in the shared unknowns (Q,) there.
+    """A body with the poses of N frames, and the cost and its gradient in the shared unknowns (Q,) there.
 
+    parameters                      the definition of the unknowns
     root_position, local_rotations  (N, 3) m and (N, J, 3, 3): the poses
     cost                            half the sum of squares in standard deviations, priors included
-    curvature, gradient             (Q, Q) and (Q,): derivatives of the cost with the poses eliminated
+    gradient                        (Q,) derivative of the cost with the poses eliminated
     """
 
+    parameters: CalibrationParameters
     unknowns: np.ndarray
     problem: PoseProblem
     root_position: np.ndarray
     local_rotations: np.ndarray
-    responses: SharedResponses
     cost: float
-    curvature: np.ndarray
     gradient: np.ndarray
 
 
@@ -174,20 +122,22 @@ def refine_subject(
         return solve_and_linearise(parameters, problem, unknowns, root_position.copy(), local_rotations.copy())
 
     state = fit(np.zeros(len(parameters.information)), motion.root_position, motion.local_rotations)
-    damping = INITIAL_DAMPING
+    curvature, damping = compute_curvature(state), INITIAL_DAMPING
     for _ in range(MAX_REFINEMENT_ROUNDS):
-        step = compute_damped_step(state.curvature, state.gradient, damping)
+        step = compute_damped_step(curvature, state.gradient, damping)
         trial = fit(state.unknowns + step, state.root_position, state.local_rotations)
         if trial.cost < state.cost:
-            has_converged = state.cost - trial.cost < MIN_RELATIVE_DECREASE * trial.cost
+            decrease = (state.cost - trial.cost) / trial.cost
             state, damping = trial, max(damping / 5, MIN_DAMPING)
-            if has_converged:
+            if decrease < MIN_RELATIVE_DECREASE:
                 break
+            if decrease > MIN_CURVATURE_CHANGE_DECREASE:
+                curvature = compute_curvature(state)
         else:
             damping *= 10
             if damping > MAX_DAMPING:
                 break
-    return build_refined_subject(start, state)
+    return build_refined_subject(start, state, curvature)
 
 
 def solve_and_linearise(
@@ -211,22 +161,45 @@ def linearise_frames(
     local_rotations: np.ndarray,
 ) -> RefinementState:
     """Return the state at given poses, without solving them."""
-    no_tracking = build_no_tracking(local_rotations.shape[1])
-    responses = compute_shared_responses(
-        problem, parameters.deformations, no_tracking, CALIBRATION_ROBUST_SCALE_M, root_position, local_rotations
-    )
-    curvature, gradient = reduce_shared_equations(responses)
-    prior_gradient = parameters.information @ unknowns
+    frames, prior_gradient = np.arange(len(root_position)), parameters.information @ unknowns
+    responses = respond_in_frames(parameters, problem, root_position, local_rotations, frames, only_errors=True)
     cost = float(responses.cost.sum() + 0.5 * unknowns @ prior_gradient)
-    return RefinementState(
-        unknowns,
-        problem,
-        root_position,
-        local_rotations,
-        responses,
-        cost,
-        curvature + parameters.information,
-        gradient + prior_gradient,
+    gradient = reduce_shared_gradient(responses) + prior_gradient
+    return RefinementState(parameters, unknowns, problem, root_position, local_rotations, cost, gradient)
+
+
+def compute_curvature(state: RefinementState) -> Float[np.ndarray, "Q Q"]:
+    """Return the curvature of the cost in the shared unknowns, with the poses eliminated.
+
+    The frames are summed block by block: the responses of all of them together would take a hundred megabytes.
+    """
+    curvature, frame_count = state.parameters.information.copy(), len(state.root_position)
+    for first in range(0, frame_count, FRAMES_PER_BLOCK):
+        frames = np.arange(first, min(first + FRAMES_PER_BLOCK, frame_count))
+        responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
+        curvature += reduce_shared_curvature(responses)
+    return curvature
+
+
+def respond_in_frames(
+    parameters: CalibrationParameters,
+    problem: PoseProblem,
+    root_position: np.ndarray,
+    local_rotations: np.ndarray,
+    frames: Int[np.ndarray, " N"],
+    *,
+    only_errors: bool = False,
+) -> SharedResponses:
+    """Return the responses of some of the frames to the shared unknowns of the calibration (see `compute_shared_responses`)."""
+    part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
+    return compute_shared_responses(
+        part,
+        parameters.deformations,
+        build_no_tracking(local_rotations.shape[1]),
+        CALIBRATION_ROBUST_SCALE_M,
+        root_position[frames],
+        local_rotations[frames],
+        only_errors=only_errors,
     )
 
 
@@ -238,11 +211,21 @@ def compute_damped_step(
 
 
 def compute_calibration_sd(
-    responses: SharedResponses, curvature: Float[np.ndarray, "Q Q"]
+    state: RefinementState, curvature: Float[np.ndarray, "Q Q"]
 ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
     """Return the standard deviation per axis, in metres, of joints and markers due to the uncertainty of the shared unknowns.
 
-    The pose of each frame adapts to the unknowns. The values are root mean squares over the frames.
+    The pose of each frame adapts to the unknowns. The values are root mean squares over at most MAX_UNCERTAINTY_FRAMES frames.
+    """
+    frames = sample_evenly(len(state.root_position), MAX_UNCERTAINTY_FRAMES)
+    responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
+    return compute_response_sd(responses, curvature)
+
+
+def compute_response_sd(
+    responses: SharedResponses, curvature: Float[np.ndarray, "Q Q"]
+) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
+    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns.
 
     curvature  inverse covariance of the shared unknowns, priors included
     """
@@ -255,11 +238,11 @@ def compute_calibration_sd(
     return joint_sd, marker_sd
 
 
-def build_refined_subject(start: Subject, state: RefinementState) -> Subject:
+def build_refined_subject(start: Subject, state: RefinementState, curvature: np.ndarray) -> Subject:
     """Return the subject of a refined state; the spread of a marker is its median distance per axis from the body."""
     tree = state.problem.tree
     size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
-    joint_sd, marker_sd = compute_calibration_sd(state.responses, state.curvature)
+    joint_sd, marker_sd = compute_calibration_sd(state, curvature)
     subject = replace(
         start,
         skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),

@@ -40,32 +40,38 @@ def compute_marker_gradient(points, lever, marker_weight, shift, g):
     """Write the gradient on the bodies' twists, g (J, 6), of markers shifted by `shift` (K, 3)."""
     g.fill(0)
     for k in range(len(shift)):
-        w, body = marker_weight[k], g[points.joints[k]]
-        x, y, z = lever[k]
-        ex, ey, ez = shift[k]
-        body[0] += w * (y * ez - z * ey)
-        body[1] += w * (z * ex - x * ez)
-        body[2] += w * (x * ey - y * ex)
-        body[3] += w * ex
-        body[4] += w * ey
-        body[5] += w * ez
+        w, j = marker_weight[k], points.joints[k]
+        x, y, z = lever[k, 0], lever[k, 1], lever[k, 2]
+        ex, ey, ez = shift[k, 0], shift[k, 1], shift[k, 2]
+        g[j, 0] += w * (y * ez - z * ey)
+        g[j, 1] += w * (z * ex - x * ez)
+        g[j, 2] += w * (x * ey - y * ex)
+        g[j, 3] += w * ex
+        g[j, 4] += w * ey
+        g[j, 5] += w * ez
 
 
 @njit(cache=True)
-def compute_point_shift(twist, lever, shift, out):
-    """Write the total shift of a point of a body into `out` (3,): its own `shift` (3,) plus the motion by the body's twist."""
-    x, y, z = lever
-    out[0] = shift[0] + twist[3] + twist[1] * z - twist[2] * y
-    out[1] = shift[1] + twist[4] + twist[2] * x - twist[0] * z
-    out[2] = shift[2] + twist[5] + twist[0] * y - twist[1] * x
+def compute_joint_responses(twist, lever_arm, shift, out):
+    """Write the shifts of the joints (J, 3): their own `shift` (J, 3) plus the motion by their bodies' twists (J, 6)."""
+    for j in range(len(twist)):
+        x, y, z = lever_arm[j, 0], lever_arm[j, 1], lever_arm[j, 2]
+        out[j, 0] = shift[j, 0] + twist[j, 3] + twist[j, 1] * z - twist[j, 2] * y
+        out[j, 1] = shift[j, 1] + twist[j, 4] + twist[j, 2] * x - twist[j, 0] * z
+        out[j, 2] = shift[j, 2] + twist[j, 5] + twist[j, 0] * y - twist[j, 1] * x
 
 
 @njit(cache=True)
-def rotate_to_joint_axes(rotation, vector, out):
-    """Write a vector (3,) in world axes into `out` (3,) in the axes of the joint with world rotation `rotation` (3, 3)."""
-    x, y, z = vector
-    for a in range(3):
-        out[a] = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
+def compute_marker_responses(joints, twist, lever, shift, rotation, out):
+    """Write the shifts of the markers (K, 3) in the axes of their joints: their own `shift` plus the motion by the twists."""
+    for m in range(len(joints)):
+        j = joints[m]
+        x, y, z = lever[m, 0], lever[m, 1], lever[m, 2]
+        sx = shift[m, 0] + twist[j, 3] + twist[j, 1] * z - twist[j, 2] * y
+        sy = shift[m, 1] + twist[j, 4] + twist[j, 2] * x - twist[j, 0] * z
+        sz = shift[m, 2] + twist[j, 5] + twist[j, 0] * y - twist[j, 1] * x
+        for a in range(3):
+            out[m, a] = rotation[j, 0, a] * sx + rotation[j, 1, a] * sy + rotation[j, 2, a] * sz
 
 
 @njit(cache=True)
@@ -110,18 +116,20 @@ def compute_prior_gradient(information, jacobian, a, out):
 
 @njit(inline="always")
 def eliminate_pose(
-    tree, terms, t, deformations, rotating, scale2, work, marker_weight, marker_shift, marker_response, prior_response,
-    prior_information, joint_response,
+    tree, terms, t, deformations, rotating, scale2, only_errors, work, marker_weight, marker_shift, marker_response,
+    prior_response, prior_information, joint_response,
 ):  # fmt: skip
     """Write one frame's `SharedResponses` at the workspace's pose. Returns the frame's cost.
 
     The first term must be the markers' PointTerm, the third the PosePriorTerm.
+
+    only_errors  write of the responses only the last rows, the remaining errors: most of the time is spent on the others
     """
     points, equations, step, rotation = terms[0], work.equations, work.step, work.pose.rotation
     lever_arm = equations.lever_arm
     joints, markers, dense, last = len(lever_arm), len(marker_weight), len(marker_shift), len(joint_response)
     prior_error, jacobian = np.empty((len(rotating), 3)), np.empty((len(rotating), 3, 3))
-    lever, error, total = np.empty((markers, 3)), np.empty((markers, 3)), np.empty(3)
+    lever, error, no_twist = np.empty((markers, 3)), np.empty((markers, 3)), np.zeros((joints, 6))
     joint_shift, shift = np.zeros((joints, 3)), np.zeros((markers, 3))
     compute_forward_kinematics(tree, work.pose)
     cost = linearise_terms(tree, terms, t, scale2, work.pose, equations)
@@ -134,8 +142,9 @@ def eliminate_pose(
         shift.fill(0)
         if q < dense:
             compute_shape_shift(deformations, q, points, tree.parents, rotation, joint_shift, shift)
-            for m in range(markers):
-                rotate_to_joint_axes(rotation[points.joints[m]], shift[m], marker_shift[q, m])
+            compute_marker_responses(points.joints, no_twist, lever, shift, rotation, marker_shift[q])
+        if only_errors and q < last:
+            continue
         for a in range(3 if q >= dense and k < markers else 0):
             shift[k, a] = rotation[points.joints[k], a, (q - dense) % 3]
         if q < last:
@@ -150,12 +159,9 @@ def eliminate_pose(
             copy_array(equations.g, work.g)
             copy_array(equations.g_joint, work.g_joint)
         sweep.solve_tree(tree, equations, work.factors, work.g, work.g_joint, step)
-        for j in range(joints if q < last else 0):
-            compute_point_shift(step.twist[j], lever_arm[j], joint_shift[j], joint_response[q, j])
-        for m in range(markers):
-            j = points.joints[m]
-            compute_point_shift(step.twist[j], lever[m], shift[m], total)
-            rotate_to_joint_axes(rotation[j], total, marker_response[q, m])
+        if q < last:
+            compute_joint_responses(step.twist, lever_arm, joint_shift, joint_response[q])
+        compute_marker_responses(points.joints, step.twist, lever, shift, rotation, marker_response[q])
         for i in range(len(rotating)):
             turn = step.joint_turn[rotating[i]]
             x, y, z = multiply_vector(load_matrix(jacobian, i), turn[0], turn[1], turn[2])
@@ -169,8 +175,8 @@ def eliminate_pose(
 
 @njit(cache=True, nogil=True)
 def eliminate_pose_frames(
-    tree, terms, deformations, rotating, scale2, root, local, cost, marker_weight, marker_shift, marker_response, prior_response,
-    prior_information, joint_response, first, stop,
+    tree, terms, deformations, rotating, scale2, only_errors, root, local, cost, marker_weight, marker_shift, marker_response,
+    prior_response, prior_information, joint_response, first, stop,
 ):  # fmt: skip
     """Apply `eliminate_pose` to the frames first..stop - 1, each into its own row."""
     no_shared = np.zeros((len(root), 0))
@@ -180,6 +186,6 @@ def eliminate_pose_frames(
     for t in range(first, stop):
         load_pose(root, local, no_shared, t, work.pose)
         cost[t] = eliminate_pose(
-            tree, terms, t, deformations, rotating, scale2, work, marker_weight[t], marker_shift[t], marker_response[t],
-            prior_response[t], prior_information, joint_response[t],
+            tree, terms, t, deformations, rotating, scale2, only_errors, work, marker_weight[t], marker_shift[t],
+            marker_response[t], prior_response[t], prior_information, joint_response[t],
         )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 
 from mocapfix import marker_sets
 from mocapfix.calibrate import refinement
-from mocapfix.calibrate.refinement import SharedResponses
+from mocapfix.calibrate.shared_responses import SharedResponses
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
@@ -100,7 +100,7 @@ def test_calibration_sd_follows_from_the_curvature():
     bent, pull = np.zeros((2, 3, 0, 3)), np.zeros((0, 3, 3))
     found = SharedResponses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
     covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
-    joints, markers = refinement.compute_calibration_sd(found, np.linalg.inv(covariance))
+    joints, markers = refinement.compute_response_sd(found, np.linalg.inv(covariance))
     np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
     np.testing.assert_allclose(markers, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mocapfix.calibrate.refinement import ShapeDeformations, compute_shared_responses, reduce_shared_equations
+from mocapfix.calibrate.parameters import ShapeDeformations
+from mocapfix.calibrate.shared_responses import compute_shared_responses, reduce_shared_curvature, reduce_shared_gradient
 from mocapfix.solve.pose_problem import MarkerAttachment, PoseProblem, build_no_tracking
 from tests.kernels import dense_oracle, random_terms
 
@@ -94,7 +95,7 @@ def compute_adaptation(slope, unknowns):
 def test_elimination_equals_a_dense_schur_complement(seed, joints, scale):
     frame, deformations = shared(seed, joints, hidden=[1])
     found = respond(frame, deformations, scale)
-    curvature, gradient = reduce_shared_equations(found)
+    curvature, gradient = reduce_shared_curvature(found), reduce_shared_gradient(found)
     slope, residuals = jacobian(trusted(frame, scale), deformations)
     unknowns = len(gradient)
     through = slope[:, :unknowns] + slope[:, unknowns:] @ compute_adaptation(slope, unknowns)
@@ -132,7 +133,7 @@ def test_gradient_is_that_of_the_minimised_cost():
 
     unknowns = count(frame)
     slope = dense_oracle.compute_jacobian(lambda x: solved(x).cost[0], unknowns, step=1e-3)
-    gradient = reduce_shared_equations(solved(np.zeros(unknowns)))[1]
+    gradient = reduce_shared_gradient(solved(np.zeros(unknowns)))
     np.testing.assert_allclose(gradient, slope, rtol=0, atol=0.02 * np.abs(slope).max())
 
 
@@ -140,7 +141,8 @@ def test_repeated_frames_add_up():
     frame, deformations = shared(8, 3)
     one, three = respond(frame, deformations, PLAIN), respond(frame, deformations, PLAIN, frames=3)
     np.testing.assert_allclose(three.cost, np.full(3, dense_oracle.compute_cost(frame)))
-    for once, thrice in zip(reduce_shared_equations(one), reduce_shared_equations(three), strict=True):
+    for reduce in (reduce_shared_curvature, reduce_shared_gradient):
+        once, thrice = reduce(one), reduce(three)
         np.testing.assert_allclose(thrice, 3 * once, rtol=1e-9, atol=1e-9 * np.abs(once).max())
 
 
@@ -149,6 +151,6 @@ def test_missing_marker_has_no_curvature_and_follows_its_joint(frames):
     frame, deformations = shared(9, 3, hidden=[2])
     found = respond(frame._replace(terms=(frame.terms[0], build_no_tracking(3), *frame.terms[2:])), deformations, PLAIN, frames)
     mine = slice(COUNT + 6, COUNT + 9)
-    assert not reduce_shared_equations(found)[0][mine].any()
+    assert not reduce_shared_curvature(found)[mine].any()
     assert not found.joint_response[:, mine].any()
     np.testing.assert_allclose(found.marker_response[:, mine, 2], np.tile(np.eye(3), (frames, 1, 1)), atol=1e-12)
