@@ -13,9 +13,10 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.terms import PointTerm
 from mocapfix.options import DEFAULT_PRIOR_NAME
-from mocapfix.pose_prior.autoencoder import AutoencoderModel, NaturalnessModel
+from mocapfix.pose_prior.autoencoder import AutoencoderModel
 from mocapfix.pose_prior.io import MNN_IK, load_pose_model
 from mocapfix.pose_prior.model import PoseModel
+from mocapfix.pose_prior.naturalness import NaturalnessModel
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics, latent_solver, parallel, pose_solver
 from mocapfix.solve.parallel import run_over_frames

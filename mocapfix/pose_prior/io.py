@@ -65,7 +65,7 @@ def save_pose_model(path: Path, model: PoseModel) -> None:
 
 
 def get_model_class(kind: str) -> type[PoseModel]:
-    """Return the class of models of a kind. Only the class of neural networks imports torch."""
+    """Return the class of models of a kind. The class of neural networks imports torch for encoding only."""
     if kind == "linear":
         from mocapfix.pose_prior.gaussian_models import GaussianModel
 

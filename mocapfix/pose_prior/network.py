@@ -1,7 +1,7 @@
-"""The neural network of an autoencoder: its architecture, and the derivative of its decoder with respect to the code."""
+"""The neural network of an autoencoder as a torch module, and its evaluation in batches."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -9,31 +9,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from mocapfix.pose_prior.pose_features import FEATURE_TYPES
+from mocapfix.pose_prior.decoder import NetworkArchitecture
+from mocapfix.pose_prior.pose_features import build_features
 
+EVALUATION_BATCH_POSES = 512  # larger batches need more memory and are hardly faster
 ACTIVATIONS: dict[str, type[nn.Module]] = {"silu": nn.SiLU, "relu": nn.ReLU}
-
-
-@dataclass(frozen=True)
-class NetworkArchitecture:
-    """The architecture of a network.
-
-    input_features       features that the encoder takes: a key of FEATURE_TYPES
-    output_features      features that the decoder returns: a key of FEATURE_TYPES
-    hidden_widths        widths of the encoder's hidden layers; the decoder has the same in reverse order
-    code_size            dimensions of the network's code
-    residual_directions  number of further code dimensions, along the directions of the decoded poses' residuals
-    activation           activation of the hidden layers: a key of ACTIVATIONS
-    skip_connection      whether a linear map from the code is added to the decoder's output
-    """
-
-    input_features: str
-    output_features: str
-    hidden_widths: tuple[int, ...]
-    code_size: int
-    residual_directions: int
-    activation: str
-    skip_connection: bool
 
 
 class SkipConnection(nn.Module):
@@ -64,9 +44,8 @@ class AutoencoderNetwork(nn.Module):
 
 def build_network(architecture: NetworkArchitecture, reference_rotations: Float[np.ndarray, "J 3 3"]) -> AutoencoderNetwork:
     """Return an untrained network for poses relative to a reference pose."""
-    reference = torch.as_tensor(reference_rotations, dtype=torch.float32)
-    input_count = FEATURE_TYPES[architecture.input_features](reference).feature_count
-    output_count = FEATURE_TYPES[architecture.output_features](reference).feature_count
+    input_count = build_features(architecture.input_features, reference_rotations).feature_count
+    output_count = build_features(architecture.output_features, reference_rotations).feature_count
     return AutoencoderNetwork(input_count, output_count, architecture)
 
 
@@ -78,29 +57,37 @@ def build_layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-def propagate_slopes(layers: Iterable[nn.Module], rows: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the output (N, B) of layers for rows (N, A), and the derivatives (N, P, B) of the output along P directions.
+def restore_network(
+    architecture: NetworkArchitecture, reference_rotations: Float[np.ndarray, "J 3 3"], weights: Mapping[str, np.ndarray]
+) -> AutoencoderNetwork:
+    """Return a trained network from its weights."""
+    network = build_network(architecture, reference_rotations)
+    network.load_state_dict({name: torch.tensor(values) for name, values in weights.items()}, strict=True)
+    return network.eval()
 
-    slopes  (N, P, A) or (1, P, A) derivatives of the rows along the directions
 
-    The chain rule is applied explicitly: its matrix products span the whole batch, and derivatives that are equal for all rows
-    are computed once.
+def copy_weights(network: AutoencoderNetwork) -> dict[str, np.ndarray]:
+    """Return the weights of a network by their names."""
+    return {name: weight.numpy().copy() for name, weight in network.state_dict().items()}
+
+
+@contextmanager
+def use_one_torch_thread() -> Generator[None]:
+    """Limit torch to one thread inside the context."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def evaluate_in_batches(function: Callable[..., tuple[Tensor, ...]], *rows: np.ndarray) -> list[np.ndarray]:
+    """Return the outputs (N, ...) of a torch function for arrays of rows (N, ...), as float64.
+
+    Torch uses one thread. Callers run this in several threads instead, which avoids synchronisation after every layer.
     """
-    for layer in layers:
-        if isinstance(layer, nn.Linear):
-            rows, slopes = layer(rows), slopes @ layer.weight.T
-        elif isinstance(layer, SkipConnection):
-            nonlinear_rows, nonlinear_slopes = propagate_slopes(layer.layers, rows, slopes)
-            linear_rows, linear_slopes = propagate_slopes([layer.skip], rows, slopes)
-            rows, slopes = nonlinear_rows + linear_rows, nonlinear_slopes + linear_slopes
-        else:
-            derivative = compute_elementwise_derivative(layer, rows)
-            rows, slopes = layer(rows), slopes * derivative[:, None]
-    return rows, slopes
-
-
-def compute_elementwise_derivative(function: nn.Module, values: Tensor) -> Tensor:
-    """Return the derivative (...) of a function that acts on each element of `values` (...) separately."""
-    with torch.enable_grad():
-        variable = values.detach().requires_grad_()
-        return torch.autograd.grad(function(variable).sum(), variable)[0]
+    with torch.no_grad(), use_one_torch_thread():
+        batches = [torch.tensor(np.asarray(each, np.float32)).split(EVALUATION_BATCH_POSES) for each in rows]
+        parts = [function(*batch) for batch in zip(*batches, strict=True)]
+        return [torch.cat(outputs).double().numpy() for outputs in zip(*parts, strict=True)]

@@ -6,7 +6,9 @@ They change continuously with the rotations, unlike Euler angles, which wrap aro
 
 from abc import ABC, abstractmethod
 
+import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.linalg import cross
 
@@ -120,6 +122,11 @@ FEATURE_TYPES: dict[str, type[PoseFeatures]] = {
     "euler": EulerFeatures,
     "vectors": RotationVectorFeatures,
 }
+
+
+def build_features(kind: str, reference_rotations: Float[np.ndarray, "J 3 3"]) -> PoseFeatures:
+    """Return the features of a kind relative to a reference pose."""
+    return FEATURE_TYPES[kind](torch.as_tensor(reference_rotations, dtype=torch.float32))
 
 
 def normalise_tensor(vectors: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from mocapfix.solve.latent_solver import INITIAL_CODE_DAMPING, LatentSolver, Sol
 from mocapfix.solve.parallel import run_in_parallel
 
 if TYPE_CHECKING:  # it imports torch
-    from mocapfix.pose_prior.autoencoder import NaturalnessModel
+    from mocapfix.pose_prior.naturalness import NaturalnessModel
 
 NO_ROBUST_SCALE = np.array([np.inf])
 """Squared robust scales of a solve without robust losses."""

@@ -83,6 +83,7 @@ def fit_autoencoder(
 ) -> PoseModel:
     """Return a trained autoencoder with the distribution of its code; its residual standard deviations are yet to be measured."""
     from mocapfix.pose_prior.autoencoder import AutoencoderModel
+    from mocapfix.pose_prior.network import copy_weights
     from mocapfix.train.autoencoder import train_network
 
     training_vectors, subject_index = poses.training_vectors, poses.subject_index
@@ -99,7 +100,7 @@ def fit_autoencoder(
         reference_rotations,
         residual_sd,
         architecture,
-        trained.network,
+        copy_weights(trained.network),
         code_mean=np.zeros(size),
         code_cholesky=np.eye(size),
         residual_directions=directions.reshape(architecture.residual_directions, len(joint_names), 3),

@@ -6,7 +6,7 @@ import torch
 
 from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.autoencoder import AutoencoderModel
-from mocapfix.pose_prior.network import NetworkArchitecture, build_network
+from mocapfix.pose_prior.network import NetworkArchitecture, build_network, copy_weights
 from mocapfix.pose_prior.pose_features import FEATURE_TYPES
 from mocapfix.skeleton import load_cmu31_body
 
@@ -29,7 +29,7 @@ def draw_model(inputs, activation, outputs=None, skip_connection=False, seed=0, 
     directions = rng.normal(0, 0.2, (direction_count, 31, 3))
     residual_sd_rad = np.full(31, 0.1)
     return AutoencoderModel(
-        SKELETON.names, REFERENCE, residual_sd_rad, architecture, network, code_mean, code_cholesky, directions
+        SKELETON.names, REFERENCE, residual_sd_rad, architecture, copy_weights(network), code_mean, code_cholesky, directions
     )
 
 
@@ -51,6 +51,17 @@ def test_linearisation_predicts_the_change_of_the_decoded_pose(inputs, activatio
         numeric = (model.decode(codes + step) - model.decode(codes - step)) / 2e-3
         np.testing.assert_allclose(jacobian[..., p], numeric, atol=2e-3)
     assert np.abs(jacobian).max() > 0.02
+
+
+@pytest.mark.parametrize(("activation", "skip_connection"), [("silu", True), ("relu", False)])
+def test_decoder_equals_the_torch_network(activation, skip_connection):
+    model = draw_model("continuous", activation, "vectors", skip_connection)
+    codes = torch.as_tensor(np.random.default_rng(5).normal(size=(6, 3)), dtype=torch.float32)
+    directions = np.random.default_rng(6).normal(size=(2, 3))
+    features, slopes = model.decoder.linearise(codes.numpy(), directions)
+    np.testing.assert_allclose(features, model.network.decoder(codes).detach().numpy(), atol=1e-6)
+    jacobian = torch.func.vmap(torch.func.jacrev(model.network.decoder))(codes).detach().numpy()
+    np.testing.assert_allclose(slopes, np.einsum("nba,pa->npb", jacobian, directions), atol=1e-5)
 
 
 def test_only_the_network_code_is_nonlinear():

@@ -41,7 +41,8 @@ def test_saved_gaussian_is_restored(tmp_path, gaussian):
 @pytest.mark.parametrize(("features", "activation"), [("continuous", "silu"), ("euler", "relu")])
 def test_saved_network_is_restored(tmp_path, features, activation):
     model = draw_model(features, activation)
-    model.network.half().float()
+    halved = {name: weight.astype(np.float16).astype(np.float32) for name, weight in model.weights.items()}
+    model = replace(model, weights=halved)
     io.save_pose_model(tmp_path / "mine.safetensors", model)
     loaded = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     np.testing.assert_allclose(loaded.decode(CODES), model.decode(CODES), atol=1e-5)
@@ -123,5 +124,15 @@ def test_gaussian_does_not_import_torch(tmp_path, gaussian):
     code = "import sys; from mocapfix.pose_prior import io; from mocapfix.skeleton import load_cmu31_body; "
     code += (
         f"io.load_pose_model({str(tmp_path / 'mine.safetensors')!r}, load_cmu31_body().skeleton); print('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"
+
+
+def test_default_prior_is_linearised_without_torch():
+    code = (
+        "import sys, numpy as np; from mocapfix.pose_prior import io; from mocapfix.skeleton import load_cmu31_body; "
+        "model = io.load_pose_model('autoencoder', load_cmu31_body().skeleton); "
+        "model.decode(np.zeros((2, model.code_size))); model.linearise(np.zeros((2, model.code_size))); "
+        "print('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "False"

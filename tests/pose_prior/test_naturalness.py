@@ -3,8 +3,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from mocapfix.pose_prior.autoencoder import NaturalnessModel
 from mocapfix.pose_prior.model import remove_heading
+from mocapfix.pose_prior.naturalness import NaturalnessModel
 from tests.pose_prior.test_autoencoder import REFERENCE, draw_model
 
 RNG = np.random.default_rng(0)

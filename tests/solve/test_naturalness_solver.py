@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import PointTerm
-from mocapfix.pose_prior.autoencoder import NaturalnessModel
+from mocapfix.pose_prior.naturalness import NaturalnessModel
 from mocapfix.solve import pose_solver
 from tests.kernels import dense_oracle
 from tests.pose_prior.test_autoencoder import REFERENCE, SKELETON, draw_model
