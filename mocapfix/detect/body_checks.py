@@ -51,8 +51,7 @@ def detect_body_faults(
     single_outliers = [
         outlier
         for outlier in body_outliers.select_dominant_outliers(outliers)
-        if not has_swap[outlier.first : outlier.last + 1].any()
-        and not is_body_wrong(outlier, residuals, distances)
+        if not has_swap[outlier.first : outlier.last + 1].any() and not is_body_wrong(outlier, residuals, distances)
     ]
     faults = swaps + [body_outliers.build_outlier_fault(each, subject_take, max_spike_duration_s) for each in single_outliers]
     shifts = marker_shifts.detect_marker_shifts(residuals, subject, motion, subject_take.rate)
