@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from mocapfix.calibrate import refinement
@@ -145,6 +144,8 @@ def assign_nearest(distance: Float[np.ndarray, "M A"], max_distance: float) -> M
     Markers farther than about `max_distance` from every free position are not assigned, and count with `max_distance` in the
     mean misfit of the visible markers.
     """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
     indices, visible = np.full(len(distance), -1), np.flatnonzero(~np.isnan(distance[:, 0]))
     capped = np.minimum(distance[visible], max_distance)
     rows, columns = linear_sum_assignment(capped)

@@ -9,7 +9,6 @@ it would move the feet by one to two centimetres when they strike the floor.
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from mocapfix.motion import Motion
@@ -37,6 +36,8 @@ def resample_motion(motion: Motion, rate: float, new_rate: float) -> Motion:
     nearest = np.rint(new_frames).astype(int)
     if motion.frame_count == 1 or is_frame_subset(rate, new_rate):
         return motion.select_frames(nearest)
+    from scipy.interpolate import CubicSpline  # slow to import
+
     frames = np.arange(motion.frame_count)
     new_frames = np.minimum(new_frames, frames[-1])
     below, above = np.floor(new_frames).astype(int), np.ceil(new_frames).astype(int)
