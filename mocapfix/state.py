@@ -79,6 +79,27 @@ class DetectionState:
 
 
 @dataclass(frozen=True)
+class CalibrationFit:
+    """A calibration, from which the next round of detection and calibration goes on.
+
+    Attributes:
+        subject: the calibrated subject.
+        start: the average body at the size of the subject.
+        unknowns: (Q,) the calibration parameters, all 0 for `start`.
+        frames: (N,) indices of the calibration frames.
+        root_positions: (N, 3) metres, the poses in these frames.
+        local_rotations: (N, J, 3, 3), the same.
+    """
+
+    subject: Subject
+    start: Subject
+    unknowns: Float[np.ndarray, " Q"]
+    frames: Int[np.ndarray, " N"]
+    root_positions: Float[np.ndarray, "N 3"]
+    local_rotations: Float[np.ndarray, "N J 3 3"]
+
+
+@dataclass(frozen=True)
 class BodyFit:
     """A subject and its motion, solved from the inliers of a take.
 
@@ -138,6 +159,7 @@ class CleaningState:
         reviewed_changes: the changes of an earlier cleaning that a reviewer declined.
         accepts_fault: False for a fault whose samples the reviewer decided to keep, or a marker shift that the reviewer declined.
         notes: sentences for the report.
+        calibration: the calibration from the take. None where the subject is known, and after a correction of labels.
         subject: the calibrated subject, and `extended_subject` the same with the further places of moved markers.
         marker_columns: (K,) the epoch column of each marker of `extended_subject`, -1 where it has none.
         initial_motion: the poses from which the solver starts.
@@ -156,6 +178,7 @@ class CleaningState:
     reviewed_changes: tuple[ReviewedChange, ...] = ()
     accepts_fault: Callable[[Fault], bool] = _accept_every_fault
     notes: tuple[str, ...] = ()
+    calibration: CalibrationFit | None = None
     subject: Subject | None = None
     extended_subject: Subject | None = None
     marker_columns: Int[np.ndarray, " K"] | None = None

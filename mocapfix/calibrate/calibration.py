@@ -17,7 +17,7 @@ from mocapfix.options import CleanOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.state import CleaningState
+from mocapfix.state import CalibrationFit, CleaningState
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -51,13 +51,31 @@ def calibrate_subject(take: Take, marker_set: MarkerSet, body: BodyModel, prior:
 
     Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
     """
-    start, markers = scale_average_subject(take, marker_set, body), take.markers
-    candidates = select_candidate_frames(markers)
-    motion = refinement.pose_frames(start, body, prior, markers[candidates])
-    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
-    subject = refinement.refine_subject(start, body, prior, markers[candidates[chosen]], motion.select_frames(chosen))
+    return fit_calibration(take, marker_set, body, prior).subject
+
+
+def fit_calibration(
+    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None = None
+) -> CalibrationFit:
+    """Calibrate as `calibrate_subject`.
+
+    previous  a calibration from the same take with a few more or fewer samples: its frames are refined from where it ended
+    """
+    if previous is None:
+        start = scale_average_subject(take, marker_set, body)
+        candidates = select_candidate_frames(take.markers)
+        motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
+        chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
+        frames, unknowns = candidates[chosen], None
+        root_positions, local_rotations = motion.root_position[chosen], motion.local_rotations[chosen]
+    else:
+        start, frames, unknowns = previous.start, previous.frames, previous.unknowns
+        root_positions, local_rotations = previous.root_positions, previous.local_rotations
+    subject, refined = refinement.refine_subject(
+        start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns
+    )
     check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
-    return subject
+    return CalibrationFit(subject, start, refined.unknowns, frames, refined.root_position, refined.local_rotations)
 
 
 def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
@@ -181,18 +199,21 @@ def add_moved_markers(
 def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
     """Take the known subject, or calibrate one from the inliers of the take. Sets `subject` and `marker_columns` of the state.
 
+    A further round goes on from the calibration of the round before, unless labels were corrected since.
+
     Raises TakeError where the markers do not allow a calibration.
     """
     assert state.marker_set is not None
     epochs = state.detection.epochs
     columns = state.marker_set.find_columns(epochs.take.labels)
-    subject = state.known_subject
+    subject, calibration = state.known_subject, None
     if subject is None:
         body = load_cmu31_body()
         prior = load_mean_pose_prior("mean-pose", body.skeleton)
         take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
-        subject = calibrate_subject(take, state.marker_set, body, prior)
-    return replace(state, subject=subject, extended_subject=subject, marker_columns=columns)
+        calibration = fit_calibration(take, state.marker_set, body, prior, state.calibration)
+        subject = calibration.subject
+    return replace(state, calibration=calibration, subject=subject, extended_subject=subject, marker_columns=columns)
 
 
 def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:

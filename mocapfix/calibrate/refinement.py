@@ -112,16 +112,27 @@ def pose_frames(start: Subject, body: BodyModel, prior: MeanPosePrior, markers: 
 
 
 def refine_subject(
-    start: Subject, body: BodyModel, prior: MeanPosePrior, markers: Float[np.ndarray, "N K 3"], motion: Motion
-) -> Subject:
-    """Return `start` with the bones and marker offsets that fit the frames best, starting from the poses of `motion`."""
+    start: Subject,
+    body: BodyModel,
+    prior: MeanPosePrior,
+    markers: Float[np.ndarray, "N K 3"],
+    root_position: Float[np.ndarray, "N 3"],
+    local_rotations: Float[np.ndarray, "N J 3 3"],
+    unknowns: Float[np.ndarray, " Q"] | None = None,
+) -> tuple[Subject, RefinementState]:
+    """Return `start` with the bones and marker offsets that fit the frames best, and the refined state.
+
+    root_position, local_rotations  the first poses
+    unknowns                        the first values of the calibration parameters, by default 0
+    """
     parameters = build_calibration_parameters(start, body, prior)
 
     def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
         return solve_and_linearise(parameters, problem, unknowns, root_position.copy(), local_rotations.copy())
 
-    state = fit(np.zeros(len(parameters.information)), motion.root_position, motion.local_rotations)
+    unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
+    state = fit(unknowns, root_position, local_rotations)
     curvature, damping = compute_curvature(state), INITIAL_DAMPING
     for _ in range(MAX_REFINEMENT_ROUNDS):
         step = compute_damped_step(curvature, state.gradient, damping)
@@ -137,7 +148,7 @@ def refine_subject(
             damping *= 10
             if damping > MAX_DAMPING:
                 break
-    return build_refined_subject(start, state, curvature)
+    return build_refined_subject(start, state, curvature), state
 
 
 def solve_and_linearise(
@@ -193,10 +204,10 @@ def respond_in_frames(
     """Return the responses of some of the frames to the shared unknowns of the calibration (see `compute_shared_responses`)."""
     part = replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
     return compute_shared_responses(
-        part,
+        part.tree,
+        part.build_terms(build_no_tracking(local_rotations.shape[1])),
         parameters.deformations,
-        build_no_tracking(local_rotations.shape[1]),
-        CALIBRATION_ROBUST_SCALE_M,
+        part.normalise_robust_scales((CALIBRATION_ROBUST_SCALE_M,))[0],
         root_position[frames],
         local_rotations[frames],
         only_errors=only_errors,

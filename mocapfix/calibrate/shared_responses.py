@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.calibrate.parameters import ShapeDeformations
+from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.schur import eliminate_pose_frames
-from mocapfix.kernels.terms import TrackingTerm
+from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.solve.pose_problem import PoseProblem
 
 
 class SharedResponses(NamedTuple):
@@ -33,10 +33,10 @@ class SharedResponses(NamedTuple):
 
 
 def compute_shared_responses(
-    problem: PoseProblem,
+    tree: KinematicTree,
+    terms: tuple[PointTerm, TrackingTerm, PosePriorTerm, JointLimitTerm],
     deformations: ShapeDeformations,
-    tracking: TrackingTerm,
-    robust_scale_m: float,
+    squared_robust_scale: float,
     root: Float[np.ndarray, "T 3"],
     local: Float[np.ndarray, "T J 3 3"],
     *,
@@ -44,11 +44,13 @@ def compute_shared_responses(
 ) -> SharedResponses:
     """Return the responses of frames at their solved poses, root in metres and local rotations.
 
-    only_errors  compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
+    terms                 those of the pose problem
+    squared_robust_scale  in units of the markers' standard deviation
+    only_errors           compute of the responses only the last rows, from which `reduce_shared_gradient` takes the gradient
     """
     frames, joints = local.shape[:2]
     dense, markers = deformations.marker_offsets.shape[:2]
-    rotating = np.flatnonzero(problem.tree.free)[1:]
+    rotating = np.flatnonzero(tree.free)[1:]
     unknowns = dense + 3 * markers + 3 * len(rotating)
     responses = SharedResponses(
         np.empty(frames),
@@ -56,12 +58,12 @@ def compute_shared_responses(
         np.empty((frames, dense, markers, 3)),
         np.empty((frames, unknowns + 1, markers, 3)),
         np.empty((frames, unknowns + 1, len(rotating), 3)),
-        problem.pose_prior.information[0, rotating],
+        terms[2].information[0, rotating],
         np.empty((frames, unknowns, joints, 3)),
     )
     run_over_frames(
-        eliminate_pose_frames, frames, problem.tree, problem.build_terms(tracking), deformations, rotating,
-        problem.normalise_robust_scales((robust_scale_m,))[0], only_errors, root, local, *responses,
+        eliminate_pose_frames, frames, tree, terms, deformations, rotating, squared_robust_scale, only_errors, root, local,
+        *responses,
     )  # fmt: skip
     return responses
 

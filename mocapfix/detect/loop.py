@@ -89,7 +89,7 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     confirmed = tuple(fault for fault in sample_faults.items if _identify_fault(fault) not in rejected)
     label_faults = (*detection.label_faults, *swaps)
     advanced = DetectionState(take, label_faults, Faults(confirmed), detection.replaced_kinds, body_faults, unconfirmed_shifts)
-    return replace(state, detection=advanced)
+    return replace(state, detection=advanced, calibration=None if swaps else state.calibration)
 
 
 def detect_remaining_faults(

@@ -97,3 +97,18 @@ def test_body_of_size_zero_is_rejected(truth, noise):
     cloud = np.random.default_rng(0).normal(0, 1, truth.marker_positions.shape) * noise + [0, 1, 0]
     with pytest.raises(TakeError, match="too near together for a person"):
         calibrate(cloud)
+
+
+def test_next_round_goes_on_from_the_calibration_before(truth):
+    markers = np.where((truth.missing_mask | truth.spike_mask)[..., None], np.nan, truth.marker_positions)
+    first = calibration.fit_calibration(Take(markers, MARKER_SET.labels, 30.0), MARKER_SET, BODY, MEAN)
+    fewer = markers.copy()
+    fewer[np.random.default_rng(0).random(markers.shape[:2]) < 0.02] = np.nan
+    take = Take(fewer, MARKER_SET.labels, 30.0)
+    again = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN, first)
+    cold = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN)
+    np.testing.assert_array_equal(again.frames, first.frames)
+    assert (again.subject.marker_offsets != first.subject.marker_offsets).any()
+    for one, other in ((again, first), (again, cold)):
+        assert np.abs(lengths(one.subject.skeleton) - lengths(other.subject.skeleton)).max() < 2e-3
+        assert np.linalg.norm(one.subject.marker_offsets - other.subject.marker_offsets, axis=1).mean() < 2e-3

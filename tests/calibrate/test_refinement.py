@@ -39,7 +39,8 @@ def perform(subject, frames=90):
 
 
 def refine(markers, start=NOMINAL):
-    return refinement.refine_subject(start, BODY, MEAN, markers, refinement.pose_frames(start, BODY, MEAN, markers))
+    posed = refinement.pose_frames(start, BODY, MEAN, markers)
+    return refinement.refine_subject(start, BODY, MEAN, markers, posed.root_position, posed.local_rotations)[0]
 
 
 def test_damped_step_minimises_a_quadratic_and_damping_shortens_it():
@@ -143,6 +144,7 @@ def test_input_poses_are_not_modified():
     markers, _ = perform(NOMINAL, frames=30)
     posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
     was = [field.copy() for field in vars(posed).values()]
-    assert refinement.refine_subject(NOMINAL, BODY, MEAN, markers, posed).frame_count == 30
+    subject, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, posed.root_position, posed.local_rotations)
+    assert subject.frame_count == 30
     for before, after in zip(was, vars(posed).values(), strict=True):
         np.testing.assert_array_equal(before, after)

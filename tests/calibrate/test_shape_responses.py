@@ -56,7 +56,9 @@ def problem_of(frame, frames=1):
 
 def respond(frame, deformations, scale, frames=1):
     root, local = np.tile(frame.root, (frames, 1)), np.tile(frame.local, (frames, 1, 1, 1))
-    return compute_shared_responses(problem_of(frame, frames), deformations, frame.terms[1], scale, root, local)
+    problem = problem_of(frame, frames)
+    squared_scale = problem.normalise_robust_scales((scale,))[0]
+    return compute_shared_responses(problem.tree, problem.build_terms(frame.terms[1]), deformations, squared_scale, root, local)
 
 
 def trusted(frame, scale):
