@@ -61,6 +61,18 @@ class BaselineComparison:
         """Whether the quantity became worse by more than it may, or was not measured."""
         return math.isnan(self.value) or self.change > self.allowed_change
 
+    def to_json(self) -> dict[str, str | float | bool | None]:
+        """Return all of it; None where JSON has no number."""
+        numbers = {
+            "value": self.value,
+            "baseline": self.baseline,
+            "change": self.change,
+            "change_percent": self.change_percent,
+            "allowed_change": self.allowed_change,
+        }
+        finite = {key: number if math.isfinite(number) else None for key, number in numbers.items()}
+        return {"name": self.name, **finite, "is_worse": self.is_worse}
+
 
 Entries = dict[str, BaselineEntry]
 

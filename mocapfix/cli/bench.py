@@ -246,7 +246,7 @@ def run_bench_baseline(
     rows = baseline.compare_with_baseline(measured, known)
     is_worse = any(row.is_worse for row in rows)
     if as_json:
-        print_json([{**vars(row), "is_worse": row.is_worse} for row in rows])
+        print_json([row.to_json() for row in rows])
         return EXIT_FAILED if is_worse else EXIT_DONE
     table = Table("quantity", "baseline", "now", "worse by", "allowed", "")
     for row in rows:

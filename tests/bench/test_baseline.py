@@ -31,6 +31,7 @@ def test_only_changes_for_the_worse_beyond_the_tolerance_are_reported(
 def test_a_quantity_that_is_no_longer_measured_counts_as_worse() -> None:
     (row,) = compare_with_baseline({"new": entry(1.0)}, {"old": entry(1.0)})
     assert (row.name, row.is_worse) == ("old", True)
+    assert (row.to_json()["value"], row.to_json()["baseline"]) == (None, 1.0)
 
 
 def test_an_absolute_tolerance_holds_where_the_baseline_is_zero() -> None:
@@ -111,3 +112,20 @@ def test_a_malformed_baseline_is_refused_with_its_name(tmp_path: Path, text: str
     path.write_text(text)
     with pytest.raises(SceneError, match=r"baseline\.json"):
         read_baseline(path)
+
+
+def test_the_command_fails_if_something_became_worse_and_updates_on_request(mocapfix, monkeypatch, tmp_path: Path) -> None:
+    path, run_counts = tmp_path / "baseline.json", list[int]()
+    write_baseline(path, {"error, mm": entry(10.0, 2.0)})
+    now = {"error, mm": entry(10.1, 2.0), "new": entry(1.0)}
+    monkeypatch.setattr(baseline_measurements, "measure_baseline", lambda _, run_count: run_counts.append(run_count) or now)
+    status, out, _ = mocapfix("bench", "--baseline", "--file", path)
+    assert (status, "worse\n" in out.replace(" ", ""), "Not in the baseline: new." in out) == (0, False, True)
+    now["error, mm"] = entry(10.3, 2.0)
+    assert mocapfix("bench", "baseline", "--file", path)[0] == 1
+    status, out, _ = mocapfix("bench", "baseline", "--file", path, "--json")
+    (row,) = json.loads(out)
+    assert (status, row["name"], row["is_worse"]) == (1, "error, mm", True)
+    assert (row["change"], row["change_percent"]) == (pytest.approx(0.3), pytest.approx(3.0))
+    status, _, _ = mocapfix("bench", "baseline", "--file", path, "--update")
+    assert (status, read_baseline(path), run_counts) == (0, now, [1, 1, 1, 3])
