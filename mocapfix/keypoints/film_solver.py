@@ -168,7 +168,8 @@ def smooth_film_poses(
     uncertainty = PoseUncertainty(
         np.zeros((frames, 0)), np.zeros((frames, joints)), np.repeat(variance[:, None], joints, 1), variance
     )
-    return smooth_poses(root, local.copy(), uncertainty, np.ones(joints, bool), rate, SolveOptions())
+    is_uncertain = np.repeat(~is_visible[:, None], joints, 1)
+    return smooth_poses(root, local.copy(), uncertainty, is_uncertain, np.ones(joints, bool), rate, SolveOptions())
 
 
 def move_to_floor(problem: ReprojectionProblem, solution: PoseSolution, scale_px_m: float) -> tuple[Motion, Camera]:

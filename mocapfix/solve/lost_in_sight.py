@@ -96,6 +96,7 @@ def find_lost_parts(
     inlier_mask: Bool[np.ndarray, "T K"],
     subject: Subject,
     body_markers: Float[np.ndarray, "T K 3"],
+    min_distance_m: float = MIN_LOST_DISTANCE_M,
 ) -> tuple[LostPart, ...]:
     """Return the parts of the body that are lost in at least one frame, in the order of BODY_PARTS.
 
@@ -104,13 +105,14 @@ def find_lost_parts(
         inlier_mask: The samples that are not taken for faults.
         subject: The subject, with K markers.
         body_markers: Where the solved body carries the markers, in metres.
+        min_distance_m: The mean distance above which a part counts as lost.
     """
     distance_m = np.linalg.norm(markers - body_markers, axis=-1)
     parts: dict[str, LostPart] = {}
     for name, joint_names in BODY_PARTS.items():
         columns = np.flatnonzero(np.isin(subject.joints, _find_joints(subject.skeleton, joint_names)))
         if len(columns) >= MIN_CONSISTENT_MARKERS:
-            parts[name] = _find_lost_frames(name, columns, markers, inlier_mask, subject, distance_m)
+            parts[name] = _find_lost_frames(name, columns, markers, inlier_mask, subject, distance_m, min_distance_m)
     for chain in LIMB_CHAINS:
         _assign_frames([parts[name] for name in chain if name in parts], subject, distance_m)
     return tuple(part.restrict() for part in parts.values() if part.frames.any())
@@ -139,19 +141,20 @@ def _find_lost_frames(
     inlier_mask: np.ndarray,
     subject: Subject,
     distance_m: np.ndarray,
+    min_distance_m: float,
 ) -> LostPart:
     """Find the frames in which the markers (k,) of one part are consistent and far from the body."""
     frames = np.zeros(len(markers), bool)
     mean_m, consistent = np.full(len(markers), np.nan), np.zeros(inlier_mask.shape, bool)
     # The mean over consistent markers exceeds the limit only where at least one of them does.
-    candidates = np.flatnonzero(np.nanmax(np.nan_to_num(distance_m[:, columns]), axis=1) > MIN_LOST_DISTANCE_M)
+    candidates = np.flatnonzero(np.nanmax(np.nan_to_num(distance_m[:, columns]), axis=1) > min_distance_m)
     if not len(candidates):
         return LostPart(name, frames, mean_m, consistent)
     is_consistent = select_consistent_markers(markers, inlier_mask, subject, columns, candidates)
     count = is_consistent.sum(1)
     total_m = np.where(is_consistent, distance_m[np.ix_(candidates, columns)], 0).sum(1)
     mean_m[candidates] = total_m / np.maximum(count, 1)
-    frames[candidates] = (count >= MIN_CONSISTENT_MARKERS) & (mean_m[candidates] > MIN_LOST_DISTANCE_M)
+    frames[candidates] = (count >= MIN_CONSISTENT_MARKERS) & (mean_m[candidates] > min_distance_m)
     consistent[np.ix_(candidates, columns)] = is_consistent
     return LostPart(name, frames, mean_m, consistent)
 

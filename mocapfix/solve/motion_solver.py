@@ -17,7 +17,7 @@ from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import BodyModel, load_cmu31_body
-from mocapfix.solve import kinematics, observability, occluded_joints, smoothing
+from mocapfix.solve import kinematics, limb_recovery, observability, occluded_joints, smoothing
 from mocapfix.solve.observability import compute_pose_sd
 from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import (
@@ -38,6 +38,9 @@ MIN_FRAME_MARKERS = 3
 """Visible markers below which the status of a frame is GUESSED."""
 MIN_TRACKING_SD_RAD = 0.01
 """Smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result."""
+PRIOR_HUBER_SCALE_SD = 1.0
+"""Deviation of a joint from the mean pose, in standard deviations, beyond which the prior's force no longer grows: a forearm that
+follows its markers may then turn across the elbow's hinge, as skin and a wrong marker offset make it appear to."""
 
 
 class IndependentSolution(NamedTuple):
@@ -90,12 +93,16 @@ def solve_motion(
         rate,
         conditioner=conditioner,
     )
-    tracking = smoothing.smooth_poses(root_position, local_rotations, known, body.free_joints, rate, options)
-    root_position, local_rotations = tracking.root.copy(), tracking.rotations.copy()
+    own_pose = root_position.copy(), local_rotations.copy()
+    tracking = smoothing.smooth_poses(root_position, local_rotations, known, is_uncertain, body.free_joints, rate, options)
+    root_position, local_rotations = own_pose[0].copy(), own_pose[1].copy()
+    local_rotations[is_unobserved] = tracking.rotations[is_unobserved]
     status, iterations = problem.solve(root_position, local_rotations, tracking, (robust_scale_m,))
+    pose = root_position, local_rotations
+    limb_recovery.recover_lost_limbs(problem, subject, prior, own_pose, pose, tracking, is_uncertain, options)
     gap_variance = np.where(is_unobserved, known.rotation_variance, alone.gap_variance)
     tracking = tracking._replace(weight=is_uncertain / np.maximum(gap_variance, MIN_TRACKING_SD_RAD**2))
-    root_position = smoothing.remove_pose_jitter(root_position, local_rotations, body.free_joints, rate, options)
+    root_position = smoothing.remove_pose_jitter(root_position, local_rotations, problem.tree, rate, options)
     motion = Motion(root_position, local_rotations, status, alone.iterations + iterations, known.marker_sd, known.joint_sd)
     marker_sd, joint_sd = compute_pose_sd(problem, motion, subject, prior, known.marker_sd, tracking, robust_scale_m)
     motion = replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
@@ -116,7 +123,7 @@ def build_pose_problem(
         take.markers,
         take.visible & ~is_border,
         options.marker_sd_m,
-        build_pose_prior_term(prior.scale_information(1 / frames_per_pose)),
+        build_pose_prior_term(prior.scale_information(1 / frames_per_pose), PRIOR_HUBER_SCALE_SD),
         build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
     )
 

@@ -1,5 +1,6 @@
 """The pose problem of a whole take: a body, its measured markers, and the prior on its poses."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
@@ -39,9 +40,9 @@ def build_no_tracking(joints: int) -> TrackingTerm:
     return TrackingTerm(np.zeros((1, joints, 3, 3)), np.zeros((1, joints)), np.zeros((1, 3)), np.zeros(1))
 
 
-def build_pose_prior_term(prior: MeanPosePrior) -> PosePriorTerm:
-    """Return a prior as a term of every frame."""
-    return PosePriorTerm(prior.mean_rotations[None], prior.information[None])
+def build_pose_prior_term(prior: MeanPosePrior, huber_scale_sd: float = math.inf) -> PosePriorTerm:
+    """Return a prior as a term of every frame; `huber_scale_sd` bounds its force on a joint, in standard deviations."""
+    return PosePriorTerm(prior.mean_rotations[None], prior.information[None], huber_scale2=huber_scale_sd**2)
 
 
 def build_joint_limit_term(limits: JointLimits, sd_rad: float) -> JointLimitTerm:

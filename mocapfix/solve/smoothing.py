@@ -13,11 +13,13 @@ few of them as possible and document which arguments they overwrite.
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from mocapfix.kernels import quaternions
+from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.options import SolveOptions
+from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.stats.sequences import find_runs
 
@@ -27,6 +29,9 @@ SMOOTHING_POWER_WINDOW_S = 0.25
 """Window over which the acceleration power is averaged; short, since a landing has far more power than the flight before."""
 MAX_POWER_SAMPLE_SD = 0.1
 """Standard deviation in radians above which a frame does not enter the estimate of the power; for the root a tenth, in metres."""
+MAX_OBSERVED_SAMPLE_SD_RAD = 0.3
+"""The same for joints whose markers are visible. Shoulder and elbow share an arm's twist, so that neither is known alone, yet
+both turn as the markers show. Without these frames the power of a strike would be that of the quieter moments around it."""
 MIN_WINDOW_SHARE = 0.1
 """Share of usable frames that a window needs to give an estimate of the power."""
 PEAK_POWER_RATIO = 2.0
@@ -43,6 +48,11 @@ MAX_ROOT_SD_M = 0.1
 """Standard deviation of the root position above which a frame does not determine it."""
 MIN_ACCELERATION_POWER = 1e-3
 """Smallest acceleration power, in rad^2/s^3 or m^2/s^3."""
+MAX_POWER_CORRECTIONS = 3
+"""Times that the power is raised where smoothing removes more than jitter; it is low enough after one or two."""
+POWER_CORRECTION_EXPONENT = 3
+"""Exponent of the factor of the power, whose base is the deviation over the jitter's standard deviation. What smoothing removes
+of a motion is inversely proportional to the power at most, so that one correction nearly suffices."""
 MAX_TRACKING_SD_RAD = 0.5
 """Largest standard deviation of a tracking term: joints that share a rotation, as in the spine, are individually uncertain."""
 
@@ -94,18 +104,14 @@ def estimate_acceleration_power(
 
 
 def estimate_rotation_power(
-    joint_quaternions: Float[np.ndarray, "T 4"], variance: Float[np.ndarray, " T"], rate: float
+    joint_quaternions: Float[np.ndarray, "T 4"],
+    variance: Float[np.ndarray, " T"],
+    rate: float,
+    max_sd_rad: float = MAX_POWER_SAMPLE_SD,
 ) -> Float[np.ndarray, " T"]:
     """Return the power of a joint's random angular acceleration, in rad^2/s^3 per axis, from its quaternions."""
     # quaternions are half the angle, and spread three degrees of freedom over four numbers
-    return estimate_acceleration_power(2 * joint_quaternions, variance, rate, MAX_POWER_SAMPLE_SD) * 4 / 3
-
-
-def smooth_quaternions(
-    joint_quaternions: Float[np.ndarray, "T 4"], variance: Float[np.ndarray, " T"], rate: float
-) -> Float[np.ndarray, "T 4"]:
-    """Return the smooth trajectory of one joint's quaternions, not normalised; variance in rad^2 per axis."""
-    return smooth_path(joint_quaternions, variance, estimate_rotation_power(joint_quaternions, variance, rate), rate)
+    return estimate_acceleration_power(2 * joint_quaternions, variance, rate, max_sd_rad) * 4 / 3
 
 
 def interpolate_quaternions(
@@ -178,19 +184,25 @@ def smooth_poses(
     root_position: Float[np.ndarray, "T 3"],
     local_rotations: Float[np.ndarray, "T J 3 3"],
     uncertainty: PoseUncertainty,
+    is_uncertain: Bool[np.ndarray, "T J"],
     free_joints: Bool[np.ndarray, " J"],
     rate: float,
     options: SolveOptions,
 ) -> TrackingTerm:
     """Return a tracking term that follows the smooth trajectories of all free joints and the root.
 
-    local_rotations is overwritten with the smooth rotations, which the term refers to.
+    local_rotations  overwritten with the smooth rotations, which the term refers to
+    is_uncertain     joints that lack a marker
     """
     weight, all_frames = np.zeros(local_rotations.shape[:2]), np.ones(len(local_rotations), bool)
     for j in np.flatnonzero(free_joints):
         variance = uncertainty.rotation_variance[:, j]
         joint = quaternions.extract_joint_quaternions(local_rotations, j, all_frames)
-        quaternions.store_joint_quaternions(smooth_quaternions(joint, variance, rate), j, local_rotations)
+        observed_variance = np.where(is_uncertain[:, j], MAX_SAMPLE_VARIANCE, variance)
+        power = estimate_rotation_power(joint, observed_variance, rate, MAX_OBSERVED_SAMPLE_SD_RAD)
+        if is_uncertain[:, j].any():  # what is inferred for a gap is smooth, unlike what markers show
+            power = np.where(is_uncertain[:, j], np.minimum(power, estimate_rotation_power(joint, variance, rate)), power)
+        quaternions.store_joint_quaternions(smooth_path(joint, variance, power, rate), j, local_rotations)
         weight[:, j] = 1 / (options.rotation_tracking_sd_rad**2 + np.minimum(variance, MAX_TRACKING_SD_RAD**2))
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
     return TrackingTerm(local_rotations, weight, smooth_root, 1 / (options.root_tracking_sd_m**2 + root_variance))
@@ -199,16 +211,50 @@ def smooth_poses(
 def remove_pose_jitter(
     root_position: Float[np.ndarray, "T 3"],
     local_rotations: Float[np.ndarray, "T J 3 3"],
-    free_joints: Bool[np.ndarray, " J"],
+    tree: KinematicTree,
     rate: float,
     options: SolveOptions,
 ) -> Float[np.ndarray, "T 3"]:
-    """Remove the frame-to-frame jitter caused by skin and cameras from local_rotations, in place; return the root without it."""
-    all_frames, jitter_variance = (
-        np.ones(len(local_rotations), bool),
-        np.full(len(local_rotations), options.rotation_jitter_rad**2),
-    )
-    for j in np.flatnonzero(free_joints):
-        joint = quaternions.extract_joint_quaternions(local_rotations, j, all_frames)
-        quaternions.store_joint_quaternions(smooth_quaternions(joint, jitter_variance, rate), j, local_rotations)
+    """Remove the frame-to-frame jitter caused by skin and cameras from local_rotations, in place; return the root without it.
+
+    World rotations are smoothed: markers determine those of the segments, and how adjacent joints share them much less.
+    """
+    _, world_rotations = kinematics.compute_tree_poses(tree, root_position, local_rotations)
+    for j in np.flatnonzero(tree.free):
+        joint = quaternions.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
+        quaternions.store_joint_quaternions(remove_jitter(joint, rate, options.rotation_jitter_rad), j, world_rotations)
+    write_local_rotations(world_rotations, tree, local_rotations)
     return smooth_root_path(root_position, np.full(len(root_position), options.root_jitter_m**2), rate)[0]
+
+
+def remove_jitter(joint_quaternions: Float[np.ndarray, "T 4"], rate: float, jitter_sd_rad: float) -> Float[np.ndarray, "T 4"]:
+    """Return quaternions without jitter, not normalised.
+
+    Where a trajectory is left by more than jitter, the motion is faster than the average of the window from which its power was
+    estimated. The power is raised there, so that a strike is not cut short.
+    """
+    variance = np.full(len(joint_quaternions), jitter_sd_rad**2)
+    power = estimate_rotation_power(joint_quaternions, variance, rate)
+    smooth = smooth_path(joint_quaternions, variance, power, rate)
+    reach = 2 * max(1, round(ACCELERATION_STEP_S * rate)) + 1
+    for _ in range(MAX_POWER_CORRECTIONS):
+        deviation_rad = 2 * np.linalg.norm(smooth - joint_quaternions, axis=1)
+        excess = maximum_filter1d(deviation_rad, reach) / jitter_sd_rad
+        if not (excess > 1).any():
+            break
+        power = power * np.maximum(excess, 1.0) ** POWER_CORRECTION_EXPONENT
+        smooth = smooth_path(joint_quaternions, variance, power, rate)
+    return smooth
+
+
+def write_local_rotations(
+    world_rotations: Float[np.ndarray, "T J 3 3"], tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]
+) -> None:
+    """Write the local rotations of world rotations of the free joints; the other joints keep their local rotations."""
+    local_rotations[:, 0] = world_rotations[:, 0]
+    for j in range(1, len(tree.parents)):
+        parent = world_rotations[:, tree.parents[j]]
+        if tree.free[j]:
+            np.matmul(parent.swapaxes(1, 2), world_rotations[:, j], out=local_rotations[:, j])
+        else:
+            np.matmul(parent, local_rotations[:, j], out=world_rotations[:, j])

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix import marker_sets, synthetic
 from mocapfix.initialise import initial_motion
@@ -12,7 +13,8 @@ from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import io, mean_pose
 from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, motion_solver, occluded_joints
+from mocapfix.solve import kinematics, limb_recovery, motion_solver, occluded_joints
+from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -198,3 +200,44 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     assert moved[200:, elbow].max() > 0.002
     assert np.delete(moved, elbow, axis=1).max() < 3e-4
     assert moved[:90].max() < 3e-4
+
+
+def test_forearm_follows_its_markers_across_the_hinge_of_the_elbow():
+    """Skin on the upper arm does not turn with the bone, so that a forearm seems to turn where an elbow cannot."""
+    truth = synthetic.compose_take(seed=2, seconds=1.0, rate=120.0)
+    forearm = NAMES.index("LeftForeArm")
+    local_rotations = truth.motion.local_rotations.copy()
+    across = np.linalg.eigh(MEAN.information[forearm])[1][:, -1]  # the locked axis
+    turn = Rotation.from_rotvec(0.9 * np.sin(np.pi * np.linspace(0, 1, 120))[:, None] * across)
+    local_rotations[:, forearm] = turn.as_matrix() @ local_rotations[:, forearm]
+    motion = replace(truth.motion, local_rotations=local_rotations)
+    markers = kinematics.compute_joint_and_marker_positions(truth.subject, motion)[1]
+    carried = kinematics.compute_joint_and_marker_positions(truth.subject, solved(truth, markers, MEAN))[1]
+    assert np.linalg.norm(carried - markers, axis=-1).max() < 0.03
+
+
+def test_limb_that_was_left_behind_is_solved_again(exact):
+    truth = exact(60.0, 1.0)
+    take, frames = Take(truth.marker_positions, truth.labels, truth.rate), [20, 21, 22, 40]
+    problem = motion_solver.build_pose_problem(take, truth.subject, BODY, MEAN, LIMITS, SolveOptions())
+    root_position, local_rotations = truth.motion.root_position.copy(), truth.motion.local_rotations.copy()
+    right = root_position.copy(), local_rotations.copy()
+    local_rotations[frames, NAMES.index("LeftArm")] = local_rotations[frames, NAMES.index("LeftArm")] @ compute_turn_x(2.5)
+    own = root_position.copy(), local_rotations.copy()  # the frame's own solution lost the arm as well
+    limb_recovery.recover_lost_limbs(
+        problem, truth.subject, MEAN, own, (root_position, local_rotations), build_no_tracking(31),
+        np.zeros(local_rotations.shape[:2], bool), SolveOptions(),
+    )  # fmt: skip
+    wanted, found = (
+        kinematics.compute_world_poses(truth.subject.skeleton, replace(truth.motion, root_position=r, local_rotations=rotations))[
+            0
+        ]
+        for r, rotations in (right, (root_position, local_rotations))
+    )
+    assert np.linalg.norm(wanted - found, axis=-1).max() < 0.02
+    kept = np.setdiff1d(np.arange(60), frames)
+    np.testing.assert_array_equal(local_rotations[kept], right[1][kept])
+
+
+def compute_turn_x(angle_rad):
+    return Rotation.from_rotvec([angle_rad, 0.0, 0.0]).as_matrix()

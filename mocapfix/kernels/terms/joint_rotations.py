@@ -1,12 +1,13 @@
 """Terms on joints' own rotations: tracking a pose, a prior about a mean pose, and joint limits."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, transpose_matrix
-from mocapfix.kernels.terms.contract import register_term, select_frame
+from mocapfix.kernels.terms.contract import HUBER, compute_robust_loss, register_term, select_frame
 
 
 class TrackingTerm(NamedTuple):
@@ -59,11 +60,13 @@ class PosePriorTerm(NamedTuple):
     """Residual: the rotation vector from each mean rotation to the joint, in the parent's axes, minus its mean vector.
 
     The mean pose is one for all frames, or one per frame, and so is the information; a joint of zero information is ignored.
+    Each joint's three numbers are robust together (Huber): a few markers that agree then outweigh a pose that is rare.
     """
 
     rotations: np.ndarray  # (1 or T, J, 3, 3) local rotations
     information: np.ndarray  # (1 or T, J, 3, 3) 1/rad^2, symmetric
     mean_vectors: np.ndarray = np.zeros((0, 3))  # (J, 3) radians, the same for all frames; (0, 3) for zero
+    huber_scale2: float = math.inf  # squared, in standard deviations; infinite for plain least squares
 
 
 @register_term(PosePriorTerm)
@@ -88,15 +91,16 @@ def add_pose_prior_term(term, t, scale2, tree, pose, equations):
         transposed = transpose_matrix(jacobian)
         curvature = multiply_matrices(transposed, multiply_matrices(information, jacobian))
         px, py, pz = multiply_vector(information, x, y, z)
-        cost += 0.5 * (px * x + py * y + pz * z)
+        loss, w = compute_robust_loss(HUBER, px * x + py * y + pz * z, term.huber_scale2)
+        cost += loss
         gx, gy, gz = multiply_vector(transposed, px, py, pz)
-        g_joint[j, 0] += gx
-        g_joint[j, 1] += gy
-        g_joint[j, 2] += gz
+        g_joint[j, 0] += w * gx
+        g_joint[j, 1] += w * gy
+        g_joint[j, 2] += w * gz
         for a in range(3):
-            h_joint[j, a, 0] += curvature[3 * a]
-            h_joint[j, a, 1] += curvature[3 * a + 1]
-            h_joint[j, a, 2] += curvature[3 * a + 2]
+            h_joint[j, a, 0] += w * curvature[3 * a]
+            h_joint[j, a, 1] += w * curvature[3 * a + 1]
+            h_joint[j, a, 2] += w * curvature[3 * a + 2]
     return cost
 
 
