@@ -1,8 +1,8 @@
 """Stress test: extreme motion with known truth, cleaned; limbs lost in sight, joint errors, and sound samples that were changed.
 
-Composed takes are those of `mocapfix.synthetic.extreme_takes` at several rates, with soft tissue, and with gaps. Performed takes
-are the fastest tenth of recordings of subjects that no model was trained on, by peak marker speed. Each is compared with ordinary
-motion of the same kind: takes of walking and reaching, and the recordings of median speed.
+Composed takes are those of `mocapfix.synthetic.extreme_takes` at several rates, with slender limbs and soft tissue, and with
+gaps. Performed takes are the fastest tenth of recordings of subjects that no model was trained on, by peak marker speed. Each is
+compared with ordinary motion of the same kind: takes of walking and reaching, and the recordings of median speed.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix import synthetic
 from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.lost_limbs import build_full_marker_subject
-from mocapfix.bench.sound_takes import PerformedMotion, perform_take, read_performed_motions, remove_damage
+from mocapfix.bench.sound_takes import PerformedMotion, perform_take, read_performed_motions
 from mocapfix.motion import FrameStatus
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.result import CleaningResult
@@ -23,13 +22,12 @@ from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
 from mocapfix.synthetic.extreme_motions import EXTREME_MOTIONS
-from mocapfix.synthetic.extreme_takes import compose_extreme_take
+from mocapfix.synthetic.extreme_takes import ORDINARY_MOTION, compose_extreme_take
 
 STRESS_RATES_HZ = (60.0, 120.0, 240.0)
-SOFT_TISSUE_RATE_HZ = 60.0  # of the takes whose markers lag behind the bones
+SLENDER_RATES_HZ = (60.0, 120.0)  # of the takes of slender limbs with markers that lag behind the bones
 GAP_RATE_HZ = 120.0  # of the takes with gaps
-ORDINARY_SEEDS = range(3)  # of the composed takes of ordinary motion
-ORDINARY_DURATION_S = 15.0  # of each
+ORDINARY_SEEDS = range(3)  # of the composed takes of ordinary motion, each also with slender limbs
 FASTEST_SHARE = 0.1  # of the recordings of a folder
 ORDINARY_RECORDING_COUNT = 4  # recordings of median speed of each folder
 MIN_STRESS_RECORDING_S = 4.0  # shorter recordings are not used: a person cannot be calibrated on them
@@ -50,7 +48,7 @@ LIMBS_WITH_JOINTS = {  # joints that carry a limb's markers or follow from them
 class StressTake(NamedTuple):
     """A take of the test.
 
-    kind  "composed" or "performed"
+    kind  "composed", "slender" (composed, with slender limbs and soft tissue) or "performed"
     """
 
     kind: str
@@ -89,18 +87,20 @@ def measure_stress(
 
 
 def iterate_composed_takes(motions: Iterable[str], rates_hz: Iterable[float]) -> Iterator[StressTake]:
-    """Yield composed takes: ordinary motion, then every motion at all rates, with soft tissue and with gaps."""
+    """Yield composed takes: ordinary motion, then every motion at all rates, with slender limbs, and with gaps."""
     for seed in ORDINARY_SEEDS:
-        truth = remove_damage(synthetic.compose_take(seed, ORDINARY_DURATION_S, asymmetric=True))
-        yield StressTake("composed", f"ordinary, seed {seed}", truth, is_ordinary=True)
+        for is_slender in (False, True):
+            truth = compose_extreme_take(ORDINARY_MOTION, seed, with_soft_tissue=is_slender, with_slender_limbs=is_slender)
+            kind = "slender" if is_slender else "composed"
+            yield StressTake(kind, f"ordinary, seed {seed}{', slender' if is_slender else ''}", truth, is_ordinary=True)
     for seed, motion in enumerate(motions):
         for rate in rates_hz:
             yield StressTake("composed", f"{motion}, {rate:g} Hz", compose_extreme_take(motion, seed, rate))
-        soft = compose_extreme_take(motion, seed, SOFT_TISSUE_RATE_HZ, with_soft_tissue=True)
-        yield StressTake("composed", f"{motion}, {SOFT_TISSUE_RATE_HZ:g} Hz, soft tissue", soft)
-        yield StressTake(
-            "composed", f"{motion}, {GAP_RATE_HZ:g} Hz, gaps", compose_extreme_take(motion, seed, GAP_RATE_HZ, with_gaps=True)
-        )
+        for rate in SLENDER_RATES_HZ:
+            slender = compose_extreme_take(motion, seed, rate, with_soft_tissue=True, with_slender_limbs=True)
+            yield StressTake("slender", f"{motion}, {rate:g} Hz, slender", slender)
+        gaps = compose_extreme_take(motion, seed, GAP_RATE_HZ, with_gaps=True)
+        yield StressTake("composed", f"{motion}, {GAP_RATE_HZ:g} Hz, gaps", gaps)
 
 
 def iterate_performed_takes(motion_folders: Iterable[Path]) -> Iterator[StressTake]:

@@ -10,13 +10,13 @@ from rich.table import Table
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, show_progress, stdout_console
 
-QUICK_MOTIONS = ("punch", "kick", "cartwheel")
+QUICK_MOTIONS = ("straight arm", "kick", "cartwheel")
 QUICK_RATES_HZ = (120.0,)
 
 
 def run_bench_stress(
     data: Annotated[
-        tuple[Path, ...], tyro.conf.arg(metavar="FOLDER", help="folders of motion with test.npz, of which the fastest tenth is used")
+        tuple[Path, ...], tyro.conf.arg(metavar="FOLDER", help="folders of motion with test.npz, whose fastest tenth is used")
     ] = (),
     quick: Annotated[FlagOption, tyro.conf.arg(help=f"only {', '.join(QUICK_MOTIONS)} at {QUICK_RATES_HZ[0]:g} Hz")] = False,
     as_json: JsonOption = False,

@@ -90,6 +90,7 @@ FOLLOW_THROUGH = RELEASE | {
 
 HANG: KeyPose = {}  # straight arms and legs, in which a bone's turn about its axis is hardly known from its markers
 ARM_FRONT: KeyPose = {"RightArm": (100, 0, 0)}
+ARM_BACK: KeyPose = {"RightArm": (-40, 5, 0), "Hips": (0, 0, -25)}
 ARM_SIDE: KeyPose = {"RightArm": (10, 95, 0)}
 ARM_HIGH: KeyPose = {"RightArm": (150, 20, 0), "Hips": (0, 0, 20)}
 ARM_CROSSED: KeyPose = {"RightArm": (80, -20, 0), "Hips": (0, 0, 15)}
@@ -135,7 +136,8 @@ EXTREME_MOTIONS = {
         (
             Move(1.5, HANG), Move(0.15, ARM_FRONT), Move(0.2, ARM_FRONT), Move(0.3, HANG), Move(1.0, HANG), Move(0.15, ARM_SIDE),
             Move(0.15, HANG), Move(1.0, HANG), Move(0.16, ARM_HIGH), Move(0.16, HANG), Move(1.0, HANG), Move(0.15, ARM_SIDE),
-            Move(0.15, ARM_CROSSED), Move(0.4, HANG), Move(1.0, HANG), Move(0.3, STAND),
+            Move(0.15, ARM_CROSSED), Move(0.4, HANG), Move(1.0, HANG), Move(0.3, ARM_BACK), Move(0.24, ARM_HIGH),
+            Move(0.24, ARM_BACK), Move(0.3, HANG), Move(1.0, HANG), Move(0.3, STAND),
         ),
     ),
     "arm circle": ExtremeMotion(

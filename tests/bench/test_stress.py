@@ -105,13 +105,18 @@ def test_a_folder_without_motion_is_an_error_and_none_a_reason(tmp_path, monkeyp
         stress.measure_stress([tmp_path], motions=())
     clean = clean_perfectly_by_name({})
     monkeypatch.setattr(stress, "clean_composed_take", clean)
-    monkeypatch.setattr(stress, "ORDINARY_DURATION_S", 1.0)
+    monkeypatch.setattr(stress, "ORDINARY_SEEDS", range(1))
     names: list[str] = []
     results = stress.measure_stress((), ("punch",), (60.0,), names.append)
-    assert [row["name"] for row in results["takes"]][-3:] == ["punch, 60 Hz", "punch, 60 Hz, soft tissue", "punch, 120 Hz, gaps"]
-    assert len(names) == len(results["takes"]) == len(stress.ORDINARY_SEEDS) + 3
+    assert [row["name"] for row in results["takes"]][-4:] == [
+        "punch, 60 Hz",
+        "punch, 60 Hz, slender",
+        "punch, 120 Hz, slender",
+        "punch, 120 Hz, gaps",
+    ]
+    assert len(names) == len(results["takes"]) == 2 * len(stress.ORDINARY_SEEDS) + 4
     assert "--data" in results["skipped"]
-    assert results["ordinary_mm"]["composed"] == pytest.approx(5.0)
+    assert results["ordinary_mm"] == {"composed": pytest.approx(5.0), "slender": pytest.approx(5.0)}
     assert results["all"]["over_ordinary"] == pytest.approx(1.0)
     assert results["all"]["within_limits"]
 

@@ -121,6 +121,19 @@ def test_soft_tissue_lags_behind_fast_motion():
     assert displacement @ acceleration < -0.8 * np.linalg.norm(displacement) * np.linalg.norm(acceleration)
 
 
+def test_slender_limbs_have_their_markers_nearer_to_the_bones():
+    usual, slender = (
+        compose_extreme_take("punch", 2, 60.0, with_slender_limbs=is_slender).subject for is_slender in (False, True)
+    )
+    elbow = usual.skeleton.offsets[usual.skeleton.find_joint("LeftForeArm")]
+    k = usual.labels.index("LUPA")
+    distances = [np.linalg.norm(np.cross(each.marker_offsets[k], elbow)) for each in (usual, slender)]
+    assert distances[1] == pytest.approx(distances[0] / 2)
+    assert usual.marker_offsets[k] @ elbow == pytest.approx(slender.marker_offsets[k] @ elbow)
+    head = usual.labels.index("LFHD")
+    np.testing.assert_array_equal(usual.marker_offsets[head], slender.marker_offsets[head])
+
+
 def test_key_poses_are_reached_and_mirrored(subject):
     skeleton = subject.skeleton
     moves = (Move(0.5, {"LeftLeg": (-90, 0, 0)}), Move(0.5, {"LeftLeg": (-90, 0, 0)}), Move(0.5, STAND))
