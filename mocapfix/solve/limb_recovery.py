@@ -42,16 +42,17 @@ def recover_lost_limbs(
     problem: PoseProblem,
     subject: Subject,
     prior: MeanPosePrior,
-    own_pose: Poses,
     pose: Poses,
+    *,
+    own_pose: Poses,
     tracking: TrackingTerm,
     is_uncertain: Bool[np.ndarray, "T J"],
     options: SolveOptions,
 ) -> None:
     """Overwrite the poses of frames in which a limb was lost, where another start gives a better one.
 
-    own_pose      the solution of each frame on its own
     pose          the solution with tracking; overwritten
+    own_pose      the solution of each frame on its own
     is_uncertain  joints that lack a marker; only these keep following their smooth trajectories
     """
     predicted = predict_markers(subject, pose)

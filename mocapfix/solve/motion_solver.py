@@ -99,7 +99,9 @@ def solve_motion(
     local_rotations[is_unobserved] = tracking.rotations[is_unobserved]
     status, iterations = problem.solve(root_position, local_rotations, tracking, (robust_scale_m,))
     pose = root_position, local_rotations
-    limb_recovery.recover_lost_limbs(problem, subject, prior, own_pose, pose, tracking, is_uncertain, options)
+    limb_recovery.recover_lost_limbs(
+        problem, subject, prior, pose, own_pose=own_pose, tracking=tracking, is_uncertain=is_uncertain, options=options
+    )
     gap_variance = np.where(is_unobserved, known.rotation_variance, alone.gap_variance)
     tracking = tracking._replace(weight=is_uncertain / np.maximum(gap_variance, MIN_TRACKING_SD_RAD**2))
     root_position = smoothing.remove_pose_jitter(root_position, local_rotations, problem.tree, rate, options)

@@ -225,9 +225,15 @@ def test_limb_that_was_left_behind_is_solved_again(exact):
     local_rotations[frames, NAMES.index("LeftArm")] = local_rotations[frames, NAMES.index("LeftArm")] @ compute_turn_x(2.5)
     own = root_position.copy(), local_rotations.copy()  # the frame's own solution lost the arm as well
     limb_recovery.recover_lost_limbs(
-        problem, truth.subject, MEAN, own, (root_position, local_rotations), build_no_tracking(31),
-        np.zeros(local_rotations.shape[:2], bool), SolveOptions(),
-    )  # fmt: skip
+        problem,
+        truth.subject,
+        MEAN,
+        (root_position, local_rotations),
+        own_pose=own,
+        tracking=build_no_tracking(31),
+        is_uncertain=np.zeros(local_rotations.shape[:2], bool),
+        options=SolveOptions(),
+    )
     wanted, found = (
         kinematics.compute_world_poses(truth.subject.skeleton, replace(truth.motion, root_position=r, local_rotations=rotations))[
             0
