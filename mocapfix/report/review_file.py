@@ -11,6 +11,7 @@ from mocapfix.changes import Change, Decision, SampleState, list_affected_marker
 from mocapfix.errors import SceneError
 from mocapfix.faults import MISSING_KINDS, SHIFT_KINDS, Fault, FaultKind
 from mocapfix.files.output_files import replace_atomically
+from mocapfix.files.yaml_lists import dump_yaml_list
 from mocapfix.files.yaml_models import InlineSequence, StrictModel, dump_yaml, read_yaml_model
 from mocapfix.report.report import ChangeEntry
 from mocapfix.take import Take
@@ -114,9 +115,10 @@ def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -
     """
     last_frame = take.get_frame_number(take.frame_count - 1)
     entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in serialize_changes(changes)]
-    data = {"take": take.name, "frames": InlineSequence([take.first_frame, last_frame]), "changes": entries}
+    head = {"take": take.name, "frames": InlineSequence([take.first_frame, last_frame])}
     with replace_atomically(Path(path)) as part:
-        text = REVIEW_FILE_HEADER + dump_yaml(data, REVIEW_FILE_LINE_LENGTH)
+        changes_text = dump_yaml_list("changes", entries, REVIEW_FILE_LINE_LENGTH)
+        text = REVIEW_FILE_HEADER + dump_yaml(head, REVIEW_FILE_LINE_LENGTH) + changes_text
         part.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -86,7 +86,7 @@ def _build_bars(fault: Fault, outcome: Int[np.ndarray, " N"], is_applied: bool) 
     group = get_fault_group(fault.kind)
     unchanged = np.full(len(outcome), not is_applied)
     if is_applied and group in ("missing", "faulty"):
-        unchanged = np.isin(outcome, (SampleOutcome.EMPTY, SampleOutcome.SUSPECT))
+        unchanged = (outcome == SampleOutcome.EMPTY) | (outcome == SampleOutcome.SUSPECT)
     for css_class, mask in ((group, ~unchanged), (f"{group} left", unchanged)):
         for first, last in find_runs(mask):
             yield TimelineBar(css_class, fault.first + first, fault.first + last, fault.reason)

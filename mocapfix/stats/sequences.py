@@ -8,8 +8,10 @@ from mocapfix.kernels.viterbi import compute_cheapest_states
 
 def find_runs(mask: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """Return the runs of True in `mask` as (first, last) indices, both inclusive."""
-    edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    padded = np.zeros(len(mask) + 2, bool)
+    padded[1:-1] = mask
+    edges: list[int] = np.flatnonzero(padded[1:] != padded[:-1]).tolist()
+    return [(a, b - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 DENSE_TRAINING_MARGIN_S = 0.6  # beside a gap; within it training frames are dense
