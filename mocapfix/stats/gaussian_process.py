@@ -86,16 +86,21 @@ class GaussianProcess(NamedTuple):
         predicted variance; NaN if there are fewer than two stretches.
 
         No second factorisation is needed: with K the covariance, a stretch's error is the inverse of its block of K^-1 times
-        its weights (Rasmussen and Williams 2006, Eq. 5.12, for more than one value).
+        its weights (Rasmussen and Williams 2006, Eq. 5.12, for more than one value). Stretches of the same number of frames are
+        computed together.
         """
         stretch = ((self.training_times_s - self.training_times_s[0]) // gap_s).astype(int)
-        squares: list[np.ndarray] = []
-        for each in np.unique(stretch):
-            held_out = np.flatnonzero(stretch == each)
-            if 2 * len(held_out) <= len(stretch):
-                covariance = np.linalg.inv(self.precision[np.ix_(held_out, held_out)])
-                squares.append(((covariance @ self.weights[held_out]) ** 2 / np.diag(covariance)[:, None]).mean(0))
-        return np.mean(squares, 0) if len(squares) > 1 else np.full(len(self.value_mean), np.nan)
+        order = np.argsort(stretch, kind="stable")
+        _, starts, sizes = np.unique(stretch[order], return_index=True, return_counts=True)
+        is_judged = 2 * sizes <= len(stretch)
+        squares = np.empty((len(sizes), len(self.value_mean)))
+        for size in np.unique(sizes[is_judged]):
+            same = np.flatnonzero(sizes == size)
+            held_out = order[starts[same][:, None] + np.arange(size)]
+            covariance = np.linalg.inv(self.precision[held_out[:, :, None], held_out[:, None]])
+            error = covariance @ self.weights[held_out]
+            squares[same] = (error**2 / np.diagonal(covariance, axis1=1, axis2=2)[..., None]).mean(1)
+        return squares[is_judged].mean(0) if is_judged.sum() > 1 else np.full(len(self.value_mean), np.nan)
 
 
 def fit_gaussian_process(
