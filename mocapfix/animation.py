@@ -80,6 +80,10 @@ class Animation:
         return bool((first == np.round(first)).all() and (second != np.round(second)).any())
 
     @cached_property
+    def _world_poses(self) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+        return compose_transforms(self.parents, self.compute_local_positions(), self.compute_local_rotations())
+
+    @cached_property
     def joint_columns(self) -> tuple[Int[np.ndarray, " _"], ...]:
         """Columns of `values` that hold each joint's channels."""
         stops = np.cumsum([len(each) for each in self.channels])
@@ -124,8 +128,8 @@ class Animation:
         return positions @ self.rotation_y_up_file.T * self.unit_m
 
     def compute_world_poses(self) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
-        """Compute the positions in metres and the rotations of the joints in the world."""
-        return compose_transforms(self.parents, self.compute_local_positions(), self.compute_local_rotations())
+        """Compute the positions in metres and the rotations of the joints in the world. Callers must not write into them."""
+        return self._world_poses
 
     def compute_rest_positions(self) -> Float[np.ndarray, "J 3"]:
         """Compute the positions of the joints in the rest pose in metres, with the root at its offset."""

@@ -11,9 +11,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import median_filter
 
+from mocapfix.animations.offset_screening import (
+    MAX_RESIDUAL_SHARE,
+    MIN_REDUCTION_RATIO,
+    THIRD_DIFFERENCE_STENCIL,
+    ThirdDifferences,
+    screen_offsets,
+)
 from mocapfix.stats.constant_offsets import OffsetModel
 
-THIRD_DIFFERENCE_STENCIL = np.array([-1.0, 3.0, -3.0, 1.0])
 MIN_TRACK_FRAMES = 8  # frames of a track without which no offset is detected
 MIN_DIFFERENCES = 4  # third differences without which no offset is fitted
 BACKGROUND_HALF_WINDOW_S = 0.5  # on either side of a frame, for the usual size of third differences there
@@ -23,8 +29,6 @@ MIN_STEP_RATIO = 4.0  # of a step's third difference to the usual size
 MAX_STEP_COUNT = 250  # largest steps of a track that are examined
 MAX_STEP_POWER_RATIO = 16.0  # between the powers of an offset's two steps
 MAX_RESIDUAL_RATIO = 12.0  # of the mean square that remains after removal to the usual one
-MIN_REDUCTION_RATIO = 15.0  # of the mean square that is removed to the usual one
-MAX_RESIDUAL_SHARE = 0.05  # of the squares that may remain
 NEGLIGIBLE_RESIDUAL_SHARE = 0.004  # of the squares: if less remains, MAX_RESIDUAL_RATIO does not apply
 MIN_EVIDENCE = 36.0  # ratio of the mean square that is removed to the one that remains
 MIN_EVIDENCE_RESIDUAL = 0.3  # relative to the usual mean square: the least that is counted as remaining
@@ -57,14 +61,6 @@ class OffsetThresholds(NamedTuple):
     min_amount: float
 
 
-class _ThirdDifferences(NamedTuple):
-    """Of a track: its values, where third differences are known, and how large they usually are there."""
-
-    track: Float[np.ndarray, "T C"]
-    is_known: Bool[np.ndarray, " D"]
-    background: Float[np.ndarray, " D"]
-
-
 def detect_offsets(
     track: Float[np.ndarray, "T C"],
     models: tuple[OffsetModel, ...],
@@ -82,18 +78,14 @@ def detect_offsets(
     difference = np.linalg.norm(np.diff(track, 3, axis=0), axis=1)
     is_known = is_usable[3:] & is_usable[2:-1] & is_usable[1:-2] & is_usable[:-3]
     background = _estimate_background(np.where(is_known, difference, 0.0), rate, thresholds.min_difference)
-    differences = _ThirdDifferences(track, is_known, background)
+    differences = ThirdDifferences(track, is_known, background)
     candidates: list[TemporaryOffset] = []
     starts, power = _find_steps(np.where(is_known, difference / background, 0.0))
-    for index, start in enumerate(starts):
-        is_partner = (starts[index + 1 :] - start <= MAX_OFFSET_DURATION_S * rate) & (
-            np.abs(np.log(power[index + 1 :] / power[index])) < np.log(MAX_STEP_POWER_RATIO)
-        )
-        for stop in starts[index + 1 :][is_partner]:
-            offset = _fit_offset(differences, models, int(start), int(stop) - 1)
-            min_evidence = MIN_EVIDENCE * (1 + (stop - start) / rate / EVIDENCE_DOUBLING_S)
-            if offset and offset.amount >= thresholds.min_amount and offset.evidence >= min_evidence:
-                candidates.append(offset)
+    for start, stop in _list_step_pairs(differences, models, starts, power, rate):
+        offset = _fit_offset(differences, models, start, stop - 1)
+        min_evidence = MIN_EVIDENCE * (1 + (stop - start) / rate / EVIDENCE_DOUBLING_S)
+        if offset and offset.amount >= thresholds.min_amount and offset.evidence >= min_evidence:
+            candidates.append(offset)
     selected: list[TemporaryOffset] = []
     # The interval between two offsets of one joint explains as much as they do, so shorter ones are preferred.
     for each in sorted(candidates, key=lambda o: -o.evidence / (SHORT_OFFSET_DURATION_S + (o.last - o.first + 1) / rate)):
@@ -110,7 +102,24 @@ def _find_steps(relative_difference: Float[np.ndarray, " D"]) -> tuple[Int[np.nd
     return starts[largest], power[largest]
 
 
-def _fit_offset(differences: _ThirdDifferences, models: tuple[OffsetModel, ...], first: int, last: int) -> TemporaryOffset | None:
+def _list_step_pairs(
+    differences: ThirdDifferences,
+    models: tuple[OffsetModel, ...],
+    starts: Int[np.ndarray, " S"],
+    power: Float[np.ndarray, " S"],
+    rate: float,
+) -> list[tuple[int, int]]:
+    """Return the pairs of steps, in order, that are near and alike enough to be one offset's and that one constant may remove."""
+    firsts, seconds = np.triu_indices(len(starts), 1)
+    is_partner = (starts[seconds] - starts[firsts] <= MAX_OFFSET_DURATION_S * rate) & (
+        np.abs(np.log(power[seconds] / power[firsts])) < np.log(MAX_STEP_POWER_RATIO)
+    )
+    firsts, seconds = starts[firsts[is_partner]], starts[seconds[is_partner]]
+    is_removable = screen_offsets(differences, models, firsts, seconds)
+    return list(zip(firsts[is_removable].tolist(), seconds[is_removable].tolist(), strict=True))
+
+
+def _fit_offset(differences: ThirdDifferences, models: tuple[OffsetModel, ...], first: int, last: int) -> TemporaryOffset | None:
     """Fit an offset of the frames first..last. Returns None if no constant removes both of its steps."""
     track = differences.track
     rows = np.unique(np.r_[first - 3 : first, last - 2 : last + 1])

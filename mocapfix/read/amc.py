@@ -21,6 +21,7 @@ from mocapfix.read.token_scanner import TextTokens, scan_tokens
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
 # The format has no keyword for the rate, so it is read from comments or keywords of some programs.
 RATE_PATTERN = re.compile(rb":SAMPLES-PER-SECOND\s+(\d+\.?\d*)|(\d+\.?\d*) ?(?:fps|Hz|frames (?:a|per) second)", re.IGNORECASE)
+MAX_BLANK_BYTE = 32  # bytes up to it separate tokens
 DEFAULT_AMC_RATE_HZ = 120.0  # CMU's, except for some subjects at 60 Hz
 BONE_SECTION_KEYWORD = b":bonedata"
 AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginning of a file; a cut-off one may have no more
@@ -177,22 +178,37 @@ def _locate_values(path: Path, tokens: TextTokens, skeleton: AsfSkeleton) -> tup
         problem = f"{quoted} is given where the values of a bone or the number of a frame are expected"
         raise ReadError(f"{path}, line {tokens.line_numbers[token]}: {problem}.")
     frame_of_line = np.cumsum(~is_bone_line)
-    lines_of_bone: dict[str, list[int]] = {bone.name: [] for bone in skeleton.bones}
-    for line in np.flatnonzero(is_bone_line).tolist():
+    names = [bone.name for bone in skeleton.bones]
+    bone_of_line = _match_names(tokens, line_tokens, names)
+    for line in np.flatnonzero(is_bone_line & (bone_of_line < 0)).tolist():  # names that are not valid UTF-8, too
         name = tokens.get_text(int(line_tokens[line]))
-        if name not in lines_of_bone:
+        if name not in names:
             line_number = tokens.line_numbers[line_tokens[line]]
             raise ReadError(f"{path}, line {line_number}: bone {name[:MAX_QUOTED_CHARACTERS]} is not in the skeleton.")
-        lines_of_bone[name].append(line)
+        bone_of_line[line] = names.index(name)
     columns: list[np.ndarray] = []
-    for bone in skeleton.bones:
+    for index, bone in enumerate(skeleton.bones):
         if bone.degrees_of_freedom:
-            own = np.array(lines_of_bone[bone.name], int)
+            own = np.flatnonzero(is_bone_line & (bone_of_line == index))
             bone_lines = _BoneLines(frame_of_line[own], line_tokens[own], token_counts[own] - 1)
             frame_tokens = line_tokens[~is_bone_line]
             _check_bone_lines(path, tokens, bone.name, frame_tokens, bone_lines, len(bone.degrees_of_freedom))
             columns.append(line_tokens[own, None] + 1 + np.array(bone.amc_columns))
     return int(tokens.values[line_tokens[0]]), np.hstack(columns)
+
+
+def _match_names(tokens: TextTokens, line_tokens: Int[np.ndarray, " L"], names: list[str]) -> Int[np.ndarray, " L"]:
+    """Return the index of the name that the first token of each line is, -1 if it is none."""
+    encoded_names = [name.encode() for name in names]
+    text = np.frombuffer(tokens.data, np.uint8)
+    token_bytes = tokens.start_bytes[line_tokens, None] + np.arange(max(map(len, encoded_names)) + 1)
+    letters = np.where(token_bytes < len(text), text[np.minimum(token_bytes, len(text) - 1)], np.uint8(0))
+    letters[~np.logical_and.accumulate(letters > MAX_BLANK_BYTE, axis=1)] = 0
+    first_words = np.ascontiguousarray(letters).view(f"S{letters.shape[1]}")[:, 0]
+    name_of_line = np.full(len(line_tokens), -1)
+    for index, name in enumerate(encoded_names):
+        name_of_line[first_words == name] = index
+    return name_of_line
 
 
 def _check_bone_lines(
