@@ -126,11 +126,14 @@ def clean_perfectly_by_name(lost):
     return lambda truth: build_result(truth, truth.joint_positions + [0.003, 0.004, 0.0], lost=lost)
 
 
-@pytest.mark.parametrize(("motion", "rate"), [("punch", 120.0), ("kick", 60.0)])
-def test_no_limb_is_lost_in_a_strike(motion, rate):
-    truth = stress.compose_extreme_take(motion, 0, rate)
+@pytest.mark.parametrize(
+    ("motion", "seed", "rate", "is_slender"),
+    [("punch", 0, 120.0, False), ("kick", 0, 60.0, False), ("arm circle", 3, 60.0, True)],
+)
+def test_no_limb_is_lost_in_a_strike(motion, seed, rate, is_slender):
+    truth = stress.compose_extreme_take(motion, seed, rate, with_soft_tissue=is_slender, with_slender_limbs=is_slender)
     scores = stress.score_stress_take(truth, clean_composed_take(truth))
     assert scores["lost_in_sight"] == {}
     assert scores["limb_error_mm"] < 1e3 * stress.MAX_LIMB_ERROR_M
-    assert scores["joint_error_mm"] < 20
+    assert scores["joint_error_mm"] < 25
     assert scores["poor_frames"] == 0
