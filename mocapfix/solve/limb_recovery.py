@@ -7,8 +7,6 @@ that fit their markers worse than the frame's own solution did. The starts are t
 segments to their own markers, and the poses of the nearest frames without a lost limb. The solution of least marker cost is kept.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -65,7 +63,7 @@ def recover_lost_limbs(
     frames = np.flatnonzero(is_lost)
     if not len(frames):
         return
-    part = select_problem_frames(problem, frames)
+    part = problem.select_frames(frames)
     rows = np.minimum(frames, len(tracking.root) - 1)  # the tracked pose is one for each frame, or one for all
     part_tracking = TrackingTerm(
         tracking.rotations[rows],
@@ -98,11 +96,6 @@ def find_neighbours(is_lost: Bool[np.ndarray, " T"], frames: Int[np.ndarray, " N
         return []
     position = np.searchsorted(sound, frames)
     return [sound[np.maximum(position - 1, 0)], sound[np.minimum(position, len(sound) - 1)]]
-
-
-def select_problem_frames(problem: PoseProblem, frames: Int[np.ndarray, " N"]) -> PoseProblem:
-    """Return the pose problem of some frames. The prior is the same for all frames."""
-    return replace(problem, marker_positions=problem.marker_positions[frames], solver_mask=problem.solver_mask[frames])
 
 
 def predict_markers(subject: Subject, pose: Poses) -> Float[np.ndarray, "T K 3"]:

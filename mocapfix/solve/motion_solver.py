@@ -146,10 +146,17 @@ def solve_frames_independently(
     """
     no_tracking, robust_scale_m = build_no_tracking(local_rotations.shape[1]), options.robust_scales_m[-1]
     _, iterations = problem.solve(root_position, local_rotations, no_tracking, options.robust_scales_m)
-    variance = problem.compute_uncertainty(root_position, local_rotations, no_tracking, robust_scale_m).rotation_variance
-    tracking, gap_variance = smoothing.track_across_gaps(local_rotations, variance, is_uncertain, rate, options)
-    problem.solve_from_neighbours(root_position, local_rotations, tracking, is_uncertain, robust_scale_m)
     uncertainty = problem.compute_uncertainty(root_position, local_rotations, no_tracking, robust_scale_m)
+    variance = uncertainty.rotation_variance
+    tracking, gap_variance = smoothing.track_across_gaps(local_rotations, variance, is_uncertain, rate, options)
+    frames = np.flatnonzero(is_uncertain.any(1))
+    if len(frames):  # only these are solved again, and have another uncertainty
+        problem.solve_from_neighbours(root_position, local_rotations, tracking, is_uncertain, robust_scale_m)
+        solved_again = problem.select_frames(frames).compute_uncertainty(
+            root_position[frames], local_rotations[frames], no_tracking, robust_scale_m
+        )
+        for values, new_values in zip(uncertainty, solved_again, strict=True):
+            values[frames] = new_values
     tracked_variance = gap_variance + options.rotation_tracking_sd_rad**2
     rotation_variance = np.where(
         is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance

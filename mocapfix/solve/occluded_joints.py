@@ -84,9 +84,13 @@ class PriorConditioner:
         sd = np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[observed])[:, None]
         vectors = compute_pose_vectors(local_rotations, model.reference_rotations)
         vectors[:, occluded_joints], codes = 0.0, np.zeros((len(local_rotations), model.code_size))
-        for _ in range(CODE_ITERATIONS):
+        for iteration in range(CODE_ITERATIONS):
             selected = model.select_components(vectors)
-            decoded, jacobian = selected.linearise(codes)
+            if iteration == 0 and selected is model:  # all codes are zero, so that one linearisation holds for all frames
+                start = model.linearise(codes[:1])
+                decoded, jacobian = (np.broadcast_to(each, (len(codes), *each.shape[1:])) for each in start)
+            else:
+                decoded, jacobian = selected.linearise(codes)
             weighted = (jacobian[:, observed] / sd[..., None]).reshape(len(jacobian), -1, model.code_size)
             residual = ((vectors - decoded)[:, observed] / sd).reshape(len(local_rotations), -1, 1) + weighted @ codes[..., None]
             transposed = np.swapaxes(weighted, 1, 2)

@@ -1,7 +1,7 @@
 """The pose problem of a whole take: a body, its measured markers, and the prior on its poses."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
@@ -82,6 +82,10 @@ class PoseProblem:
         """The markers as a term."""
         measured = np.where(self.solver_mask[..., None], self.marker_positions, 0.0)
         return PointTerm(self.attachment.joints, self.attachment.offsets, measured, self.solver_mask / self.marker_sd**2)
+
+    def select_frames(self, frames: Int[np.ndarray, " N"]) -> "PoseProblem":
+        """Return the problem of some frames. The prior is the same for all frames."""
+        return replace(self, marker_positions=self.marker_positions[frames], solver_mask=self.solver_mask[frames])
 
     def build_terms(self, tracking: TrackingTerm) -> BodyTerms:
         """Return all terms of the cost, with this tracking term."""
