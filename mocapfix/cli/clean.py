@@ -17,12 +17,23 @@ from mocapfix.cli.arguments import (
     describe_option,
     parse_options,
 )
-from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_error, print_json, print_line, print_usage_error, show_progress
+from mocapfix.cli.console import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    compile_kernels_first,
+    print_error,
+    print_json,
+    print_line,
+    print_usage_error,
+    show_progress,
+)
 from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5
 """runs of unfilled samples that the summary lists"""
+ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")
+"""files without markers, for which few kernels are needed"""
 STAGES = ("read", "subject", "detect", "initialise", "prior", "solve", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import Report, TakeSection
@@ -87,6 +98,8 @@ def clean_takes(
             if folder / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
             check_outputs_free(folder, take.stem, overwrite, take, options.output)
+            if take.suffix.lower() not in ANIMATION_SUFFIXES:
+                compile_kernels_first()
             with show_progress(take.name) as progress:
                 result = pipeline.clean(take, options, progress=progress)
                 result.write(folder, overwrite, progress, options.output)

@@ -14,19 +14,32 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 """the command line is wrong"""
 
+COMPILATION_MESSAGE = "Compiling the kernels (first run on this machine)"
+
 stdout_console = Console(highlight=False)
 stderr_console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
 def show_progress(name: str) -> Generator[Callable[[str], None]]:
-    """Yield a function that shows on a terminal which stage a take is in; in a pipe, only the one-time compilation is shown."""
-    from mocapfix.kernels.compilation_cache import is_solver_compiled
-
-    if not is_solver_compiled():
-        stderr_console.print("First run on this machine: compiling the kernels takes about half a minute, once.")
+    """Yield a function that shows on a terminal which stage a take is in."""
     with stderr_console.status(escape(name)) as status:
         yield lambda stage: status.update(f"{escape(name)}: {stage}")
+
+
+def compile_kernels_first() -> None:
+    """Compile the kernels that cleaning markers needs, unless this has been done, and show how many are left.
+
+    On a terminal the number rises; in a pipe one line says what is happening.
+    """
+    from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
+
+    if is_precompiled():
+        return
+    if not stderr_console.is_terminal:
+        stderr_console.print(f"{COMPILATION_MESSAGE}; this takes some seconds, once.", soft_wrap=True)
+    with stderr_console.status(COMPILATION_MESSAGE) as status:
+        precompile_kernels(lambda done, total: status.update(f"{COMPILATION_MESSAGE}: {done} of {total}"))
 
 
 def print_line(text: str) -> None:

@@ -3,7 +3,3 @@
 Everything here works on arrays and numbers. Code that calls these loops on motions, subjects and takes is in `solve`,
 `initialise` and `calibrate`.
 """
-
-from mocapfix.kernels.compilation_cache import configure_cache_folder
-
-configure_cache_folder()  # before the first kernel is defined

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mocapfix.kernels import robust_registration as statistics
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.robust_registration import fit_segment_pose_robustly
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, transpose_matrix
 
@@ -52,7 +52,7 @@ class PropagationWorkspace(NamedTuple):
     inlier_weight: np.ndarray  # (K,) the fraction of each marker's weight that counts; 0 where missing
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def propagate_segment_frames(segments, joint_segments, markers, position, variances, inlier_weight, first, stop):
     """Write the joints' positions (T, J, 3), their variances per axis (T, J), and the fraction of each marker's weight that
     counted (T, K), in the frames first..stop - 1."""
@@ -80,7 +80,7 @@ def propagate_segment_frames(segments, joint_segments, markers, position, varian
             variances[t, j] = _combine_joint_estimates(joint_segments, j, work.poses, position[t, j], registration)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _collect_marker_statistics(segments, measured, work, registration):
     """Initialise the statistics with each segment's own markers, and a weak prior on its rotation from the whole body's."""
     count = len(segments.parent)
@@ -100,7 +100,7 @@ def _collect_marker_statistics(segments, measured, work, registration):
         statistics.add_rotation_information(work.statistics[s], 0.5 * STANDING_INFORMATION, rotation)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _fit_segment(segments, s, measured, work, registration):
     """Fit a segment's pose to its information so far."""
     a, b, spare = segments.first_marker[s], segments.first_marker[s + 1], len(segments.parent)
@@ -110,7 +110,7 @@ def _fit_segment(segments, s, measured, work, registration):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _send_to_parent(segments, s, origin, work, registration):
     """Add this segment's information to its parent's."""
     pose, message, mean = work.poses[s], work.messages[s], load_matrix(segments.mean_rotation, s)
@@ -128,7 +128,7 @@ def _send_to_parent(segments, s, origin, work, registration):
         work.statistics[segments.parent[s], n] += message[n]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _send_to_child(segments, s, origin, work, registration):
     """Add to this segment's information its parent's, without what the parent received from it."""
     parent, spare = segments.parent[s], len(segments.parent)
@@ -146,7 +146,7 @@ def _send_to_child(segments, s, origin, work, registration):
     statistics.add_point(row, weight, statistics.transform_point(pose, segments.joint_offset[s]), origin)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _combine_joint_estimates(joint_segments, j, poses, position, registration):
     """Write the weighted mean of a joint's positions according to the segments that meet there. Returns its variance.
 

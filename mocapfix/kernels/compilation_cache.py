@@ -1,28 +1,237 @@
-"""The folder in which Numba caches compiled kernels.
+"""The files in which compiled kernels are kept from one run to the next.
 
-By default Numba writes its cache beside the package or in the user's home. If neither is writable (a service, a container),
-the cache goes into the temporary folder, so that kernels are compiled once per machine instead of once per call.
+Numba's own cache compares the source of a compiled function with that of the cached one, but not the sources of the functions
+that it calls, and keeps what is out of date. Here the kernels of a module are in a folder whose name contains a digest of the
+sources of the module and of all that it imports, and of Numba's version. A folder of another digest is removed once this one
+is needed.
 """
 
+import hashlib
 import os
+import pickle
+import re
+import shutil
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 import numba
+from numba import njit
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-SOLVER_CACHE_PATTERN = "levenberg_marquardt.solve_frames-*.nbi"  # Numba's index file of the longest compilation
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+PACKAGE_FOLDER = Path(__file__).parent.parent
+KERNELS_FOLDER = Path(__file__).parent
+IMPORT_PATTERN = re.compile(r"^(?:from|import) +(mocapfix[\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
+DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 
 
-def configure_cache_folder() -> None:
-    """Redirect Numba's cache to the temporary folder if its default folders are not writable."""
-    folders = (Path(__file__).parent, Path.home())
-    if not numba.config.CACHE_DIR and not any(os.access(folder, os.W_OK) for folder in folders):  # pyright: ignore
-        numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / "mocapfix-kernels")  # pyright: ignore
+def compile_kernel(function=None, **options):
+    """Compile a function as `numba.njit` does, and cache it in the folder of its module. A decorator.
+
+    options  of `numba.njit`
+    """
+    if function is None:
+        return lambda function: compile_kernel(function, **options)
+    dispatcher = njit(no_cfunc_wrapper=True, **options)(function)  # nothing calls kernels by their address
+    dispatcher._cache = KernelCache(function)
+    return dispatcher
 
 
-def is_solver_compiled() -> bool:
-    """Return whether the compiled pose solver is in this machine's cache."""
-    from mocapfix.kernels.levenberg_marquardt import solve_frames
+def compile_inner_kernel(function=None, **options):
+    """Compile a function that only other kernels call. A decorator, as `compile_kernel`.
 
-    cache_path = solve_frames.stats.cache_path
-    return cache_path is not None and any(Path(cache_path).glob(SOLVER_CACHE_PATTERN))
+    The code with which Python would call the function is left out: it takes about as long to compile as the function itself. A
+    call from Python, as in a test, works all the same, but compiles the function another time and does not cache that.
+    """
+    if function is None:
+        return lambda function: compile_inner_kernel(function, **options)
+    dispatcher = compile_kernel(function, no_cpython_wrapper=True, **options)
+    build_callable_dispatcher = cache(lambda: njit(**options)(function))
+    dispatcher._insert = lambda *arguments, **named: None  # the table of what Python may call stays empty
+    dispatcher._compile_for_args = lambda *values, **named: build_callable_dispatcher()._compile_for_args(*values, **named)
+    return dispatcher
+
+
+class KernelCacheLocator(_CacheLocator):
+    """Where the kernels of one module are cached."""
+
+    def __init__(self, function):
+        self._py_file = function.__code__.co_filename  # for Numba's warnings
+        self._line = function.__code__.co_firstlineno
+        self._folder = find_module_folder(function.__module__)
+
+    @classmethod
+    def from_function(cls, py_func, py_file):
+        """Return the locator of a function."""
+        return cls(py_func)
+
+    def ensure_cache_path(self):
+        """Create the folder, and remove those of other versions of the module."""
+        if not self._folder.is_dir():
+            self._folder.mkdir(parents=True, exist_ok=True)
+            remove_outdated_folders(self._folder.parent)
+
+    def get_cache_path(self):
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self):
+        """Return what changes with the sources: the folder's name."""
+        return self._folder.name
+
+    def get_disambiguator(self):
+        """Return the line of the function, by which functions of one name differ."""
+        return str(self._line)
+
+
+class KernelCacheImplementation(CompileResultCacheImpl):
+    """Numba's files of compiled functions, in the folders of `KernelCacheLocator`."""
+
+    _locator_classes = (KernelCacheLocator,)
+
+
+class KernelCache(FunctionCache):
+    """Numba's cache of a function; a cache that cannot be read or written only costs time."""
+
+    _impl_class = KernelCacheImplementation
+
+    def load_overload(self, sig, target_context):
+        """Return the compiled function for a signature, None if it must be compiled."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # an incomplete file, or one that refers to what has been moved
+            return None
+
+    def save_overload(self, sig, data):
+        """Save a compiled function. Another process that saves the same function with another signature waits."""
+        with suppress(OSError):
+            self._impl.locator.ensure_cache_path()
+            with lock_folder(Path(self.cache_path)):
+                try:
+                    super().save_overload(sig, data)
+                except (pickle.PickleError, EOFError, AttributeError, ImportError):  # the index cannot be read
+                    self.flush()
+                    super().save_overload(sig, data)
+
+    @property
+    def is_empty(self):
+        """True if there is no compiled function for any signature."""
+        return not Path(self._cache_file._index_path).exists()
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Hold a lock on a folder, so that one process at a time writes there."""
+    if fcntl is None:
+        yield
+        return
+    with (folder / ".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@cache
+def find_cache_folder() -> Path:
+    """Return the folder for compiled kernels: the first that is writable of several.
+
+    They are the folder that NUMBA_CACHE_DIR names, the package's, the user's cache folder and the temporary folder. Outside the
+    package its installations have different folders.
+    """
+    installation = f"kernels-{_compute_digest(str(PACKAGE_FOLDER).encode())}"
+    candidates = [KERNELS_FOLDER / "__pycache__"]
+    if numba.config.CACHE_DIR:
+        candidates.insert(0, Path(numba.config.CACHE_DIR) / "mocapfix" / installation)
+    with suppress(RuntimeError):  # no home
+        candidates.append(_find_user_cache_folder() / "mocapfix" / installation)
+    temporary = Path(tempfile.gettempdir()) / "mocapfix" / installation
+    return next((folder for folder in candidates if _is_writable(folder)), temporary)
+
+
+def _find_user_cache_folder() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def find_module_folder(module: str) -> Path:
+    """Return the folder for the compiled kernels of a module, which may not exist."""
+    return find_cache_folder() / _name_module_folder(module)
+
+
+@cache
+def _name_module_folder(module: str) -> str:
+    return f"{module}-{compute_source_digest(module)}"
+
+
+@cache
+def compute_source_digest(module: str) -> str:
+    """Return a digest of the sources of a module and of all modules that it imports, and of Numba's version."""
+    found: set[str] = set()
+    remaining = [module]
+    while remaining:
+        name = remaining.pop()
+        if name not in found and (source := _read_source(name)):
+            found.add(name)
+            remaining += source[1]
+    sources = [_read_source(name)[0] for name in sorted(found)]
+    return _compute_digest(b"\0".join([numba.__version__.encode(), *sources]))
+
+
+@cache
+def _read_source(module: str) -> tuple[bytes, list[str]] | None:
+    """Return the source of a module of the package and the names of what it imports; None if it is none.
+
+    The package itself, whose imports are deferred, is none.
+    """
+    path = PACKAGE_FOLDER.parent.joinpath(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    if module == PACKAGE_FOLDER.name or not path.is_file():
+        return None
+    source = path.read_bytes()
+    imported = [module.rpartition(".")[0]]
+    for origin, names in IMPORT_PATTERN.findall(source.decode("utf-8")):
+        imported += [origin, *(f"{origin}.{name}" for name in re.findall(r"\w+", names))]
+    return source, imported
+
+
+@cache
+def compute_kernels_digest() -> str:
+    """Return a digest of all kernels' sources and of the list of those that are compiled first."""
+    files = sorted([*KERNELS_FOLDER.rglob("*.py"), *KERNELS_FOLDER.glob("*.json")])
+    return _compute_digest(b"\0".join([numba.__version__.encode(), *(file.read_bytes() for file in files)]))
+
+
+def _compute_digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:DIGEST_LENGTH]
+
+
+def remove_outdated_folders(cache_folder: Path) -> None:
+    """Remove what earlier versions of this installation's kernels have left in a cache folder."""
+    for folder in cache_folder.glob("mocapfix.*-*"):
+        module = folder.name.rpartition("-")[0]
+        if folder.name != _name_module_folder(module):
+            shutil.rmtree(folder, ignore_errors=True)
+    for file in KERNELS_FOLDER.rglob("*.nb[ic]"):  # Numba's own cache, which earlier versions used
+        if file.parent.name != "__pycache__":
+            continue
+        with suppress(OSError):
+            file.unlink()

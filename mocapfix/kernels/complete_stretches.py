@@ -1,10 +1,11 @@
 """Search for stretches of a signal in which all required frames are visible."""
 
 import numpy as np
-from numba import njit
+
+from mocapfix.kernels.compilation_cache import compile_kernel
 
 
-@njit(cache=True)
+@compile_kernel
 def find_complete_stretches(is_visible, frame_offsets, step):
     """Return the frames, of every `step`th, for which all frames at the given offsets (N,) are visible (T,)."""
     starts, count = np.empty(len(is_visible), np.int64), 0

@@ -4,15 +4,15 @@ Exact to second order at the pose, in time linear in joints and markers.
 """
 
 import numpy as np
-from numba import njit
 
 from mocapfix.kernels import low_rank, sweep
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.workspace import allocate_workspace, load_pose
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def propagate_covariance(tree, equations, factors, covariance, rotation_variance):
     """Write each body's twist covariance (J, 6, 6) and each joint's rotation variance (J,), from the sweep's factors.
 
@@ -58,7 +58,7 @@ def propagate_covariance(tree, equations, factors, covariance, rotation_variance
                 covariance[i, c, a] = total
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def add_outer_products(sign, twist, joint_turn, covariance, rotation_variance):
     """Add `sign` times the outer products of a step twist (J, 6), joint_turn (J, 3) to the covariances."""
     for j in range(len(joint_turn)):
@@ -70,7 +70,7 @@ def add_outer_products(sign, twist, joint_turn, covariance, rotation_variance):
             rotation_variance[j] += sign * turn * turn / 3
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def add_shared_covariance(tree, work, covariance, rotation_variance):
     """Add the covariance due to the uncertainty of the shared unknowns.
 
@@ -87,7 +87,7 @@ def add_shared_covariance(tree, work, covariance, rotation_variance):
         add_outer_products(1.0, step.twist, step.joint_turn, covariance, rotation_variance)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def subtract_row_information(tree, work, responses, covariance, rotation_variance):
     """Subtract the reduction of the covariance by the rows (Woodbury, as in low_rank): Y (L L')^-1 Y', Y the row responses."""
     if responses is None:
@@ -110,7 +110,7 @@ def subtract_row_information(tree, work, responses, covariance, rotation_varianc
         add_outer_products(-1.0, twist, joint_turn, covariance, rotation_variance)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_point_sd(v, j, x, y, z):
     """Return the standard deviation per axis of the point (x, y, z), from the origin, of body j; v (J, 6, 6) covariances."""
     total = v[j, 3, 3] + v[j, 4, 4] + v[j, 5, 5]  # trace of [-[x]x, I] v [-[x]x, I]'
@@ -120,7 +120,7 @@ def compute_point_sd(v, j, x, y, z):
     return np.sqrt(max(total, 0.0) / 3)
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def compute_uncertainty_frames(
     tree, terms, scale2, rows, root, local, shared, marker_sd, joint_sd, rotation_variance, root_variance, first, stop
 ):

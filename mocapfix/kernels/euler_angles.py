@@ -7,14 +7,15 @@ Source: Shuster 1993, "A survey of attitude representations", for the orders; fo
 import math
 
 import numpy as np
-from numba import njit
+
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 
 MIN_GIMBAL_COSINE = 1e-7  # cosine of the middle angle; below it only the sum or difference of the outer angles is known
 MAX_ANGLE_FIT_ROUNDS = 30  # of fitting one angle after the other, for joints with fewer than three axes
 ANGLE_TOLERANCE_RAD = 1e-12  # total change of a fit's round; below it the fit has converged
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_euler_matrices(angles, axes):
     """Return (T, 3, 3) rotations of angles (T, D) in radians about axes (D,), each 0, 1 or 2; NaN where an angle is NaN."""
     out = np.empty((len(angles), 3, 3))
@@ -23,7 +24,7 @@ def compute_euler_matrices(angles, axes):
     return out
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compose_rotation(angles, axes, out):
     out[:] = 0.0
     out[0, 0] = out[1, 1] = out[2, 2] = 1.0
@@ -31,7 +32,7 @@ def _compose_rotation(angles, axes, out):
         _rotate_about_axis(out, axes[d], angles[d])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _rotate_about_axis(m, axis, angle):
     """Replace m by m @ R_axis(angle)."""
     sine, cosine = math.sin(angle), math.cos(angle)
@@ -41,7 +42,7 @@ def _rotate_about_axis(m, axis, angle):
         m[row, j], m[row, k] = cosine * a + sine * b, cosine * b - sine * a
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_continuous_euler_angles(rotations, axes, start):
     """Return (T, D) radians about `axes` (D,) of rotations (T, 3, 3), each frame's nearest to the frame before.
 
@@ -62,7 +63,7 @@ def compute_continuous_euler_angles(rotations, axes, start):
     return out
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _solve_three_angles(r, axes, current):
     """Replace `current` (3,) by the angles of rotation `r` that are nearest to it.
 
@@ -90,7 +91,7 @@ def _solve_three_angles(r, axes, current):
     current[2] += dc
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _fit_angles(r, axes, current):
     """Replace `current` (D,) by the angles of the rotation nearest to `r`: coordinate descent, each angle in closed form."""
     before, after = np.empty((3, 3)), np.empty((3, 3))
@@ -109,7 +110,7 @@ def _fit_angles(r, axes, current):
             return
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _wrap_angle(angle):
     """Return the equivalent angle within half a turn of zero."""
     return angle - 2 * np.pi * np.round(angle / (2 * np.pi))

@@ -6,8 +6,8 @@ Local rotations map vectors from a joint's axes to its parent's; world rotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import compute_retraction, orthonormalise_rotation
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
 
@@ -34,21 +34,13 @@ class FramePose(NamedTuple):
     rotation: np.ndarray  # (J, 3, 3) in the world
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_pose(joints, unknowns):
     """Return arrays for a pose."""
     return FramePose(np.empty(3), np.empty((joints, 3, 3)), np.zeros(unknowns), np.empty((joints, 3)), np.empty((joints, 3, 3)))
 
 
-@njit(cache=True)
-def copy_array(source, target):
-    """Copy `source` into `target`, both contiguous and of one shape."""
-    flat, out = source.reshape(-1), target.reshape(-1)
-    for i in range(len(flat)):
-        out[i] = flat[i]
-
-
-@njit(cache=True)
+@compile_inner_kernel
 def compute_forward_kinematics(tree, pose):
     """Write the pose's world positions and rotations."""
     position, rotation = pose.position, pose.rotation
@@ -68,7 +60,7 @@ def compute_forward_kinematics(tree, pose):
         store_matrix(multiply_matrices(parent_rotation, load_matrix(pose.local, j)), rotation, j)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def apply_step(tree, pose, step, target):
     """Write into `target` the pose after a step: every joint rotated about its world axes, the root moved with its twist.
 
@@ -90,7 +82,7 @@ def apply_step(tree, pose, step, target):
         store_matrix(local, target.local, j)
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def compute_world_frames(tree, root, local, position, rotation, first, stop):
     """Write world positions (T, J, 3) and rotations (T, J, 3, 3) of the frames first..stop - 1."""
     no_shared = np.empty(0)
@@ -98,7 +90,7 @@ def compute_world_frames(tree, root, local, position, rotation, first, stop):
         compute_forward_kinematics(tree, FramePose(root[t], local[t], no_shared, position[t], rotation[t]))
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def compute_marker_frames(tree, joints, offsets, root, local, position, markers, first, stop):
     """Write world positions of joints (T, J, 3) and of markers (T, K, 3) in the frames first..stop - 1.
 

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
 from mocapfix.kernels.swing_twist import (
     add_scaled,
@@ -50,7 +50,7 @@ class HybrikObservations(NamedTuple):
     twists: np.ndarray  # (T or 1, J, 2) cosine and sine of each joint's twist, times its information (1/rad^2)
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def solve_hybrik_frames(skeleton, variant, observations, root, local, reach_error, first, stop):
     """Solve `local` (T, J, 3, 3), whose roots are given, in place, in the frames first..stop - 1.
 
@@ -72,7 +72,7 @@ def solve_hybrik_frames(skeleton, variant, observations, root, local, reach_erro
                     reach_error[t] = error
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_world_pose(skeleton, j, root, local, position, rotation):
     """Write the world pose of one joint from its parent's."""
     p = skeleton.parents[j]
@@ -86,7 +86,7 @@ def _compute_world_pose(skeleton, j, root, local, position, rotation):
         store_matrix(multiply_matrices(load_matrix(rotation, p), load_matrix(local, j)), rotation, j)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _solve_joint(skeleton, variant, j, points, variance, twists, local, position, rotation):
     """Rotate one joint towards its points. Returns the reach error of its conflict joint, metres."""
     parent_rotation = load_matrix(rotation, skeleton.parents[j])
@@ -123,7 +123,7 @@ def _solve_joint(skeleton, variant, j, points, variance, twists, local, position
     return reach_error
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_child_target(skeleton, variant, j, child, points, variance, here, rotation):
     """Return whether a child's target is known, the target, and the reach error of the conflict joint beyond it."""
     end, target = skeleton.conflict_joint[j], _read_vector(points, child)
@@ -138,7 +138,7 @@ def _compute_child_target(skeleton, variant, j, child, points, variance, here, r
     return True, middle, error
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_subtree_root(skeleton, j, points, variance):
     """Return the position of a conflict joint according to the sub-tree that hangs on it.
 
@@ -159,16 +159,16 @@ def _compute_subtree_root(skeleton, j, points, variance):
     return add_scaled(_read_vector(points, j), share * (1.0 - compute_square_root(compute_dot(rest, rest)) / length), measured)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _is_known(points, k):
     return not math.isnan(points[k, 0] + points[k, 1] + points[k, 2])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _read_vector(m, j):
     return m[j, 0], m[j, 1], m[j, 2]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_length(m, j):
     return compute_square_root(compute_dot(_read_vector(m, j), _read_vector(m, j)))

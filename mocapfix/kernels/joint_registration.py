@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import compute_exponential, compute_logarithm
 from mocapfix.kernels.rigid_registration import accumulate_cross_covariance, compute_nearest_rotation, compute_weighted_means
 from mocapfix.kernels.small_matrices import (
@@ -30,7 +30,7 @@ class RootPoints(NamedTuple):
     first_coincident: np.ndarray  # (R,) index of the first point with the same rest position, often itself
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def register_root_frames(root_points, points, variance, refine, position, rotation, place_counts, first, stop):
     """Write the root's position, rotation and the number of distinct known places, in the frames first..stop - 1.
 
@@ -78,7 +78,7 @@ class LimbWorkspace(NamedTuple):
     target: np.ndarray  # (3, 3) the joint's world rotation
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def register_limb_frames(parents, offsets, shared_rotations, joints, marker_offsets, markers, root, local, first, stop):
     """Fit the joints to their markers down the tree, in the frames first..stop - 1; `local` (T, J, 3, 3) is changed in place.
 
@@ -106,7 +106,7 @@ def register_limb_frames(parents, offsets, shared_rotations, joints, marker_offs
                 _distribute_rotation(parents, offsets, shared_rotations[j], j, work, local[t], position, rotation)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_joint_pose(parents, offsets, j, local, position, rotation):
     """Write the world pose of one joint from its parent's."""
     p = parents[j]
@@ -115,7 +115,7 @@ def _compute_joint_pose(parents, offsets, j, local, position, rotation):
     position[j, 0], position[j, 1], position[j, 2] = position[p, 0] + x, position[p, 1] + y, position[p, 2] + z
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _fit_joint_rotation(markers, marker_offsets, weight, centre, mean_rotation, work):
     """Write into work.target the world rotation of a joint at `centre`; `mean_rotation` regularises it."""
     count = 0.0
@@ -133,7 +133,7 @@ def _fit_joint_rotation(markers, marker_offsets, weight, centre, mean_rotation, 
     compute_nearest_rotation(work.cross, work.symmetric, work.vectors, work.target)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _distribute_rotation(parents, offsets, chain, last, work, local, position, rotation):
     """Rotate the joints of `chain` (J,) by equal parts, so that the world rotation of joint `last` becomes work.target."""
     first, count = last, 0

@@ -5,7 +5,8 @@ and `distances` a `mocapfix.detect.marker_distances.MarkerDistances`.
 """
 
 import numpy as np
-from numba import njit
+
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 
 # Mismatch of two samples that noise and skin cause in an arbitrarily short time.
 LEAP_TOLERANCE_M = 0.010
@@ -35,7 +36,7 @@ SMOOTH_CHANGE_COST = 1000.0
 CONTRADICTION_S_PER_LEAP = 0.05
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_leap(trajectories, frame, source, target):
     """Compute how much of a leap it is from the last sample of `source` before `frame` to the sample of `target` in it.
 
@@ -64,7 +65,7 @@ def compute_leap(trajectories, frame, source, target):
     return min(1.0, nearest / tolerance**2)
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_own_leaps(trajectories):
     """Compute the leap (T, M), 0..1, of each label between its previous sample and the present one."""
     frames, count = trajectories.previous_frame.shape
@@ -75,7 +76,7 @@ def compute_own_leaps(trajectories):
     return own
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_contradiction(markers, distances, frame, label, marker, is_excluded, unseen_vote):
     """Compute how badly the sample under `label` fits as the `marker`: 0 (well) to 1.
 
@@ -98,7 +99,7 @@ def compute_contradiction(markers, distances, frame, label, marker, is_excluded,
     return contradiction / votes if votes else unseen_vote
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_own_contradictions(markers, distances, unseen_vote):
     """Compute how badly each sample fits under its own label: (T, M), 0..1."""
     frames, count = markers.shape[:2]
@@ -110,7 +111,7 @@ def compute_own_contradictions(markers, distances, unseen_vote):
     return own
 
 
-@njit(cache=True)
+@compile_kernel
 def mark_continuations(trajectories, distances, leaps, own_contradiction, is_candidate):
     """Mark in `is_candidate` (M, M) that label j may continue marker i: one leaps to where the other was going.
 
@@ -135,7 +136,7 @@ def mark_continuations(trajectories, distances, leaps, own_contradiction, is_can
                     is_candidate[i, j] = contradiction <= own_contradiction[t, j] + MIN_SWAP_CONTRADICTION
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_mean_contradictions(markers, distances, frames, label):
     """Compute how badly, on average, the samples under a label fit as each marker: (M,), 0..1."""
     count = markers.shape[1]
@@ -146,7 +147,7 @@ def compute_mean_contradictions(markers, distances, frames, label):
     return mean
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_exchange_costs(states, group, trajectories, distances):
     """Compute the costs in leaps of the step (T, S, S) into a frame's state from the one before, and of the state (T, S)."""
     frames, count = trajectories.previous_frame.shape

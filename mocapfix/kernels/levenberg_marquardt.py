@@ -10,8 +10,10 @@ import math
 from numba import njit
 
 from mocapfix.kernels import low_rank, sweep
-from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics, copy_array
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.forward_kinematics import apply_step, compute_forward_kinematics
 from mocapfix.kernels.normal_equations import linearise_terms
+from mocapfix.kernels.small_matrices import copy_array
 from mocapfix.kernels.workspace import allocate_workspace, copy_pose, load_pose, store_pose
 from mocapfix.motion import FrameStatus
 
@@ -26,7 +28,7 @@ MIN_COST_DECREASE = 1e-3  # a predicted decrease of the cost (half a sum of squa
 MIN_COST = 1e-12  # a cost below it is rounding error
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_array_dot(a, b):
     """Return the sum of products of two contiguous arrays of one shape."""
     flat, other = a.reshape(-1), b.reshape(-1)
@@ -36,7 +38,7 @@ def compute_array_dot(a, b):
     return total
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def find_largest_curvature(equations):
     """Return the largest diagonal entry of the curvature, or 1 if that is larger.
 
@@ -57,7 +59,7 @@ def find_largest_curvature(equations):
     return largest
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def is_constrained(equations):
     """Return whether any term constrains the pose."""
     for j in range(len(equations.h)):
@@ -150,7 +152,7 @@ def solve_frame(tree, terms, t, scales2, damping_ratio, max_iterations, work):
     return status, total
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def copy_joints_from_frame(root, local, shared, source, t, copied_joints):
     """Copy the joints marked in copied_joints (J,) from frame `source` to frame t; with the root, its position and shared."""
     for j in range(len(copied_joints)):
@@ -161,7 +163,7 @@ def copy_joints_from_frame(root, local, shared, source, t, copied_joints):
         copy_array(shared[source], shared[t])
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def solve_frames(
     tree, terms, solve_order, scales2, damping_ratio, max_iterations, rows, root, local, shared, status, iterations, first, stop
 ):
@@ -182,7 +184,7 @@ def solve_frames(
         store_pose(work.pose, root, local, shared, t)
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def compute_cost_frames(tree, terms, frames, scale2, rows, root, local, shared, cost):
     """Write into cost (F,) the cost of the terms in some `frames` (F,): half the sum of squares, robust for robust terms."""
     work = allocate_workspace(local.shape[1], shared.shape[1], rows)

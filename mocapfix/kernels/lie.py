@@ -5,12 +5,12 @@ Matrices are tuples of nine numbers, row by row, as in `small_matrices`.
 
 import math
 
-from numba import njit
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 
 MIN_TILT_SINE = 1e-3  # radians: a body closer to upside down than this has no tilt axis; x is taken
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_exponential(x, y, z):
     """Return the rotation matrix of the rotation vector (x, y, z), radians. Rodrigues' formula."""
     angle2 = x * x + y * y + z * z
@@ -22,14 +22,14 @@ def compute_exponential(x, y, z):
     return assemble_rotation(x, y, z, s, c)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_retraction(x, y, z):
     """Return Cayley's rotation, by 2 atan(length / 2): equal to `compute_exponential` to second order, without a sine."""
     s = 1.0 / (1.0 + 0.25 * (x * x + y * y + z * z))
     return assemble_rotation(x, y, z, s, 0.5 * s)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def assemble_rotation(x, y, z, s, c):
     """Return I + s [v]x + c [v]x^2 for v = (x, y, z)."""
     return (
@@ -39,7 +39,7 @@ def assemble_rotation(x, y, z, s, c):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def convert_matrix_to_quaternion(m):
     """Return x, y, z, w of the rotation matrix `m` (nine numbers, row by row); w >= 0, the length is arbitrary.
 
@@ -60,14 +60,14 @@ def convert_matrix_to_quaternion(m):
     return x, y, z, w
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def convert_quaternion_to_matrix(x, y, z, w):
     """Return the rotation matrix of a quaternion of any length but 0."""
     s = 2 / (x * x + y * y + z * z + w * w)
     return assemble_rotation(x, y, z, s * w, s)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_logarithm(m):
     """Return the rotation vector (radians, length at most pi) of the matrix `m`, and the fourth argument of
     `compute_left_jacobian_inverse`.
@@ -86,7 +86,7 @@ def compute_logarithm(m):
     return factor * x, factor * y, factor * z, c
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_left_jacobian_inverse(x, y, z, c):
     """Return J with log(exp(d) exp(r)) = r + J d to first order in d; r and c from `compute_logarithm`.
 
@@ -99,7 +99,7 @@ def compute_left_jacobian_inverse(x, y, z, c):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_tilt(m):
     """Return x and z of the rotation vector of the tilt of `m`, and the matrix of its derivative.
 
@@ -124,7 +124,7 @@ def compute_tilt(m):
     return x, z, (along + c * x * x, -z, c * x * z, 0.0, 0.0, 0.0, c * x * z, x, along + c * z * z)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def orthonormalise_rotation(m):
     """Return `m`, nearly a rotation, with orthonormal rows (Gram-Schmidt)."""
     length = 1.0 / math.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])

@@ -8,11 +8,10 @@ exact, and the cost is O(M J).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.forward_kinematics import copy_array
-from mocapfix.kernels.small_matrices import factor_cholesky, solve_cholesky
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.small_matrices import copy_array, factor_cholesky, solve_cholesky
 
 
 class RowResponses(NamedTuple):
@@ -25,7 +24,7 @@ class RowResponses(NamedTuple):
     row_product: np.ndarray  # (M,) working memory: the rows times a step
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_row_responses(joints, unknowns, rows):
     """Return arrays for the responses to so many rows; None for no rows."""
     if rows is None:
@@ -36,7 +35,7 @@ def allocate_row_responses(joints, unknowns, rows):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def multiply_row(equations, m, twist, joint_turn):
     """Return the product of row m and a step."""
     total = 0.0
@@ -48,7 +47,7 @@ def multiply_row(equations, m, twist, joint_turn):
     return total
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def add_row_gradient(equations, responses, g, g_joint):
     """Add the rows' gradient to g (J, 6) and g_joint (J, 3)."""
     if responses is None:
@@ -61,7 +60,7 @@ def add_row_gradient(equations, responses, g, g_joint):
                 g_joint[j, a] += equations.row_residual[m] * equations.row_joint[m, j, a]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_row_responses(tree, equations, factors, spare_g, responses):
     """Write the response to each row, after `sweep.factorise_tree`; spare_g (J, 6) is overwritten."""
     rows = len(equations.row_residual)
@@ -77,7 +76,7 @@ def compute_row_responses(tree, equations, factors, spare_g, responses):
     factor_cholesky(responses.capacitance)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def correct_step(equations, responses, step):
     """Correct a step that includes the rows' gradient but not their curvature, so that it includes both."""
     product = responses.row_product
@@ -94,7 +93,7 @@ def correct_step(equations, responses, step):
             step.shared[c] += product[m] * responses.shared[m, c]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def apply_rows(tree, equations, factors, responses, spare_g, step):
     """Include the rows' curvature in the sweep's step; spare_g (J, 6) is overwritten."""
     if responses is None:
@@ -103,7 +102,7 @@ def apply_rows(tree, equations, factors, responses, spare_g, step):
     correct_step(equations, responses, step)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_row_decrease(equations, responses, step):
     """Return the decrease of the cost along a step that the rows' gradient predicts."""
     total = 0.0

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import literal_unroll, njit
+from numba import literal_unroll
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
 from mocapfix.kernels.terms.contract import add_term
 
@@ -32,7 +33,7 @@ class NormalEquations(NamedTuple):
     row_count: np.ndarray  # (1,) number of rows written so far
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_equations(joints, unknowns, rows):
     """Return arrays for the model of any frame with so many joints, shared unknowns and rows (None for no rows)."""
     rows = 0 if rows is None else rows
@@ -44,7 +45,7 @@ def allocate_equations(joints, unknowns, rows):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def clear_equations(equations):
     """Set the model to zero."""
     equations.h.fill(0)
@@ -60,7 +61,7 @@ def clear_equations(equations):
     equations.row_count[0] = 0
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def linearise_terms(tree, terms, t, scale2, pose, equations):
     """Write the model of frame t's terms at a pose whose forward kinematics is computed. Returns the cost."""
     clear_equations(equations)

@@ -7,15 +7,15 @@ large to copy for a long take.
 import math
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_matrix_to_quaternion, convert_quaternion_to_matrix
 from mocapfix.kernels.small_matrices import load_matrix, store_matrix
 
 MIN_VECTOR_LENGTH = 1e-12  # a quaternion's vector part shorter than this has no direction
 
 
-@njit(cache=True)
+@compile_kernel
 def extract_joint_quaternions(rotations, joint, known):
     """Return (T, 4) quaternions of rotations[:, joint] (T, J, 3, 3), their signs chosen for continuity.
 
@@ -43,7 +43,7 @@ def extract_joint_quaternions(rotations, joint, known):
     return out
 
 
-@njit(cache=True)
+@compile_kernel
 def store_joint_quaternions(quaternions, joint, rotations):
     """Write quaternions (T, 4) of any length but 0 into rotations[:, joint] (T, J, 3, 3) as matrices."""
     for t in range(len(quaternions)):
@@ -51,7 +51,7 @@ def store_joint_quaternions(quaternions, joint, rotations):
         store_matrix(convert_quaternion_to_matrix(x, y, z, w), rotations[t], joint)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_relative_rotation_vectors(quaternions, reference):
     """Return (T, 3) rotation vectors (radians, length at most pi) of quaternions (T, 4) relative to `reference` (4,).
 

@@ -7,8 +7,8 @@ that are wider than a line. `stats.rigid_alignment` has NumPy wrappers for whole
 import math
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import convert_quaternion_to_matrix, orthonormalise_rotation
 from mocapfix.kernels.small_matrices import multiply_matrices, store_matrix, transpose_matrix
 
@@ -20,7 +20,7 @@ MAX_NEWTON_STEPS = 50  # of the search for the quartic's root
 NEWTON_TOLERANCE = 1e-15  # of a Newton step to the root: below it the search ends
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_weighted_means(points, model, weight, mean_points, mean_model):
     """Write the weighted means (3,) of one frame's `points` (K, 3) and of the `model` (K, 3)."""
     total = MIN_WEIGHT_SUM
@@ -37,7 +37,7 @@ def compute_weighted_means(points, model, weight, mean_points, mean_model):
         mean_model[a] /= total
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def accumulate_cross_covariance(points, model, weight, mean_points, mean_model, cross):
     """Write the weighted sum (3, 3) of the outer products of points - mean_points and model - mean_model, of one frame."""
     for a in range(3):
@@ -51,7 +51,7 @@ def accumulate_cross_covariance(points, model, weight, mean_points, mean_model, 
                     cross[a, b] += lever * (model[k, b] - mean_model[b])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_nearest_rotation(cross, m, vectors, out):
     """Write into `out` (3, 3) the rotation that maximises trace(out' cross).
 
@@ -83,7 +83,7 @@ def compute_nearest_rotation(cross, m, vectors, out):
     store_matrix(convert_quaternion_to_matrix(q[1], q[2], q[3], q[0]), out.reshape((1, 3, 3)), 0)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _apply_jacobi_rotation(m, vectors, i, j):
     """Rotate the axes i < j so that m[i, j] becomes 0; only the upper triangle of `m` is kept, eigenvectors are rows."""
     half = (m[j, j] - m[i, i]) / (2 * m[i, j])
@@ -100,7 +100,7 @@ def _apply_jacobi_rotation(m, vectors, i, j):
         vectors[i, k], vectors[j, k] = c * vectors[i, k] - s * vectors[j, k], s * vectors[i, k] + c * vectors[j, k]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def solve_wahba(b):
     """Return whether the cloud is wider than a line, and the rotation that maximises trace(R' b), in closed form.
 
@@ -139,7 +139,7 @@ def solve_wahba(b):
     ))  # fmt: skip
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_cross_covariance_frames(points, model, weight, cross, mean_points, mean_model):
     """Write cross-covariances (T, 3, 3) and weighted means (T, 3) of points (T, K, 3) and a model (K, 3)."""
     for t in range(len(points)):
@@ -147,7 +147,7 @@ def compute_cross_covariance_frames(points, model, weight, cross, mean_points, m
         accumulate_cross_covariance(points[t], model, weight[t], mean_points[t], mean_model[t], cross[t])
 
 
-@njit(cache=True)
+@compile_kernel
 def fit_rotation_frames(cross, rotation):
     """Write the nearest rotations (T, 3, 3) of cross-covariances (T, 3, 3)."""
     m, vectors = np.empty((4, 4)), np.empty((4, 4))
@@ -155,7 +155,7 @@ def fit_rotation_frames(cross, rotation):
         compute_nearest_rotation(cross[t], m, vectors, rotation[t])
 
 
-@njit(cache=True)
+@compile_kernel
 def transform_point_frames(points, origin, rotation, out):
     """Write world points (T, K, 3) in the axes rotation (T, 3, 3) about origin (T, 3)."""
     for t in range(len(points)):

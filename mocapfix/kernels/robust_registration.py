@@ -15,8 +15,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 from mocapfix.kernels.rigid_registration import compute_nearest_rotation, solve_wahba
 from mocapfix.kernels.small_matrices import (
     invert_symmetric_3x3,
@@ -49,27 +49,27 @@ class RegistrationWorkspace(NamedTuple):
     inverse: np.ndarray  # (1, 3, 3)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def read_matrix(row, n):
     """Return the 3 x 3 matrix that begins at number `n` of a row, as nine numbers."""
     return row[n], row[n + 1], row[n + 2], row[n + 3], row[n + 4], row[n + 5], row[n + 6], row[n + 7], row[n + 8]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def clear_row(row):
     """Set a row to zero: no information."""
     for n in range(len(row)):
         row[n] = 0.0
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def copy_row(row, target):
     """Copy a row into `target`."""
     for n in range(len(row)):
         target[n] = row[n]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def add_point(row, w, point, p):
     """Add a world point, three numbers, of weight w and position p (3,) in the segment's axes."""
     a, b, c = p[0], p[1], p[2]
@@ -84,14 +84,14 @@ def add_point(row, w, point, p):
     add_rotation_information(row, 1.0, (x * a, x * b, x * c, y * a, y * b, y * c, z * a, z * b, z * c))
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def add_rotation_information(row, factor, fisher):
     """Add `factor` times a matrix Fisher parameter, nine numbers."""
     for n in range(9):
         row[7 + n] += factor * fisher[n]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def fit_segment_pose(row, pose, work):
     """Write the most likely pose. Without information it is the identity at the origin, with weight zero."""
     w, cross = row[0], work.cross
@@ -113,7 +113,7 @@ def fit_segment_pose(row, pose, work):
         pose[ROTATION_INDEX + n], pose[INFORMATION_INDEX + n] = rotation[n], information[n]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def transform_point(pose, p):
     """Return the world position of the point p (3,) of the segment."""
     b = BODY_CENTROID_INDEX
@@ -121,7 +121,7 @@ def transform_point(pose, p):
     return pose[WORLD_CENTROID_INDEX] + x, pose[WORLD_CENTROID_INDEX + 1] + y, pose[WORLD_CENTROID_INDEX + 2] + z
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_point_variance(pose, p, min_information, work):
     """Return the mean variance per axis (m^2) of the point p (3,); infinite for a pose without weight.
 
@@ -145,7 +145,7 @@ def compute_point_variance(pose, p, min_information, work):
     return 1 / pose[WEIGHT_INDEX] + max(0.0, lever) / 3
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def propagate_rotation_information(known, joint, work):
     """Return the Fisher parameter that a neighbour's rotation gives through a joint.
 
@@ -172,7 +172,7 @@ def propagate_rotation_information(known, joint, work):
 OUTLIER_SCALE_M = 0.05  # Geman-McClure scale: a marker's weight falls with its distance from the segment, over this
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def fit_segment_pose_robustly(measured, offsets, weight, inlier_weight, row, pose, work, spare):
     """Write the most likely pose; if a marker lies far from it, fit again with weights that fall with the distance.
 
@@ -205,7 +205,7 @@ def fit_segment_pose_robustly(measured, offsets, weight, inlier_weight, row, pos
     fit_segment_pose(row, pose, work)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_disagreement(measured, offsets, inlier_weight, pose):
     """Return the markers' robust disagreement with a pose (from 0 to their count) and the largest squared distance."""
     total, worst_square = 0.0, 0.0
@@ -217,7 +217,7 @@ def _compute_disagreement(measured, offsets, inlier_weight, pose):
     return total, worst_square
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_squared_distance(pose, p, point):
     """Return the squared distance of a measured point from its position according to the pose."""
     x, y, z = transform_point(pose, p)

@@ -11,15 +11,23 @@ import numpy as np
 from numba import njit
 
 from mocapfix.kernels import sweep
-from mocapfix.kernels.forward_kinematics import compute_forward_kinematics, copy_array
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
 from mocapfix.kernels.normal_equations import linearise_terms
-from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, store_matrix, transpose_matrix
+from mocapfix.kernels.small_matrices import (
+    copy_array,
+    load_matrix,
+    multiply_matrices,
+    multiply_vector,
+    store_matrix,
+    transpose_matrix,
+)
 from mocapfix.kernels.terms.contract import compute_robust_loss
 from mocapfix.kernels.workspace import allocate_workspace, load_pose
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_shape_shift(deformations, p, points, parents, rotation, joint_shift, marker_shift):
     """Write the shift of joints (J, 3) and markers (K, 3), in world axes, by the p-th deformation with all rotations fixed."""
     joint_shift[0] = 0.0
@@ -35,7 +43,7 @@ def compute_shape_shift(deformations, p, points, parents, rotation, joint_shift,
             marker_shift[k, a] = joint_shift[j, a] + rotation[j, a, 0] * x + rotation[j, a, 1] * y + rotation[j, a, 2] * z
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_marker_gradient(points, lever, marker_weight, shift, g):
     """Write the gradient on the bodies' twists, g (J, 6), of markers shifted by `shift` (K, 3)."""
     g.fill(0)
@@ -51,7 +59,7 @@ def compute_marker_gradient(points, lever, marker_weight, shift, g):
         g[j, 5] += w * ez
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_joint_responses(twist, lever_arm, shift, out):
     """Write the shifts of the joints (J, 3): their own `shift` (J, 3) plus the motion by their bodies' twists (J, 6)."""
     for j in range(len(twist)):
@@ -61,7 +69,7 @@ def compute_joint_responses(twist, lever_arm, shift, out):
         out[j, 2] = shift[j, 2] + twist[j, 5] + twist[j, 0] * y - twist[j, 1] * x
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_marker_responses(joints, twist, lever, shift, rotation, out):
     """Write the shifts of the markers (K, 3) in the axes of their joints: their own `shift` plus the motion by the twists."""
     for m in range(len(joints)):
@@ -74,7 +82,7 @@ def compute_marker_responses(joints, twist, lever, shift, rotation, out):
             out[m, a] = rotation[j, 0, a] * sx + rotation[j, 1, a] * sy + rotation[j, 2, a] * sz
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_marker_errors(points, t, scale2, lever_arm, pose, lever, error, marker_weight):
     """Write frame t's markers relative to the common origin, their errors (K, 3) and robust weights (K,)."""
     rotation = pose.rotation
@@ -89,7 +97,7 @@ def compute_marker_errors(points, t, scale2, lever_arm, pose, lever, error, mark
         marker_weight[k] = weight * compute_robust_loss(points.loss, weight * square, scale2)[1]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_prior_errors(pose_prior, rotating, tree, pose, error, jacobian):
     """Write the rotation vectors (F, 3) from joints' prior targets to the joints, and their derivatives to world rotations.
 
@@ -107,7 +115,7 @@ def compute_prior_errors(pose_prior, rotating, tree, pose, error, jacobian):
             error[f, a] -= pose_prior.mean_vectors[j, a]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_prior_gradient(information, jacobian, a, out):
     """Write the gradient on a joint's rotation, `out` (3,), of a unit change of its prior's mean vector along axis `a`."""
     x, y, z = multiply_vector(transpose_matrix(jacobian), information[0, a], information[1, a], information[2, a])
@@ -173,7 +181,7 @@ def eliminate_pose(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def eliminate_pose_frames(
     tree, terms, deformations, rotating, scale2, only_errors, root, local, cost, marker_weight, marker_shift, marker_response,
     prior_response, prior_information, joint_response, first, stop,

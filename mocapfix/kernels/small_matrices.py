@@ -5,24 +5,24 @@ A tuple lives in registers and needs no allocation, unlike an array.
 
 import math
 
-from numba import njit
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 
 SUM_FASTMATH_FLAGS = {"reassoc", "contract"}  # allow the compiler to reorder and vectorise long sums of products
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def load_matrix(m, j):
     """Return matrix `j` of the stack m (J, 3, 3) as nine numbers, row by row."""
     return (m[j, 0, 0], m[j, 0, 1], m[j, 0, 2], m[j, 1, 0], m[j, 1, 1], m[j, 1, 2], m[j, 2, 0], m[j, 2, 1], m[j, 2, 2])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def load_single_matrix(m):
     """Return the matrix m (3, 3) as nine numbers."""
     return (m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def multiply_matrices(a, b):
     """Return a @ b."""
     return (
@@ -32,19 +32,19 @@ def multiply_matrices(a, b):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def transpose_matrix(a):
     """Return a.T."""
     return (a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def multiply_vector(a, x, y, z):
     """Return a @ (x, y, z)."""
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
 
 
-@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+@compile_inner_kernel(fastmath=SUM_FASTMATH_FLAGS)
 def multiply_rows(rows, x):
     """Return rows (3, N) @ x (N,)."""
     a, b, c = 0.0, 0.0, 0.0
@@ -55,7 +55,7 @@ def multiply_rows(rows, x):
     return a, b, c
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def store_matrix(a, out, j):
     """Write nine numbers into matrix `j` of the stack `out` (J, 3, 3)."""
     out[j, 0, 0], out[j, 0, 1], out[j, 0, 2] = a[0], a[1], a[2]
@@ -63,7 +63,7 @@ def store_matrix(a, out, j):
     out[j, 2, 0], out[j, 2, 1], out[j, 2, 2] = a[6], a[7], a[8]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def invert_symmetric_3x3(m, j):
     """Invert matrix `j` of the stack m (J, 3, 3), symmetric and positive definite, in place.
 
@@ -89,7 +89,7 @@ def invert_symmetric_3x3(m, j):
     return l10, l20, l21, i0, i1, i2
 
 
-@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+@compile_inner_kernel(fastmath=SUM_FASTMATH_FLAGS)
 def factor_cholesky(m):
     """Factor the positive definite `m` (N, N) into L L', L in its lower triangle, in place.
 
@@ -104,7 +104,7 @@ def factor_cholesky(m):
             m[i, j] = math.sqrt(max(total, 1e-9)) if i == j else total / m[j, j]
 
 
-@njit(cache=True, fastmath=SUM_FASTMATH_FLAGS)
+@compile_inner_kernel(fastmath=SUM_FASTMATH_FLAGS)
 def solve_cholesky(m, x):
     """Solve L L' x = x in place, L from `factor_cholesky` in `m` (N, N); x (N,)."""
     for i in range(len(m)):
@@ -118,7 +118,7 @@ def solve_cholesky(m, x):
             x[c] -= m[i, c] * x[i]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def invert_cholesky(m):
     """Replace the factor that `factor_cholesky` wrote into `m` (N, N) by the matrix's inverse, both triangles, in place."""
     n = len(m)
@@ -138,3 +138,11 @@ def invert_cholesky(m):
     for i in range(n):
         for j in range(i + 1, n):
             m[i, j] = m[j, i]
+
+
+@compile_inner_kernel
+def copy_array(source, target):
+    """Copy `source` into `target`, both contiguous and of one shape."""
+    flat, out = source.reshape(-1), target.reshape(-1)
+    for i in range(len(flat)):
+        out[i] = flat[i]

@@ -16,10 +16,16 @@ complement at P = 10, a third at P = 32.)
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from mocapfix.kernels.forward_kinematics import copy_array
-from mocapfix.kernels.small_matrices import factor_cholesky, invert_cholesky, invert_symmetric_3x3, multiply_rows, solve_cholesky
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.small_matrices import (
+    copy_array,
+    factor_cholesky,
+    invert_cholesky,
+    invert_symmetric_3x3,
+    multiply_rows,
+    solve_cholesky,
+)
 
 MIN_INFORMATION = 1e-3  # 1/m^2 or 1/rad^2, added to every unknown: keeps the variance of an unconstrained one finite
 
@@ -44,13 +50,13 @@ class SweepFactors(NamedTuple):
     shared_cholesky: np.ndarray  # (P, P) Cholesky factor of the shared unknowns' curvature with all poses eliminated
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_step(joints, unknowns):
     """Return arrays for a step."""
     return PoseStep(np.zeros((joints, 6)), np.zeros((joints, 3)), np.zeros(unknowns))
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_factors(joints, unknowns):
     """Return arrays for the factors of any frame's model."""
     return SweepFactors(
@@ -59,7 +65,7 @@ def allocate_factors(joints, unknowns):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def factorise_tree(tree, equations, damping, factors):
     """Eliminate every joint's rotation, the root's twist and the shared unknowns, in this order, into `factors`.
 
@@ -124,7 +130,7 @@ def factorise_tree(tree, equations, damping, factors):
     invert_cholesky(h[0])
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def eliminate_joint_shared(i, p, lever_arm, h_joint_shared, u, ldl, cross, joint_gain, h_shared):
     """Eliminate joint i's rotation from the curvature between its body and the P shared unknowns.
 
@@ -157,7 +163,7 @@ def eliminate_joint_shared(i, p, lever_arm, h_joint_shared, u, ldl, cross, joint
         joint_gain[i, 0, c], joint_gain[i, 1, c], joint_gain[i, 2, c] = d0 * joint_gain[i, 0, c] - l10 * y1 - l20 * y2, y1, y2
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def transfer_shared_shift(i, shift, h, cross, h_shared):
     """Express body i's quadratic in its twist without the shift of its joint by the shared unknowns."""
     for c in range(len(h_shared)):
@@ -173,21 +179,21 @@ def transfer_shared_shift(i, shift, h, cross, h_shared):
                 h_shared[c, c] += shift[i, a - 3, c] * change
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def subtract_row(factor, row, out):
     """Subtract `factor` times a row (P,) from `out` (P,)."""
     for c in range(len(row)):
         out[c] -= factor * row[c]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def divide_row(row, divisor):
     """Divide a row (P,) in place."""
     for c in range(len(row)):
         row[c] /= divisor
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def eliminate_root(damping, lower, cross, root_gain, h_shared):
     """Eliminate the root's twist, whose curvature is L L', from the shared unknowns' curvature and factor the remainder."""
     copy_array(cross, root_gain)
@@ -209,7 +215,7 @@ def eliminate_root(damping, lower, cross, root_gain, h_shared):
     factor_cholesky(h_shared)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def solve_tree(tree, equations, factors, g, g_joint, step):
     """Minimise 1/2 x'Hx + gradient'x with the factors from `factorise_tree`, into `step`.
 
@@ -268,7 +274,7 @@ def solve_tree(tree, equations, factors, g, g_joint, step):
                 twist[i, 3 + a] += shift[i, a, c] * shared[c]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def solve_root(factors, g, step):
     """Write the steps of the shared unknowns and of the root."""
     twist, shared, root_gain = step.twist, step.shared, factors.root_gain_shared

@@ -7,7 +7,8 @@ last decimal is that of the exact product, with halves rounded to even.
 """
 
 import numpy as np
-from numba import njit
+
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 
 MAX_EXACT_DIGITS = 15  # digits of a whole number that a double represents exactly
 POWERS_OF_TEN = 10.0 ** np.arange(23)  # those that a double represents exactly
@@ -22,7 +23,7 @@ DEKKER_SPLITTER = 134217729.0  # 2^27 + 1
 INTEGER_PART_BYTES = 18  # for the sign, the point and the digits before it
 
 
-@njit(cache=True)
+@compile_kernel
 def count_tokens(text, first_byte):
     """Return the number of tokens, separated by white space, from `first_byte` on."""
     count, inside = 0, False
@@ -33,7 +34,7 @@ def count_tokens(text, first_byte):
     return count
 
 
-@njit(cache=True)
+@compile_kernel
 def fill_tokens(text, first_byte, start_bytes, line_numbers, values, kinds):
     """Fill in the start, line (the first is 0), value and kind of each token."""
     i, line, token = first_byte, 0, 0
@@ -47,7 +48,7 @@ def fill_tokens(text, first_byte, start_bytes, line_numbers, values, kinds):
         token += 1
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _parse_number(text, i):
     """Return the number spelled at byte i, its kind, and the byte after the token."""
     start = i
@@ -77,14 +78,14 @@ def _parse_number(text, i):
     return (-value if is_negative else value), NUMBER_TOKEN, i
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _is_word_letter(byte):
     """Return whether a byte is a letter with which no number begins; nan and inf begin with n and i."""
     lower = byte | 32
     return 97 <= lower <= 122 and lower != 105 and lower != 110
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _parse_integer(text, i):
     """Return the byte after the whole number spelled at byte i, and the number; a very large one if there is none."""
     sign, value, has_digits = 1, 0, False
@@ -97,7 +98,7 @@ def _parse_integer(text, i):
     return i, (sign * value if has_digits else 99999)
 
 
-@njit(cache=True)
+@compile_kernel
 def write_rows(values, decimals, power, separator, line_end, out):
     """Write the rows of `values` (T, C) into the bytes `out`, and return the number of bytes written."""
     at = 0
@@ -110,14 +111,14 @@ def write_rows(values, decimals, power, separator, line_end, out):
     return at
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _copy_bytes(source, out, at):
     for i in range(len(source)):
         out[at + i] = source[i]
     return at + len(source)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def write_number(value, decimals, power, out, at):
     """Write a number into the bytes `out` from `at` on, and return the byte after it.
 
@@ -143,7 +144,7 @@ def write_number(value, decimals, power, out, at):
     return stop
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def round_product(value, power):
     """Return the whole number nearest to value * power, exactly, with halves rounded to even; value >= 0."""
     product = value * power
@@ -157,7 +158,7 @@ def round_product(value, power):
     return np.int64(whole) + is_up
 
 
-@njit(cache=True)
+@compile_kernel
 def count_decimals(text, starts):
     """Return the digits after the point of each number that begins at `starts` (N,); 0 for a number with an exponent."""
     out = np.zeros(len(starts), np.int64)
@@ -175,7 +176,7 @@ def count_decimals(text, starts):
     return out
 
 
-@njit(cache=True)
+@compile_kernel
 def splice_numbers(text, offsets, numbers, decimals, power, out):
     """Copy `text` into `out`, with the tokens at `offsets` replaced by `numbers`. Return the length of the result."""
     i, at = 0, 0

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.small_matrices import load_matrix, multiply_vector, transpose_matrix
 from mocapfix.kernels.swing_twist import add_scaled, compute_dot, compute_square_root, compute_swing
 
@@ -20,7 +20,7 @@ class BoneLines(NamedTuple):
     rest_vector: np.ndarray  # (P, 3) metres: from start to end in the rest pose
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def compute_bone_direction_frames(lines, positions, root_rotation, directions, first, stop):
     """Write directions (T, 2, P, 3), single precision, of the frames first..stop - 1.
 
@@ -49,7 +49,7 @@ def compute_bone_direction_frames(lines, positions, root_rotation, directions, f
                 directions[t, 0, p, a], directions[t, 1, p, a] = direction[a], unswung[a]
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_direction(to_root, positions, start, end):
     """Return the unit vector between two joints in the root's axes; 0 if there is none."""
     a = positions[start, 0], positions[start, 1], positions[start, 2]
@@ -62,7 +62,7 @@ def _compute_direction(to_root, positions, start, end):
     return 0.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def evaluate_layer_frames(weights, biases, inputs, outputs, first, stop):
     """Write the outputs (T, M) of L fully connected layers for inputs (T, N) in the frames first..stop - 1.
 
@@ -82,7 +82,7 @@ def evaluate_layer_frames(weights, biases, inputs, outputs, first, stop):
         _evaluate_layer(weights[last], biases[last], row, outputs[t], False)
 
 
-@njit(cache=True, fastmath=True)
+@compile_inner_kernel(fastmath=True)
 def _evaluate_layer(weights, biases, row, out, is_rectified):
     inputs, outputs = weights.shape
     for o in range(outputs):

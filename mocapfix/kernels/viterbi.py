@@ -1,7 +1,8 @@
 """Viterbi's algorithm, compiled: the cheapest sequence of states, and the cheapest smooth chain of samples."""
 
 import numpy as np
-from numba import njit
+
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 
 BEND_TOLERANCE_M_PER_S2 = 200.0
 BEND_TOLERANCE_M = 0.010
@@ -12,7 +13,7 @@ OMITTED_RUN_LENGTH_COST = 1.5
 OMITTED_EDGE_SAMPLE_COST = 0.75
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _compute_bend(frames, points, rate, a, b, c):
     """Compute how sharply, 0..1, the path bends at sample b between a and c; 1 for the tolerance or more."""
     before, after = (frames[b] - frames[a]) / rate, (frames[c] - frames[b]) / rate
@@ -22,7 +23,7 @@ def _compute_bend(frames, points, rate, a, b, c):
     return min(1.0, square / (BEND_TOLERANCE_M + BEND_TOLERANCE_M_PER_S2 * before * after / 2) ** 2)
 
 
-@njit(cache=True)
+@compile_kernel
 def find_cheapest_chain(frames, points, rate, max_omitted):
     """Return the mask (N,) of the samples on the cheapest chain that omits at most `max_omitted` samples in a row.
 
@@ -54,7 +55,7 @@ def find_cheapest_chain(frames, points, rate, max_omitted):
     return _trace_chain(predecessor, i, g)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def _trace_chain(predecessor, i, g):
     """Return the mask (N,) of the samples on the chain that ends in i - g - 1 and i."""
     is_kept = np.zeros(len(predecessor), np.bool_)
@@ -65,7 +66,7 @@ def _trace_chain(predecessor, i, g):
     return is_kept
 
 
-@njit(cache=True)
+@compile_kernel
 def compute_cheapest_states(step_cost, state_cost):
     """Return (T,) the state of each frame in the sequence of least total cost."""
     frames, states = state_cost.shape

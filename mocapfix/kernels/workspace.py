@@ -3,11 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from mocapfix.kernels.forward_kinematics import FramePose, allocate_pose, copy_array
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
+from mocapfix.kernels.forward_kinematics import FramePose, allocate_pose
 from mocapfix.kernels.low_rank import RowResponses, allocate_row_responses
 from mocapfix.kernels.normal_equations import NormalEquations, allocate_equations
+from mocapfix.kernels.small_matrices import copy_array
 from mocapfix.kernels.sweep import PoseStep, SweepFactors, allocate_factors, allocate_step
 
 
@@ -24,7 +25,7 @@ class SolveWorkspace(NamedTuple):
     g_joint: np.ndarray  # (J, 3)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def allocate_workspace(joints, unknowns, rows):
     """Return the workspace for so many joints, unknowns shared by the joints, and rows (None for no rows).
 
@@ -37,7 +38,7 @@ def allocate_workspace(joints, unknowns, rows):
     )  # fmt: skip
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def copy_pose(source, target):
     """Copy a pose."""
     copy_array(source.root, target.root)
@@ -47,7 +48,7 @@ def copy_pose(source, target):
     copy_array(source.rotation, target.rotation)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def load_pose(root, local, shared, t, pose):
     """Copy frame t of poses root (T, 3), local (T, J, 3, 3), shared (T, P) into `pose`."""
     copy_array(root[t], pose.root)
@@ -55,7 +56,7 @@ def load_pose(root, local, shared, t, pose):
     copy_array(shared[t], pose.shared)
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def store_pose(pose, root, local, shared, t):
     """Copy `pose` into frame t of poses root (T, 3), local (T, J, 3, 3), shared (T, P)."""
     copy_array(pose.root, root[t])

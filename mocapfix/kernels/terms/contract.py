@@ -20,14 +20,16 @@ A new term is a NamedTuple and a function with `@register_term(ItsClass)`, in a 
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
+
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 
 GEMAN_MCCLURE = 0  # losses of `compute_robust_loss`
 HUBER = 1
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def select_frame(array, t):
     """Return frame t's row of `array`, which has a row for each frame, or one for all."""
     return array[min(t, len(array) - 1)]
@@ -42,7 +44,7 @@ def register_term(term_class):
     """Return a decorator that registers a function as the implementation of `add_term` for terms of a class."""
 
     def register(function):
-        @overload(add_term)
+        @overload(add_term, jit_options={"no_cfunc_wrapper": True})
         def choose(term, t, scale2, tree, pose, equations):
             is_named_tuple = isinstance(term, types.NamedTuple | types.NamedUniTuple)
             return function if is_named_tuple and term.instance_class is term_class else None
@@ -52,7 +54,7 @@ def register_term(term_class):
     return register
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_robust_loss(loss, square, scale2):
     """Return cost and weight of a squared, normalised residual s^2: a loss, and its derivative to 1/2 s^2.
 

@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_vector, transpose_matrix
 from mocapfix.kernels.terms.contract import register_term, select_frame
@@ -28,7 +28,7 @@ class DistanceTerm(NamedTuple):
     weight: np.ndarray  # (1 or T, D) 1 / m^2; 0 for none
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_end_position(term, k, e, pose):
     """Return the position of end e of distance k from the origin, which is the root's position."""
     j, offset, position = term.joints[k, e], term.offsets[k, e], pose.position

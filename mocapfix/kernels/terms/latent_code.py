@@ -8,8 +8,8 @@ evaluated again between solves; a linear one is probabilistic principal componen
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm, compute_tilt
 from mocapfix.kernels.small_matrices import load_matrix, multiply_matrices, multiply_rows, multiply_vector, transpose_matrix
 from mocapfix.kernels.terms.contract import register_term, select_frame
@@ -45,7 +45,7 @@ class LatentCodeTerm(NamedTuple):
         return term
 
 
-@njit(cache=True)
+@compile_inner_kernel
 def compute_deviation(term, tree, pose, j):
     """Return joint j's rotation vector from the reference, and its derivative to the joint's rotation in world axes."""
     if j == 0:
@@ -100,7 +100,7 @@ def add_latent_code_term(term, t, scale2, tree, pose, equations):
     return cost
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def update_code_curvature(term, rows, updated):
     """Write the curvature of the code in linearisations `rows`: the sum over joints of jacobian' information jacobian.
 
@@ -118,7 +118,7 @@ def update_code_curvature(term, rows, updated):
         curvature[updated:, :updated] = curvature[:updated, updated:].T
 
 
-@njit(cache=True, nogil=True)
+@compile_kernel(nogil=True)
 def update_linearisations(term, rows, codes, decoded, updated):
     """Move linearisations `rows` to `codes` (B, P), whose decoded values are `decoded` (B, J, 3).
 

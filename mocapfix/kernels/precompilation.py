@@ -1,0 +1,138 @@
+"""Compile, in several processes, the kernels that cleaning needs, before the first take is cleaned.
+
+Numba compiles one function at a time in a process. `kernel_signatures.json` lists the kernels and the types of their arguments,
+each with the kernels that it calls, so that each is compiled once, after those that it calls, by whichever process is free.
+Numba's cache carries them from one process to another. A kernel or a type that is not in the list is compiled when it is used.
+`python -m mocapfix.kernels.signatures` writes the list.
+"""
+
+import gc
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from mocapfix.kernels.compilation_cache import PACKAGE_FOLDER, compute_kernels_digest, find_cache_folder
+from mocapfix.kernels.signatures import KernelSignature, compile_signature, read_signatures
+
+MAX_PROCESSES = 8  # more would wait for the longest chain of kernels that call one another
+WORKER_CODE = "from mocapfix.kernels.precompilation import serve_compilation; serve_compilation()"
+
+
+def is_precompiled() -> bool:
+    """Return whether `precompile_kernels` has been run for the present sources of the kernels."""
+    return _get_stamp_path().exists()
+
+
+def precompile_kernels(report_progress: Callable[[int, int], None], processes: int | None = None) -> None:
+    """Compile the listed kernels that are not in the cache.
+
+    report_progress  is called with the number of kernels that are compiled and of all
+    processes        including this one; by default one for each core that this process may use
+    """
+    signatures = read_signatures()
+    schedule = CompilationSchedule(signatures, report_progress)
+    if processes is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        processes = min(cores, MAX_PROCESSES)
+    helpers = [threading.Thread(target=_feed_worker, args=(schedule,), daemon=True) for _ in range(processes - 1)]
+    for helper in helpers:
+        helper.start()
+    while (index := schedule.take()) is not None:
+        with suppress(Exception):  # it is reported where the kernel is used
+            compile_signature(signatures[index])
+        schedule.finish(index)
+    for helper in helpers:
+        helper.join()
+    with suppress(OSError):
+        path = _get_stamp_path()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for outdated in path.parent.glob(f"precompiled.{sys.implementation.cache_tag}-*"):
+            outdated.unlink()
+        path.touch()
+
+
+def _get_stamp_path() -> Path:
+    """Return the path of the file that exists once the listed kernels are compiled."""
+    return find_cache_folder() / f"precompiled.{sys.implementation.cache_tag}-{compute_kernels_digest()}"
+
+
+class CompilationSchedule:
+    """Which kernel to compile next; shared by threads.
+
+    A kernel can be taken once those that it calls are finished. The list has the kernels with the longest chains of callers
+    first.
+    """
+
+    def __init__(self, signatures: list[KernelSignature], report_progress: Callable[[int, int], None]) -> None:
+        self._signatures = signatures
+        self._report_progress = report_progress
+        self._waiting = list(range(len(signatures)))
+        self._finished: set[int] = set()
+        self._changed = threading.Condition()
+
+    def take(self) -> int | None:
+        """Return the index of a kernel that can be compiled now; None if all are taken. Wait until there is one."""
+        with self._changed:
+            while self._waiting:
+                for index in self._waiting:
+                    if self._finished.issuperset(self._signatures[index].callees):
+                        self._waiting.remove(index)
+                        return index
+                self._changed.wait()
+            return None
+
+    def finish(self, index: int) -> None:
+        """Note that a kernel is compiled."""
+        with self._changed:
+            self._finished.add(index)
+            self._report_progress(len(self._finished), len(self._signatures))
+            self._changed.notify_all()
+
+
+def _feed_worker(schedule: CompilationSchedule) -> None:
+    """Start a process, and let it compile kernels until all are taken. If it fails, its kernel counts as finished."""
+    search_path = [str(PACKAGE_FOLDER.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(search_path), "PYTHONSAFEPATH": "1"}
+    try:
+        worker = subprocess.Popen(
+            [sys.executable, "-c", WORKER_CODE],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+    except OSError:  # no interpreter, as inside another program
+        return
+    with worker:
+        if worker.stdin is None or worker.stdout is None or not worker.stdout.readline():
+            return
+        while (index := schedule.take()) is not None:
+            answer = ""
+            with suppress(OSError):
+                worker.stdin.write(f"{index}\n")
+                worker.stdin.flush()
+                answer = worker.stdout.readline()
+            schedule.finish(index)
+            if not answer:
+                break
+        with suppress(OSError):
+            worker.stdin.close()
+
+
+def serve_compilation() -> None:
+    """Compile the kernels whose indices are read from standard input, and answer each with its index."""
+    gc.disable()
+    signatures, answers = read_signatures(), sys.stdout
+    sys.stdout = sys.stderr
+    answers.write("ready\n")
+    answers.flush()
+    for line in sys.stdin:
+        with suppress(Exception):  # it is reported where the kernel is used
+            compile_signature(signatures[int(line)])
+        answers.write(line)
+        answers.flush()
