@@ -13,13 +13,15 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numba
 from numba import njit
+from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 try:
@@ -27,25 +29,27 @@ try:
 except ImportError:  # Windows
     fcntl = None
 
+jit: Any = njit  # without its types, which do not have all options
+
 PACKAGE_FOLDER = Path(__file__).parent.parent
 KERNELS_FOLDER = Path(__file__).parent
 IMPORT_PATTERN = re.compile(r"^(?:from|import) +(mocapfix[\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 
 
-def compile_kernel(function=None, **options):
+def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function as `numba.njit` does, and cache it in the folder of its module. A decorator.
 
     options  of `numba.njit`
     """
     if function is None:
         return lambda function: compile_kernel(function, **options)
-    dispatcher = njit(no_cfunc_wrapper=True, **options)(function)  # nothing calls kernels by their address
+    dispatcher: Any = jit(no_cfunc_wrapper=True, **options)(function)  # nothing calls kernels by their address
     dispatcher._cache = KernelCache(function)
     return dispatcher
 
 
-def compile_inner_kernel(function=None, **options):
+def compile_inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function that only other kernels call. A decorator, as `compile_kernel`.
 
     The code with which Python would call the function is left out: it takes about as long to compile as the function itself. A
@@ -54,7 +58,7 @@ def compile_inner_kernel(function=None, **options):
     if function is None:
         return lambda function: compile_inner_kernel(function, **options)
     dispatcher = compile_kernel(function, no_cpython_wrapper=True, **options)
-    build_callable_dispatcher = cache(lambda: njit(**options)(function))
+    build_callable_dispatcher = cache(lambda: jit(**options)(function))
     dispatcher._insert = lambda *arguments, **named: None  # the table of what Python may call stays empty
     dispatcher._compile_for_args = lambda *values, **named: build_callable_dispatcher()._compile_for_args(*values, **named)
     return dispatcher
@@ -79,15 +83,15 @@ class KernelCacheLocator(_CacheLocator):
             self._folder.mkdir(parents=True, exist_ok=True)
             remove_outdated_folders(self._folder.parent)
 
-    def get_cache_path(self):
+    def get_cache_path(self) -> Any:
         """Return the folder."""
         return str(self._folder)
 
-    def get_source_stamp(self):
+    def get_source_stamp(self) -> Any:
         """Return what changes with the sources: the folder's name."""
         return self._folder.name
 
-    def get_disambiguator(self):
+    def get_disambiguator(self) -> Any:
         """Return the line of the function, by which functions of one name differ."""
         return str(self._line)
 
@@ -121,14 +125,9 @@ class KernelCache(FunctionCache):
                     self.flush()
                     super().save_overload(sig, data)
 
-    @property
-    def is_empty(self):
-        """True if there is no compiled function for any signature."""
-        return not Path(self._cache_file._index_path).exists()
-
 
 @contextmanager
-def lock_folder(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Generator[None]:
     """Hold a lock on a folder, so that one process at a time writes there."""
     if fcntl is None:
         yield
@@ -147,8 +146,8 @@ def find_cache_folder() -> Path:
     """
     installation = f"kernels-{_compute_digest(str(PACKAGE_FOLDER).encode())}"
     candidates = [KERNELS_FOLDER / "__pycache__"]
-    if numba.config.CACHE_DIR:
-        candidates.insert(0, Path(numba.config.CACHE_DIR) / "mocapfix" / installation)
+    if named_folder := getattr(config, "CACHE_DIR", ""):
+        candidates.insert(0, Path(named_folder) / "mocapfix" / installation)
     with suppress(RuntimeError):  # no home
         candidates.append(_find_user_cache_folder() / "mocapfix" / installation)
     temporary = Path(tempfile.gettempdir()) / "mocapfix" / installation
@@ -185,15 +184,14 @@ def _name_module_folder(module: str) -> str:
 @cache
 def compute_source_digest(module: str) -> str:
     """Return a digest of the sources of a module and of all modules that it imports, and of Numba's version."""
-    found: set[str] = set()
+    found: dict[str, bytes] = {}
     remaining = [module]
     while remaining:
         name = remaining.pop()
         if name not in found and (source := _read_source(name)):
-            found.add(name)
+            found[name] = source[0]
             remaining += source[1]
-    sources = [_read_source(name)[0] for name in sorted(found)]
-    return _compute_digest(b"\0".join([numba.__version__.encode(), *sources]))
+    return _compute_digest(b"\0".join([numba.__version__.encode(), *(found[name] for name in sorted(found))]))
 
 
 @cache

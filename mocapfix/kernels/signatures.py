@@ -81,10 +81,10 @@ def describe_type(described, shared: dict[types.Type, tuple[int, object]]):
         readonly = "" if described.mutable else " readonly"
         return f"{describe_type(described.dtype, shared)}[{described.ndim}{described.layout}]{readonly}"
     if isinstance(described, types.BaseTuple):
-        fields = [describe_type(each, shared) for each in described.types]
+        fields = [describe_type(each, shared) for each in described.types]  # pyright: ignore[reportAttributeAccessIssue]
         if not hasattr(described, "instance_class"):
             return fields
-        named_tuple = described.instance_class
+        named_tuple = described.instance_class  # pyright: ignore[reportAttributeAccessIssue]
         description = {f"{named_tuple.__module__.removeprefix('mocapfix.')}.{named_tuple.__qualname__}": fields}
         if described not in shared:
             shared[described] = (len(shared), description)

@@ -80,7 +80,7 @@ def test_no_kernel_is_taken_before_those_that_it_calls_are_finished():
     counts = []
     schedule = CompilationSchedule(chain, lambda done, total: counts.append((done, total)))
     assert [schedule.take(), schedule.take()] == [0, 3]
-    waiting = threading.Thread(target=lambda: schedule.finish(schedule.take()))
+    waiting = threading.Thread(target=lambda: schedule.finish(schedule.take() or 0))
     waiting.start()
     schedule.finish(3)
     assert waiting.is_alive()

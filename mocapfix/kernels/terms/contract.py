@@ -44,7 +44,7 @@ def register_term(term_class):
     """Return a decorator that registers a function as the implementation of `add_term` for terms of a class."""
 
     def register(function):
-        @overload(add_term, jit_options={"no_cfunc_wrapper": True})
+        @overload(add_term, jit_options={"no_cfunc_wrapper": True})  # pyright: ignore[reportArgumentType]
         def choose(term, t, scale2, tree, pose, equations):
             is_named_tuple = isinstance(term, types.NamedTuple | types.NamedUniTuple)
             return function if is_named_tuple and term.instance_class is term_class else None
