@@ -13,6 +13,7 @@ def main() -> None:
     """
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")  # Numba words many errors that it never shows
     gc.disable()
     from mocapfix.cli import app
 

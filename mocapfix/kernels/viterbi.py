@@ -78,7 +78,8 @@ def compute_cheapest_states(step_cost, state_cost):
                 if cost[r] + step_cost[t - 1, r, s] < cost[predecessor[t, s]] + step_cost[t - 1, predecessor[t, s], s]:
                     predecessor[t, s] = r
             total[s] = cost[predecessor[t, s]] + step_cost[t - 1, predecessor[t, s], s] + state_cost[t, s]
-        cost[:] = total
+        for s in range(states):  # not an assignment to a slice: that compiles the text of its errors
+            cost[s] = total[s]
     state = np.zeros(frames, np.int64)
     state[-1] = np.argmin(cost)
     for t in range(frames - 1, 0, -1):
