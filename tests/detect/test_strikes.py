@@ -55,5 +55,5 @@ def test_clean_changes_the_spike_of_a_punch_and_nothing_else():
     result = clean_composed_take(replace(sound, damaged_positions=markers))
     changed = np.argwhere(compare_samples(result.input_take, result.take))
     assert [(int(t), result.input_take.bare_labels[m]) for t, m in changed] == [(frame, sound.labels[marker])]
-    mended = result.take.markers[frame, changed[0, 1]]
-    assert np.linalg.norm(mended - sound.marker_positions[frame, marker]) < 0.01
+    repaired = result.take.markers[frame, changed[0, 1]]
+    assert np.linalg.norm(repaired - sound.marker_positions[frame, marker]) < 0.01
