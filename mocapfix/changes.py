@@ -121,6 +121,7 @@ def build_changes(
         The changes and their faults, in the order of the faults.
     """
     is_changed = compare_samples(before, after)
+    off_body_m = {id(take): _measure_distances_from_body(take, body_markers) for take in (before, relabelled, after)}
     changes: list[tuple[Change, Fault]] = []
     id_counts: Counter[str] = Counter()
     for fault in faults:
@@ -132,6 +133,7 @@ def build_changes(
         label, first = before.get_label(fault.marker), before.get_frame_number(fault.first)
         name = f"{fault.kind}-{label}-{first}".replace(" ", "-")
         id_counts[name] += 1
+        take_before = before if affects_labels(fault) else relabelled
         change = Change(
             id=name if id_counts[name] == 1 else f"{name}-{id_counts[name]}",
             kind=fault.kind,
@@ -141,8 +143,8 @@ def build_changes(
             samples=sample_count,
             why=fault.reason,
             method=_describe_method(fault, before, fill_methods[samples]),
-            before=_measure_state(before if affects_labels(fault) else relabelled, samples, body_markers),
-            after=_measure_state(after, samples, body_markers),
+            before=_measure_state(take_before, samples, off_body_m[id(take_before)]),
+            after=_measure_state(after, samples, off_body_m[id(after)]),
             predicted_mm=_compute_predicted_error_mm(after, samples),
         )
         changes.append((change, fault))
@@ -171,11 +173,19 @@ def _describe_method(fault: Fault, take: Take, fill_methods: np.ndarray) -> str:
     return f"estimated, mostly from {methods.most_common(1)[0][0]}" if methods else "removed"
 
 
-def _measure_state(take: Take, samples: _SampleIndices, body_markers: np.ndarray | None) -> SampleState:
-    offset = np.full((1, 3), np.nan) if body_markers is None else take.markers[samples] - body_markers[samples]
-    distance_m = np.linalg.norm(offset, axis=-1)
+def _measure_distances_from_body(take: Take, body_markers: np.ndarray | None) -> np.ndarray:
+    """Measure the distances (T, M) in metres of the samples from the solved body's markers, NaN where unknown."""
+    if body_markers is None:
+        return np.full(take.visible.shape, np.nan)
+    return np.linalg.norm(take.markers - body_markers, axis=-1)
+
+
+def _measure_state(take: Take, samples: _SampleIndices, off_body_m: np.ndarray) -> SampleState:
+    distance_m = off_body_m[samples]
     known = distance_m[~np.isnan(distance_m)]
-    return SampleState(int((~take.visible[samples]).sum()), round(float(np.median(known)) * 1e3, 1) if len(known) else None)
+    median_m = float(known[0] if len(known) == 1 else np.median(known)) if len(known) else None
+    missing_count = len(distance_m) - int(np.count_nonzero(take.visible[samples]))
+    return SampleState(missing_count, None if median_m is None else round(median_m * 1e3, 1))
 
 
 def _compute_predicted_error_mm(take: Take, samples: _SampleIndices) -> float | None:
