@@ -7,10 +7,6 @@ from jaxtyping import Float, Int
 
 from mocapfix.skeleton import Skeleton
 
-CALIBRATION_SD_RATIO = 0.75
-"""The actual calibration error over its predicted standard deviation: the priors of calibration allow for more variation of
-marker positions and bones than people show."""
-
 
 @dataclass(frozen=True)
 class Subject:

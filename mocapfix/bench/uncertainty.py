@@ -1,25 +1,35 @@
-"""Benchmark of predicted uncertainty: how often the truth lies within the predicted standard deviations on composed takes.
+"""Benchmark of predicted uncertainty: how often the truth lies within the predicted standard deviations on composed takes,
+or on takes of recorded motion.
 
 Errors are per coordinate axis and include the error of calibration. Of a normal distribution, 68 % lie within one standard
 deviation and 95 % within two.
 """
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
+import mocapfix
 from mocapfix import synthetic
 from mocapfix.bench.composed_cleaning import clean_composed_take
-from mocapfix.bench.sound_takes import find_informative_markers
+from mocapfix.bench.sound_takes import find_informative_markers, iterate_sound_takes
+from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject import Subject
 from mocapfix.synthetic import SyntheticTake
+from mocapfix.synthetic.synthetic_takes import DAMAGED_ARM_JOINTS, draw_gaps, draw_spikes, simulate_markers
 
 UNCERTAINTY_SEEDS = range(8)  # subjects that no constant was tuned on; those used for tuning have seeds of 100 and more
 MAX_SHORT_FILL_S = 0.2
 MIN_LONG_FILL_S = 1.0
 MIN_LOST_ARM_MARKERS = 6  # missing at the same time: a whole arm
+OTHER_TAKE_SEED = 1000  # of the skin in the take from which a known subject is calibrated
 MIN_ARM_LOSS_S = 0.5  # minimum duration of the gaps of a lost arm
 
 
@@ -33,16 +43,71 @@ class PredictedErrors(NamedTuple):
 ErrorGroups = dict[str, PredictedErrors]
 
 
-def measure_uncertainty(seeds: Iterable[int] = UNCERTAINTY_SEEDS) -> dict[str, dict[str, Any]]:
-    """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`."""
+def measure_uncertainty(
+    seeds: Iterable[int] = UNCERTAINTY_SEEDS,
+    motion_folder: Path | None = None,
+    *,
+    is_subject_known: bool = False,
+    report_progress: Callable[[str], None] = lambda _: None,
+) -> dict[str, dict[str, Any]]:
+    """Return the rows of `joints` and `filled_markers`, with rows of groups of samples as `by`, and of joints as `by_joint`.
+
+    seeds             of the composed takes, or of the damage of the performed takes, one take for each
+    motion_folder     holds test.npz of motion, of which takes are made; None for composed takes
+    is_subject_known  whether the subject is calibrated from another take of the same person, not from the take itself
+
+    Raises ReadError if there is no such motion.
+    """
     joints: list[ErrorGroups] = []
+    joint_groups: list[ErrorGroups] = []
     fills: list[ErrorGroups] = []
-    for seed in seeds:
-        truth = synthetic.compose_take(seed=seed)
-        result = clean_composed_take(truth)
+    for name, truth in iterate_damaged_takes(list(seeds), motion_folder):
+        report_progress(name)
+        options = CleanOptions().change(subject=calibrate_from_other_take(truth)) if is_subject_known else CleanOptions()
+        result = clean_composed_take(truth, options)
         joints.append(gather_joint_errors(truth, result))
+        joint_groups.append(gather_errors_by_joint(truth, result))
         fills.append(gather_fill_errors(truth, result))
-    return {"joints": summarise_error_groups(joints), "filled_markers": summarise_error_groups(fills)}
+    by_joint = {"by_joint": summarise_error_groups(joint_groups)["by"]}
+    return {"joints": summarise_error_groups(joints) | by_joint, "filled_markers": summarise_error_groups(fills)}
+
+
+def iterate_damaged_takes(seeds: list[int], motion_folder: Path | None) -> Iterator[tuple[str, SyntheticTake]]:
+    """Yield the names of takes and the takes, with gaps and spikes. Raises ReadError if the folder holds no motion."""
+    if motion_folder is None:
+        for seed in seeds:
+            yield f"seed {seed}", synthetic.compose_take(seed=seed)
+        return
+    for seed, (name, truth) in zip(seeds, iterate_sound_takes(motion_folder, len(seeds)), strict=False):
+        yield name, damage_take(truth, np.random.default_rng(seed))
+
+
+def damage_take(truth: SyntheticTake, rng: np.random.Generator) -> SyntheticTake:
+    """Return a take with gaps and spikes like those of a composed take."""
+    is_arm_marker = np.isin(truth.subject.joints, [truth.subject.skeleton.find_joint(name) for name in DAMAGED_ARM_JOINTS])
+    missing = draw_gaps(rng, truth.motion.frame_count, truth.rate, is_arm_marker)
+    shift = draw_spikes(rng, ~missing, truth.rate)
+    damaged = np.where(missing[..., None], np.nan, truth.marker_positions + shift)
+    return replace(truth, damaged_positions=damaged, missing_mask=missing, spike_mask=(shift != 0).any(axis=2))
+
+
+def calibrate_from_other_take(truth: SyntheticTake) -> Subject:
+    """Return the person of a take, calibrated from a take of the same motion with other skin and without damage."""
+    _, markers = simulate_markers(np.random.default_rng(OTHER_TAKE_SEED), truth.subject, truth.motion, truth.rate)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "other.c3d"
+        synthetic.write_synthetic_take(path, replace(truth, damaged_positions=markers, missing_mask=np.isnan(markers[..., 0])))
+        return mocapfix.calibrate_takes([path])
+
+
+def gather_errors_by_joint(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
+    """Return the errors of all joints, left and right together."""
+    if result.joint_position_world is None or result.motion is None:
+        raise ValueError("a composed take has a known marker set, so it is solved")
+    error_m, sd_m = result.joint_position_world - truth.joint_positions, result.motion.joint_sd
+    names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in truth.subject.skeleton.names]
+    groups = {name: np.array([each == name for each in names]) for name in dict.fromkeys(names)}
+    return {name: PredictedErrors(error_m[:, group].reshape(-1, 3), sd_m[:, group].ravel()) for name, group in groups.items()}
 
 
 def gather_joint_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGroups:
@@ -70,7 +135,7 @@ def gather_fill_errors(truth: SyntheticTake, result: CleaningResult) -> ErrorGro
     is_arm &= (is_arm.sum(1) >= MIN_LOST_ARM_MARKERS)[:, None]
     is_short, is_long = duration_s < MAX_SHORT_FILL_S, duration_s >= MIN_LONG_FILL_S
     groups = {
-        "spikes and doubted": ~truth.missing_mask,
+        "spikes and other faulty samples": ~truth.missing_mask,
         f"gaps under {MAX_SHORT_FILL_S:g} s": truth.missing_mask & is_short,
         f"gaps of {MAX_SHORT_FILL_S:g} to {MIN_LONG_FILL_S:g} s": ~is_short & ~is_long & ~is_arm,
         f"gaps over {MIN_LONG_FILL_S:g} s": is_long & ~is_arm,

@@ -4,7 +4,7 @@ Levenberg-Marquardt over the unknowns that the frames share (see `parameters`). 
 again and eliminated exactly (variable projection; Golub & Pereyra 1973), so that the step accounts for the change of the poses.
 The nominal marker offsets and bone lengths are the prior, which determines what the take leaves undetermined.
 
-`kernels.schur` describes the unknowns and the elimination.
+`kernels.schur` describes the unknowns and the elimination, `calibration_uncertainty` the errors that remain.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.calibrate.calibration_uncertainty import compute_response_sd, compute_shared_covariance, estimate_residual_sd
 from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, build_calibration_parameters
 from mocapfix.calibrate.shared_responses import (
     SharedResponses,
@@ -118,11 +119,13 @@ def refine_subject(
     markers: Float[np.ndarray, "N K 3"],
     root_position: Float[np.ndarray, "N 3"],
     local_rotations: Float[np.ndarray, "N J 3 3"],
+    times_s: Float[np.ndarray, " N"],
     unknowns: Float[np.ndarray, " Q"] | None = None,
 ) -> tuple[Subject, RefinementState]:
     """Return `start` with the bones and marker offsets that fit the frames best, and the refined state.
 
     root_position, local_rotations  the first poses
+    times_s                         of the frames: those near each other have similar errors
     unknowns                        the first values of the calibration parameters, by default 0
     """
     parameters = build_calibration_parameters(start, body, prior)
@@ -148,7 +151,7 @@ def refine_subject(
             damping *= 10
             if damping > MAX_DAMPING:
                 break
-    return build_refined_subject(start, state, curvature), state
+    return build_refined_subject(start, state, curvature, times_s), state
 
 
 def solve_and_linearise(
@@ -222,45 +225,37 @@ def compute_damped_step(
 
 
 def compute_calibration_sd(
-    state: RefinementState, curvature: Float[np.ndarray, "Q Q"]
+    state: RefinementState,
+    curvature: Float[np.ndarray, "Q Q"],
+    times_s: Float[np.ndarray, " N"] | None = None,
+    residual_sd_m: float = CALIBRATION_MARKER_SD_M,
 ) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
     """Return the standard deviation per axis, in metres, of joints and markers due to the uncertainty of the shared unknowns.
 
     The pose of each frame adapts to the unknowns. The values are root mean squares over at most MAX_UNCERTAINTY_FRAMES frames.
+
+    times_s        of the frames; None if each is measured independently
+    residual_sd_m  of a marker about its place on the body, per axis
     """
     frames = sample_evenly(len(state.root_position), MAX_UNCERTAINTY_FRAMES)
     responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
-    return compute_response_sd(responses, curvature)
+    if times_s is None:
+        return compute_response_sd(responses, np.linalg.inv(curvature))
+    covariance = compute_shared_covariance(responses, curvature, state.parameters.information, times_s, residual_sd_m)
+    return compute_response_sd(responses, covariance)
 
 
-def compute_response_sd(
-    responses: SharedResponses, curvature: Float[np.ndarray, "Q Q"]
-) -> tuple[Float[np.ndarray, " J"], Float[np.ndarray, " K"]]:
-    """Return the root mean square per axis, in metres, of the motion of joints and markers with uncertain shared unknowns.
-
-    curvature  inverse covariance of the shared unknowns, priors included
-    """
-    half = np.linalg.inv(np.linalg.cholesky(curvature))  # half.T @ half is the covariance
-    displacements = (
-        half @ response.reshape(*response.shape[:2], -1)
-        for response in (responses.joint_response, responses.marker_response[:, :-1])
-    )
-    joint_sd, marker_sd = (np.sqrt((d**2).sum(1).mean(0).reshape(-1, 3).mean(1)) for d in displacements)
-    return joint_sd, marker_sd
-
-
-def build_refined_subject(start: Subject, state: RefinementState, curvature: np.ndarray) -> Subject:
+def build_refined_subject(
+    start: Subject, state: RefinementState, curvature: np.ndarray, times_s: Float[np.ndarray, " N"]
+) -> Subject:
     """Return the subject of a refined state; the spread of a marker is its median distance per axis from the body."""
     tree = state.problem.tree
     size = np.linalg.norm(tree.offsets) / np.linalg.norm(start.skeleton.offsets)
-    joint_sd, marker_sd = compute_calibration_sd(state, curvature)
     subject = replace(
         start,
         skeleton=replace(start.skeleton, offsets=tree.offsets, ends=start.skeleton.ends * size),
         marker_offsets=state.problem.attachment.offsets,
         frame_count=len(state.root_position),
-        joint_sd=joint_sd,
-        marker_sd=marker_sd,
     )
     zeros = np.zeros(len(state.root_position), int)
     motion = Motion(state.root_position, state.local_rotations, zeros, zeros, np.zeros(0), np.zeros(0))
@@ -269,4 +264,5 @@ def build_refined_subject(start: Subject, state: RefinementState, curvature: np.
     visible = (~np.isnan(distance)).any(0)
     spread = start.marker_spread.copy()
     spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)
-    return replace(subject, marker_spread=spread)
+    joint_sd, marker_sd = compute_calibration_sd(state, curvature, times_s, estimate_residual_sd(state.problem, distance))
+    return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

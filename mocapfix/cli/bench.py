@@ -81,18 +81,31 @@ def build_experiment_table(rows: Iterable[Mapping[str, Any]]) -> Table:
     return table
 
 
-def run_bench_uncertainty(as_json: JsonOption = False) -> int:
+def run_bench_uncertainty(
+    data: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, of whose test subjects takes are made; by default "
+                                   "takes are synthetic")
+    ] = None,
+    takes: Annotated[int, tyro.conf.arg(metavar="N", help="number of takes")] = 8,
+    known_subject: Annotated[
+        FlagOption, tyro.conf.arg(help="calibrate the subject from another take of the same person")
+    ] = False,
+    as_json: JsonOption = False,
+) -> int:  # fmt: skip
     """Compare predicted standard deviations with the true errors of synthetic takes."""
     from mocapfix.bench.uncertainty import measure_uncertainty
 
-    with show_progress("uncertainty"):
-        results: Mapping[str, Any] = measure_uncertainty()
+    with show_progress("uncertainty") as progress:
+        results: Mapping[str, Any] = measure_uncertainty(
+            range(takes), data, is_subject_known=known_subject, report_progress=progress
+        )
     if as_json:
         print_json(results)
         return EXIT_DONE
     table = Table("per axis", "samples", "error, mm", "predicted SD, mm", "within 1 SD", "within 2 SD")
     for key, heading in (("joints", "joints"), ("filled_markers", "filled markers")):
-        for part, row in ((f"[bold]{heading}[/]", results[key]), *results[key]["by"].items()):
+        groups = {**results[key]["by"], **results[key].get("by_joint", {})}
+        for part, row in ((f"[bold]{heading}[/]", results[key]), *groups.items()):
             errors = (f"{row['error_mm']:.1f}", f"{row['deviation_mm']:.1f}")
             table.add_row(part, str(row["samples"]), *errors, f"{row['within_1_sigma']:.0%}", f"{row['within_2_sigma']:.0%}")
         table.add_section()

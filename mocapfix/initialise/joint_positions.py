@@ -14,7 +14,7 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.solve.parallel import run_over_frames
-from mocapfix.subject import CALIBRATION_SD_RATIO, Subject
+from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 MIN_MARKER_SPREAD_M = 1e-7
@@ -65,7 +65,7 @@ def estimate_joint_positions(take: Take, subject: Subject, body: BodyModel) -> J
         trust,
     )
     is_unknown = ~(variance < MAX_JOINT_SD_M**2)
-    sd = np.maximum(np.sqrt(variance + (CALIBRATION_SD_RATIO * subject.joint_sd) ** 2), MIN_JOINT_SD_M)
+    sd = np.maximum(np.sqrt(variance + subject.joint_sd**2), MIN_JOINT_SD_M)
     positions[is_unknown], sd[is_unknown] = np.nan, np.nan
     return JointEstimate(positions, sd, trust[:, order.argsort()])
 

@@ -10,6 +10,7 @@ uncertainty of each term:
 - the pose prior: applied in every frame, since it constrains one frame's pose no less if it is applied to its neighbours too
   (joint limits stay as in the solve; inside them they have no effect);
 - joints that lost a marker: the variance of their interpolated trajectory at this distance from the edge of the gap;
+- joints that are not solved, as in the fingers: the variation of people's poses;
 - the calibration error, which no frame shows: taken from the subject.
 """
 
@@ -23,8 +24,9 @@ from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve import kinematics
 from mocapfix.solve.pose_problem import PoseProblem, build_pose_prior_term
+from mocapfix.stats.residual_process import CHI2_MEDIAN_3_DOF
 from mocapfix.stats.sequences import find_runs
-from mocapfix.subject import CALIBRATION_SD_RATIO, Subject
+from mocapfix.subject import Subject
 
 MIN_GAP_DURATION_S = 0.025
 """Gaps up to this duration are flicker and have no borders."""
@@ -84,8 +86,6 @@ def find_unobserved_joints(
 
 MIN_ESTIMATED_MARKER_SD_M = 0.001
 """Smallest estimate of the marker error per axis."""
-CHI2_MEDIAN_3_DOF = 2.366
-"""Median of the chi-squared distribution with three degrees of freedom."""
 MAX_ABSORBED_SHARE = 0.9
 """Share of its squared error that the pose absorbs above which a marker does not enter the estimate."""
 
@@ -113,10 +113,28 @@ def compute_pose_sd(
     marker_sd = estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
     actual = replace(problem, marker_sd=marker_sd, pose_prior=build_pose_prior_term(prior))
     uncertainty = actual.compute_uncertainty(motion.root_position, motion.local_rotations, tracking, robust_scale_m)
-    return (
-        np.hypot(uncertainty.marker_sd, CALIBRATION_SD_RATIO * subject.marker_sd),
-        np.hypot(uncertainty.joint_sd, CALIBRATION_SD_RATIO * subject.joint_sd),
-    )
+    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, problem.tree.free)
+    return np.hypot(uncertainty.marker_sd, subject.marker_sd), np.sqrt(uncertainty.joint_sd**2 + constant_variance)
+
+
+def compute_unsolved_joint_variance(
+    subject: Subject, prior: MeanPosePrior, free_joints: Bool[np.ndarray, " J"]
+) -> Float[np.ndarray, " J"]:
+    """Return the variance per axis, in square metres, of joints whose parent rotates in people but not in the solve.
+
+    No marker shows the rotation of a finger's base, so that it varies as in the prior. Axes about which the skeleton does not
+    rotate do not count.
+    """
+    variance = np.zeros(len(free_joints))
+    for j, parent in enumerate(subject.skeleton.parents):
+        if parent < 1 or free_joints[parent]:
+            continue
+        rotated = np.eye(3) - np.linalg.pinv(prior.locked_information[parent]) @ prior.locked_information[parent]
+        covariance = rotated @ np.linalg.inv(prior.information[parent]) @ rotated
+        x, y, z = subject.skeleton.offsets[j]
+        lever = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        variance[j] = variance[parent] + np.trace(lever @ covariance @ lever.T) / 3
+    return variance
 
 
 def estimate_marker_sd(

@@ -7,9 +7,11 @@ import pytest
 
 from mocapfix import synthetic
 from mocapfix.bench import uncertainty
+from mocapfix.bench.sound_takes import remove_damage
 from mocapfix.bench.uncertainty import (
     PredictedErrors,
     find_informative_markers,
+    gather_errors_by_joint,
     gather_fill_errors,
     gather_joint_errors,
     summarise_error_groups,
@@ -91,10 +93,26 @@ def test_joints_are_grouped_by_missing_markers(truth, result):
     assert summary["error_mm"] == pytest.approx(3 / np.sqrt(3))
 
 
+def test_errors_by_joint_pool_left_and_right(truth, result):
+    parts = gather_errors_by_joint(truth, result)
+    frames = truth.motion.frame_count
+    assert {"Hips", "Arm", "ForeArm", "Hand", "Thumb", "Leg", "HipJoint"} <= set(parts)
+    assert len(parts["ForeArm"].predicted_sd_m) == 2 * frames
+    assert len(parts["Spine1"].predicted_sd_m) == frames
+
+
+def test_damage_of_a_sound_take(truth):
+    damaged = uncertainty.damage_take(remove_damage(truth), np.random.default_rng(0))
+    np.testing.assert_array_equal(np.isnan(damaged.damaged_positions[..., 0]), damaged.missing_mask)
+    assert 0.01 < damaged.missing_mask.mean() < 0.5
+    is_sound = ~damaged.missing_mask & ~damaged.spike_mask
+    np.testing.assert_array_equal(damaged.damaged_positions[is_sound], truth.marker_positions[is_sound])
+
+
 def test_fills_are_grouped_by_gap_duration(truth, result):
     parts = gather_fill_errors(truth, result)
     assert sum(len(part.predicted_sd_m) for part in parts.values()) == (truth.missing_mask | truth.spike_mask).sum()
-    assert len(parts["spikes and doubted"].predicted_sd_m) == (truth.spike_mask & ~truth.missing_mask).sum()
+    assert len(parts["spikes and other faulty samples"].predicted_sd_m) == (truth.spike_mask & ~truth.missing_mask).sum()
     arm = len(parts["a whole arm lost"].predicted_sd_m)
     assert arm >= 6 * 1.4 * truth.rate  # some gaps join gaps before and after
     summary = summarise_errors(parts["gaps under 0.2 s"])
@@ -109,8 +127,9 @@ def test_result_without_a_body_raises(truth, result):
 
 
 def test_composed_take_is_cleaned_and_measured():
-    summary = uncertainty.measure_uncertainty(seeds=[0])
+    summary = uncertainty.measure_uncertainty(seeds=[0], is_subject_known=True)
     assert set(summary) == {"joints", "filled_markers"}
+    assert len(summary["joints"]["by_joint"]) == 19
     for part in summary.values():
         assert 0.4 < part["within_1_sigma"] < 0.95
         assert 0.8 < part["within_2_sigma"] <= 1.0

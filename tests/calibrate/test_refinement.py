@@ -6,7 +6,6 @@ import numpy as np
 
 from mocapfix import marker_sets
 from mocapfix.calibrate import refinement
-from mocapfix.calibrate.shared_responses import SharedResponses
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
@@ -38,9 +37,10 @@ def perform(subject, frames=90):
     return kinematics.compute_joint_and_marker_positions(subject, motion)[1], motion
 
 
-def refine(markers, start=NOMINAL):
+def refine(markers, start=NOMINAL, interval_s=0.1):
     posed = refinement.pose_frames(start, BODY, MEAN, markers)
-    return refinement.refine_subject(start, BODY, MEAN, markers, posed.root_position, posed.local_rotations)[0]
+    times_s = interval_s * np.arange(len(markers))
+    return refinement.refine_subject(start, BODY, MEAN, markers, posed.root_position, posed.local_rotations, times_s)[0]
 
 
 def test_damped_step_minimises_a_quadratic_and_damping_shortens_it():
@@ -94,18 +94,6 @@ def test_displaced_marker_is_recovered():
     assert np.linalg.norm(found.marker_offsets[k] - places[k]) < 0.4 * np.linalg.norm(MARKER_SET.marker_offsets[k] - places[k])
 
 
-def test_calibration_sd_follows_from_the_curvature():
-    moved, carried = np.zeros((2, 3, 1, 3)), np.zeros((2, 2, 1, 3))
-    carried[0, 0, 0], carried[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
-    moved[:, :2, 0] = 1.0  # both unknowns shift the marker alike
-    bent, pull = np.zeros((2, 3, 0, 3)), np.zeros((0, 3, 3))
-    found = SharedResponses(np.zeros(2), np.zeros((2, 1)), np.zeros((2, 2, 1, 3)), moved, bent, pull, carried)
-    covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
-    joints, markers = refinement.compute_response_sd(found, np.linalg.inv(covariance))
-    np.testing.assert_allclose(joints, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
-    np.testing.assert_allclose(markers, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
-
-
 def test_sd_of_an_invisible_marker_is_its_prior():
     markers, _ = perform(NOMINAL, frames=30)
     k = MARKER_SET.labels.index("RWRA")
@@ -144,7 +132,8 @@ def test_input_poses_are_not_modified():
     markers, _ = perform(NOMINAL, frames=30)
     posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
     was = [field.copy() for field in vars(posed).values()]
-    subject, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, posed.root_position, posed.local_rotations)
+    poses = posed.root_position, posed.local_rotations
+    subject, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, *poses, np.arange(30.0))
     assert subject.frame_count == 30
     for before, after in zip(was, vars(posed).values(), strict=True):
         np.testing.assert_array_equal(before, after)

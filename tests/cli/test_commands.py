@@ -323,13 +323,14 @@ def test_bench_uncertainty_prints_a_table_or_json(mocapfix, monkeypatch):
 
     part = {"samples": 3, "error_mm": 4.0, "deviation_mm": 5.0, "within_1_sigma": 0.68, "within_2_sigma": 0.954}
     results = {what: {**part, "by": {"all missing": part}} for what in ("joints", "filled_markers")}
-    monkeypatch.setattr(uncertainty, "measure_uncertainty", lambda: results)
+    results["joints"]["by_joint"] = {"Hand": part}
+    monkeypatch.setattr(uncertainty, "measure_uncertainty", lambda *_, **__: results)
     status, out, _ = mocapfix("bench", "uncertainty", "--json")
     assert (status, json.loads(out)) == (0, results)
     status, out, _ = mocapfix("bench", "uncertainty")
     assert status == 0
-    assert out.count("68%") == 4
-    assert out.count("95%") == 4
+    assert out.count("68%") == 5
+    assert out.count("95%") == 5
 
 
 def test_bench_stress_prints_a_table_or_json_and_fails_beyond_the_limits(mocapfix, monkeypatch):

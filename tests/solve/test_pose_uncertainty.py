@@ -10,7 +10,12 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.solve.observability import CALIBRATION_SD_RATIO, MIN_ESTIMATED_MARKER_SD_M, compute_pose_sd, estimate_marker_sd
+from mocapfix.solve.observability import (
+    MIN_ESTIMATED_MARKER_SD_M,
+    compute_pose_sd,
+    compute_unsolved_joint_variance,
+    estimate_marker_sd,
+)
 from mocapfix.solve.pose_problem import (
     MarkerAttachment,
     PoseProblem,
@@ -101,5 +106,16 @@ def test_calibration_error_is_added(scene):
     posed_markers, posed_joints = predict_sd(scene)
     uncertain_subject = replace(subject, joint_sd=np.full(31, 0.02), marker_sd=np.full(41, 0.03))
     markers, joints = predict_sd(scene, subject=uncertain_subject)
-    np.testing.assert_allclose(joints**2, posed_joints**2 + (CALIBRATION_SD_RATIO * 0.02) ** 2)
-    np.testing.assert_allclose(markers**2, posed_markers**2 + (CALIBRATION_SD_RATIO * 0.03) ** 2)
+    np.testing.assert_allclose(joints**2, posed_joints**2 + 0.02**2)
+    np.testing.assert_allclose(markers**2, posed_markers**2 + 0.03**2)
+
+
+def test_index_finger_varies_with_the_unsolved_rotation_of_its_base(scene):
+    subject, _, _ = scene
+    variance = compute_unsolved_joint_variance(subject, MEAN, BODY.free_joints)
+    assert {NAMES[j] for j in np.flatnonzero(variance)} == {"LeftHandIndex1", "RightHandIndex1"}
+    base, finger = NAMES.index("LeftFingerBase"), NAMES.index("LeftHandIndex1")
+    rng = np.random.default_rng(3)
+    vectors = rng.multivariate_normal(np.zeros(3), np.linalg.inv(MEAN.information[base]), 20000)
+    shift = np.cross(vectors, subject.skeleton.offsets[finger])
+    assert variance[finger] == pytest.approx((shift**2).mean(), rel=0.05)
