@@ -16,8 +16,12 @@ from mocapfix.take import Take
 
 ESTIMATE_CORRELATION = 0.5
 """Correlation of the errors of two estimates of one sample."""
-GAUSSIAN_PROCESS_CORRELATION = 0.9
+GAUSSIAN_PROCESS_CORRELATION = 0.6
 """The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
+PREDICTED_SPREAD_DOF = 6.0
+"""Degrees of freedom that the predicted standard deviations are worth beside the differences of the estimates."""
+MIN_COMBINED_SD_M = 0.0003
+"""Smallest standard deviation of a fill."""
 MAX_SPLINE_GAP_S = 0.5
 """Duration of the longest gap that is filled by splines."""
 SETTLED_SPLINE_SD_M = 0.001
@@ -81,11 +85,12 @@ def estimate_missing_samples(
     if is_inlier.all():
         nothing = np.full(is_inlier.shape, np.nan)
         return build_marker_estimate(np.full(markers.shape, np.nan), nothing, FillMethod.SPLINE)
-    combined = combine_estimates(iterate_estimates(markers, take.rate, body_estimate))
+    combined, ratio = combine_estimates(iterate_estimates(markers, take.rate, body_estimate))
     filled = fill_from_gaussian_process(markers, combined.position, combined.sd, take.rate)
     position, sd = reject_fast_estimates(*filled, markers, take.rate)
     process = build_marker_estimate(position, sd * compute_gap_inflation(is_inlier), FillMethod.GAUSSIAN_PROCESS)
-    return combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
+    estimate, process_ratio = combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
+    return estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_COMBINED_SD_M))
 
 
 def iterate_estimates(
@@ -103,12 +108,18 @@ def iterate_estimates(
         yield body_estimate
 
 
-def combine_estimates(estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION) -> MarkerEstimate:
+def combine_estimates(
+    estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION
+) -> tuple[MarkerEstimate, Float[np.ndarray, "T M"]]:
     """Return the mean of several estimates weighted by precision, with the method of the largest weight; NaN without any.
 
     The estimates rely on the same neighbours and edges, so their errors are correlated, and the variance of the mean is larger
     than for independent estimates. Where the estimates differ by more than their standard deviations allow, the standard
     deviation is increased accordingly (Birge 1932, "The calculation of errors by the method of least squares").
+
+    An estimate weighs no more for agreeing with another. But where estimates agree, their mean is more certain than this standard
+    deviation says. The second result is the ratio of the two: it weights the predicted standard deviations and the differences of
+    the estimates by their degrees of freedom.
     """
     mean = precision = inverse_sd = count = square = largest = method = np.zeros(())
     for position, sd, each_method in estimates:
@@ -130,7 +141,11 @@ def combine_estimates(estimates: Iterable[MarkerEstimate], correlation: float = 
     spread = square - precision * (mean**2).sum(-1)
     birge = np.maximum(spread / np.maximum(3 * (count - 1), 1), 1)
     variance = (correlation * inverse_sd**2 + (1 - correlation) * precision) * birge
-    return MarkerEstimate(mean, np.sqrt(variance) / precision, method)
+    degrees_of_freedom = 3 * np.maximum(count - 1, 0)
+    expected_spread = 1 - ESTIMATE_CORRELATION
+    expected = PREDICTED_SPREAD_DOF + np.maximum(spread, 0) / expected_spread
+    ratio = np.sqrt(expected / (PREDICTED_SPREAD_DOF + degrees_of_freedom) / birge)
+    return MarkerEstimate(mean, np.sqrt(variance) / precision, method), ratio
 
 
 def reject_fast_estimates(

@@ -42,6 +42,10 @@ PRIOR_HUBER_SCALE_SD = 1.0
 """Deviation of a joint from the mean pose, in standard deviations, beyond which the prior's force no longer grows: a forearm that
 follows its markers may then turn across the elbow's hinge, as skin and a wrong marker offset make it appear to."""
 
+GAP_VARIANCE_INFLATION = 3.0
+"""Variance with which the solve tracks a joint's trajectory across a gap, over the mean squared error of the result, measured on
+CMU's training subjects: the solve must not trust a trajectory too much."""
+
 
 class IndependentSolution(NamedTuple):
     """What remains of the independent solves of T frames besides their poses.
@@ -103,7 +107,8 @@ def solve_motion(
         problem, subject, prior, pose, own_pose=own_pose, tracking=tracking, is_uncertain=is_uncertain, options=options
     )
     gap_variance = np.where(is_unobserved, known.rotation_variance, alone.gap_variance)
-    tracking = tracking._replace(weight=is_uncertain / np.maximum(gap_variance, MIN_TRACKING_SD_RAD**2))
+    actual_variance = np.maximum(gap_variance / GAP_VARIANCE_INFLATION, MIN_TRACKING_SD_RAD**2)
+    tracking = tracking._replace(weight=is_uncertain / actual_variance)
     root_position = smoothing.remove_pose_jitter(root_position, local_rotations, problem.tree, rate, options)
     motion = Motion(root_position, local_rotations, status, alone.iterations + iterations, known.marker_sd, known.joint_sd)
     marker_sd, joint_sd = compute_pose_sd(problem, motion, subject, prior, known.marker_sd, tracking, robust_scale_m)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.fill.marker_estimates import (
     ESTIMATE_CORRELATION,
+    PREDICTED_SPREAD_DOF,
     FillMethod,
     build_marker_estimate,
     combine_estimates,
@@ -36,16 +37,16 @@ def estimate(place, sd):
 
 def test_estimates_are_combined_by_precision_with_correlation():
     nothing = estimate(np.nan, np.nan)
-    mean, deviation, _ = combine_estimates([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
+    (mean, deviation, _), _ = combine_estimates([estimate(0.0, 0.1), nothing, estimate(0.05, 0.2)])
     np.testing.assert_allclose(mean[0, 0], 0.01)  # weights 100 and 25: shares of 0.8 and 0.2
     variance = (0.8 * 0.1) ** 2 + (0.2 * 0.2) ** 2 + 2 * ESTIMATE_CORRELATION * 0.8 * 0.1 * 0.2 * 0.2
     np.testing.assert_allclose(deviation[0, 0] ** 2, variance)
-    assert np.isnan(combine_estimates([nothing, nothing])[0]).all()
-    assert np.isnan(combine_estimates([nothing, nothing])[1]).all()
+    assert np.isnan(combine_estimates([nothing, nothing])[0].position).all()
+    assert np.isnan(combine_estimates([nothing, nothing])[0].sd).all()
 
 
 def test_single_estimate_is_returned():
-    mean, deviation, _ = combine_estimates([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
+    (mean, deviation, _), _ = combine_estimates([estimate(np.nan, np.nan), estimate(0.3, 0.02)])
     np.testing.assert_allclose(mean, 0.3)
     np.testing.assert_allclose(deviation, 0.02)
 
@@ -53,14 +54,26 @@ def test_single_estimate_is_returned():
 def test_method_has_the_largest_weight():
     body = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.01, 0.2]]), FillMethod.BODY)
     path = build_marker_estimate(np.zeros((1, 2, 3)), np.array([[0.02, 0.1]]), FillMethod.SPLINE)
-    np.testing.assert_array_equal(combine_estimates([path, body]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
-    np.testing.assert_array_equal(combine_estimates([body, path]).method, [[FillMethod.BODY, FillMethod.SPLINE]])
+    np.testing.assert_array_equal(combine_estimates([path, body])[0].method, [[FillMethod.BODY, FillMethod.SPLINE]])
+    np.testing.assert_array_equal(combine_estimates([body, path])[0].method, [[FillMethod.BODY, FillMethod.SPLINE]])
 
 
 def test_inconsistent_estimates_increase_the_sd():
-    near = combine_estimates([estimate(0.0, 0.01), estimate(0.01, 0.01)])[1]
-    _, far, _ = combine_estimates([estimate(0.0, 0.01), estimate(0.1, 0.01)])
+    near = combine_estimates([estimate(0.0, 0.01), estimate(0.01, 0.01)])[0].sd
+    far = combine_estimates([estimate(0.0, 0.01), estimate(0.1, 0.01)])[0].sd
     np.testing.assert_allclose(far / near, np.sqrt(2 * 0.05**2 / 0.01**2))  # Birge's ratio, per axis, of two estimates
+
+
+def test_expected_sd_is_that_of_simulated_estimates():
+    rng, samples, sd = np.random.default_rng(0), 20000, 0.01
+    scale = np.sqrt(PREDICTED_SPREAD_DOF / rng.chisquare(PREDICTED_SPREAD_DOF, (samples, 1, 1)))  # actual over predicted
+    shared = np.sqrt(ESTIMATE_CORRELATION) * rng.normal(size=(samples, 1, 3))
+    own = np.sqrt(1 - ESTIMATE_CORRELATION) * rng.normal(size=(2, samples, 1, 3))
+    errors = scale * sd * (shared + own)
+    each_sd = np.full((samples, 1), sd)
+    combined, ratio = combine_estimates([build_marker_estimate(error, each_sd, FillMethod.SPLINE) for error in errors])
+    within = np.abs(combined.position) < (combined.sd * ratio)[..., None]
+    assert within.mean() == pytest.approx(0.66, abs=0.02)  # of Student's distribution with nine degrees of freedom
 
 
 @given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
