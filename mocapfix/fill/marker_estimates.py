@@ -16,7 +16,7 @@ from mocapfix.take import Take
 
 ESTIMATE_CORRELATION = 0.5
 """Correlation of the errors of two estimates of one sample."""
-GAUSSIAN_PROCESS_CORRELATION = 0.6
+GAUSSIAN_PROCESS_CORRELATION = 0.8
 """The same for the Gaussian process and the combination of the others: where it is used, they rely on the same markers."""
 PREDICTED_SPREAD_DOF = 6.0
 """Degrees of freedom that the predicted standard deviations are worth beside the differences of the estimates."""
