@@ -72,7 +72,7 @@ def fit_calibration(
         start, frames, unknowns = previous.start, previous.frames, previous.unknowns
         root_positions, local_rotations = previous.root_positions, previous.local_rotations
     subject, refined = refinement.refine_subject(
-        start, body, prior, take.markers[frames], root_positions, local_rotations, frames / take.rate, unknowns
+        start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns, times_s=frames / take.rate
     )
     check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
     return CalibrationFit(subject, start, refined.unknowns, frames, refined.root_position, refined.local_rotations)

@@ -119,8 +119,9 @@ def refine_subject(
     markers: Float[np.ndarray, "N K 3"],
     root_position: Float[np.ndarray, "N 3"],
     local_rotations: Float[np.ndarray, "N J 3 3"],
-    times_s: Float[np.ndarray, " N"],
     unknowns: Float[np.ndarray, " Q"] | None = None,
+    *,
+    times_s: Float[np.ndarray, " N"],
 ) -> tuple[Subject, RefinementState]:
     """Return `start` with the bones and marker offsets that fit the frames best, and the refined state.
 
@@ -240,9 +241,17 @@ def compute_calibration_sd(
     frames = sample_evenly(len(state.root_position), MAX_UNCERTAINTY_FRAMES)
     responses = respond_in_frames(state.parameters, state.problem, state.root_position, state.local_rotations, frames)
     if times_s is None:
-        return compute_response_sd(responses, np.linalg.inv(curvature))
-    covariance = compute_shared_covariance(responses, curvature, state.parameters.information, times_s, residual_sd_m)
-    return compute_response_sd(responses, covariance)
+        covariance = np.linalg.inv(curvature)
+    else:
+        covariance = compute_shared_covariance(
+            responses.marker_response,
+            responses.marker_weight,
+            curvature,
+            state.parameters.information,
+            times_s,
+            residual_sd_m,
+        )
+    return compute_response_sd(responses.joint_response, responses.marker_response, covariance)
 
 
 def build_refined_subject(
@@ -264,5 +273,7 @@ def build_refined_subject(
     visible = (~np.isnan(distance)).any(0)
     spread = start.marker_spread.copy()
     spread[visible] = np.sqrt(np.nanmedian(distance[:, visible] ** 2, axis=0) / 3)
-    joint_sd, marker_sd = compute_calibration_sd(state, curvature, times_s, estimate_residual_sd(state.problem, distance))
+    pose_freedom = 3 + 3 * int(np.isin(np.flatnonzero(tree.free), start.joints).sum())
+    residual_sd_m = estimate_residual_sd(distance, pose_freedom)
+    joint_sd, marker_sd = compute_calibration_sd(state, curvature, times_s, residual_sd_m)
     return replace(subject, marker_spread=spread, joint_sd=joint_sd, marker_sd=marker_sd)

@@ -4,21 +4,6 @@ import numpy as np
 import pytest
 
 from mocapfix.calibrate.calibration_uncertainty import SKIN_CORRELATION_S, compute_response_sd, compute_shared_covariance
-from mocapfix.calibrate.shared_responses import SharedResponses
-
-
-def build_responses(marker_response, joint_response, weight):
-    """Return responses (N, Q + 1, K, 3) and (N, Q, J, 3) of markers and joints with one weight for all markers."""
-    frames, markers = len(marker_response), marker_response.shape[2]
-    return SharedResponses(
-        np.zeros(frames),
-        np.full((frames, markers), weight),
-        np.zeros((frames, 0, markers, 3)),
-        marker_response,
-        np.zeros((frames, marker_response.shape[1], 0, 3)),
-        np.zeros((0, 3, 3)),
-        joint_response,
-    )
 
 
 def test_calibration_sd_follows_from_the_covariance():
@@ -26,7 +11,7 @@ def test_calibration_sd_follows_from_the_covariance():
     joints[0, 0, 0], joints[1, 1, 0] = [3.0, 0, 0], [0, 0, 3.0]  # the first unknown in one frame, the second in the other
     markers[:, :2, 0] = 1.0  # both unknowns shift the marker alike
     covariance = np.array([[0.05, 0.02], [0.02, 0.03]])
-    joint_sd, marker_sd = compute_response_sd(build_responses(markers, joints, 1.0), covariance)
+    joint_sd, marker_sd = compute_response_sd(joints, markers, covariance)
     np.testing.assert_allclose(joint_sd, [np.sqrt((9 * 0.05 + 9 * 0.03) / 6)])
     np.testing.assert_allclose(marker_sd, [np.sqrt(0.05 + 2 * 0.02 + 0.03)])
 
@@ -36,16 +21,16 @@ def test_error_of_a_mean_is_that_of_the_independent_frames(interval_s, independe
     frames, weight, sd = 50, 1e4, 0.004
     response = np.zeros((frames, 2, 1, 3))
     response[:, 0] = 1.0  # the unknown is the marker's distance along (1, 1, 1)
-    responses = build_responses(response, np.zeros((frames, 1, 1, 3)), weight)
+    marker_weight = np.full((frames, 1), weight)
     curvature, information = np.array([[3 * frames * weight]]), np.zeros((1, 1))
     times_s = interval_s * np.arange(frames)
-    covariance = compute_shared_covariance(responses, curvature, information, times_s, sd)
+    covariance = compute_shared_covariance(response, marker_weight, curvature, information, times_s, sd)
     assert covariance[0, 0] == pytest.approx(sd**2 / 3 / independent_frames, rel=1e-3)
 
 
 def test_unmeasured_unknown_varies_as_its_prior():
-    responses = build_responses(np.zeros((4, 2, 1, 3)), np.zeros((4, 1, 1, 3)), 1e4)
-    covariance = compute_shared_covariance(responses, np.array([[25.0]]), np.array([[25.0]]), np.arange(4.0), 0.004)
+    response, information = np.zeros((4, 2, 1, 3)), np.array([[25.0]])
+    covariance = compute_shared_covariance(response, np.ones((4, 1)), information, information, np.arange(4.0), 0.004)
     assert covariance[0, 0] == pytest.approx(0.04)
 
 
@@ -58,9 +43,8 @@ def test_covariance_is_that_of_simulated_estimates():
     information = np.diag([1e2, 1e3, 1e4, 1e5])
     curvature = weight * design.T @ design + information
     times_s = 0.1 * np.arange(frames)
-    predicted = compute_shared_covariance(
-        build_responses(response, np.zeros((frames, unknowns, 1, 3)), weight), curvature, information, times_s, sd
-    )
+    marker_weight = np.full((frames, markers), weight)
+    predicted = compute_shared_covariance(response, marker_weight, curvature, information, times_s, sd)
     correlation = np.exp(-np.abs(times_s[:, None] - times_s) / SKIN_CORRELATION_S)
     slide = sd * np.einsum("ts,dskc->dtkc", np.linalg.cholesky(correlation), rng.normal(size=(draws, frames, markers, 3)))
     true_unknowns = rng.normal(size=(draws, unknowns)) / np.sqrt(np.diag(information))
