@@ -4,24 +4,18 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test test-others shapes bench docs blender lint clean
+.PHONY: demo test bench docs blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
-# Two processes run tests, each with one thread for linear algebra: with two each, threads wait for one another.
-ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
-test: $(VENV)/installed-dev
-	$(ONE_THREAD) $(VENV)/bin/python -m pytest --numprocesses 2
-
-# Tests with annotated types and array shapes checked, in the folders where every test passes with them. They take twice as long.
+# Every test once, in two processes, each with one thread for linear algebra: with two each, threads wait for one another.
+# Annotated types and array shapes are checked in the folders where every test passes with them. These tests take twice as long.
 CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
-shapes: $(VENV)/installed-dev
-	MOCAPFIX_CHECK_TYPES=1 $(ONE_THREAD) $(VENV)/bin/python -m pytest --quiet --numprocesses 2 $(CHECKED_TESTS)
-
-# The tests that `make shapes` does not run: both together run every test once.
-test-others: $(VENV)/installed-dev
-	$(ONE_THREAD) $(VENV)/bin/python -m pytest --numprocesses 2 $(addprefix --ignore=,$(CHECKED_TESTS))
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2
+test: $(VENV)/installed-dev
+	$(PYTEST) $(addprefix --ignore=,$(CHECKED_TESTS))
+	MOCAPFIX_CHECK_TYPES=1 $(PYTEST) $(CHECKED_TESTS)
 
 # Accuracy, speed and memory against scenes/bench/baseline.json. Fails if anything became worse than its tolerance.
 bench: $(VENV)/installed-dev
