@@ -83,8 +83,8 @@ def test_a_lost_limb_is_described_with_its_frames_markers_and_what_was_assumed()
     note = describe_lost_part(take, build_lost_arm(5, 6, 7, 20), columns, epochs, inliers)
     assert note == (
         "The left arm of the solved body lies 310 mm from its markers on average in 4 frames (106–108 and 121), although A, B "
-        "and C are seen there and keep possible distances from one another. Its markers were assumed to be right and left unchanged; "
-        "do not use the solved left arm in these frames."
+        "and C are seen there and keep possible distances from one another. Its markers were assumed to be right and left "
+        "unchanged; do not use the solved left arm in these frames."
     )
     inliers[5] = False
     assert "3 of their samples were taken for faults; its other markers were assumed to be right;" in describe_lost_part(
