@@ -7,7 +7,7 @@ all of whose samples were taken for spikes is lost as well.
 Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
 another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
 those of the folded and the stretched chain. A sample that detection took for a fault counts only if it keeps its distance from
-another marker on the same segment. Of the markers of a part the one with the most contradictions is left out, until none is left.
+another marker on the same segment that lies off the body as well. Of the markers of a part the one with the most contradictions is left out, until none is left.
 """
 
 from collections.abc import Iterable
@@ -30,6 +30,9 @@ DISTANCE_TOLERANCE_SD = 4.0
 CHAIN_TOLERANCE_M = 0.04
 """by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error
 of the bones, and the motion of the skin"""
+MIN_SHARED_DISTANCE_M = 0.03
+"""compared with the distance from the body of the marker that supports a sample which detection took for a fault: a spike may keep
+its distance from a sound neighbour by chance"""
 MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""
@@ -150,7 +153,7 @@ def _find_lost_frames(
     candidates = np.flatnonzero(np.nanmax(np.nan_to_num(distance_m[:, columns]), axis=1) > min_distance_m)
     if not len(candidates):
         return LostPart(name, frames, mean_m, consistent)
-    is_consistent = select_consistent_markers(markers, inlier_mask, subject, columns, candidates)
+    is_consistent = select_consistent_markers(markers, inlier_mask, subject, columns, candidates, distance_m)
     count = is_consistent.sum(1)
     total_m = np.where(is_consistent, distance_m[np.ix_(candidates, columns)], 0).sum(1)
     mean_m[candidates] = total_m / np.maximum(count, 1)
@@ -165,6 +168,7 @@ def select_consistent_markers(
     subject: Subject,
     columns: np.ndarray,
     frames: np.ndarray,
+    body_distance_m: Float[np.ndarray, "T K"],
 ) -> Bool[np.ndarray, "N k"]:
     """Return which of k markers are seen and mutually consistent in each of N frames.
 
@@ -174,6 +178,7 @@ def select_consistent_markers(
         subject: The subject, with K markers.
         columns: Indices of the k markers.
         frames: Indices of the N frames.
+        body_distance_m: Distances of the markers from the solved body in metres, NaN where missing.
     """
     low_m, high_m = compute_distance_ranges(markers, inlier_mask, subject, columns)
     position = markers[np.ix_(frames, columns)]
@@ -182,7 +187,8 @@ def select_consistent_markers(
     distance_m = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
     is_possible = (distance_m >= low_m) & (distance_m <= high_m)
     is_selected = ~np.isnan(position[..., 0])
-    is_selected &= inlier_mask[np.ix_(frames, columns)] | (is_possible & is_same_segment).any(2)
+    is_off_body = body_distance_m[np.ix_(frames, columns)] > MIN_SHARED_DISTANCE_M
+    is_selected &= inlier_mask[np.ix_(frames, columns)] | (is_possible & is_same_segment & is_off_body[:, None]).any(2)
     contradicts = ~is_possible
     for _ in range(len(columns)):
         pairs = contradicts & is_selected[:, :, None] & is_selected[:, None]

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.solve.kinematics import compute_joint_and_marker_positions
 from mocapfix.solve.lost_in_sight import BODY_PARTS, compute_distance_ranges, find_lost_parts
@@ -82,6 +83,18 @@ def test_samples_taken_for_faults_count_if_they_keep_their_distance_on_the_segme
     inliers = np.ones(markers.shape[:2], bool)
     inliers[np.ix_(range(50, 55), find_columns(subject, LEFT_ARM))] = False
     assert count_lost(scene, inliers=inliers, body_markers=shift_body(scene, LEFT_ARM, range(50, 55))) == {"left arm": 5}
+
+
+def test_a_spike_that_keeps_its_distances_by_chance_is_no_lost_foot(scene):
+    subject, markers, _ = scene
+    toe, outer, heel = (markers[30, column] for column in find_columns(subject, ["LTOE", "LMT5", "LHEE"]))
+    axis = (outer - toe) / np.linalg.norm(outer - toe)
+    spike = markers.copy()
+    spike[30, subject.labels.index("LHEE")] = toe + Rotation.from_rotvec(np.radians(60) * axis).apply(heel - toe)
+    inliers = np.ones(markers.shape[:2], bool)
+    assert count_lost(scene, markers=spike, inliers=inliers) == {"left foot": 1}
+    inliers[30, subject.labels.index("LHEE")] = False
+    assert count_lost(scene, markers=spike, inliers=inliers) == {}
 
 
 def test_fewer_than_three_seen_markers_show_nothing(scene):
