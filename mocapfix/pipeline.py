@@ -5,7 +5,7 @@ decisions. Each stage takes a `CleaningState` and the `CleanOptions` and returns
 (BVH, AMC) has no markers and is cleaned by `mocapfix.animations`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,9 +23,10 @@ from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, resolve_subject
 from mocapfix.multi_subject import split_known_subjects
-from mocapfix.options import CleanOptions, SubjectOptions
+from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.report.build_report import build_inspection_report, build_report
@@ -35,6 +36,7 @@ from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.motion_solver import solve_body
+from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -84,7 +86,8 @@ def clean(
         if results:  # an unlabelled trajectory assigned to one subject is not available to the next
             take = replace(take, unlabelled=results[-1].take.unlabelled)
         subject_timer = StageTimer(dict(timer.stage_seconds), progress)
-        state = replace(start_cleaning(take, options.subject, reviewed), load_pose_model=load_pose_model)
+        conditioner = build_prior_conditioner(load_pose_model, options.solve)
+        state = replace(start_cleaning(take, options.subject, reviewed), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
     return results[0] if len(results) == 1 else multi_subject.merge_results(capture, tuple(results))
 
@@ -96,6 +99,11 @@ def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[Reviewed
     return CleaningState(
         take, DetectionState(take), choice.marker_set, choice.subject, None, reviewed, accepts_fault, notes=choice.notes
     )
+
+
+def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, options: SolveOptions) -> PriorConditioner | None:
+    """Return the pose prior as the solver uses it for one take; None without a prior."""
+    return PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
@@ -179,7 +187,8 @@ def inspect(
     reject_hierarchy(capture, options.subject)
     reports: list[InspectionReport] = []
     for take in split_known_subjects(capture, options.subject):
-        state = replace(start_cleaning(take, options.subject), load_pose_model=load_pose_model)
+        conditioner = build_prior_conditioner(load_pose_model, options.solve)
+        state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
         faults = detect_and_fit(state, options, timer).detection.faults
         marker_set = state.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason

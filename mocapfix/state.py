@@ -16,9 +16,9 @@ from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
-from mocapfix.pose_prior.model import PoseModel
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.report.review_file import ReviewedChange
+from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -155,7 +155,7 @@ class CleaningState:
         detection: the faults that were found, and the take with its labels corrected.
         marker_set: the marker set of the take; None where no set fits: the take is then cleaned without a body.
         known_subject: the subject from an earlier calibration; None: it is calibrated from the take.
-        load_pose_model: loads the trained pose prior when it is needed; None: no prior is used.
+        prior_conditioner: the trained pose prior; None: no prior is used.
         reviewed_changes: the changes of an earlier cleaning that a reviewer declined.
         accepts_fault: False for a fault whose samples the reviewer decided to keep, or a marker shift that the reviewer declined.
         notes: sentences for the report.
@@ -174,7 +174,7 @@ class CleaningState:
     detection: DetectionState
     marker_set: MarkerSet | None = None
     known_subject: Subject | None = None
-    load_pose_model: Callable[[], PoseModel] | None = None
+    prior_conditioner: PriorConditioner | None = None
     reviewed_changes: tuple[ReviewedChange, ...] = ()
     accepts_fault: Callable[[Fault], bool] = _accept_every_fault
     notes: tuple[str, ...] = ()

@@ -7,7 +7,8 @@ all of whose samples were taken for spikes is lost as well.
 Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
 another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
 those of the folded and the stretched chain. A sample that detection took for a fault counts only if it keeps its distance from
-another marker on the same segment that lies off the body as well. Of the markers of a part the one with the most contradictions is left out, until none is left.
+another marker on the same segment that lies off the body as well. Of the markers of a part the one with the most
+contradictions is left out, until none is left.
 """
 
 from collections.abc import Iterable
@@ -31,8 +32,8 @@ CHAIN_TOLERANCE_M = 0.04
 """by which the distance of two markers on two segments may lie outside the range of their chain of bones: the calibration error
 of the bones, and the motion of the skin"""
 MIN_SHARED_DISTANCE_M = 0.03
-"""compared with the distance from the body of the marker that supports a sample which detection took for a fault: a spike may keep
-its distance from a sound neighbour by chance"""
+"""compared with the distance from the body of the marker that supports a sample which detection took for a fault: a spike may
+keep its distance from a sound neighbour by chance"""
 MIN_PROXIMAL_DISTANCE_M = 0.03
 """a limb counts as lost beyond the part of it that is lost anyway if the mean distance of its other markers exceeds this: so a
 lost foot is not called a lost leg"""

@@ -4,7 +4,6 @@ Each frame is solved on its own first. The joints' smooth trajectories through t
 then enter a second solve as tracking terms, which couple the frames.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,7 +14,6 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics, limb_recovery, observability, occluded_joints, smoothing
 from mocapfix.solve.observability import compute_pose_sd
@@ -69,15 +67,14 @@ def solve_motion(
     initial_motion: Motion,
     options: SolveOptions,
     *,
-    load_pose_model: Callable[[], PoseModel] | None = None,
+    conditioner: PriorConditioner | None = None,
 ) -> Motion:
     """Return the poses of all frames, with the standard deviations of every joint and of every marker as the body places it.
 
     take             the markers in the subject's order, NaN if not visible or an outlier
     prior            the mean pose of independent joints, which makes every frame determinate
     initial_motion   the start of each frame's first solve; NaN where it starts from the frame before
-    load_pose_model  returns a trained pose model; called only if a limb is occluded for so long that the take itself does not
-                     determine it. None: no model is used.
+    conditioner      a trained pose model; used only if a limb is occluded for so long that the take itself does not determine it
     """
     rate, robust_scale_m = take.rate, options.robust_scales_m[-1]
     problem = build_pose_problem(take, subject, body, prior, limits, options)
@@ -87,7 +84,6 @@ def solve_motion(
     root_position, local_rotations = initial_motion.root_position.copy(), initial_motion.local_rotations.copy()
     alone = solve_frames_independently(problem, root_position, local_rotations, is_uncertain, is_unobserved, rate, options)
     known = alone.uncertainty
-    conditioner = PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
     occluded_joints.infer_occluded_joints(
         root_position,
         local_rotations,
@@ -201,7 +197,7 @@ def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
         limits,
         state.initial_motion,
         options.solve,
-        load_pose_model=state.load_pose_model,
+        conditioner=state.prior_conditioner,
     )
     joints, markers = kinematics.compute_joint_and_marker_positions(extended_subject, motion)
     return replace(state, body=BodyFit(state.subject, extended_subject, motion, state.marker_columns, joints, markers))

@@ -15,7 +15,8 @@ another tracking term of the poses it increased the error of every gap.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import quaternions
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+from mocapfix.solve.parallel import count_cores, run_in_parallel
 from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
 from mocapfix.stats.sequences import group_gaps, select_training_frames
 
@@ -30,20 +32,39 @@ OBSERVED_JOINT_SD_RAD = 0.05
 """Standard deviation of the rotation of a joint with markers."""
 CODE_ITERATIONS = 4
 """Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
-MAX_CONDITIONING_FRAMES = 512
+MAX_CONDITIONING_FRAMES = 256
 """Frames per batch; the derivatives of one frame take about 40 kB."""
+MAX_REUSED_CHANGE_RAD = 0.02
+"""Change of an observed joint's rotation vector up to which an earlier prediction of the frame is used again: less than half of
+OBSERVED_JOINT_SD_RAD, to which the prediction assumes the rotations to be known."""
+
+
+class FramePredictions(NamedTuple):
+    """Predictions for N frames, in increasing order, and what they were made from: rotation vectors in radians.
+
+    observed  (N, O, 3) of the observed joints
+    occluded  (N, L, 3) predicted, of the occluded joints
+    """
+
+    frames: np.ndarray
+    observed: np.ndarray
+    occluded: np.ndarray
 
 
 @dataclass(frozen=True)
 class PriorConditioner:
     """A trained pose model as the solver uses it.
 
-    load_pose_model  returns the model; called only when it is needed, since a network imports torch
+    A take is solved in several rounds, between which few poses change, so the predictions of earlier calls are kept.
+
+    load_pose_model  returns the model; called only when it is needed, since its weights are read from a file
     prior_scale      factor of the model's standard deviations (2: weaker prior)
+    predictions      the last predictions for each pair of observed and occluded joints
     """
 
     load_pose_model: Callable[[], PoseModel]
     prior_scale: float
+    predictions: dict[tuple[tuple[int, ...], tuple[int, ...]], FramePredictions] = field(default_factory=dict, kw_only=True)
 
     def predict_rotations(
         self,
@@ -58,10 +79,8 @@ class PriorConditioner:
         reference  quaternions that determine the sign: of two for the same rotation, the nearer one is returned
         """
         model = self.load_pose_model()
-        batches = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES) or 1)
-        vectors = np.concatenate(
-            [self.estimate_rotation_vectors(model, local_rotations[batch], observed_joints, occluded_joints) for batch in batches]
-        )
+        unique_frames, row_of_frame = np.unique(frames, return_inverse=True)
+        vectors = self.update_predictions(model, local_rotations, observed_joints, occluded_joints, unique_frames)[row_of_frame]
         predicted = np.empty((len(frames), len(occluded_joints), 4))
         for i, j in enumerate(occluded_joints):
             rotation = Rotation.from_rotvec(vectors[:, i]) * Rotation.from_matrix(model.reference_rotations[j])
@@ -69,10 +88,43 @@ class PriorConditioner:
         is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
         return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
 
+    def update_predictions(
+        self,
+        model: PoseModel,
+        local_rotations: Float[np.ndarray, "T J 3 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+        frames: Int[np.ndarray, " N"],
+    ) -> Float[np.ndarray, "N L 3"]:
+        """Return the rotation vectors of the occluded joints in frames in increasing order, and keep them.
+
+        Only frames without an earlier prediction for nearly the same observed rotations are estimated.
+        """
+        pose_vectors = compute_pose_vectors(local_rotations[frames], model.reference_rotations)
+        observed = pose_vectors[:, np.r_[0, observed_joints]]
+        result, is_new = np.empty((len(frames), len(occluded_joints), 3)), np.ones(len(frames), bool)
+        key = tuple(observed_joints.tolist()), tuple(occluded_joints.tolist())
+        if key in self.predictions:
+            earlier = self.predictions[key]
+            row = np.minimum(np.searchsorted(earlier.frames, frames), len(earlier.frames) - 1)
+            change_rad = np.abs(earlier.observed[row] - observed).max(axis=(1, 2))
+            is_new = (earlier.frames[row] != frames) | ~(change_rad <= MAX_REUSED_CHANGE_RAD)
+            observed[~is_new], result[~is_new] = earlier.observed[row[~is_new]], earlier.occluded[row[~is_new]]
+        new_rows = np.flatnonzero(is_new)
+        batch_count = max(-(-len(new_rows) // MAX_CONDITIONING_FRAMES), min(count_cores(), len(new_rows)))
+
+        def estimate(rows: np.ndarray) -> None:
+            result[rows] = self.estimate_rotation_vectors(model, pose_vectors[rows], observed_joints, occluded_joints)
+
+        if batch_count:
+            run_in_parallel(estimate, np.array_split(new_rows, batch_count))
+        self.predictions[key] = FramePredictions(frames, observed, result)
+        return result
+
     def estimate_rotation_vectors(
         self,
         model: PoseModel,
-        local_rotations: Float[np.ndarray, "N J 3 3"],
+        pose_vectors: Float[np.ndarray, "N J 3"],
         observed_joints: Int[np.ndarray, " O"],
         occluded_joints: Int[np.ndarray, " L"],
     ) -> Float[np.ndarray, "N L 3"]:
@@ -82,8 +134,8 @@ class PriorConditioner:
         """
         observed = np.r_[0, observed_joints]
         sd = np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[observed])[:, None]
-        vectors = compute_pose_vectors(local_rotations, model.reference_rotations)
-        vectors[:, occluded_joints], codes = 0.0, np.zeros((len(local_rotations), model.code_size))
+        vectors, codes = pose_vectors.copy(), np.zeros((len(pose_vectors), model.code_size))
+        vectors[:, occluded_joints] = 0.0
         for iteration in range(CODE_ITERATIONS):
             selected = model.select_components(vectors)
             if iteration == 0 and selected is model:  # all codes are zero, so that one linearisation holds for all frames
@@ -92,7 +144,7 @@ class PriorConditioner:
             else:
                 decoded, jacobian = selected.linearise(codes)
             weighted = (jacobian[:, observed] / sd[..., None]).reshape(len(jacobian), -1, model.code_size)
-            residual = ((vectors - decoded)[:, observed] / sd).reshape(len(local_rotations), -1, 1) + weighted @ codes[..., None]
+            residual = ((vectors - decoded)[:, observed] / sd).reshape(len(vectors), -1, 1) + weighted @ codes[..., None]
             transposed = np.swapaxes(weighted, 1, 2)
             curvature = transposed @ weighted + np.eye(model.code_size) / self.prior_scale**2
             codes = np.linalg.solve(curvature, transposed @ residual)[..., 0]

@@ -14,6 +14,7 @@ from mocapfix.pose_prior import io, mean_pose
 from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, limb_recovery, motion_solver, occluded_joints
+from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -173,7 +174,7 @@ def test_pose_model_is_not_loaded_if_all_segments_are_observed(exact):
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     with_model, without = (
-        motion_solver.solve_motion(*arguments, load_pose_model=refuse_to_load),
+        motion_solver.solve_motion(*arguments, conditioner=PriorConditioner(refuse_to_load, 1.0)),
         motion_solver.solve_motion(*arguments),
     )
     for one, other in zip(vars(with_model).values(), vars(without).values(), strict=True):
@@ -190,7 +191,9 @@ def test_pose_model_affects_the_lost_limb_only(exact, monkeypatch):
     start = initial_motion.initialise_motion(take, truth.subject, BODY, MEAN)
     arguments = (take, truth.subject, BODY, MEAN, LIMITS, start, SolveOptions())
     motions = (
-        motion_solver.solve_motion(*arguments, load_pose_model=lambda: io.load_pose_model("gaussian", BODY.skeleton)),
+        motion_solver.solve_motion(
+            *arguments, conditioner=PriorConditioner(lambda: io.load_pose_model("gaussian", BODY.skeleton), 1.0)
+        ),
         motion_solver.solve_motion(*arguments),
     )
     moved = np.linalg.norm(
