@@ -67,7 +67,7 @@ def test_rigid_gap_is_filled_and_the_rest_is_bit_identical(rod):
 
 def test_outlier_is_replaced_or_emptied(rod):
     take = remove_samples(rod)
-    is_inlier = take.visible
+    is_inlier = take.visible.copy()
     is_inlier[200, 0], is_inlier[200:300, 5] = False, False
     spiked = take.replace_markers(np.where(is_inlier[..., None] | ~take.visible[..., None], take.markers, take.markers + 0.3))
     after, left = fill(spiked, is_inlier=is_inlier)
@@ -82,7 +82,7 @@ def test_outlier_is_replaced_or_emptied(rod):
 @pytest.mark.parametrize("label", ["Jim:A", "A"])
 def test_kept_marker_is_unchanged(rod, label):
     take = remove_samples(rod, (0, 100, 120), (1, 300, 310))
-    is_inlier = take.visible
+    is_inlier = take.visible.copy()
     is_inlier[200, 0] = False
     after, left = fill(take, FillOptions(keep=(label,)), is_inlier)
     np.testing.assert_array_equal(after.markers[:, 0], take.markers[:, 0])

@@ -196,4 +196,4 @@ def test_calibration_error_increases_the_sd():
     at, sd, _ = estimate_joint_positions(take_of(markers), NOMINAL, BODY)
     same, larger_sd, _ = estimate_joint_positions(take_of(markers), uncertain_subject, BODY)
     np.testing.assert_array_equal(same, at)
-    np.testing.assert_allclose(larger_sd**2, sd**2 + (0.75 * 0.02) ** 2)
+    np.testing.assert_allclose(larger_sd**2, sd**2 + 0.02**2)

@@ -123,12 +123,12 @@ def test_joints_without_visible_markers_are_listed_once(cleaned):
     subject = cleaned.result.subject
     take = Take(np.ones((FRAMES, len(subject.labels), 3)), subject.labels, RATE)
     assert describe_unobserved_joints(take, subject) == []
-    joint = subject.skeleton.find_joint("LeftHand")
-    on_joint = [k for k in range(len(subject.labels)) if subject.joints[k] == joint]
-    take.markers[:, on_joint[:-1]] = NAN
-    assert describe_unobserved_joints(take, subject) == []
-    take.markers[:, on_joint] = NAN
-    assert describe_unobserved_joints(take, subject) == ["No visible marker on LeftHand: the mean pose is used there."]
+    is_on_joint = subject.joints == subject.skeleton.find_joint("LeftHand")
+    is_last = np.arange(len(is_on_joint)) == np.flatnonzero(is_on_joint)[-1]
+    assert describe_unobserved_joints(take.masked(take.visible & (~is_on_joint | is_last)), subject) == []
+    assert describe_unobserved_joints(take.masked(take.visible & ~is_on_joint), subject) == [
+        "No visible marker on LeftHand: the mean pose is used there."
+    ]
 
 
 def test_uncertain_fills_are_counted_with_their_markers():

@@ -91,7 +91,7 @@ def test_constant_data_may_have_one_row(kind):
     frame, last = random_terms.draw_frame(np.random.default_rng(4), 5, [kind], codes=3 if kind == "latent_code" else 0), 7
     once = frame.terms[random_terms.ALL_KINDS.index(kind)]
     for name, array in once._asdict().items():
-        if len(array) == 1:
+        if isinstance(array, np.ndarray) and len(array) == 1:
             each = once._replace(**{name: np.repeat(array, last + 1, axis=0)})
             several = frame._replace(terms=random_terms.build_terms(5, last + 1, **{kind: each}))
             assert build_equations(several, t=last)[0] == build_equations(frame)[0]
