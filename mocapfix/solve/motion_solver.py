@@ -105,7 +105,9 @@ def solve_motion(
     gap_variance = np.where(is_unobserved, known.rotation_variance, alone.gap_variance)
     actual_variance = np.maximum(gap_variance / GAP_VARIANCE_INFLATION, MIN_TRACKING_SD_RAD**2)
     tracking = tracking._replace(weight=is_uncertain / actual_variance)
-    root_position = smoothing.remove_pose_jitter(root_position, local_rotations, problem.tree, rate, options)
+    root_position = smoothing.remove_pose_jitter(
+        root_position, local_rotations, is_uncertain, is_unobserved, problem.tree, rate, options
+    )
     motion = Motion(root_position, local_rotations, status, alone.iterations + iterations, known.marker_sd, known.joint_sd)
     marker_sd, joint_sd = compute_pose_sd(problem, motion, subject, prior, known.marker_sd, tracking, robust_scale_m)
     motion = replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)

@@ -13,7 +13,7 @@ few of them as possible and document which arguments they overwrite.
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import solveh_banded
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from mocapfix.kernels import quaternions
 from mocapfix.kernels.forward_kinematics import KinematicTree
@@ -50,6 +50,8 @@ MIN_ACCELERATION_POWER = 1e-3
 """Smallest acceleration power, in rad^2/s^3 or m^2/s^3."""
 MAX_POWER_CORRECTIONS = 3
 """Times that the power is raised where smoothing removes more than jitter; it is low enough after one or two."""
+USUAL_DEVIATION_RATIO = 4.0
+"""Deviation from the smooth trajectory that is no jitter, relative to the median of the take: a noisy take deviates everywhere"""
 POWER_CORRECTION_EXPONENT = 3
 """Exponent of the factor of the power, whose base is the deviation over the jitter's standard deviation. What smoothing removes
 of a motion is inversely proportional to the power at most, so that one correction nearly suffices."""
@@ -211,6 +213,8 @@ def smooth_poses(
 def remove_pose_jitter(
     root_position: Float[np.ndarray, "T 3"],
     local_rotations: Float[np.ndarray, "T J 3 3"],
+    is_uncertain: Bool[np.ndarray, "T J"],
+    is_unobserved: Bool[np.ndarray, "T J"],
     tree: KinematicTree,
     rate: float,
     options: SolveOptions,
@@ -218,28 +222,46 @@ def remove_pose_jitter(
     """Remove the frame-to-frame jitter caused by skin and cameras from local_rotations, in place; return the root without it.
 
     World rotations are smoothed: markers determine those of the segments, and how adjacent joints share them much less.
+
+    is_uncertain, is_unobserved  joints that lack some markers, and all: where markers appear or disappear, a jump of the pose is
+                                 no motion
     """
+    is_known = ~is_unobserved
+    is_known[1:] &= is_uncertain[1:] == is_uncertain[:-1]
+    for j in range(1, len(tree.parents)):
+        is_known[:, j] &= is_known[:, tree.parents[j]]
     _, world_rotations = kinematics.compute_tree_poses(tree, root_position, local_rotations)
     for j in np.flatnonzero(tree.free):
         joint = quaternions.extract_joint_quaternions(world_rotations, j, np.ones(len(world_rotations), bool))
-        quaternions.store_joint_quaternions(remove_jitter(joint, rate, options.rotation_jitter_rad), j, world_rotations)
+        quaternions.store_joint_quaternions(
+            remove_jitter(joint, is_known[:, j], rate, options.rotation_jitter_rad), j, world_rotations
+        )
     write_local_rotations(world_rotations, tree, local_rotations)
     return smooth_root_path(root_position, np.full(len(root_position), options.root_jitter_m**2), rate)[0]
 
 
-def remove_jitter(joint_quaternions: Float[np.ndarray, "T 4"], rate: float, jitter_sd_rad: float) -> Float[np.ndarray, "T 4"]:
+def remove_jitter(
+    joint_quaternions: Float[np.ndarray, "T 4"], is_known: Bool[np.ndarray, " T"], rate: float, jitter_sd_rad: float
+) -> Float[np.ndarray, "T 4"]:
     """Return quaternions without jitter, not normalised.
 
-    Where a trajectory is left by more than jitter, the motion is faster than the average of the window from which its power was
-    estimated. The power is raised there, so that a strike is not cut short.
+    Where a trajectory is left to one side by more than jitter, the motion is faster than the average of the window from which its
+    power was estimated. The power is raised there, so that a strike is not cut short. Jitter changes its side from frame to
+    frame: the mean over ACCELERATION_STEP_S has little of it.
+
+    is_known  frames in which the markers determine the rotation; only those, with known neighbours, show a faster motion
     """
     variance = np.full(len(joint_quaternions), jitter_sd_rad**2)
     power = estimate_rotation_power(joint_quaternions, variance, rate)
     smooth = smooth_path(joint_quaternions, variance, power, rate)
     reach = 2 * max(1, round(ACCELERATION_STEP_S * rate)) + 1
+    window = max(1, round(ACCELERATION_STEP_S * rate))
+    has_known_neighbours = minimum_filter1d(is_known, 2 * reach + 1)
     for _ in range(MAX_POWER_CORRECTIONS):
-        deviation_rad = 2 * np.linalg.norm(smooth - joint_quaternions, axis=1)
-        excess = maximum_filter1d(deviation_rad, reach) / jitter_sd_rad
+        deviation = uniform_filter1d(smooth - joint_quaternions, window, axis=0, mode="nearest")
+        deviation_rad = np.where(has_known_neighbours, 2 * np.linalg.norm(deviation, axis=1), 0.0)
+        usual_rad = np.median(deviation_rad[has_known_neighbours]) if has_known_neighbours.any() else 0.0
+        excess = maximum_filter1d(deviation_rad, reach) / max(jitter_sd_rad, USUAL_DEVIATION_RATIO * usual_rad)
         if not (excess > 1).any():
             break
         power = power * np.maximum(excess, 1.0) ** POWER_CORRECTION_EXPONENT

@@ -143,7 +143,7 @@ def draw_strikes(rng, jitter_rad):
 
 def test_jitter_is_removed_from_rest_and_strikes_are_kept():
     angle, measured = draw_strikes(np.random.default_rng(4), 0.004)
-    smooth = Rotation.from_quat(smoothing.remove_jitter(measured, RATE, 0.01))
+    smooth = Rotation.from_quat(smoothing.remove_jitter(measured, np.ones(len(measured), bool), RATE, 0.01))
     error = np.linalg.norm((smooth * Rotation.from_rotvec(angle[:, None] * [[0.0, 0.6, 0.8]]).inv()).as_rotvec(), axis=1)
     assert error.max() < 0.02
     assert np.sqrt((error[:90] ** 2).mean()) < 0.6 * 0.004 * np.sqrt(3)
