@@ -24,8 +24,8 @@ from mocapfix.take import Take
 MAX_ATTACHMENT_ROUNDS = 6
 """Rounds of calibration and attachment."""
 MIN_CERTAIN_PROBABILITY = 0.99
-"""Probability of a segment from which a marker that is not in the guess takes part in the second calibration. From the third on all
-take part."""
+"""Probability of a segment from which a marker that is not in the guess takes part in the second calibration. From the third on
+all take part."""
 ONE_TAKE_MARKER_SPREAD_M = 0.02
 """Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
 

@@ -126,9 +126,9 @@ def test_joints_without_visible_markers_are_listed_once(cleaned):
     is_on_joint = subject.joints == subject.skeleton.find_joint("LeftHand")
     is_last = np.arange(len(is_on_joint)) == np.flatnonzero(is_on_joint)[-1]
     assert describe_unobserved_joints(take.masked(take.visible & (~is_on_joint | is_last)), subject) == []
-    assert describe_unobserved_joints(take.masked(take.visible & ~is_on_joint), subject) == [
-        "No visible marker on LeftHand: the mean pose is used there."
-    ]
+    without_hand = take.masked(take.visible & ~is_on_joint)
+    note = "No visible marker on LeftHand: the mean pose is used there."
+    assert describe_unobserved_joints(without_hand, subject) == [note]
 
 
 def test_uncertain_fills_are_counted_with_their_markers():
