@@ -19,7 +19,6 @@ from mocapfix.cli.clean import print_summary, run_clean
 from mocapfix.cli.console import (
     EXIT_DONE,
     EXIT_FAILED,
-    compile_kernels_first,
     print_error,
     print_line,
     print_usage_error,
@@ -64,8 +63,7 @@ def run_demo(
         f"Wrote {escape(str(path))}: {frame_count / truth.rate:.0f} s of {marker_count} markers, "
         f"{truth.missing_mask.sum()} samples missing."
     )
-    compile_kernels_first()
-    with show_progress(path.name) as progress:
+    with show_progress(path.name, needs_kernels=True) as progress:
         result = pipeline.clean(path, progress=progress)
         outputs = result.write(output_folder / "demo.mocapfix", overwrite=True, report_progress=progress)
     table = Table("root mean square error, mm", title="Compared with the known truth", title_justify="left")
@@ -96,8 +94,7 @@ def run_calibrate(
         return print_usage_error("calibrate: name at least one take.")
     parsed = parse_options(options)
     check_outputs_absent([subject], overwrite)
-    compile_kernels_first()
-    with show_progress(", ".join(take.name for take in takes)) as progress:
+    with show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
         progress("calibrate")
         calibrated = pipeline.calibrate_takes(takes, parsed, mean_pose_prior=prior)
         subject_file.write_subject(subject, calibrated)

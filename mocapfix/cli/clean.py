@@ -20,7 +20,6 @@ from mocapfix.cli.arguments import (
 from mocapfix.cli.console import (
     EXIT_DONE,
     EXIT_FAILED,
-    compile_kernels_first,
     print_error,
     print_json,
     print_line,
@@ -98,9 +97,7 @@ def clean_takes(
             if folder / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
             check_outputs_free(folder, take.stem, overwrite, take, options.output)
-            if take.suffix.lower() not in ANIMATION_SUFFIXES:
-                compile_kernels_first()
-            with show_progress(take.name) as progress:
+            with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
                 result = pipeline.clean(take, options, progress=progress)
                 result.write(folder, overwrite, progress, options.output)
         except MocapfixError as error:

@@ -15,20 +15,35 @@ EXIT_USAGE = 2
 """the command line is wrong"""
 
 COMPILATION_MESSAGE = "Compiling the kernels (first run on this machine)"
+READ_STAGE = "read"
+"""the first stage of the pipeline, the only one that needs no kernels"""
 
 stdout_console = Console(highlight=False)
 stderr_console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
-def show_progress(name: str) -> Generator[Callable[[str], None]]:
-    """Yield a function that shows on a terminal which stage a take is in."""
+def show_progress(name: str, *, needs_kernels: bool = False) -> Generator[Callable[[str], None]]:
+    """Yield a function that shows on a terminal which stage a take is in.
+
+    needs_kernels  whether to compile the kernels, unless this has been done. This is done after the stage "read": a file that
+                   cannot be read is refused at once.
+    """
     with stderr_console.status(escape(name)) as status:
-        yield lambda stage: status.update(f"{escape(name)}: {stage}")
+        are_compiled = not needs_kernels
+
+        def show_stage(stage: str) -> None:
+            nonlocal are_compiled
+            if not are_compiled and stage != READ_STAGE:
+                compile_kernels_first(status.update)
+                are_compiled = True
+            status.update(f"{escape(name)}: {stage}")
+
+        yield show_stage
 
 
-def compile_kernels_first() -> None:
-    """Compile the kernels that cleaning markers needs, unless this has been done, and show how many are left.
+def compile_kernels_first(show: Callable[[str], None]) -> None:
+    """Compile the kernels that cleaning markers needs, unless this has been done, and show how many are compiled.
 
     On a terminal the number rises; in a pipe one line says what is happening.
     """
@@ -38,8 +53,7 @@ def compile_kernels_first() -> None:
         return
     if not stderr_console.is_terminal:
         stderr_console.print(f"{COMPILATION_MESSAGE}; this takes some seconds, once.", soft_wrap=True)
-    with stderr_console.status(COMPILATION_MESSAGE) as status:
-        precompile_kernels(lambda done, total: status.update(f"{COMPILATION_MESSAGE}: {done} of {total}"))
+    precompile_kernels(lambda done, total: show(f"{COMPILATION_MESSAGE}: {done} of {total}"))
 
 
 def print_line(text: str) -> None:

@@ -8,7 +8,7 @@ from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption, describe_option
 from mocapfix.cli.clean import clean_takes, print_output_files
-from mocapfix.cli.console import EXIT_DONE, compile_kernels_first, print_line, show_progress
+from mocapfix.cli.console import EXIT_DONE, print_line, show_progress
 from mocapfix.errors import SceneError
 
 
@@ -48,8 +48,7 @@ def run_cleaning_job(path: Path, output_folder: Path, overwrite: bool) -> int:
     job.write_composed_takes(output_folder, overwrite)
     subject = job.get_subject_file()
     if calibration_takes := job.list_calibration_takes():
-        compile_kernels_first()
-        with show_progress(path.name) as progress:
+        with show_progress(path.name, needs_kernels=True) as progress:
             progress("calibrate")
             subject = pipeline.calibrate_takes(calibration_takes, job.options)
     return clean_takes(takes, output_folder, job.options.change(subject=subject), overwrite=overwrite)
