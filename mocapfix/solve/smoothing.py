@@ -256,7 +256,7 @@ def remove_jitter(
     smooth = smooth_path(joint_quaternions, variance, power, rate)
     reach = 2 * max(1, round(ACCELERATION_STEP_S * rate)) + 1
     window = max(1, round(ACCELERATION_STEP_S * rate))
-    has_known_neighbours = minimum_filter1d(is_known, 2 * reach + 1)
+    has_known_neighbours = np.asarray(minimum_filter1d(is_known, 2 * reach + 1), bool)
     for _ in range(MAX_POWER_CORRECTIONS):
         deviation = uniform_filter1d(smooth - joint_quaternions, window, axis=0, mode="nearest")
         deviation_rad = np.where(has_known_neighbours, 2 * np.linalg.norm(deviation, axis=1), 0.0)

@@ -136,7 +136,7 @@ def test_sparsely_known_path_has_finite_power():
 def draw_strikes(rng, jitter_rad):
     """Return the true angles of a joint in radians that rests, strikes twice within 0.15 s and rests, and (T, 4) with jitter."""
     t = np.arange(300) / RATE
-    angle = sum(1.5 * np.exp(-(((t - at) / 0.035) ** 2)) for at in (1.2, 2.1))
+    angle = np.sum([1.5 * np.exp(-(((t - at) / 0.035) ** 2)) for at in (1.2, 2.1)], axis=0)
     rotation = Rotation.from_rotvec(angle[:, None] * [[0.0, 0.6, 0.8]])
     return angle, (Rotation.from_rotvec(rng.normal(0, jitter_rad, (300, 3))) * rotation).as_quat()
 
