@@ -1,8 +1,7 @@
 """Learning a marker set: from an initial guess for some markers of a take to the segment and offset of all of them.
 
 Two steps alternate until nothing changes: a person is calibrated on the markers whose segments are known so far, and every marker
-is attached to the segment of that person in whose axes it moves least. A segment follows the markers that it was calibrated with,
-so that even a wrong one moves little in its axes: markers of uncertain segments are judged again by a body without them.
+is attached to the segment of that person in whose axes it moves least.
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +20,8 @@ from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-MAX_ATTACHMENT_ROUNDS = 6
+MAX_ATTACHMENT_ROUNDS = 5
 """Rounds of calibration and attachment."""
-MIN_CERTAIN_PROBABILITY = 0.99
-"""Probability of a segment from which a marker that is not in the guess takes part in the second calibration. From the third on
-all take part."""
 ONE_TAKE_MARKER_SPREAD_M = 0.02
 """Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
 
@@ -73,40 +69,33 @@ def fit_marker_set(
     log_odds = np.zeros((len(labels), len(body.skeleton.names)))
     log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
 
-    def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, float]:
+    def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, MarkerSet]:
         fit = calibrate_on_frames(take, labels, marker_set, body, prior, frames)
         size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
         attachment = attach_markers(
             take.markers[frames], fit.joint_positions, fit.joint_rotations, atlas.scale(size), body.skeleton.names, log_odds
         )
-        return fit, attachment, size
+        return fit, attachment, build_marker_set(attachment, labels, guess, size)
 
-    _, attachment, size = calibrate_and_attach(guess)
-    previous = build_marker_set(attachment, labels, guess, size, MIN_CERTAIN_PROBABILITY)
-    fit, attachment, size = calibrate_and_attach(previous)
-    marker_set = build_marker_set(attachment, labels, guess, size)
-    for _ in range(MAX_ATTACHMENT_ROUNDS - 2):
+    previous = guess
+    fit, attachment, marker_set = calibrate_and_attach(guess)
+    for _ in range(MAX_ATTACHMENT_ROUNDS - 1):
         if marker_set.labels == previous.labels and (marker_set.joints == previous.joints).all():
             break
         previous = marker_set
-        fit, attachment, size = calibrate_and_attach(marker_set)
-        marker_set = build_marker_set(attachment, labels, guess, size)
+        fit, attachment, marker_set = calibrate_and_attach(marker_set)
     return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m)
 
 
-def build_marker_set(
-    attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float, min_probability: float = 0.0
-) -> MarkerSet:
+def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:
     """Return the attached markers as a set on the average body.
 
     Where the guess has the correct segment its offset is kept, otherwise the measured one is used.
 
-    size             the person's size relative to the average body
-    min_probability  probability of the segment from which a marker that is not in the guess is in the set
+    size  the person's size relative to the average body
     """
     guessed = {label: k for k, label in enumerate(guess.labels)}
-    is_certain = attachment.probability >= min_probability
-    attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0 and (is_certain[m] or labels[m] in guessed)]
+    attached = [m for m, joint in enumerate(attachment.joints) if joint >= 0]
     offsets, spread = attachment.offsets[attached] / size, np.full(len(attached), ONE_TAKE_MARKER_SPREAD_M)
     for n, m in enumerate(attached):
         k = guessed.get(labels[m], -1)
