@@ -6,6 +6,7 @@ from typing import Annotated, Any, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
+from yaml.representer import SafeRepresenter
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import read_yaml
@@ -117,11 +118,11 @@ class _YamlDumper(_SafeDumper):
     """PyYAML's safe writer, extended by InlineMapping and InlineSequence."""
 
 
-def _represent_inline(dumper: yaml.SafeDumper, mapping: InlineMapping) -> yaml.MappingNode:
+def _represent_inline(dumper: SafeRepresenter, mapping: InlineMapping) -> yaml.MappingNode:
     return dumper.represent_mapping("tag:yaml.org,2002:map", mapping, flow_style=True)
 
 
-def _represent_inline_sequence(dumper: yaml.SafeDumper, sequence: InlineSequence) -> yaml.SequenceNode:
+def _represent_inline_sequence(dumper: SafeRepresenter, sequence: InlineSequence) -> yaml.SequenceNode:
     return dumper.represent_sequence("tag:yaml.org,2002:seq", sequence, flow_style=True)
 
 
