@@ -95,6 +95,8 @@ def run_bench_uncertainty(
     """Compare predicted standard deviations with the true errors of synthetic takes."""
     from mocapfix.bench.uncertainty import measure_uncertainty
 
+    if takes < 1:
+        return print_usage_error(f"bench uncertainty: --takes must be at least 1, not {takes}.")
     with show_progress("uncertainty") as progress:
         results: Mapping[str, Any] = measure_uncertainty(
             range(takes), data, is_subject_known=known_subject, report_progress=progress

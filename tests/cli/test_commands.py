@@ -337,6 +337,12 @@ def check_refused(done, name, sentence):
     assert err.strip().endswith((".", "?"))
 
 
+def test_bench_uncertainty_needs_a_take(mocapfix):
+    status, out, error = mocapfix("bench", "uncertainty", "--takes", "0")
+    assert (status, out) == (2, "")
+    assert "--takes must be at least 1, not 0" in error
+
+
 def test_bench_uncertainty_prints_a_table_or_json(mocapfix, monkeypatch):
     from mocapfix.bench import uncertainty
 
