@@ -17,122 +17,21 @@ fill.
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from numpy.lib.stride_tricks import sliding_window_view
 
+from mocapfix.detect.exact_stretches import (
+    compute_float_resolution,
+    compute_polynomial_misfits,
+    estimate_resolution,
+    find_exact_stretches,
+    trim_measured_ends,
+)
 from mocapfix.detect.marker_distances import estimate_distance_changes
+from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.faults import Fault
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
-
-# Relative resolution of the 32-bit floats in which files store coordinates.
-FLOAT32_RESOLUTION = 2.0**-23
-# Number of steps, evenly spread, from which a common divisor of the coordinates is estimated.
-MAX_SAMPLED_STEPS = 50_000
-# Quantiles of the steps that may equal the common divisor once.
-STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
-# Fraction of the steps that must lie near a multiple of the divisor, and how near, as a fraction of it (by chance: one in five).
-MIN_MULTIPLE_FRACTION = 0.9
-MULTIPLE_TOLERANCE = 0.1
-
-
-def estimate_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
-    """Estimate the smallest difference in metres that the coordinates of the markers resolve.
-
-    A file of integers stores multiples of its scale, and so does a file that was converted from one, whatever its header says.
-    """
-    resolution = compute_float_resolution(markers)
-    steps = np.abs(np.diff(markers, axis=0)).ravel()
-    steps = steps[steps > resolution]
-    if len(steps) == 0:
-        return resolution
-    steps = steps[np.linspace(0, len(steps) - 1, min(MAX_SAMPLED_STEPS, len(steps))).astype(int)]
-    for divisor in np.quantile(steps, STEP_QUANTILES):
-        remainder = np.abs(steps / divisor - np.rint(steps / divisor))
-        if (remainder < MULTIPLE_TOLERANCE).mean() > MIN_MULTIPLE_FRACTION:
-            return float(divisor)
-    return resolution
-
-
-def compute_float_resolution(markers: Float[np.ndarray, "T M 3"]) -> float:
-    """Compute the resolution in metres of a 32-bit float at the largest coordinate of the markers."""
-    return FLOAT32_RESOLUTION * float(np.nanmax(np.abs(markers), initial=0.0))
-
-
-def compute_polynomial_misfits(
-    path: Float[np.ndarray, "T 3"], degree: int, length: int, starts: Int[np.ndarray, " S"]
-) -> Float[np.ndarray, " S"]:
-    """Compute by how much the best polynomial misses any of the `length` samples from each start on.
-
-    Args:
-        path: World positions in metres, NaN where missing, which makes the misfit NaN.
-        degree: Degree of the polynomial.
-        length: Number of samples of a stretch.
-        starts: Index of the first sample of each stretch.
-
-    Returns:
-        The largest absolute residual of a coordinate in metres.
-    """
-    residual = sliding_window_view(path, length, axis=0)[starts] @ _build_residual_projection(degree, length)
-    return np.abs(residual).max((1, 2))
-
-
-@lru_cache(maxsize=64)
-def _build_residual_projection(degree: int, length: int) -> Float[np.ndarray, "length length"]:
-    """Build the matrix that removes the best polynomial of a degree from `length` samples."""
-    basis = np.linalg.qr(np.vander(np.linspace(-1, 1, length), degree + 1))[0]
-    return np.eye(length) - basis @ basis.T
-
-
-def find_exact_stretches(path: Float[np.ndarray, "T 3"], degree: int, length: int, resolution: float) -> list[tuple[int, int]]:
-    """Find the longest stretches of at least `length` samples that one polynomial fits to the resolution.
-
-    Args:
-        path: World positions in metres, NaN where missing.
-        degree: Degree of the polynomial.
-        length: Smallest number of samples.
-        resolution: Resolution of the coordinates in metres.
-
-    Returns:
-        The first and the last index of each stretch.
-    """
-    if len(path) < length:
-        return []
-    # The finite difference of order degree + 1, with samples as far apart as fit, vanishes for such a polynomial.
-    # It rejects most stretches before the polynomial is fitted.
-    spacing, order = (length - 1) // (degree + 1), degree + 1
-    start_count = len(path) - length + 1
-    candidates = np.arange(start_count)
-    for coordinate in path.T:
-        difference, weight = np.zeros(start_count), 1.0
-        for k in range(order + 1):
-            difference += weight * coordinate[k * spacing : k * spacing + start_count]
-            weight *= -(order - k) / (k + 1)
-        candidates = candidates[np.abs(difference[candidates]) <= 2**order * resolution]
-        if not len(candidates):
-            return []
-    is_exact = np.zeros(start_count, bool)
-    is_exact[candidates] = compute_polynomial_misfits(path, degree, length, candidates) <= resolution
-    stretches = ((first, last + length - 1) for first, last in find_runs(is_exact))
-    return [
-        (a, b)
-        for a, b in stretches
-        if compute_polynomial_misfits(path[a : b + 1], degree, b - a + 1, np.zeros(1, int))[0] <= resolution
-    ]
-
-
-def trim_measured_ends(visible: Bool[np.ndarray, " T"], first: int, last: int) -> tuple[int, int]:
-    """Return first, last without the measured samples that a fill connects.
-
-    Next to a gap and at the ends of the take a fill connects to nothing, and nothing is removed there.
-    """
-    has_start = first > 0 and visible[first - 1]
-    has_end = last + 1 < len(visible) and visible[last + 1]
-    return first + int(has_start), last - int(has_end)
-
 
 POLYNOMIAL_NAMES = {1: "line", 2: "parabola", 3: "cubic"}
 # Number of samples beyond those that every polynomial of the degree fits.
@@ -173,7 +72,7 @@ def detect_virtual_samples(take: Take) -> list[Fault]:
     return faults
 
 
-def detect_polynomial_fills(take: Take, min_duration_s: float = 0.1) -> list[Fault]:
+def detect_polynomial_fills(take: Take, min_duration_s: float = 0.1, memory: RoundMemory | None = None) -> list[Fault]:
     """Detect the stretches of at least `min_duration_s` that lie exactly on a line, parabola or cubic.
 
     Returns:
@@ -182,12 +81,17 @@ def detect_polynomial_fills(take: Take, min_duration_s: float = 0.1) -> list[Fau
     """
     resolution = estimate_resolution(take.markers)
     faults: list[Fault] = []
+    memory, visible = memory or RoundMemory(), take.visible
     for degree in POLYNOMIAL_NAMES:
         min_length = max(degree + 1 + MIN_EXTRA_SAMPLES, round(min_duration_s * take.rate))
-        length = _choose_stretch_length(take.markers, degree, resolution, min_length)
+        length = _choose_stretch_length(take, degree, resolution, min_length, memory)
         if length:
             for m in range(len(take.labels)):
-                faults += _detect_marker_fills(take, m, degree, length, resolution)
+                faults += memory.recall(
+                    ("fills", m, degree, length, resolution),
+                    visible[:, m],
+                    lambda m=m, degree=degree, length=length: list(_detect_marker_fills(take, m, degree, length, resolution)),
+                )
     return _remove_overlapping_fills(faults)
 
 
@@ -205,15 +109,30 @@ def _detect_marker_fills(take: Take, marker: int, degree: int, length: int, reso
             yield Fault("straight", marker, first, last, misfit_m, reason, 1 - resolution / misfit_m)
 
 
-def _choose_stretch_length(markers: np.ndarray, degree: int, resolution: float, length: int) -> int:
+def _choose_stretch_length(take: Take, degree: int, resolution: float, length: int, memory: RoundMemory) -> int:
     """Choose the number of samples at which measured stretches differ from exact ones, 0 if the largest factor is too short."""
-    for longer in (factor * length for factor in STRETCH_LENGTH_FACTORS if len(markers) >= factor * length):
-        starts = np.unique(np.linspace(0, len(markers) - longer, MAX_SAMPLED_STRETCHES).astype(int))
-        misfits = [compute_polynomial_misfits(markers[:, m], degree, longer, starts) for m in range(markers.shape[1])]
-        small = [np.quantile(each[~np.isnan(each)], SMALL_MISFIT_QUANTILE) for each in misfits if not np.isnan(each).all()]
-        if small and np.median(small) > MIN_MEASURED_MISFIT_RESOLUTIONS * resolution:
+    visible = take.visible
+    for longer in (factor * length for factor in STRETCH_LENGTH_FACTORS if take.frame_count >= factor * length):
+        small = [
+            memory.recall(
+                ("misfit", m, degree, longer),
+                visible[:, m],
+                lambda m=m, longer=longer: _measure_small_misfit(take.markers[:, m], degree, longer),
+            )
+            for m in range(len(take.labels))
+        ]
+        known = [misfit_m for misfit_m in small if not np.isnan(misfit_m)]
+        if known and np.median(known) > MIN_MEASURED_MISFIT_RESOLUTIONS * resolution:
             return longer
     return 0
+
+
+def _measure_small_misfit(path: np.ndarray, degree: int, length: int) -> float:
+    """Measure the misfit in metres that few stretches of a path (T, 3) fall below, NaN if none is complete."""
+    starts = np.unique(np.linspace(0, len(path) - length, MAX_SAMPLED_STRETCHES).astype(int))
+    misfit_m = compute_polynomial_misfits(path, degree, length, starts)
+    misfit_m = misfit_m[~np.isnan(misfit_m)]
+    return float(np.quantile(misfit_m, SMALL_MISFIT_QUANTILE)) if len(misfit_m) else np.nan
 
 
 def _estimate_nearby_misfit(path: np.ndarray, degree: int, first: int, last: int, window: int) -> float:
@@ -248,23 +167,31 @@ MIN_FROZEN_SAMPLES = 4
 MIN_NEIGHBOUR_TRAVEL_RESOLUTIONS = 50.0
 
 
-def detect_frozen(take: Take, min_duration_s: float = 0.1, min_neighbour_travel_m: float = 0.002) -> list[Fault]:
+def detect_frozen(
+    take: Take, min_duration_s: float = 0.1, min_neighbour_travel_m: float = 0.002, memory: RoundMemory | None = None
+) -> list[Fault]:
     """Detect stretches in which a marker keeps one value while its neighbours move.
 
     Args:
         take: The measured samples.
         min_duration_s: Duration of the shortest stretch.
         min_neighbour_travel_m: Distance that each compared neighbour travels.
+        memory: What earlier rounds on the same positions found.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the median travel of the neighbours in metres.
     """
     resolution = compute_float_resolution(take.markers)
     length = max(MIN_FROZEN_SAMPLES, round(min_duration_s * take.rate))
+    memory, visible = memory or RoundMemory(), take.visible
     stretches = [
         (m, first, last)
         for m in range(len(take.labels))
-        for first, last in find_exact_stretches(take.markers[:, m], 0, length, resolution)
+        for first, last in memory.recall(
+            ("frozen", m, length, resolution),
+            visible[:, m],
+            lambda m=m: find_exact_stretches(take.markers[:, m], 0, length, resolution),
+        )
     ]
     if not stretches:
         return []

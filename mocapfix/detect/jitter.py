@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, median_filter
 
 from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.shared_motion import compute_weighted_deviations, remove_shared_noise
 from mocapfix.faults import Fault
 from mocapfix.stats.sequences import find_runs
@@ -36,13 +37,13 @@ MIN_NOISE_M = 0.001
 CUBIC_RESIDUAL_M_PER_S2 = 30.0
 
 
-def detect_noise(take: Take) -> list[Fault]:
+def detect_noise(take: Take, memory: RoundMemory | None = None) -> list[Fault]:
     """Detect the markers that are much noisier than the others.
 
     Returns:
         One fault for each marker, from its first to its last visible frame. Its severity is the noise level in metres.
     """
-    levels_m = estimate_noise_levels(take)
+    levels_m = estimate_noise_levels(take, memory)
     faults: list[Fault] = []
     for m in np.flatnonzero(levels_m > MIN_NOISE_M):
         others = np.delete(levels_m, m)
@@ -55,15 +56,20 @@ def detect_noise(take: Take) -> list[Fault]:
     return faults
 
 
-def estimate_noise_levels(take: Take) -> Float[np.ndarray, " M"]:
+def estimate_noise_levels(take: Take, memory: RoundMemory | None = None) -> Float[np.ndarray, " M"]:
     """Estimate the standard deviation per axis, in metres, of each marker's noise; NaN if the marker is hardly visible."""
-    levels_m = np.full(len(take.labels), np.nan)
-    for m in range(len(levels_m)):
-        frames = np.flatnonzero(take.visible[:, m])
-        if len(frames) >= MIN_NOISE_SAMPLES:
-            residual_m = compute_cubic_residuals(frames / take.rate, take.markers[frames, m])
-            levels_m[m] = np.median(residual_m) / MEDIAN_NORM_SD
-    return levels_m
+    memory, visible = memory or RoundMemory(), take.visible
+    markers = range(len(take.labels))
+    usual_m = [memory.recall(("noise", m), visible[:, m], lambda m=m: _measure_usual_residual(take, m)) for m in markers]
+    return np.array(usual_m) / MEDIAN_NORM_SD
+
+
+def _measure_usual_residual(take: Take, marker: int) -> float:
+    """Measure the median residual in metres of a marker's visible samples, NaN if there are too few."""
+    frames = np.flatnonzero(take.visible[:, marker])
+    if len(frames) < MIN_NOISE_SAMPLES:
+        return np.nan
+    return float(np.median(compute_cubic_residuals(frames / take.rate, take.markers[frames, marker])))
 
 
 def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
@@ -86,7 +92,12 @@ def compute_cubic_residuals(times_s: Float[np.ndarray, " N"], points: Float[np.n
 
 
 def detect_jitter(
-    take: Take, is_usable: Bool[np.ndarray, "T M"], min_amplitude_m: float, min_ratio: float, min_duration_s: float
+    take: Take,
+    is_usable: Bool[np.ndarray, "T M"],
+    min_amplitude_m: float,
+    min_ratio: float,
+    min_duration_s: float,
+    memory: RoundMemory | None = None,
 ) -> list[Fault]:
     """Detect the bursts in which a marker is much noisier than in the rest of the take.
 
@@ -96,31 +107,38 @@ def detect_jitter(
         min_amplitude_m: Smallest noise in a burst, in metres.
         min_ratio: Smallest noise in a burst, in multiples of the marker's median over the take.
         min_duration_s: Duration of the shortest burst.
+        memory: What earlier rounds on the same positions found.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the noise in metres.
     """
+    limits = _BurstLimits(min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2, min_ratio, min_duration_s * take.rate)
     faults: list[Fault] = []
-    partners = None
+    memory, partners = memory or RoundMemory(), None
     for m, label in enumerate(take.bare_labels):
-        frames = np.flatnonzero(is_usable[:, m])
-        if len(frames) < MIN_NOISE_SAMPLES:
-            continue
-        residual_m = compute_cubic_residuals(frames / take.rate, take.markers[frames, m])
-        usual_m = float(np.median(residual_m))
-        threshold_m = max(min_amplitude_m + CUBIC_RESIDUAL_M_PER_S2 / take.rate**2, min_ratio * usual_m)
-        for burst in _find_bursts(frames, residual_m, threshold_m, min_duration_s * take.rate):
+        samples = is_usable[:, m]
+        noise = memory.recall(
+            ("bursts", m, limits), samples, lambda m=m, samples=samples: _measure_noise(take, m, samples, limits)
+        )
+        for burst in noise.bursts:
             partners = estimate_distances(take.markers).partner if partners is None else partners
-            usable = np.where(is_usable[..., None], take.markers, np.nan)[:, [m, *partners[m][partners[m] >= 0]]]
-            if _is_shared_burst(usable, burst, threshold_m):
+            if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0]], burst, noise.threshold_m):
                 continue
             duration_s = (burst.last - burst.first + 1) / take.rate
             reason = (
                 f"{label} has jitter of {burst.amplitude_m * 1e3:.0f} mm for {duration_s:.2f} s; "
-                f"its usual noise is {usual_m * 1e3:.1f} mm."
+                f"its usual noise is {noise.usual_m * 1e3:.1f} mm."
             )
             faults.append(Fault("jitter", m, burst.first, burst.last, burst.amplitude_m, reason))
     return faults
+
+
+class _BurstLimits(NamedTuple):
+    """The smallest noise of a burst, in metres and relative to the marker's median, and its least number of frames."""
+
+    min_amplitude_m: float
+    min_ratio: float
+    min_frames: float
 
 
 class _Burst(NamedTuple):
@@ -129,6 +147,25 @@ class _Burst(NamedTuple):
     first: int
     last: int
     amplitude_m: float
+
+
+class _MarkerNoise(NamedTuple):
+    """The median noise of a marker, the smallest noise of a burst of it, both in metres, and the bursts."""
+
+    usual_m: float
+    threshold_m: float
+    bursts: tuple[_Burst, ...]
+
+
+def _measure_noise(take: Take, marker: int, is_usable: np.ndarray, limits: _BurstLimits) -> _MarkerNoise:
+    """Measure the noise of a marker in the frames `is_usable` (T,)."""
+    frames = np.flatnonzero(is_usable)
+    if len(frames) < MIN_NOISE_SAMPLES:
+        return _MarkerNoise(np.nan, np.nan, ())
+    residual_m = compute_cubic_residuals(frames / take.rate, take.markers[frames, marker])
+    usual_m = float(np.median(residual_m))
+    threshold_m = max(limits.min_amplitude_m, limits.min_ratio * usual_m)
+    return _MarkerNoise(usual_m, threshold_m, tuple(_find_bursts(frames, residual_m, threshold_m, limits.min_frames)))
 
 
 def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: float, min_frames: float) -> Iterator[_Burst]:
@@ -146,15 +183,23 @@ def _find_bursts(frames: np.ndarray, residual_m: np.ndarray, min_residual_m: flo
                 yield _Burst(first, last, float(median_m[a : b + 1].max()))
 
 
-def _is_shared_burst(markers: np.ndarray, burst: _Burst, min_residual_m: float) -> bool:
+def _is_shared_burst(
+    take: Take, is_usable: np.ndarray, markers_compared: list[int], burst: _Burst, min_residual_m: float
+) -> bool:
     """Return whether a marker's noise in a burst is that of its neighbours.
 
     Args:
-        markers: World positions (T, 1 + K, 3) in metres of the marker and its neighbours, NaN where missing.
+        take: The measured samples.
+        is_usable: The samples (T, M) without spikes.
+        markers_compared: Indices of the marker and its neighbours.
         burst: The burst.
         min_residual_m: Smallest noise of a burst.
     """
-    frames = np.arange(max(burst.first, 2), min(burst.last, len(markers) - 3) + 1)
+    reach = max(NEIGHBOUR_OFFSETS)
+    start, stop = max(burst.first - reach, 0), min(burst.last + reach + 1, take.frame_count)
+    usable = is_usable[start:stop, markers_compared, None]
+    markers = np.where(usable, take.markers[start:stop, markers_compared], np.nan)
+    frames = np.arange(reach, len(markers) - reach)
     around = frames[:, None] + np.array(NEIGHBOUR_OFFSETS)
     residual = compute_weighted_deviations(markers, frames, around, np.tile(NEIGHBOUR_WEIGHTS, (len(frames), 1)))
     residual = residual[~np.isnan(residual[:, 0, 0])]

@@ -12,6 +12,7 @@ from mocapfix.detect.body_checks import detect_epoch_faults, find_unconfirmed_sh
 from mocapfix.detect.fragments import detect_fragments
 from mocapfix.detect.label_swaps import detect_label_swaps
 from mocapfix.detect.mislabelled import detect_mislabelled
+from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.faults import (
@@ -100,12 +101,12 @@ def detect_remaining_faults(
     Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Otherwise a second
     cleaning would find new faults. Markers whose labels name fragments of other markers are not judged.
     """
-    donors, known = find_namesakes(take), Faults()
+    donors, known, memory = find_namesakes(take), Faults(), RoundMemory()
     for _ in range(options.detect.max_rounds):
         remaining = replace(take, computed=take.visible & ~take.measured | known.compute_faulty_mask(take))
         faults = [
             fault
-            for fault in detect_sample_faults(remaining, marker_set, options.detect).items
+            for fault in detect_sample_faults(remaining, marker_set, options.detect, memory).items
             if fault.marker not in donors and accepts_fault(fault)
         ]
         replaced = [fault for fault in faults if fault.kind in REPLACED_SAMPLE_KINDS]

@@ -85,17 +85,38 @@ def estimate_distance_statistics(
     frames, count = markers.shape[:2]
     centre, sd = np.full((count, count), np.inf), np.full((count, count), np.inf)
     sample = markers[np.unique(np.linspace(0, frames - 1, MAX_DISTANCE_FRAMES).astype(int))] if frames else markers
+    coordinates = np.ascontiguousarray(sample.transpose(2, 1, 0))
     for i in range(1, count):
-        distance = np.sort(np.linalg.norm(sample[:, i, None] - sample[:, :i], axis=-1), axis=0)  # NaN sorts last
-        visible_count = (~np.isnan(distance)).sum(0)
-        for j in np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, len(sample)))):
-            inside = int(np.ceil(min_correct_fraction * visible_count[j]))
-            width = distance[inside - 1 : visible_count[j], j] - distance[: visible_count[j] - inside + 1, j]
-            start = int(np.argmin(width))
-            centre[i, j] = centre[j, i] = distance[start, j] + width[start] / 2
-            # the standard deviation of a normal distribution with the same central interval
-            sd[i, j] = sd[j, i] = width[start] / 2 / ndtri((1 + min_correct_fraction) / 2)
+        x, y, z = (coordinates[:, :i] - coordinates[:, i, None]) ** 2
+        distance = np.sort(np.sqrt(x + y + z), axis=1)  # NaN sorts last
+        visible_count = (~np.isnan(distance)).sum(1)
+        others = np.flatnonzero(visible_count >= max(2, min(MIN_JOINT_FRAMES, len(sample))))
+        start_m, width_m = _find_shortest_intervals(distance[others], visible_count[others], min_correct_fraction)
+        centre[i, others] = centre[others, i] = start_m + width_m / 2
+        # the standard deviation of a normal distribution with the same central interval
+        sd[i, others] = sd[others, i] = width_m / 2 / ndtri((1 + min_correct_fraction) / 2)
     return centre, sd
+
+
+def _find_shortest_intervals(
+    ordered: np.ndarray, counts: np.ndarray, fraction: float
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Find in each row (N, S) the shortest interval that holds a fraction of its values; return its start and width.
+
+    Args:
+        ordered: The values, which ascend in each row and end with its NaN.
+        counts: The number (N,) of values of each row.
+        fraction: The fraction.
+    """
+    if not len(counts):
+        return np.empty(0), np.empty(0)
+    rows, inside = np.arange(len(counts)), np.ceil(fraction * counts).astype(int)
+    first = np.arange((counts - inside).max() + 1)
+    last = first + inside[:, None] - 1
+    width = ordered[rows[:, None], np.minimum(last, counts[:, None] - 1)] - ordered[:, : len(first)]
+    width[last >= counts[:, None]] = np.inf
+    start = width.argmin(1)
+    return ordered[rows, start], width[rows, start]
 
 
 def estimate_distance_changes(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, "M M"]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.detect.marker_distances import estimate_distances
+from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.shared_motion import compute_weighted_deviations, find_shared_deviations
 from mocapfix.faults import Fault
 from mocapfix.kernels.viterbi import find_cheapest_chain
@@ -35,18 +36,20 @@ MIN_SPIKE_DEVIATION_SD = 4.0
 MAX_BODY_ACCELERATION_M_PER_S2 = 3000.0
 
 
-def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float) -> list[Fault]:
+def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memory: RoundMemory | None = None) -> list[Fault]:
     """Detect runs of samples more than `min_distance_m` off their path that last at most `max_duration_s`.
 
     Returns:
         The faults, ordered by marker and first frame. Their severity is the largest distance from the path in metres.
     """
     faults: list[Fault] = []
-    visible, partners = take.visible, None
+    memory, partners = memory or RoundMemory(), None
     for m, label in enumerate(take.bare_labels):
-        frames = np.flatnonzero(visible[:, m])
-        path = _Path(frames, np.ascontiguousarray(take.markers[frames, m]), take.rate)
-        excursion = _find_excursions(path, min_distance_m, max_duration_s)
+        excursion = memory.recall(
+            ("excursions", m, min_distance_m, max_duration_s),
+            take.visible[:, m],
+            lambda m=m: _find_excursions(_get_path(take, m), min_distance_m, max_duration_s),
+        )
         if not len(excursion.frames):
             continue
         partners = estimate_distances(take.markers).partner if partners is None else partners
@@ -63,6 +66,11 @@ class _Path(NamedTuple):
     frames: np.ndarray
     points: np.ndarray
     rate: float
+
+
+def _get_path(take: Take, marker: int) -> _Path:
+    frames = np.flatnonzero(take.visible[:, marker])
+    return _Path(frames, np.ascontiguousarray(take.markers[frames, marker]), take.rate)
 
 
 def _build_spike_fault(label: str, marker: int, first: int, distance_m: np.ndarray) -> Fault:
@@ -106,8 +114,11 @@ def _find_shared_excursions(take: Take, excursion: _Excursions, partners: np.nda
     after = excursion.fitted_frames[:, FIT_SAMPLES_PER_SIDE] - excursion.frames
     max_distance_m = MAX_BODY_ACCELERATION_M_PER_S2 * np.abs(before * after) / take.rate**2 / 2
     is_possible = np.linalg.norm(excursion.deviation, axis=-1) < max_distance_m
-    neighbours = take.markers[:, partners]
-    deviation = compute_weighted_deviations(neighbours, excursion.frames, excursion.fitted_frames, excursion.weight)
+    count, samples = len(excursion.frames), np.concatenate([excursion.frames[:, None], excursion.fitted_frames], axis=1)
+    needed, rows = np.unique(samples, return_inverse=True)
+    rows = rows.reshape(count, -1)
+    neighbours = take.markers[needed[:, None], partners]
+    deviation = compute_weighted_deviations(neighbours, rows[:, 0], rows[:, 1:], excursion.weight)
     return is_possible & find_shared_deviations(excursion.deviation, deviation)
 
 

@@ -101,8 +101,6 @@ def split_trajectory(frames: Int[np.ndarray, " N"], path: Float[np.ndarray, "T 3
     return np.split(frames, np.flatnonzero(is_leap | (lag > MAX_PAUSE_S)) + 1)
 
 
-MAX_VELOCITY_STEPS = 2
-
 # Two trajectories of the same marker are at most this far apart.
 MAX_DUPLICATE_DISTANCE_M = 0.010
 # Part of a trajectory, next to its end, to which the velocity is fitted.
@@ -115,37 +113,27 @@ MAX_END_DEVIATION_SD = 3.5
 
 
 class MarkerTrajectories(NamedTuple):
-    """The trajectories of M labels over T frames with their velocities.
+    """The trajectories of M labels over T frames.
 
     Attributes:
         markers: World positions (T, M, 3) in metres, NaN where missing.
-        velocity_before: Velocity (T, M, 3) in m/s on arrival at a sample, NaN where unknown.
-        velocity_after: Velocity (T, M, 3) in m/s on departure from a sample, NaN where unknown.
         previous_frame: Index (T, M) of the latest earlier frame in which the label is visible, -1 if there is none.
         rate: Frame rate in Hz.
     """
 
     markers: np.ndarray
-    velocity_before: np.ndarray
-    velocity_after: np.ndarray
     previous_frame: np.ndarray
     rate: float
 
 
 def build_trajectories(markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerTrajectories:
-    """Compute the velocities of markers at world positions in metres (NaN where missing), at `rate` Hz."""
+    """Build the trajectories of markers at world positions in metres (NaN where missing), at `rate` Hz."""
     markers = np.ascontiguousarray(markers, float)
     visible = ~np.isnan(markers[..., 0])
-    velocity_before, velocity_after = np.full(markers.shape, np.nan), np.full(markers.shape, np.nan)
-    for steps in range(1, min(MAX_VELOCITY_STEPS, len(markers) - 1) + 1):  # longer steps overwrite shorter ones
-        velocity = (markers[steps:] - markers[:-steps]) * rate / steps
-        is_complete = np.all([visible[n : len(visible) - steps + n] for n in range(steps + 1)], axis=0)[..., None]
-        np.copyto(velocity_before[steps:], velocity, where=is_complete)
-        np.copyto(velocity_after[:-steps], velocity, where=is_complete)
     latest = np.maximum.accumulate(np.where(visible, np.arange(len(visible))[:, None], -1), axis=0)
     previous_frame = np.full(visible.shape, -1)
     previous_frame[1:] = latest[:-1]
-    return MarkerTrajectories(markers, velocity_before, velocity_after, previous_frame, float(rate))
+    return MarkerTrajectories(markers, previous_frame, float(rate))
 
 
 def compute_join_cost(segment: TrajectorySegment, path: Float[np.ndarray, "T 3"], rate: float, max_gap_s: float) -> float:

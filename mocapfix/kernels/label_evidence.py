@@ -14,6 +14,8 @@ LEAP_TOLERANCE_M = 0.010
 LEAP_TOLERANCE_M_PER_S = 1.0
 # Possible speed of a marker of which only one sample is visible.
 UNKNOWN_SPEED_M_PER_S = 2.0
+# Longest time over which a velocity is measured, in frames.
+MAX_VELOCITY_STEPS = 2
 # Samples farther apart in time are not compared.
 MAX_LEAP_GAP_S = 0.3
 
@@ -37,26 +39,50 @@ CONTRADICTION_S_PER_LEAP = 0.05
 
 
 @compile_inner_kernel
+def compute_velocity(markers, rate, frame, marker, direction):
+    """Compute the velocity in m/s with which a marker arrives at a sample (direction -1) or departs from it (1).
+
+    It is measured over the longest span without a missing sample, up to MAX_VELOCITY_STEPS; NaN if the next sample is missing.
+    """
+    steps = 0
+    if not np.isnan(markers[frame, marker, 0]):
+        while steps < MAX_VELOCITY_STEPS:
+            other = frame + direction * (steps + 1)
+            if other < 0 or other >= len(markers) or np.isnan(markers[other, marker, 0]):
+                break
+            steps += 1
+    if steps == 0:
+        return np.nan, np.nan, np.nan
+    first, last = min(frame, frame + direction * steps), max(frame, frame + direction * steps)
+    return (
+        (markers[last, marker, 0] - markers[first, marker, 0]) * rate / steps,
+        (markers[last, marker, 1] - markers[first, marker, 1]) * rate / steps,
+        (markers[last, marker, 2] - markers[first, marker, 2]) * rate / steps,
+    )
+
+
+@compile_inner_kernel
 def compute_leap(trajectories, frame, source, target):
     """Compute how much of a leap it is from the last sample of `source` before `frame` to the sample of `target` in it.
 
     Returns a value in 0..1: 0 if there is nothing to compare, 1 for a mismatch of the tolerance or more.
     """
-    markers, velocity_before, velocity_after, previous_frame, rate = trajectories
+    markers, previous_frame, rate = trajectories
     start = previous_frame[frame, source]
     if start < 0 or np.isnan(markers[frame, target, 0]):
         return 0.0
     seconds = (frame - start) / rate
     if seconds > MAX_LEAP_GAP_S:
         return 0.0
-    has_before = not np.isnan(velocity_before[start, source, 0])
-    has_after = not np.isnan(velocity_after[frame, target, 0])
+    velocity_before = compute_velocity(markers, rate, start, source, -1)
+    velocity_after = compute_velocity(markers, rate, frame, target, 1)
+    has_before, has_after = not np.isnan(velocity_before[0]), not np.isnan(velocity_after[0])
     nearest = np.inf
     for share in (0.5, 0.0, 1.0):
         miss = 0.0
         for x in range(3):
-            forward = share * seconds * velocity_before[start, source, x] if has_before else 0.0
-            backward = (1 - share) * seconds * velocity_after[frame, target, x] if has_after else 0.0
+            forward = share * seconds * velocity_before[x] if has_before else 0.0
+            backward = (1 - share) * seconds * velocity_after[x] if has_after else 0.0
             miss += (markers[frame, target, x] - backward - markers[start, source, x] - forward) ** 2
         nearest = min(nearest, miss)
     tolerance = LEAP_TOLERANCE_M + seconds * (

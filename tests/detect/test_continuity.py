@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.detect import trajectory_segments
-from mocapfix.kernels.label_evidence import compute_leap, compute_own_leaps
+from mocapfix.kernels.label_evidence import compute_leap, compute_own_leaps, compute_velocity
 
 RATE = 100.0
 
@@ -17,22 +17,20 @@ def falling(frames=60):
 
 
 def test_velocities_span_two_steps():
-    trajectories = trajectory_segments.build_trajectories(falling(), RATE)
-    t = 30 / RATE
-    np.testing.assert_allclose(trajectories.velocity_before[30, 0], [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
-    np.testing.assert_allclose(trajectories.velocity_after[30, 0], [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
-    assert np.isnan(trajectories.velocity_before[0]).all()
-    assert np.isnan(trajectories.velocity_after[-1]).all()
+    markers, t = falling(), 30 / RATE
+    np.testing.assert_allclose(compute_velocity(markers, RATE, 30, 0, -1), [1.0, 2.0 - 9.8 * (t - 0.01), 0.5], rtol=1e-9)
+    np.testing.assert_allclose(compute_velocity(markers, RATE, 30, 0, 1), [1.0, 2.0 - 9.8 * (t + 0.01), 0.5], rtol=1e-9)
+    assert np.isnan(compute_velocity(markers, RATE, 0, 0, -1)).all()
+    assert np.isnan(compute_velocity(markers, RATE, len(markers) - 1, 0, 1)).all()
 
 
 def test_velocities_next_to_gaps():
     markers = falling()
     markers[20:30, 0] = np.nan
-    trajectories = trajectory_segments.build_trajectories(markers, RATE)
-    np.testing.assert_allclose(trajectories.velocity_before[31, 0], (markers[31, 0] - markers[30, 0]) * RATE)
-    assert np.isnan(trajectories.velocity_before[30, 0]).all()
-    assert np.isnan(trajectories.velocity_after[19, 0]).all()
-    assert np.isfinite(trajectories.velocity_before[19, 0]).all()
+    np.testing.assert_allclose(compute_velocity(markers, RATE, 31, 0, -1), (markers[31, 0] - markers[30, 0]) * RATE)
+    assert np.isnan(compute_velocity(markers, RATE, 30, 0, -1)).all()
+    assert np.isnan(compute_velocity(markers, RATE, 19, 0, 1)).all()
+    assert np.isfinite(compute_velocity(markers, RATE, 19, 0, -1)).all()
 
 
 def test_previous_frame_across_gaps():
@@ -93,5 +91,5 @@ def test_isolated_sample_has_a_larger_tolerance():
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_trajectories_of_the_shortest_takes(frames):
     trajectories = trajectory_segments.build_trajectories(np.zeros((frames, 3, 3)), RATE)
-    assert trajectories.velocity_before.shape == (frames, 3, 3)
+    assert trajectories.previous_frame.shape == (frames, 3)
     assert compute_own_leaps(trajectories).shape == (frames, 3)
