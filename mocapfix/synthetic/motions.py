@@ -91,12 +91,16 @@ def compute_gesture_angles(
 STRIDE_TO_LEG_RATIO = 0.68  # distance from one foot's place to the other's, over the leg's length
 MAX_LEG_EXTENSION_RATIO = 0.992  # hip to ankle over the leg's length: a standing person's knees are not locked
 ARM_HANG_ANGLE_RAD = np.radians(75)  # rotation of an arm about Z from the T-pose
+ARM_HANG_TWIST_RAD = np.radians(30)  # rotation of a hanging arm about itself: the elbow's hinge, as the skeleton has it, then
+# points to the side, and the forearm bends forwards; the markers of elbow and wrist lie on the arm accordingly
 CROUCH_DEPTH_M = 0.26  # by which the hips are lowered in a crouch
 CROUCH_BACKWARD_M = 0.06  # by which they move back in it
 PELVIS_FORWARD_M = 0.02  # of the pelvis in front of the feet
 PELVIS_DROP_DEG = 4.0  # on the side of the swinging leg
 PELVIS_YAW_DEG = 5.0  # per stride that a foot is ahead
 PELVIS_PITCH_DEG = 3.0  # of the standing pelvis
+ELBOW_HINGE_LEAN_RAD = {"LeftForeArm": np.pi / 2 - ARM_HANG_ANGLE_RAD, "RightForeArm": ARM_HANG_ANGLE_RAD - np.pi / 2}
+# rotation about Z of the hinge from X in standing: it is perpendicular to the arm, which hangs a little to the side
 CROUCH_PITCH_DEG = 22.0  # added in a crouch
 SUPPORT_SHIFT = 0.1  # of the distance between the feet, by which the pelvis moves towards the standing one
 
@@ -180,7 +184,11 @@ def _compute_upper_body(
         posture[name] = posture[skeleton.names[parent]]
         if name in angles_deg:
             yxz = angles_deg[name][:, [1, 0, 2]]
-            posture[name] = posture[name] @ Rotation.from_euler("YXZ", yxz, degrees=True).as_matrix()
+            turn = Rotation.from_euler("YXZ", yxz, degrees=True).as_matrix()
+            if name in ELBOW_HINGE_LEAN_RAD:
+                lean = compute_axis_rotation("Z", ELBOW_HINGE_LEAN_RAD[name])
+                turn = lean @ turn @ lean.T
+            posture[name] = posture[name] @ turn
     return posture
 
 
@@ -221,9 +229,14 @@ def _compute_standing_rotations(skeleton: Skeleton) -> dict[str, Float[np.ndarra
     """Return each joint's world rotation in standing: the legs, spread in the rest pose, together, and the arms hanging."""
     x, y, _ = skeleton.offsets[skeleton.find_joint("LeftLeg")]
     spread = np.arctan2(x, -y)
-    angles = {"LeftUpLeg": -spread, "RightUpLeg": spread, "LeftArm": -ARM_HANG_ANGLE_RAD, "RightArm": ARM_HANG_ANGLE_RAD}
+    twist = compute_axis_rotation("X", ARM_HANG_TWIST_RAD)
+    turned = {
+        "LeftUpLeg": compute_axis_rotation("Z", -spread),
+        "RightUpLeg": compute_axis_rotation("Z", spread),
+        "LeftArm": compute_axis_rotation("Z", -ARM_HANG_ANGLE_RAD) @ twist,
+        "RightArm": compute_axis_rotation("Z", ARM_HANG_ANGLE_RAD) @ twist,
+    }
     standing = {skeleton.names[0]: np.eye(3)}
     for name, parent in zip(skeleton.names[1:], skeleton.parents[1:], strict=True):
-        inherited = standing[skeleton.names[parent]]
-        standing[name] = compute_axis_rotation("Z", angles[name]) if name in angles else inherited
+        standing[name] = turned.get(name, standing[skeleton.names[parent]])
     return standing
