@@ -35,7 +35,7 @@ from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.motion_solver import solve_body
+from mocapfix.solve.motion_solver import complete_body, solve_body
 from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
@@ -109,6 +109,8 @@ def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, opt
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
     """Run all stages on the take of one subject."""
     state = detect_and_fit(state, options, timer)
+    with timer("solve"):
+        state = complete_body(state, options)
     with timer("fill"):
         state = fill_gaps(state, options)
         state = apply_decisions(state, options)
@@ -163,7 +165,7 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
 
 
 def initialise_and_solve(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
-    """Solve the poses of the calibrated subject."""
+    """Solve the poses of the calibrated subject: those of all frames, or those that changed since the body was solved."""
     with timer("initialise"):
         state = initialise_body(state, options)
     with timer("solve"):

@@ -18,6 +18,8 @@ from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.report.review_file import ReviewedChange
+from mocapfix.solve.frame_windows import FrameChanges
+from mocapfix.solve.motion_problem import PoseEvidence
 from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -67,6 +69,10 @@ class DetectionState:
         """The samples that the solver uses (see `Faults.compute_solver_mask`)."""
         return self.sample_faults.compute_solver_mask(self.take, self.replaced_kinds) & self.take.measured
 
+    def select_solver_take(self, marker_columns: Int[np.ndarray, " K"]) -> Take:
+        """Return the samples that the solver uses, of the markers in K columns of `epochs`; -1 for a marker without samples."""
+        return self.epochs.take.select(marker_columns, self.epochs.split_mask(self.solver_mask))
+
     @cached_property
     def donor_markers(self) -> tuple[int, ...]:
         """The markers whose labels only name fragments of other markers. They are neither judged nor filled."""
@@ -87,6 +93,7 @@ class CalibrationFit:
         start: the average body at the size of the subject.
         unknowns: (Q,) the calibration parameters, all 0 for `start`.
         frames: (N,) indices of the calibration frames.
+        markers: (N, K, 3) metres, the samples in these frames.
         root_positions: (N, 3) metres, the poses in these frames.
         local_rotations: (N, J, 3, 3), the same.
     """
@@ -95,6 +102,7 @@ class CalibrationFit:
     start: Subject
     unknowns: Float[np.ndarray, " Q"]
     frames: Int[np.ndarray, " N"]
+    markers: Float[np.ndarray, "N K 3"]
     root_positions: Float[np.ndarray, "N 3"]
     local_rotations: Float[np.ndarray, "N J 3 3"]
 
@@ -112,6 +120,8 @@ class BodyFit:
         marker_columns: the epoch column of each of `extended_subject`'s markers, -1 where it has none.
         joint_positions: metres, Y up.
         marker_positions: metres: where the body carries its markers.
+        detection: the detection whose inliers it was solved from; None for a body that is not solved again.
+        evidence: what the solver needs to know of a solution to improve it.
     """
 
     subject: Subject
@@ -120,6 +130,8 @@ class BodyFit:
     marker_columns: Int[np.ndarray, " K"]
     joint_positions: Float[np.ndarray, "T J 3"]
     marker_positions: Float[np.ndarray, "T K 3"]
+    detection: DetectionState | None = None
+    evidence: PoseEvidence | None = None
 
     def expand_to_take(self, epochs: MarkerEpochs) -> Float[np.ndarray, "T M 3"]:
         """Return where the body carries the take's markers, in metres; NaN for markers that it does not carry."""
@@ -162,7 +174,8 @@ class CleaningState:
         calibration: the calibration from the take. None where the subject is known, and after a correction of labels.
         subject: the calibrated subject, and `extended_subject` the same with the further places of moved markers.
         marker_columns: (K,) the epoch column of each marker of `extended_subject`, -1 where it has none.
-        initial_motion: the poses from which the solver starts.
+        initial_motion: the poses from which the solver starts. None once it has.
+        frame_changes: the frames that the solver has to solve. None once it has.
         body: the solved body.
         fill: the proposed fill.
         cleaned_take: the result.
@@ -183,6 +196,7 @@ class CleaningState:
     extended_subject: Subject | None = None
     marker_columns: Int[np.ndarray, " K"] | None = None
     initial_motion: Motion | None = None
+    frame_changes: FrameChanges | None = None
     body: BodyFit | None = None
     fill: FillProposal | None = None
     cleaned_take: Take | None = None
@@ -193,8 +207,7 @@ class CleaningState:
     def solver_take(self) -> Take:
         """The samples that the solver uses, with the markers in the order of `extended_subject`. Needs `marker_columns`."""
         assert self.marker_columns is not None
-        epochs = self.detection.epochs
-        return epochs.take.select(self.marker_columns, epochs.split_mask(self.detection.solver_mask))
+        return self.detection.select_solver_take(self.marker_columns)
 
     @property
     def residual_m(self) -> Float[np.ndarray, "T M"] | None:

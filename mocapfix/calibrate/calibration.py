@@ -38,6 +38,8 @@ MIN_PAIR_FRAMES = 10
 """Frames in which both markers of a pair must be visible."""
 MAX_DISTANCE_VARIATION = 0.03
 """Median absolute deviation of a pair's distance as a share of its median; a pair that varies more spans a bending joint."""
+MAX_KEPT_CHANGE_SD = 0.5
+"""Change of a bone or marker offset, in standard deviations of the calibration, up to which the earlier calibration is kept."""
 MIN_SIZE_RATIO = 0.3
 """Smallest accepted size relative to the average body: a baby."""
 MAX_SIZE_RATIO = 1.6
@@ -75,7 +77,9 @@ def fit_calibration(
         start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns, times_s=frames / take.rate
     )
     check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
-    return CalibrationFit(subject, start, refined.unknowns, frames, refined.root_position, refined.local_rotations)
+    return CalibrationFit(
+        subject, start, refined.unknowns, frames, take.markers[frames], refined.root_position, refined.local_rotations
+    )
 
 
 def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
@@ -211,9 +215,30 @@ def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState
         body = load_cmu31_body()
         prior = load_mean_pose_prior("mean-pose", body.skeleton)
         take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
-        calibration = fit_calibration(take, state.marker_set, body, prior, state.calibration)
+        calibration = update_calibration(take, state.marker_set, body, prior, state.calibration)
         subject = calibration.subject
     return replace(state, calibration=calibration, subject=subject, extended_subject=subject, marker_columns=columns)
+
+
+def update_calibration(
+    take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior, previous: CalibrationFit | None
+) -> CalibrationFit:
+    """Calibrate from a take, or return the previous calibration where the take hardly changes it: its body is solved already."""
+    if previous is None:
+        return fit_calibration(take, marker_set, body, prior)
+    if np.array_equal(previous.markers, take.markers[previous.frames], equal_nan=True):
+        return previous
+    updated = fit_calibration(take, marker_set, body, prior, previous)
+    return previous if is_negligible_change(previous.subject, updated.subject) else updated
+
+
+def is_negligible_change(old: Subject, new: Subject) -> bool:
+    """Return whether bones and marker offsets of two calibrations differ by little, relative to their uncertainty."""
+    bone_change = np.linalg.norm(new.skeleton.offsets - old.skeleton.offsets, axis=1)
+    marker_change = np.linalg.norm(new.marker_offsets - old.marker_offsets, axis=1)
+    return bool(
+        (bone_change <= MAX_KEPT_CHANGE_SD * old.joint_sd).all() and (marker_change <= MAX_KEPT_CHANGE_SD * old.marker_sd).all()
+    )
 
 
 def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:

@@ -11,17 +11,18 @@ previous      only the first frame is posed; every other starts from the solutio
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.initialise import joint_positions
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.initialise.segment_registration import register_poses
-from mocapfix.motion import Motion
+from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.solve.frame_windows import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.state import CleaningState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -103,9 +104,38 @@ def start_from_previous(motion: Motion, visible: Bool[np.ndarray, "T K"]) -> Mot
 
 
 def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Compute a first pose for every frame in closed form. Sets `initial_motion` of the state."""
+    """Compute a first pose in closed form for every frame that the body was not yet solved for, or whose samples changed since.
+
+    Sets `initial_motion` and `frame_changes` of the state.
+    """
     assert state.extended_subject is not None
+    take, method = state.solver_take, options.initialise.init_method
+    changes = find_frame_changes(state, take) if method != "previous" else change_all_frames(take.frame_count)
     body = load_cmu31_body()
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    motion = initialise_motion(state.solver_take, state.extended_subject, body, prior, options.initialise.init_method)
-    return replace(state, initial_motion=motion)
+    if state.body is None or changes.is_restarted.all():
+        motion = initialise_motion(take, state.extended_subject, body, prior, method)
+        return replace(state, initial_motion=motion, frame_changes=change_all_frames(take.frame_count))
+    motion, restarted = state.body.motion, np.flatnonzero(changes.is_restarted)
+    if len(restarted):
+        part = take.replace_markers(take.markers[restarted])
+        motion = insert_poses(motion, restarted, initialise_motion(part, state.extended_subject, body, prior, method))
+    return replace(state, initial_motion=motion, frame_changes=changes)
+
+
+def find_frame_changes(state: CleaningState, take: Take) -> FrameChanges:
+    """Return the frames of the solver's take that changed since the body was solved."""
+    body = state.body
+    if body is None or body.detection is None:
+        return change_all_frames(take.frame_count)
+    old_take = body.detection.select_solver_take(body.marker_columns)
+    return find_changed_frames(old_take.markers, take.markers, is_same_subject=state.subject is body.subject)
+
+
+def insert_poses(motion: Motion, frames: Int[np.ndarray, " N"], poses: Motion) -> Motion:
+    """Return a motion with other poses in some frames, except for poses that were only guessed from other frames."""
+    is_placed = poses.status != FrameStatus.GUESSED
+    root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
+    root_position[frames[is_placed]] = poses.root_position[is_placed]
+    local_rotations[frames[is_placed]] = poses.local_rotations[is_placed]
+    return replace(motion, root_position=root_position, local_rotations=local_rotations)

@@ -1,5 +1,7 @@
 """Forward kinematics of motions: world positions of joints and markers."""
 
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import Float
 
@@ -8,6 +10,9 @@ from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.subject import Subject
+
+Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]
+"""root positions in metres and local rotations"""
 
 
 def build_kinematic_tree(skeleton: Skeleton) -> KinematicTree:
@@ -33,10 +38,19 @@ def compute_joint_and_marker_positions(
     subject: Subject, motion: Motion
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T K 3"]]:
     """Return world positions of the joints and of the subject's markers, in metres."""
-    joints = np.empty(motion.local_rotations.shape[:3])
-    markers = np.empty((motion.frame_count, len(subject.joints), 3))
+    return _compute_positions(subject, (motion.root_position, motion.local_rotations))
+
+
+def predict_markers(subject: Subject, pose: Poses) -> Float[np.ndarray, "T K 3"]:
+    """Return where the body carries the subject's markers, in metres."""
+    return _compute_positions(subject, pose)[1]
+
+
+def _compute_positions(subject: Subject, pose: Poses) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T K 3"]]:
+    frames = len(pose[0])
+    joints, markers = np.empty(pose[1].shape[:3]), np.empty((frames, len(subject.joints), 3))
     run_over_frames(
-        compute_marker_frames, motion.frame_count, build_kinematic_tree(subject.skeleton), subject.joints,
-        subject.marker_offsets, motion.root_position, motion.local_rotations, joints, markers,
+        compute_marker_frames, frames, build_kinematic_tree(subject.skeleton), subject.joints, subject.marker_offsets, *pose,
+        joints, markers,
     )  # fmt: skip
     return joints, markers

@@ -12,10 +12,9 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.motion import Motion
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses, predict_markers
 from mocapfix.solve.lost_in_sight import find_lost_parts
 from mocapfix.solve.pose_problem import PoseProblem
 from mocapfix.subject import Subject
@@ -31,9 +30,6 @@ RECOVERY_ROBUST_SCALES_M = (0.4, 0.2)
 """Robust scales before those of the options."""
 COMPARED_ROBUST_SCALE_M = 0.2
 """Robust scale of the compared marker costs: wide, so that a limb's markers count when they are far away."""
-
-Poses = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]
-"""root positions in metres and local rotations"""
 
 
 def recover_lost_limbs(
@@ -96,13 +92,6 @@ def find_neighbours(is_lost: Bool[np.ndarray, " T"], frames: Int[np.ndarray, " N
         return []
     position = np.searchsorted(sound, frames)
     return [sound[np.maximum(position - 1, 0)], sound[np.minimum(position, len(sound) - 1)]]
-
-
-def predict_markers(subject: Subject, pose: Poses) -> Float[np.ndarray, "T K 3"]:
-    """Return where the body carries the subject's markers, in metres."""
-    frames, unknown = len(pose[0]), np.zeros((len(pose[0]), 0))
-    motion = Motion(*pose, np.zeros(frames, int), np.zeros(frames, int), unknown, unknown)
-    return kinematics.compute_joint_and_marker_positions(subject, motion)[1]
 
 
 def compute_marker_cost(problem: PoseProblem, predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:

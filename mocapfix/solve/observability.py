@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.pose_problem import PoseProblem, build_pose_prior_term
 from mocapfix.stats.residual_process import CHI2_MEDIAN_3_DOF
 from mocapfix.stats.sequences import find_runs
@@ -92,29 +92,39 @@ MAX_ABSORBED_SHARE = 0.9
 
 def compute_pose_sd(
     problem: PoseProblem,
-    motion: Motion,
+    pose: Poses,
     subject: Subject,
     prior: MeanPosePrior,
-    nominal_marker_sd: Float[np.ndarray, "T K"],
+    actual_marker_sd: float,
     tracking: TrackingTerm,
     robust_scale_m: float,
 ) -> tuple[Float[np.ndarray, "T K"], Float[np.ndarray, "T J"]]:
     """Return the standard deviations per axis, in metres, of the markers as the body places them, and of the joints.
 
+    problem           as it was solved
+    actual_marker_sd  standard deviation of a measured marker about its place, see `estimate_actual_marker_sd`, in metres
+    tracking          the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
+    robust_scale_m    the last robust scale of the solve
+    """
+    actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
+    uncertainty = actual.compute_uncertainty(*pose, tracking, robust_scale_m)
+    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, problem.tree.free)
+    return np.hypot(uncertainty.marker_sd, subject.marker_sd), np.sqrt(uncertainty.joint_sd**2 + constant_variance)
+
+
+def estimate_actual_marker_sd(
+    problem: PoseProblem, pose: Poses, subject: Subject, nominal_marker_sd: Float[np.ndarray, "T K"]
+) -> float:
+    """Return the standard deviation per axis, in metres, of a measured marker about its place on the solved body.
+
     problem            as it was solved
     nominal_marker_sd  standard deviation of the markers predicted with the weights of the solve, in metres
-    tracking           the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
-    robust_scale_m     the last robust scale of the solve
     """
-    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
+    predicted = kinematics.predict_markers(subject, pose)
     absorbed_share = (nominal_marker_sd / problem.marker_sd) ** 2
     distance = np.linalg.norm(problem.marker_positions - predicted, axis=-1)
     is_usable = problem.solver_mask & (absorbed_share < MAX_ABSORBED_SHARE)
-    marker_sd = estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
-    actual = replace(problem, marker_sd=marker_sd, pose_prior=build_pose_prior_term(prior))
-    uncertainty = actual.compute_uncertainty(motion.root_position, motion.local_rotations, tracking, robust_scale_m)
-    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, problem.tree.free)
-    return np.hypot(uncertainty.marker_sd, subject.marker_sd), np.sqrt(uncertainty.joint_sd**2 + constant_variance)
+    return estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
 
 
 def compute_unsolved_joint_variance(

@@ -13,7 +13,7 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
 from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
-from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_sequentially, run_over_frames
+from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_independently, order_sequentially, run_over_frames
 from mocapfix.stats.sequences import find_runs
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
@@ -83,7 +83,7 @@ class PoseProblem:
         measured = np.where(self.solver_mask[..., None], self.marker_positions, 0.0)
         return PointTerm(self.attachment.joints, self.attachment.offsets, measured, self.solver_mask / self.marker_sd**2)
 
-    def select_frames(self, frames: Int[np.ndarray, " N"]) -> "PoseProblem":
+    def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
         """Return the problem of some frames. The prior is the same for all frames."""
         return replace(self, marker_positions=self.marker_positions[frames], solver_mask=self.solver_mask[frames])
 
@@ -109,6 +109,18 @@ class PoseProblem:
         """
         solve_order = order_sequentially(~np.isnan(root[:, 0]), local.shape[1])
         return self.solve_in_order(solve_order, root, local, tracking, scales_m, max_iterations)
+
+    def solve_each(
+        self,
+        frames: Int[np.ndarray, " N"],
+        root: Float[np.ndarray, "T 3"],
+        local: Float[np.ndarray, "T J 3 3"],
+        tracking: TrackingTerm,
+        scales_m: tuple[float, ...],
+    ) -> tuple[Int[np.ndarray, " T"], Int[np.ndarray, " T"]]:
+        """Solve some frames, each from its own pose. Return status and iterations, 0 for the other frames."""
+        solve_order = order_independently(len(frames), local.shape[1])._replace(frames=frames)
+        return self.solve_in_order(solve_order, root, local, tracking, scales_m, MAX_ITERATIONS_PER_SCALE)
 
     def solve_from_neighbours(
         self,

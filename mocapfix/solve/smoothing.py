@@ -196,18 +196,37 @@ def smooth_poses(
     local_rotations  overwritten with the smooth rotations, which the term refers to
     is_uncertain     joints that lack a marker
     """
-    weight, all_frames = np.zeros(local_rotations.shape[:2]), np.ones(len(local_rotations), bool)
+    weight = np.zeros(local_rotations.shape[:2])
     for j in np.flatnonzero(free_joints):
         variance = uncertainty.rotation_variance[:, j]
-        joint = quaternions.extract_joint_quaternions(local_rotations, j, all_frames)
-        observed_variance = np.where(is_uncertain[:, j], MAX_SAMPLE_VARIANCE, variance)
-        power = estimate_rotation_power(joint, observed_variance, rate, MAX_OBSERVED_SAMPLE_SD_RAD)
-        if is_uncertain[:, j].any():  # what is inferred for a gap is smooth, unlike what markers show
-            power = np.where(is_uncertain[:, j], np.minimum(power, estimate_rotation_power(joint, variance, rate)), power)
-        quaternions.store_joint_quaternions(smooth_path(joint, variance, power, rate), j, local_rotations)
-        weight[:, j] = 1 / (options.rotation_tracking_sd_rad**2 + np.minimum(variance, MAX_TRACKING_SD_RAD**2))
+        quaternions.store_joint_quaternions(
+            smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate), j, local_rotations
+        )
+        weight[:, j] = compute_tracking_weight(variance, options)
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
     return TrackingTerm(local_rotations, weight, smooth_root, 1 / (options.root_tracking_sd_m**2 + root_variance))
+
+
+def smooth_joint_rotations(
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    joint: int,
+    variance: Float[np.ndarray, " T"],
+    is_uncertain: Bool[np.ndarray, " T"],
+    rate: float,
+) -> Float[np.ndarray, "T 4"]:
+    """Return the smooth trajectory of one joint's rotations, whose variance is in rad^2, as quaternions."""
+    joint_quaternions = quaternions.extract_joint_quaternions(local_rotations, joint, np.ones(len(variance), bool))
+    observed_variance = np.where(is_uncertain, MAX_SAMPLE_VARIANCE, variance)
+    power = estimate_rotation_power(joint_quaternions, observed_variance, rate, MAX_OBSERVED_SAMPLE_SD_RAD)
+    if is_uncertain.any():  # what is inferred for a gap is smooth, unlike what markers show
+        inferred_power = estimate_rotation_power(joint_quaternions, variance, rate)
+        power = np.where(is_uncertain, np.minimum(power, inferred_power), power)
+    return smooth_path(joint_quaternions, variance, power, rate)
+
+
+def compute_tracking_weight(variance: Float[np.ndarray, "*T"], options: SolveOptions) -> Float[np.ndarray, "*T"]:
+    """Return the weight in 1/rad^2 of tracking a smooth trajectory, from the variance in rad^2 of the smoothed rotations."""
+    return 1 / (options.rotation_tracking_sd_rad**2 + np.minimum(variance, MAX_TRACKING_SD_RAD**2))
 
 
 def remove_pose_jitter(

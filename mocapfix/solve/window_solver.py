@@ -1,0 +1,108 @@
+"""The window solver: the poses of consecutive frames, without the inference of limbs that no marker shows.
+
+Each frame is solved on its own first. The joints' smooth trajectories through these solutions, weighted by their uncertainty,
+then enter a second solve as tracking terms, which couple the frames. Limbs that this leaves although their markers are visible
+are solved again.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from mocapfix.solve import limb_recovery, smoothing
+from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.motion_problem import MotionProblem, PoseEvidence
+from mocapfix.solve.pose_problem import PoseUncertainty, build_no_tracking
+
+
+class WindowSolution(NamedTuple):
+    """The solution of T consecutive frames besides their poses: status and iterations (T,), and the evidence."""
+
+    status: np.ndarray
+    iterations: np.ndarray
+    evidence: PoseEvidence
+
+
+class IndependentSolution(NamedTuple):
+    """What remains of the independent solves of T frames besides their poses.
+
+    iterations    (T,) iterations of each frame
+    uncertainty   uncertainty of the poses
+    gap_variance  (T, J) rad^2: variance of the interpolated rotations of uncertain joints
+    """
+
+    iterations: np.ndarray
+    uncertainty: PoseUncertainty
+    gap_variance: np.ndarray
+
+
+def solve_window(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> WindowSolution:
+    """Solve all frames of a window, from the poses given, which are overwritten.
+
+    is_restarted  frames whose start may be far from the solution
+    """
+    problem, options, rate = window.pose_problem, window.options, window.rate
+    root_position, local_rotations = pose
+    alone = solve_frames_independently(window, pose, is_restarted)
+    known, own_pose = alone.uncertainty, (root_position.copy(), local_rotations.copy())
+    tracking = smoothing.smooth_poses(
+        root_position, local_rotations.copy(), known, window.is_uncertain, problem.tree.free, rate, options
+    )
+    local_rotations[window.is_unobserved] = tracking.rotations[window.is_unobserved]
+    status, iterations = problem.solve(root_position, local_rotations, tracking, options.robust_scales_m[-1:])
+    limb_recovery.recover_lost_limbs(
+        problem,
+        window.subject,
+        window.prior,
+        pose,
+        own_pose=own_pose,
+        tracking=tracking,
+        is_uncertain=window.is_uncertain,
+        options=options,
+    )
+    root_position[:] = smoothing.remove_pose_jitter(
+        root_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate, options
+    )
+    evidence = PoseEvidence(known.marker_sd, known.rotation_variance, alone.gap_variance, tracking.root_weight)
+    return WindowSolution(status, alone.iterations + iterations, evidence)
+
+
+def solve_frames_independently(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> IndependentSolution:
+    """Solve each frame on its own, then frames with uncertain joints again from their neighbours, tracking an interpolation.
+
+    The poses are overwritten with the solution; arguments as those of `solve_window`.
+    """
+    problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
+    no_tracking, robust_scale_m = build_no_tracking(pose[1].shape[1]), options.robust_scales_m[-1]
+    iterations = solve_from_starts(window, pose, is_restarted)
+    uncertainty = problem.compute_uncertainty(*pose, no_tracking, robust_scale_m)
+    tracking, gap_variance = smoothing.track_across_gaps(
+        pose[1], uncertainty.rotation_variance, is_uncertain, window.rate, options
+    )
+    frames = np.flatnonzero(is_uncertain.any(1))
+    if len(frames):  # only these are solved again, and have another uncertainty
+        problem.solve_from_neighbours(*pose, tracking, is_uncertain, robust_scale_m)
+        solved_again = problem.select_frames(frames).compute_uncertainty(
+            pose[0][frames], pose[1][frames], no_tracking, robust_scale_m
+        )
+        for values, new_values in zip(uncertainty, solved_again, strict=True):
+            values[frames] = new_values
+    tracked_variance = gap_variance + options.rotation_tracking_sd_rad**2
+    rotation_variance = np.where(
+        window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
+    )
+    return IndependentSolution(iterations, uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
+
+
+def solve_from_starts(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
+    """Solve each frame on its own. Restarted frames pass through all robust scales; the others are near their solution.
+
+    A frame without a pose starts from the solution of the frame before; then all frames must be restarted.
+    """
+    problem, scales_m, no_tracking = window.pose_problem, window.options.robust_scales_m, build_no_tracking(pose[1].shape[1])
+    if is_restarted.all():
+        return problem.solve(*pose, no_tracking, scales_m)[1]
+    restarted, others = np.flatnonzero(is_restarted), np.flatnonzero(~is_restarted)
+    iterations = problem.solve_each(restarted, *pose, no_tracking, scales_m)[1]
+    return iterations + problem.solve_each(others, *pose, no_tracking, scales_m[-1:])[1]
