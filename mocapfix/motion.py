@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -67,3 +68,35 @@ class Motion:
     def frame_count(self) -> int:
         """T."""
         return len(self.root_position)
+
+
+@dataclass(frozen=True)
+class PoseEvidence:
+    """What is known of T solved frames besides their poses, with the weights of the solve. Windows are written into the arrays.
+
+    marker_sd          (T, K) m: standard deviation per axis of each marker as the frame's own solution places it
+    rotation_variance  (T, J) rad^2: of each joint in the frame's own solution
+    gap_variance       (T, J) rad^2: of the interpolated rotations of joints that lack a marker
+    root_weight        (T,) 1/m^2: of the root's smooth trajectory
+    """
+
+    marker_sd: Float[np.ndarray, "T K"]
+    rotation_variance: Float[np.ndarray, "T J"]
+    gap_variance: Float[np.ndarray, "T J"]
+    root_weight: Float[np.ndarray, " T"]
+
+    def copy(self, marker_count: int) -> "PoseEvidence":
+        """Return a copy for a number of markers; markers that were not solved for have a deviation of 0."""
+        marker_sd = np.zeros((len(self.marker_sd), marker_count))
+        count = min(marker_count, self.marker_sd.shape[1])
+        marker_sd[:, :count] = self.marker_sd[:, :count]
+        return PoseEvidence(marker_sd, self.rotation_variance.copy(), self.gap_variance.copy(), self.root_weight.copy())
+
+
+class PoseUncertainty(NamedTuple):
+    """The uncertainty of solved poses from the curvature of their cost, per axis."""
+
+    marker_sd: Float[np.ndarray, "T K"]  # metres, of each marker as the body places it
+    joint_sd: Float[np.ndarray, "T J"]  # metres, of each joint's position
+    rotation_variance: Float[np.ndarray, "T J"]  # rad^2, of each joint's rotation, [:, 0] of the root's
+    root_variance: Float[np.ndarray, " T"]  # m^2, of the root's position

@@ -15,11 +15,10 @@ from mocapfix.changes import Change, UnfilledRun
 from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.marker_set import MarkerSet
-from mocapfix.motion import Motion
+from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.solve.frame_windows import FrameChanges
-from mocapfix.solve.motion_problem import PoseEvidence
 from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take

@@ -466,7 +466,7 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
 def test_progress_is_reported_in_the_order_of_the_stages(brief):
     stages = []
     pipeline.clean(brief.path, progress=stages.append)
-    assert stages == ["read", "detect", "calibrate", "initialise", "solve", "detect", "fill"]
+    assert stages == ["read", "detect", "calibrate", "initialise", "solve", "detect", "solve", "fill"]
 
 
 def test_an_unknown_initialisation_method_is_an_error_before_the_file_is_read():

@@ -24,12 +24,11 @@ from mocapfix.keypoints.reprojection_problem import (
     solve_camera_scale,
     subtract_weighted_mean,
 )
-from mocapfix.motion import Motion
+from mocapfix.motion import Motion, PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.constraints import Camera
-from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.solve.pose_solver import PoseSolution
 from mocapfix.solve.smoothing import smooth_poses
 from mocapfix.stats.sequences import find_cheapest_states

@@ -7,6 +7,8 @@ that fit their markers worse than the frame's own solution did. The starts are t
 segments to their own markers, and the poses of the nearest frames without a lost limb. The solution of least marker cost is kept.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -16,8 +18,10 @@ from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.solve.kinematics import Poses, predict_markers
 from mocapfix.solve.lost_in_sight import find_lost_parts
-from mocapfix.solve.pose_problem import PoseProblem
 from mocapfix.subject import Subject
+
+if TYPE_CHECKING:  # to keep the import layers few
+    from mocapfix.solve.pose_problem import PoseProblem
 
 MIN_RECOVERED_DISTANCE_M = 0.04
 """Mean distance of a limb's markers from the body above which its frame is solved again; less than what is reported as lost."""
@@ -33,7 +37,7 @@ COMPARED_ROBUST_SCALE_M = 0.2
 
 
 def recover_lost_limbs(
-    problem: PoseProblem,
+    problem: "PoseProblem",
     subject: Subject,
     prior: MeanPosePrior,
     pose: Poses,
@@ -94,7 +98,7 @@ def find_neighbours(is_lost: Bool[np.ndarray, " T"], frames: Int[np.ndarray, " N
     return [sound[np.maximum(position - 1, 0)], sound[np.minimum(position, len(sound) - 1)]]
 
 
-def compute_marker_cost(problem: PoseProblem, predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:
+def compute_marker_cost(problem: "PoseProblem", predicted: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, " T"]:
     """Return the cost of each frame's visible markers, half the sum of squares in standard deviations, at a wide robust scale."""
     square = ((problem.marker_positions - predicted) ** 2).sum(-1) / problem.marker_sd**2
     scale2 = (COMPARED_ROBUST_SCALE_M / problem.marker_sd) ** 2

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.motion import FrameStatus, Motion
+from mocapfix.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
-from mocapfix.solve.motion_problem import MotionProblem, PoseEvidence, build_motion_problem
 from mocapfix.solve.motion_uncertainty import update_motion_sd
 from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.pose_problem import MotionProblem, build_motion_problem
 from mocapfix.solve.unobserved_joints import infer_unobserved_joints
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.state import BodyFit, CleaningState
@@ -50,7 +50,18 @@ def solve_motion(
     """
     problem = build_motion_problem(take, subject, body, prior, limits, options)
     motion, evidence = solve_changed_frames(problem, initial_motion, change_all_frames(take.frame_count))
-    return infer_unobserved_joints(problem, motion, evidence, conditioner)
+    return complete_motion(problem, motion, evidence, conditioner)
+
+
+def complete_motion(
+    problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
+) -> Motion:
+    """Return the motion with the joints that no marker shows inferred from the rest of the take, and their uncertainty."""
+    frames = np.flatnonzero(problem.is_unobserved.any(1))
+    if not len(frames):
+        return motion
+    inferred, evidence = infer_unobserved_joints(problem, motion, evidence, conditioner)
+    return update_motion_sd(problem, inferred, evidence, frames)
 
 
 def solve_changed_frames(
@@ -60,7 +71,7 @@ def solve_changed_frames(
 
     start, evidence  the solution before, except for the poses of restarted frames; without evidence all frames are solved
 
-    Unobserved joints follow interpolations, until `infer_unobserved_joints` finds better poses for them.
+    Unobserved joints follow interpolations, until `complete_motion` finds better poses for them.
     """
     frame_count, joint_count = start.local_rotations.shape[:2]
     marker_count = len(problem.subject.joints)
@@ -133,7 +144,7 @@ def complete_body(state: CleaningState, options: CleanOptions) -> CleaningState:
     if body is None or body.evidence is None:
         return state
     problem = _build_body_problem(state, options)
-    motion = infer_unobserved_joints(problem, body.motion, body.evidence, state.prior_conditioner)
+    motion = complete_motion(problem, body.motion, body.evidence, state.prior_conditioner)
     if motion is body.motion:
         return state
     joints, markers = kinematics.compute_joint_and_marker_positions(body.extended_subject, motion)

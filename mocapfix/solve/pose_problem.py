@@ -1,4 +1,4 @@
-"""The pose problem of a whole take: a body, its measured markers, and the prior on its poses."""
+"""The pose problem of a take: a body, its measured markers, and the prior on its poses; and the motion problem, with time."""
 
 import math
 from dataclasses import dataclass, replace
@@ -12,11 +12,20 @@ from mocapfix.kernels.covariance import compute_uncertainty_frames
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
 from mocapfix.kernels.terms import JointLimitTerm, PointTerm, PosePriorTerm, TrackingTerm, count_rows
+from mocapfix.motion import PoseUncertainty
+from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
+from mocapfix.skeleton import BodyModel
+from mocapfix.solve import observability
 from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_independently, order_sequentially, run_over_frames
 from mocapfix.stats.sequences import find_runs
+from mocapfix.subject import Subject
+from mocapfix.take import Take
 
 MAX_ITERATIONS_PER_SCALE = 20  # of a frame at each robust scale
+PRIOR_HUBER_SCALE_SD = 1.0
+"""Deviation of a joint from the mean pose, in standard deviations, beyond which the prior's force no longer grows: a forearm that
+follows its markers may then turn across the elbow's hinge, as skin and a wrong marker offset make it appear to."""
 
 
 class MarkerAttachment(NamedTuple):
@@ -24,15 +33,6 @@ class MarkerAttachment(NamedTuple):
 
     joints: Int[np.ndarray, " K"]
     offsets: Float[np.ndarray, "K 3"]  # metres
-
-
-class PoseUncertainty(NamedTuple):
-    """The uncertainty of solved poses from the curvature of their cost, per axis."""
-
-    marker_sd: Float[np.ndarray, "T K"]  # metres, of each marker as the body places it
-    joint_sd: Float[np.ndarray, "T J"]  # metres, of each joint's position
-    rotation_variance: Float[np.ndarray, "T J"]  # rad^2, of each joint's rotation, [:, 0] of the root's
-    root_variance: Float[np.ndarray, " T"]  # m^2, of the root's position
 
 
 def build_no_tracking(joints: int) -> TrackingTerm:
@@ -167,3 +167,66 @@ class PoseProblem:
             count_rows(terms), root, local, np.zeros((frames, 0)), *uncertainty,
         )  # fmt: skip
         return uncertainty
+
+
+@dataclass(frozen=True)
+class MotionProblem:
+    """The problem of T consecutive frames.
+
+    pose_problem   of the frames
+    subject        with the K markers
+    prior          the mean pose of independent joints, which makes every frame determinate
+    is_unobserved  (T, J) joints that no marker shows
+    is_uncertain   (T, J) joints that lack a marker, or all
+    rate           frames per second
+    """
+
+    pose_problem: PoseProblem
+    subject: Subject
+    prior: MeanPosePrior
+    is_unobserved: Bool[np.ndarray, "T J"]
+    is_uncertain: Bool[np.ndarray, "T J"]
+    rate: float
+    options: SolveOptions
+
+    def select_frames(self, frames: slice) -> "MotionProblem":
+        """Return the problem of some frames."""
+        return MotionProblem(
+            self.pose_problem.select_frames(frames),
+            self.subject,
+            self.prior,
+            self.is_unobserved[frames],
+            self.is_uncertain[frames],
+            self.rate,
+            self.options,
+        )
+
+
+def build_motion_problem(
+    take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, limits: JointLimits, options: SolveOptions
+) -> MotionProblem:
+    """Return the problem of a take whose markers are in the subject's order, NaN where missing or rejected."""
+    problem = build_pose_problem(take, subject, body, prior, limits, options)
+    is_unobserved = observability.find_unobserved_joints(problem.solver_mask, subject, body.free_joints)
+    is_partly_observed = observability.find_partly_observed_joints(problem.solver_mask, subject)
+    is_uncertain = (is_partly_observed | is_unobserved) & body.free_joints
+    return MotionProblem(problem, subject, prior, is_unobserved, is_uncertain, take.rate, options)
+
+
+def build_pose_problem(
+    take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, limits: JointLimits, options: SolveOptions
+) -> PoseProblem:
+    """Return the pose problem of a take: markers, prior and joint limits, with the arguments of `build_motion_problem`."""
+    is_unobserved = observability.find_unobserved_joints(take.visible, subject, body.free_joints)
+    is_border = observability.find_gap_borders(take.visible, is_unobserved[:, subject.joints], take.rate, options.gap_border_s)
+    # neighbouring frames show the same pose, so the prior applies once in `pose_persistence_s`, not in every frame
+    frames_per_pose = options.pose_persistence_s * take.rate
+    return PoseProblem(
+        KinematicTree(subject.skeleton.parents, subject.skeleton.offsets, body.free_joints),
+        MarkerAttachment(subject.joints, subject.marker_offsets),
+        take.markers,
+        take.visible & ~is_border,
+        options.marker_sd_m,
+        build_pose_prior_term(prior.scale_information(1 / frames_per_pose), PRIOR_HUBER_SCALE_SD),
+        build_joint_limit_term(limits, options.limit_sd_rad * np.sqrt(frames_per_pose)),
+    )

@@ -18,9 +18,9 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from mocapfix.kernels import quaternions
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.terms import TrackingTerm
+from mocapfix.motion import PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics
-from mocapfix.solve.pose_problem import PoseUncertainty
 from mocapfix.stats.sequences import find_runs
 
 ACCELERATION_STEP_S = 0.06
@@ -197,11 +197,10 @@ def smooth_poses(
     is_uncertain     joints that lack a marker
     """
     weight = np.zeros(local_rotations.shape[:2])
-    for j in np.flatnonzero(free_joints):
+    for j in np.flatnonzero(free_joints).tolist():
         variance = uncertainty.rotation_variance[:, j]
-        quaternions.store_joint_quaternions(
-            smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate), j, local_rotations
-        )
+        trajectory = smooth_joint_rotations(local_rotations, j, variance, is_uncertain[:, j], rate)
+        quaternions.store_joint_quaternions(trajectory, j, local_rotations)
         weight[:, j] = compute_tracking_weight(variance, options)
     smooth_root, root_variance = smooth_root_path(root_position, uncertainty.root_variance, rate)
     return TrackingTerm(local_rotations, weight, smooth_root, 1 / (options.root_tracking_sd_m**2 + root_variance))

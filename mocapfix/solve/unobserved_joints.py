@@ -12,12 +12,11 @@ from jaxtyping import Float, Int
 
 from mocapfix.kernels import quaternions
 from mocapfix.kernels.terms import TrackingTerm
-from mocapfix.motion import Motion
+from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.solve import occluded_joints, smoothing
 from mocapfix.solve.kinematics import Poses
-from mocapfix.solve.motion_problem import MotionProblem, PoseEvidence
-from mocapfix.solve.motion_uncertainty import update_motion_sd
 from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.pose_problem import MotionProblem
 
 FIXED_JOINT_WEIGHT = 1e5
 """Weight, in 1/rad^2 or 1/m^2, that keeps solved joints and the root where they are, compared with those of prior and limits."""
@@ -25,11 +24,9 @@ FIXED_JOINT_WEIGHT = 1e5
 
 def infer_unobserved_joints(
     problem: MotionProblem, motion: Motion, evidence: PoseEvidence, conditioner: PriorConditioner | None
-) -> Motion:
-    """Return the motion with the unobserved joints inferred from the rest of the take, and their uncertainty."""
+) -> tuple[Motion, PoseEvidence]:
+    """Return the motion with the unobserved joints inferred from the rest of the take, and the evidence with their variance."""
     frames = np.flatnonzero(problem.is_unobserved.any(1))
-    if not len(frames):
-        return motion
     local_rotations, variance = motion.local_rotations.copy(), evidence.rotation_variance.copy()
     occluded_joints.infer_occluded_joints(
         motion.root_position,
@@ -45,8 +42,7 @@ def infer_unobserved_joints(
     local_rotations[:] = motion.local_rotations
     rows, joints = np.nonzero(is_unobserved)
     local_rotations[frames[rows], joints] = inferred[rows, joints]
-    inferred_evidence = replace(evidence, rotation_variance=variance)
-    return update_motion_sd(problem, replace(motion, local_rotations=local_rotations), inferred_evidence, frames)
+    return replace(motion, local_rotations=local_rotations), replace(evidence, rotation_variance=variance)
 
 
 def _solve_inferred_joints(

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
+from mocapfix.motion import PoseEvidence, PoseUncertainty
 from mocapfix.solve import limb_recovery, smoothing
 from mocapfix.solve.kinematics import Poses
-from mocapfix.solve.motion_problem import MotionProblem, PoseEvidence
-from mocapfix.solve.pose_problem import PoseUncertainty, build_no_tracking
+from mocapfix.solve.pose_problem import MotionProblem, build_no_tracking
 
 
 class WindowSolution(NamedTuple):

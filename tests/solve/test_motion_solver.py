@@ -13,7 +13,7 @@ from mocapfix.options import SolveOptions
 from mocapfix.pose_prior import io, mean_pose
 from mocapfix.pose_prior.mean_pose import load_joint_limits
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import kinematics, limb_recovery, motion_solver, occluded_joints
+from mocapfix.solve import kinematics, limb_recovery, motion_solver, occluded_joints, pose_problem
 from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import build_no_tracking
 from mocapfix.subject import Subject
@@ -222,7 +222,7 @@ def test_forearm_follows_its_markers_across_the_hinge_of_the_elbow():
 def test_limb_that_was_left_behind_is_solved_again(exact):
     truth = exact(60.0, 1.0)
     take, frames = Take(truth.marker_positions, truth.labels, truth.rate), [20, 21, 22, 40]
-    problem = motion_solver.build_pose_problem(take, truth.subject, BODY, MEAN, LIMITS, SolveOptions())
+    problem = pose_problem.build_pose_problem(take, truth.subject, BODY, MEAN, LIMITS, SolveOptions())
     root_position, local_rotations = truth.motion.root_position.copy(), truth.motion.local_rotations.copy()
     right = root_position.copy(), local_rotations.copy()
     local_rotations[frames, NAMES.index("LeftArm")] = local_rotations[frames, NAMES.index("LeftArm")] @ compute_turn_x(2.5)

@@ -10,10 +10,11 @@ from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
-from mocapfix.solve.observability import (
+from mocapfix.solve.motion_uncertainty import (
     MIN_ESTIMATED_MARKER_SD_M,
     compute_pose_sd,
     compute_unsolved_joint_variance,
+    estimate_actual_marker_sd,
     estimate_marker_sd,
 )
 from mocapfix.solve.pose_problem import (
@@ -77,7 +78,9 @@ def predict_sd(scene, tracking_sd=None, subject=None):
         weight = np.zeros((1, 31))
         weight[0, [NAMES.index("LeftForeArm"), NAMES.index("LeftHand")]] = 1 / tracking_sd**2
         time = time._replace(rotations=motion.local_rotations[:1], weight=weight)
-    return compute_pose_sd(problem, motion, subject or person, MEAN, nominal_sd, time, 0.05)
+    pose = motion.root_position, motion.local_rotations
+    marker_sd = estimate_actual_marker_sd(problem, pose, person, nominal_sd)
+    return compute_pose_sd(problem, pose, subject or person, MEAN, marker_sd, time, 0.05)
 
 
 def test_joint_without_markers_is_less_certain_and_tracking_helps(scene):

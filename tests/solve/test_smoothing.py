@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.options import SolveOptions
 from mocapfix.solve import smoothing
-from mocapfix.solve.pose_problem import PoseUncertainty
+from mocapfix.motion import PoseUncertainty
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)
