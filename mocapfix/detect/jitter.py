@@ -60,7 +60,7 @@ def estimate_noise_levels(take: Take, memory: RoundMemory | None = None) -> Floa
     """Estimate the standard deviation per axis, in metres, of each marker's noise; NaN if the marker is hardly visible."""
     memory, visible = memory or RoundMemory(), take.visible
     markers = range(len(take.labels))
-    usual_m = [memory.recall(("noise", m), visible[:, m], lambda m=m: _measure_usual_residual(take, m)) for m in markers]
+    usual_m = [memory.recall(("usual residual", m), visible[:, m], lambda m=m: _measure_usual_residual(take, m)) for m in markers]
     return np.array(usual_m) / MEDIAN_NORM_SD
 
 
@@ -120,6 +120,7 @@ def detect_jitter(
         noise = memory.recall(
             ("bursts", m, limits), samples, lambda m=m, samples=samples: _measure_noise(take, m, samples, limits)
         )
+        memory.recall(("usual residual", m), samples, lambda noise=noise: noise.usual_m)  # for `estimate_noise_levels`
         for burst in noise.bursts:
             partners = estimate_distances(take.markers).partner if partners is None else partners
             if _is_shared_burst(take, is_usable, [m, *partners[m][partners[m] >= 0]], burst, noise.threshold_m):

@@ -59,15 +59,29 @@ _FILL_METHOD_DESCRIPTIONS = {
 
 
 class MarkerEstimate(NamedTuple):
-    """Estimates of missing samples: positions (T, M, 3) m, standard deviations per axis (T, M), NaN for none, and FillMethods."""
+    """Estimates of samples: positions in metres, standard deviations per axis, NaN for none, and FillMethods.
 
-    position: Float[np.ndarray, "T M 3"]
-    sd: Float[np.ndarray, "T M"]
-    method: Int8[np.ndarray, "T M"]
+    They are those of a take (T, M), or those of its missing samples only (N,).
+    """
+
+    position: Float[np.ndarray, "*samples 3"]
+    sd: Float[np.ndarray, "*samples"]
+    method: Int8[np.ndarray, "*samples"]
+
+    def select(self, is_missing: Bool[np.ndarray, "T M"]) -> "MarkerEstimate":
+        """Return the estimates of the missing samples of a take."""
+        return MarkerEstimate(*(values[is_missing] for values in self))
+
+    def expand(self, is_missing: Bool[np.ndarray, "T M"]) -> "MarkerEstimate":
+        """Return the estimates of a take from those of its missing samples."""
+        position, sd = np.full((*is_missing.shape, 3), np.nan), np.full(is_missing.shape, np.nan)
+        method = np.zeros(is_missing.shape, np.int8)
+        position[is_missing], sd[is_missing], method[is_missing] = self
+        return MarkerEstimate(position, sd, method)
 
 
 def build_marker_estimate(
-    position: Float[np.ndarray, "T M 3"], sd: Float[np.ndarray, "T M"], method: FillMethod
+    position: Float[np.ndarray, "*samples 3"], sd: Float[np.ndarray, "*samples"], method: FillMethod
 ) -> MarkerEstimate:
     """Return an estimate from one method."""
     return MarkerEstimate(position, sd, np.full(sd.shape, method, np.int8))
@@ -85,27 +99,60 @@ def estimate_missing_samples(
     if is_inlier.all():
         nothing = np.full(is_inlier.shape, np.nan)
         return build_marker_estimate(np.full(markers.shape, np.nan), nothing, FillMethod.SPLINE)
-    combined, ratio = combine_estimates(iterate_estimates(markers, take.rate, body_estimate))
-    filled = fill_from_gaussian_process(markers, combined.position, combined.sd, take.rate)
-    position, sd = reject_fast_estimates(*filled, markers, take.rate)
-    process = build_marker_estimate(position, sd * compute_gap_inflation(is_inlier), FillMethod.GAUSSIAN_PROCESS)
+    context = _FillContext(markers, take.rate, np.isnan(markers[..., 0]), measure_fastest_speed(markers, take.rate))
+    combined, ratio = combine_estimates(iterate_estimates(context, body_estimate))
+    others = combined.expand(context.is_missing)
+    filled = fill_from_gaussian_process(markers, others.position, others.sd, take.rate)
+    del others
+    process = _select_plausible(filled, is_inlier, context, FillMethod.GAUSSIAN_PROCESS)
+    del filled
     estimate, process_ratio = combine_estimates([combined, process], GAUSSIAN_PROCESS_CORRELATION)
-    return estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_COMBINED_SD_M))
+    estimate = estimate._replace(sd=np.maximum(estimate.sd * ratio * process_ratio, MIN_COMBINED_SD_M))
+    return estimate.expand(context.is_missing)
 
 
-def iterate_estimates(
-    markers: Float[np.ndarray, "T M 3"], rate: float, body_estimate: MarkerEstimate | None
-) -> Iterator[MarkerEstimate]:
-    """Yield the estimates of splines, clusters and the body one after the other, since each is large."""
+class _FillContext(NamedTuple):
+    """What the estimates have in common.
+
+    markers          (T, M, 3) m, NaN if not visible or an outlier
+    rate             frame rate in Hz
+    is_missing       (T, M) the samples that are NaN
+    fastest_speed    of the visible motion, in m/s; None if nothing is visible in two frames in a row
+    """
+
+    markers: np.ndarray
+    rate: float
+    is_missing: np.ndarray
+    fastest_speed: float | None
+
+
+def iterate_estimates(context: _FillContext, body_estimate: MarkerEstimate | None) -> Iterator[MarkerEstimate]:
+    """Yield the estimates of the missing samples from splines, clusters and the body."""
+    markers, rate = context.markers, context.rate
     position, sd = fill_with_splines(markers, rate, MAX_SPLINE_GAP_S)
-    with_splines = np.where((sd <= SETTLED_SPLINE_SD_M)[..., None], position, markers)
-    yield build_marker_estimate(position, sd, FillMethod.SPLINE)
-    del position
-    position, sd = reject_fast_estimates(*fill_from_clusters(with_splines, rate), markers, rate)
-    yield build_marker_estimate(position, sd * compute_gap_inflation(~np.isnan(markers[..., 0])), FillMethod.CLUSTER)
-    del position
+    spline = build_marker_estimate(position, sd, FillMethod.SPLINE).select(context.is_missing)
+    del position, sd
+    with_splines = markers.copy()
+    with_splines[context.is_missing] = np.where((spline.sd <= SETTLED_SPLINE_SD_M)[:, None], spline.position, np.nan)
+    yield spline
+    yield _select_plausible(fill_from_clusters(with_splines, rate), ~context.is_missing, context, FillMethod.CLUSTER)
     if body_estimate:
-        yield body_estimate
+        yield body_estimate.select(context.is_missing)
+
+
+def _select_plausible(
+    filled: tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]],
+    is_learned: Bool[np.ndarray, "T M"],
+    context: _FillContext,
+    method: FillMethod,
+) -> MarkerEstimate:
+    """Return the estimates of the missing samples from a method that has learned from others, none near impossible speeds."""
+    is_missing, path = context.is_missing, context.markers.copy()
+    position, sd = (values[is_missing] for values in filled)
+    path[is_missing] = position
+    is_impossible = find_impossible_speeds(path, ~is_missing, context.rate, context.fastest_speed)[is_missing]
+    sd = np.where(is_impossible, np.nan, sd) * compute_gap_inflation(is_learned)[is_missing]
+    return build_marker_estimate(position, sd, method)
 
 
 def combine_estimates(
@@ -135,7 +182,6 @@ def combine_estimates(
         square[is_known] += weight * (position[is_known] ** 2).sum(1)
         is_larger = is_known & (np.nan_to_num(1 / sd) > largest)
         largest[is_larger], method[is_larger] = 1 / sd[is_larger], each_method[is_larger]
-        del position  # before the next one is computed
     precision[count == 0] = np.nan
     mean /= precision[..., None]
     spread = square - precision * (mean**2).sum(-1)
@@ -146,15 +192,6 @@ def combine_estimates(
     expected = PREDICTED_SPREAD_DOF + np.maximum(spread, 0) / expected_spread
     ratio = np.sqrt(expected / (PREDICTED_SPREAD_DOF + degrees_of_freedom) / birge)
     return MarkerEstimate(mean, np.sqrt(variance) / precision, method), ratio
-
-
-def reject_fast_estimates(
-    position: Float[np.ndarray, "T M 3"], sd: Float[np.ndarray, "T M"], markers: Float[np.ndarray, "T M 3"], rate: float
-) -> tuple[Float[np.ndarray, "T M 3"], Float[np.ndarray, "T M"]]:
-    """Return an estimate with the standard deviation set to NaN near impossible speeds."""
-    is_inlier = ~np.isnan(markers[..., 0])
-    is_impossible = find_impossible_speeds(np.where(is_inlier[..., None], markers, position), is_inlier, rate)
-    return position, np.where(is_impossible, np.nan, sd)
 
 
 def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarray, "T M"]:
@@ -171,25 +208,36 @@ def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarra
     return factor
 
 
+def measure_fastest_speed(markers: Float[np.ndarray, "T M 3"], rate: float) -> float | None:
+    """Return the speed in m/s of the fastest visible motion; None if no marker is visible in two frames in a row.
+
+    markers  in metres, NaN if not visible or an outlier
+    rate     frame rate in Hz
+    """
+    speeds = [np.linalg.norm(np.diff(markers[:, m], axis=0), axis=-1) for m in range(markers.shape[1])]
+    visible = np.concatenate([speed[~np.isnan(speed)] for speed in speeds]) * rate
+    return float(np.percentile(visible, SPEED_PERCENTILE)) if len(visible) else None
+
+
 def find_impossible_speeds(
-    path: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float
+    path: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float, fastest_speed: float | None
 ) -> Bool[np.ndarray, "T M"]:
     """Find samples of gaps near a time at which the marker would be MAX_SPEED_RATIO times as fast as any visible one.
 
     A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
 
-    path  positions in metres with the gaps filled
-    rate  frame rate in Hz
+    path           positions in metres with the gaps filled
+    is_inlier      the samples that are visible
+    rate           frame rate in Hz
+    fastest_speed  of the visible motion in m/s; None if there is none, and no speed is impossible
     """
-    steps = [np.linalg.norm(np.diff(path[:, m], axis=0), axis=-1) for m in range(path.shape[1])]
-    speed = np.nan_to_num(np.stack(steps, axis=1)) * rate
-    is_visible_step = is_inlier[1:] & is_inlier[:-1]
-    if not is_visible_step.any():
-        return np.zeros_like(is_inlier)
-    fastest = float(np.percentile(speed[is_visible_step], SPEED_PERCENTILE))
-    is_fast = speed > MAX_SPEED_RATIO * max(fastest, MIN_SPEED_LIMIT_M_S)
-    is_fast &= ~is_visible_step
     is_impossible = np.zeros_like(is_inlier)
-    is_impossible[1:] |= is_fast
-    is_impossible[:-1] |= is_fast
+    if fastest_speed is None:
+        return is_impossible
+    frames, markers = np.nonzero(~(is_inlier[1:] & is_inlier[:-1]))  # of the steps into, within and out of gaps
+    speed = np.nan_to_num(np.linalg.norm(path[frames + 1, markers] - path[frames, markers], axis=-1)) * rate
+    is_fast = speed > MAX_SPEED_RATIO * max(fastest_speed, MIN_SPEED_LIMIT_M_S)
+    if not is_fast.any():
+        return is_impossible
+    is_impossible[frames[is_fast], markers[is_fast]] = is_impossible[frames[is_fast] + 1, markers[is_fast]] = True
     return maximum_filter1d(is_impossible, 2 * round(SPEED_MARGIN_S * rate) + 1, axis=0) & ~is_inlier

@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.kernels.complete_stretches import find_complete_stretches
 from mocapfix.stats.sequences import find_runs, sample_evenly
 
 SPLINE_CONTEXT_S = 0.06
@@ -113,9 +112,26 @@ def measure_spline_error(
     context_frames  frames of the map's samples, relative to the first of the gap
     """
     gap = np.arange(len(spline_map))
-    starts = find_complete_stretches(is_visible, np.r_[context_frames, gap], 1 + len(path) // MAX_TRIAL_STARTS)
+    frame_offsets = np.sort(np.concatenate([context_frames, gap]))
+    starts = find_complete_stretches(is_visible, frame_offsets, 1 + len(path) // MAX_TRIAL_STARTS)
     if len(starts) < MIN_TRIAL_STRETCHES:
         return None
     starts = starts[sample_evenly(len(starts), MAX_TRIAL_STRETCHES)][:, None]
     errors = path[starts + gap] - spline_map @ path[starts + context_frames]
     return np.sqrt((errors**2).mean((0, 2)))
+
+
+def find_complete_stretches(
+    is_visible: Bool[np.ndarray, " T"], frame_offsets: Int[np.ndarray, " N"], step: int
+) -> Int[np.ndarray, " S"]:
+    """Return the frames, of every `step`th, for which all frames at the given offsets, which ascend, are visible.
+
+    Consecutive offsets are looked up together, by the number of missing samples before each frame.
+    """
+    first, stop = -int(frame_offsets[0]), len(is_visible) - int(frame_offsets[-1])
+    starts = np.arange(first, stop, step)
+    missing_before = np.concatenate([[0], np.cumsum(~is_visible)])
+    is_complete = np.ones(len(starts), bool)
+    for run in np.split(frame_offsets, np.flatnonzero(np.diff(frame_offsets) > 1) + 1):
+        is_complete &= missing_before[starts + run[-1] + 1] == missing_before[starts + run[0]]
+    return starts[is_complete]

@@ -14,6 +14,7 @@ from mocapfix.fill.marker_estimates import (
     combine_estimates,
     estimate_missing_samples,
     find_impossible_speeds,
+    measure_fastest_speed,
 )
 from mocapfix.read import capture
 from mocapfix.take import Take
@@ -128,6 +129,6 @@ def test_impossible_speeds_are_found():
     is_inlier = np.ones((200, 2), bool)
     is_inlier[40:140, 0] = is_inlier[50:80, 1] = False
     path[60, 0] += [0.0, 0.9, 0.0]  # 90 metres a second
-    mask = find_impossible_speeds(path, is_inlier, 100.0)
+    mask = find_impossible_speeds(path, is_inlier, 100.0, measure_fastest_speed(path[:, 1:], 100.0))
     assert mask[40:87, 0].all()
     assert mask.sum() == 47
