@@ -17,7 +17,7 @@ from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 from mocapfix.options import SubjectOptions
 from mocapfix.result import CleaningResult
-from mocapfix.take import Take
+from mocapfix.take import ComputedPoints, Take
 
 MIN_UNASSIGNED_MARKERS = 3
 """the number of unassigned markers visible in one frame that is needed to fill them from each other"""
@@ -152,7 +152,18 @@ def _insert_part(whole: Take, marker_indices: Int[np.ndarray, " M"], part: Take)
         sample_sd=insert(_get_sample_sd(whole), _get_sample_sd(part)),
         computed=insert(whole.visible & ~whole.measured, part.visible & ~part.measured),
         unlabelled=part.unlabelled,
+        computed_points=_merge_computed_points(whole.computed_points, part.computed_points),
     )
+
+
+def _merge_computed_points(whole: ComputedPoints | None, part: ComputedPoints | None) -> ComputedPoints | None:
+    """Return the computed points of the whole take with those samples that were updated in a part of it."""
+    if whole is None or part is None or part.take.sample_sd is None:
+        return whole
+    is_updated = ~np.isnan(part.take.sample_sd)
+    markers = np.where(is_updated[..., None], part.take.markers, whole.take.markers)
+    sample_sd = np.where(is_updated, part.take.sample_sd, _get_sample_sd(whole.take))
+    return replace(whole, take=whole.take.replace_markers(markers, sample_sd))
 
 
 def _get_sample_sd(take: Take) -> Float[np.ndarray, "T M"]:

@@ -191,6 +191,10 @@ class FillOptions(StageOptions):
         False, "--refill", "", "replace samples that another program filled if the measured ones contradict them",
         job_key="fill.refill",
     )  # fmt: skip
+    update_computed: bool = define_option(
+        False, "--update-computed", "", "compute joint centres and other computed points again where their markers were changed",
+        job_key="fill.update_computed",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

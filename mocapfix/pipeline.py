@@ -29,7 +29,9 @@ from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
+from mocapfix.repair.computed_points import update_computed_points
 from mocapfix.report.build_report import build_inspection_report, build_report
+from mocapfix.report.notes import describe_computed_points
 from mocapfix.report.report import InspectionReport
 from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read_review_files
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
@@ -114,6 +116,8 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
     with timer("fill"):
         state = fill_gaps(state, options)
         state = apply_decisions(state, options)
+        assert state.cleaned_take is not None
+        state = replace(state, cleaned_take=update_computed_points(state.original_take, state.cleaned_take, options.fill))
     assert state.cleaned_take is not None
     detection, body = state.detection, state.body
     return CleaningResult(
@@ -195,7 +199,7 @@ def inspect(
         marker_set = state.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
         name = marker_set.name if marker_set else None
-        reports.append(build_inspection_report(take, name, take, faults, [*take.notes, reason]))
+        reports.append(build_inspection_report(take, name, take, faults, [*take.notes, *describe_computed_points(take), reason]))
     return reports
 
 

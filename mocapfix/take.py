@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.files.layouts import C3dLayout, TableLayout
+from mocapfix.stats.point_functions import PointFunction
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Take:
         point_columns: Index of each marker among the points of the file; empty if the markers are the points.
         other_labels: Labels of the points that are not markers: model outputs and unlabelled points.
         unlabelled: The unlabelled trajectories as a take of their own, if there are any.
+        computed_points: The positions that a program computed from markers, such as joint centres, if there are any.
         sample_sd: Predicted standard deviation (m) of the samples that mocapfix estimated, NaN for all others.
         computed: Samples that software estimated, according to the residual words of a C3D file.
         uncaptured: Samples that no camera contributed to, in a file that records which cameras contributed.
@@ -45,6 +47,7 @@ class Take:
     point_columns: Int[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0, int))
     other_labels: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
+    computed_points: "ComputedPoints | None" = None
     sample_sd: Float[np.ndarray, "T M"] | None = None
     computed: Bool[np.ndarray, "T M"] | None = None
     uncaptured: Bool[np.ndarray, "T M"] | None = None
@@ -171,3 +174,35 @@ class Take:
     def replace_markers(self, markers: Float[np.ndarray, "T M 3"], sample_sd: Float[np.ndarray, "T M"] | None = None) -> "Take":
         """Return the take with other positions and standard deviations of the estimated samples."""
         return replace(self, markers=markers, sample_sd=sample_sd)
+
+
+@dataclass(frozen=True)
+class ComputedPoints:
+    """Positions that a program computed from markers. They are kept, and are no evidence of where markers are.
+
+    Attributes:
+        take: The points as a take of their own.
+        evidence: For each point, how it was recognised.
+        functions: For each point, how its position follows from other points of the file; None if that is not known.
+    """
+
+    take: Take
+    evidence: tuple["ComputedEvidence", ...]
+    functions: tuple[PointFunction | None, ...]
+
+    @property
+    def updated_counts(self) -> Int[np.ndarray, " C"]:
+        """Number of samples of each point that mocapfix filled or computed again."""
+        sample_sd = self.take.sample_sd
+        return np.zeros(len(self.functions), int) if sample_sd is None else (~np.isnan(sample_sd)).sum(0)
+
+    def list_parent_labels(self, point: int, markers: Take) -> tuple[str, ...]:
+        """Return the labels of the markers, or of the other computed points, from which a point follows."""
+        function = self.functions[point]
+        labels = dict(zip(self.take.point_indices.tolist(), self.take.labels, strict=True))
+        labels |= dict(zip(markers.point_indices.tolist(), markers.labels, strict=True))
+        return tuple(labels[parent] for parent in function.parents if parent in labels) if function else ()
+
+
+ComputedEvidence = Literal["name", "function"]
+"""how a computed point was recognised: by its name or the lists of the file, or as an exact function of markers"""

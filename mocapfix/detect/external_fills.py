@@ -20,16 +20,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mocapfix.detect.exact_stretches import (
-    compute_float_resolution,
-    compute_polynomial_misfits,
-    estimate_resolution,
-    find_exact_stretches,
-    trim_measured_ends,
-)
+from mocapfix.detect.exact_stretches import compute_polynomial_misfits, find_exact_stretches, trim_measured_ends
 from mocapfix.detect.marker_distances import estimate_distance_changes
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.faults import Fault
+from mocapfix.stats.resolution import compute_float_resolution, estimate_resolution
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 

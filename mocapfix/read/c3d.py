@@ -16,11 +16,12 @@ from mocapfix.read.coordinates import (
     find_valid_points,
     get_metres_per_unit,
 )
+from mocapfix.read.point_takes import add_other_points
 from mocapfix.read.point_types import (
+    DeclaredPoints,
+    classify_points,
     detect_computed_samples,
     detect_uncaptured_samples,
-    find_marker_columns,
-    find_unlabelled_columns,
 )
 from mocapfix.take import Take
 
@@ -53,40 +54,30 @@ def read_c3d(path: Path, data: bytes) -> Take:
     residual_words = np.ascontiguousarray(values[..., 3])
     visible = find_valid_points(values[..., :3]) & ~(residual_words < 0)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
-    columns = find_marker_columns(labels, parameters.model_outputs, visible, residual_words)
+    declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
+    types = classify_points(declared, visible, residual_words)
+    columns = types.markers
     if not len(columns):
         problem = f"none of its {layout.point_count} points is a labelled marker"
         raise ReadError(f"{path}: {problem}; label them and export it again.")
     step = max(1, layout.frame_count // MAX_INSPECTED_FRAMES)
     inspected = _convert_to_metres(values[::step], visible[::step], columns, layout)
-    rotation = estimate_rotation_y_up(parameters.screen_axis, [labels[i] for i in columns], inspected)
+    rotation = estimate_rotation_y_up(parameters.screen_axis, [types.labels[i] for i in columns], inspected)
     layout = replace(layout, rotation_y_up_file=rotation)
-    markers, marker_columns = _convert_to_metres(values, visible, columns, layout), set(columns.tolist())
-    unlabelled = None
-    if len(unlabelled_columns := find_unlabelled_columns(labels, parameters.model_outputs, visible)):
-        unlabelled = Take(
-            _convert_to_metres(values, visible, unlabelled_columns, layout),
-            tuple(labels[i] for i in unlabelled_columns),
-            parameters.rate,
-            parameters.first_frame,
-            path,
-            point_columns=unlabelled_columns,
-        )
-    return Take(
-        markers,
-        tuple(labels[i] for i in columns),
+    take = Take(
+        _convert_to_metres(values, visible, columns, layout),
+        tuple(types.labels[i] for i in columns),
         parameters.rate,
         parameters.first_frame,
         path,
         layout=layout,
         point_columns=columns,
-        other_labels=tuple(label for i, label in enumerate(labels) if i not in marker_columns),
-        unlabelled=unlabelled,
-        computed=detect_computed_samples(residual_words, visible)[:, columns],
+        computed=detect_computed_samples(residual_words[:, columns], visible[:, columns]),
         uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
         notes=notes,
     )
+    return add_other_points(take, types, lambda other: _convert_to_metres(values, visible, other, layout))
 
 
 def _convert_to_metres(

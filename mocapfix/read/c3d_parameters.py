@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, DEC_PROCESSOR, INTEL_PROCESSOR, MAX_C3D_WORD, SGI_PROCESSOR
 
 PROCESSOR_TYPES = (INTEL_PROCESSOR, DEC_PROCESSOR, SGI_PROCESSOR)
-VICON_OUTPUT_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS", "MODELED_MARKERS")
+VICON_OUTPUT_GROUPS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+VICON_MARKER_GROUPS = ("MODELED_MARKERS", "MODELED_MARKER")  # lists of outputs that are positions
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,9 @@ class C3dParameters:
         unit_name: POINT:UNITS, "" if not given.
         screen_axis: The file axis that its program draws upwards, such as "+Z", "" if not given.
         labels: Labels of all points, without blanks around them. There may be more or fewer than points.
-        model_outputs: Labels of the points that the file lists as model outputs.
+        descriptions: Descriptions of the points, if there are any.
+        model_outputs: Labels of the points that the file lists as angles, forces and other outputs that are no positions.
+        modelled_markers: Labels of the points that the file lists as computed positions.
         subject_names: Names of the subjects that the file lists, as Vicon's files do.
         first_frame: Number of the first frame.
         header_frame_count: Number of frames by the header.
@@ -47,7 +51,9 @@ class C3dParameters:
     unit_name: str
     screen_axis: str
     labels: tuple[str, ...]
+    descriptions: tuple[str, ...]
     model_outputs: frozenset[str]
+    modelled_markers: frozenset[str]
     subject_names: tuple[str, ...]
     first_frame: int
     header_frame_count: int
@@ -100,7 +106,9 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         unit_name=next(iter(_read_texts(reader, "POINT:UNITS")), ""),
         screen_axis="".join(_read_texts(reader, "POINT:Y_SCREEN")).upper(),
         labels=tuple(_read_text_series(reader, "POINT:LABELS")),
+        descriptions=tuple(_read_descriptions(reader)),
         model_outputs=frozenset(_read_model_outputs(reader)),
+        modelled_markers=frozenset(_read_listed_labels(reader, VICON_MARKER_GROUPS)),
         subject_names=tuple(name for name in _read_texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frame_count=header_frame_count,
@@ -157,7 +165,19 @@ def _read_text_series(reader: _LenientReader, name: str) -> list[str]:
     return texts
 
 
+def _read_descriptions(reader: _LenientReader) -> list[str]:
+    """Return the descriptions of the points; none if they are in an unknown encoding."""
+    try:
+        return _read_text_series(reader, "POINT:DESCRIPTIONS")
+    except UnicodeDecodeError:
+        return []
+
+
 def _read_model_outputs(reader: _LenientReader) -> list[str]:
     """Return the labels in POINT:ANGLES and similar lists; TYPE_GROUPS names further lists."""
-    groups = {*VICON_OUTPUT_GROUPS, *_read_texts(reader, "POINT:TYPE_GROUPS")} - {""}
-    return [label for group in groups for label in _read_text_series(reader, f"POINT:{group}")]
+    groups = {*VICON_OUTPUT_GROUPS, *_read_texts(reader, "POINT:TYPE_GROUPS")} - {"", *VICON_MARKER_GROUPS}
+    return _read_listed_labels(reader, groups)
+
+
+def _read_listed_labels(reader: _LenientReader, groups: Iterable[str]) -> list[str]:
+    return [label for group in groups for label in _read_text_series(reader, f"POINT:{group}") if label]

@@ -76,12 +76,14 @@ def rotate_to_up_axis(take: Take, up_axis: str) -> Take:
     rotation_y_up_file = ROTATIONS_TO_Y_UP[up_axis]
     # Without a layout the file axes are Y up.
     rotation = rotation_y_up_file if take.layout is None else rotation_y_up_file @ take.layout.rotation_y_up_file.T
-    unlabelled = take.unlabelled
+    unlabelled, computed = take.unlabelled, take.computed_points
+    rotated = computed and replace(computed.take, markers=computed.take.markers @ rotation.T)
     return replace(
         take,
         markers=take.markers @ rotation.T,
         layout=take.layout and replace(take.layout, rotation_y_up_file=rotation_y_up_file),
         unlabelled=unlabelled and replace(unlabelled, markers=unlabelled.markers @ rotation.T),
+        computed_points=computed and rotated and replace(computed, take=rotated),
     )
 
 

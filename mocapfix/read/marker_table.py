@@ -14,7 +14,8 @@ from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.read.coordinates import estimate_rotation_y_up, find_valid_points
 from mocapfix.read.file_content import TextDocument
-from mocapfix.read.point_types import find_marker_columns, find_unlabelled_columns
+from mocapfix.read.point_takes import add_other_points
+from mocapfix.read.point_types import DeclaredPoints, classify_points
 from mocapfix.read.table_cells import (
     CELL_PADDING,
     MAX_INSPECTED_LINES,
@@ -150,23 +151,14 @@ def build_take(
         ReadError: If no point is a labelled marker.
     """
     visible = find_valid_points(points_file)
-    columns = find_marker_columns(labels, frozenset(), visible, np.zeros(visible.shape))
+    types = classify_points(DeclaredPoints(labels), visible, np.zeros(visible.shape))
+    columns = types.markers
     if not len(columns):
         raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
     positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
-    marker_labels, marker_columns = tuple(labels[int(i)] for i in columns), set(columns.tolist())
+    marker_labels = tuple(types.labels[int(i)] for i in columns)
     rotation = estimate_rotation_y_up("", marker_labels, positions_file[:, columns], default_up_axis)
-    unlabelled = None
-    if len(unlabelled_columns := find_unlabelled_columns(labels, frozenset(), visible)):
-        unlabelled = Take(
-            positions_file[:, unlabelled_columns] @ rotation.T,
-            tuple(labels[int(i)] for i in unlabelled_columns),
-            rate,
-            first_frame,
-            path,
-            point_columns=unlabelled_columns,
-        )
-    return Take(
+    take = Take(
         positions_file[:, columns] @ rotation.T,
         marker_labels,
         rate,
@@ -174,10 +166,9 @@ def build_take(
         path,
         layout=replace(layout, rotation_y_up_file=rotation),
         point_columns=columns,
-        other_labels=tuple(label for i, label in enumerate(labels) if i not in marker_columns),
-        unlabelled=unlabelled,
         notes=notes,
     )
+    return add_other_points(take, types, lambda other: positions_file[:, other] @ rotation.T)
 
 
 def read_first_frame(

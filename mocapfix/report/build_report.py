@@ -12,6 +12,7 @@ from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions
 from mocapfix.report import notes, review_file
 from mocapfix.report.report import (
+    ComputedPointEntry,
     ErrorSummary,
     FaultEntry,
     FillSection,
@@ -27,8 +28,8 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 
-def build_take_section(take: Take, marker_set: str | None) -> TakeSection:
-    """Return the section on the input; `marker_set` is None if none matches."""
+def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | None = None) -> TakeSection:
+    """Return the section on the input; `marker_set` is None if none matches, `cleaned_take` before a take is cleaned."""
     section: TakeSection = {
         "file": take.path.name if take.path else take.name,
         "frames": take.frame_count,
@@ -38,11 +39,27 @@ def build_take_section(take: Take, marker_set: str | None) -> TakeSection:
         "marker_set": marker_set,
         "labels": list(take.labels),
     }
+    if take.computed_points:
+        section["computed_points"] = _build_computed_point_entries(take, cleaned_take or take)
     if take.subject_name:
         section["person"] = take.subject_name
     if take.point_kind == "joint":
         section["animation"] = True
     return section
+
+
+def _build_computed_point_entries(take: Take, cleaned_take: Take) -> list[ComputedPointEntry]:
+    assert cleaned_take.computed_points is not None
+    computed, updated = cleaned_take.computed_points, cleaned_take.computed_points.updated_counts
+    return [
+        {
+            "label": label,
+            "recognised_by": computed.evidence[c],
+            "computed_from": list(computed.list_parent_labels(c, take)),
+            "updated": int(updated[c]),
+        }
+        for c, label in enumerate(computed.take.labels)
+    ]
 
 
 def build_fault_entries(take: Take, faults: Faults) -> list[FaultEntry]:
@@ -193,12 +210,18 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
     return {
-        "take": build_take_section(take, state.marker_set.name if state.marker_set else None),
+        "take": build_take_section(take, state.marker_set.name if state.marker_set else None, state.cleaned_take),
         "faults": build_fault_entries(take, detection.faults),
         "changes": review_file.serialize_changes(state.changes),
         "subject": build_subject_section(body.subject) if body else None,
         "solve": solve,
         "fill": build_fill_section(take, detection.take, state.cleaned_take, state.unfilled_runs, detection.donor_markers),
         "seconds": stage_seconds,
-        "notes": [*take.notes, *state.notes, *body_notes, *notes.describe_uncertain_fills(state.cleaned_take)],
+        "notes": [
+            *take.notes,
+            *notes.describe_computed_points(state.cleaned_take),
+            *state.notes,
+            *body_notes,
+            *notes.describe_uncertain_fills(state.cleaned_take),
+        ],
     }

@@ -21,6 +21,7 @@ MAX_IMPORTED_FILL_DISTANCE_M = 0.02  # from the body; compared with the median o
 MISLABELLED_MARKER_DISTANCE_M = 0.06  # from the body; a marker farther away in most of its frames probably has a wrong label
 MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
 MAX_LISTED_RANGES = 12  # frame ranges in one sentence
+MAX_LISTED_LABELS = 12  # labels in one sentence
 
 
 def build_body_notes(
@@ -169,6 +170,20 @@ def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndar
         f"{len(far)} of {len(fills)} fills by another program are more than {_format_mm(MAX_IMPORTED_FILL_DISTANCE_M)} "
         f"from the body (the farthest: {farthest}) and are left unchanged; --refill replaces them."
     ]
+
+
+def describe_computed_points(take: Take) -> list[str]:
+    """Return a note on the points that a program computed from markers; no note without any."""
+    computed = take.computed_points
+    if computed is None:
+        return []
+    labels, count = computed.take.labels, len(computed.take.labels)
+    more = [f"{count - MAX_LISTED_LABELS} more"] if count > MAX_LISTED_LABELS else []
+    listed = join_words([*labels[:MAX_LISTED_LABELS], *more])
+    what = "1 point of the file is" if count == 1 else f"{count} points of the file are"
+    updated = int(computed.updated_counts.sum())
+    outcome = f"{updated:,} of their samples were computed from the cleaned markers" if updated else "they are unchanged"
+    return [f"{what} computed from markers and no evidence of where markers are ({listed}): {outcome}."]
 
 
 def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERMS) -> list[str]:

@@ -4,6 +4,7 @@ from typing import NotRequired, TypedDict
 
 from mocapfix.changes import Decision
 from mocapfix.faults import FaultKind
+from mocapfix.take import ComputedEvidence
 
 
 class ErrorSummary(TypedDict):
@@ -19,12 +20,27 @@ class ResidualSummary(ErrorSummary):
     by_marker: dict[str, ErrorSummary]
 
 
+class ComputedPointEntry(TypedDict):
+    """A position in the file that a program computed from markers.
+
+    recognised_by  "name" (also if the file lists it as computed), or "function" of markers
+    computed_from  labels of the markers from which it follows; without entries if that is not known
+    updated        number of its samples that were filled or computed again
+    """
+
+    label: str
+    recognised_by: ComputedEvidence
+    computed_from: list[str]
+    updated: int
+
+
 class TakeSection(TypedDict):
     """The input file.
 
-    person      subject whose markers these are, in a take of several subjects
-    marker_set  None if no marker set matches
-    animation   True if the points are the joints of an animation
+    person           subject whose markers these are, in a take of several subjects
+    marker_set       None if no marker set matches
+    computed_points  the positions in the file that a program computed from markers, if there are any
+    animation        True if the points are the joints of an animation
     """
 
     file: str
@@ -35,6 +51,7 @@ class TakeSection(TypedDict):
     markers: int
     marker_set: str | None
     labels: list[str]
+    computed_points: NotRequired[list[ComputedPointEntry]]
     animation: NotRequired[bool]
 
 

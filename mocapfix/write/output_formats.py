@@ -25,6 +25,7 @@ from mocapfix.write.npz import write_npz
 from mocapfix.write.patches import patch_c3d, patch_table
 from mocapfix.write.resampling import is_frame_subset, resample_motion
 from mocapfix.write.rig import Rig
+from mocapfix.write.source_file import append_computed_points
 from mocapfix.write.text_tables import write_csv, write_trc
 
 if TYPE_CHECKING:
@@ -91,12 +92,12 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     Returns:
         Frame and marker index of the samples that could not be stored.
     """
-    if isinstance(before.layout, TableLayout):
-        if before.layout.has_field_per_sample:
-            return patch_table(target, before, after)
+    if isinstance(before.layout, TableLayout) and not before.layout.has_field_per_sample:
         write_csv(target, after)
         return []
-    return patch_c3d(target, before, after)
+    patch = patch_table if isinstance(before.layout, TableLayout) else patch_c3d
+    unstorable = patch(target, append_computed_points(before), append_computed_points(after))
+    return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
 
 
 def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:

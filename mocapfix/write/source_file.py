@@ -1,6 +1,6 @@
 """What an output takes from the file that its take was read from: bytes, changed samples, unit and axes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +68,27 @@ def read_source_bytes(target: Path, source: Path | None, min_bytes: int = 0) -> 
 def build_truncated_error(source: Path | None) -> WriteError:
     """Return the error that an input file has become shorter since it was read."""
     return WriteError(f"{source}: has become shorter since it was read; clean it again.")
+
+
+def append_computed_points(take: Take) -> Take:
+    """Return the take with its computed points as further markers, as they are written to a copy of its file."""
+    computed = take.computed_points
+    if computed is None:
+        return take
+    missing_sd = np.full(take.visible.shape, np.nan)
+    sample_sd = missing_sd if take.sample_sd is None else take.sample_sd
+    points_sd = np.full(computed.take.visible.shape, np.nan) if computed.take.sample_sd is None else computed.take.sample_sd
+    return replace(
+        take,
+        markers=np.concatenate([take.markers, computed.take.markers], axis=1),
+        labels=(*take.labels, *computed.take.labels),
+        point_columns=np.concatenate([take.point_indices, computed.take.point_indices]),
+        sample_sd=np.concatenate([sample_sd, points_sd], axis=1),
+        computed=None,
+        uncaptured=None,
+        relabelled_points=np.concatenate([take.source_points, computed.take.source_points], axis=1),
+        computed_points=None,
+    )
 
 
 def find_relabelled_samples(before: Take, after: Take) -> Bool[np.ndarray, "T M"]:

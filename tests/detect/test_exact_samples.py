@@ -2,22 +2,21 @@ import numpy as np
 import pytest
 
 from mocapfix.detect import exact_stretches
+from mocapfix.stats import resolution
 from tests.detect.filled import as_floats, as_integers, walking
 
 
 @pytest.mark.parametrize("scale", [5e-5, 1e-4, 5e-4])
 def test_resolution_of_an_integer_file(scale):
-    np.testing.assert_allclose(exact_stretches.estimate_resolution(as_integers(walking(), scale).markers), scale, rtol=1e-6)
-    np.testing.assert_allclose(
-        exact_stretches.estimate_resolution(as_floats(as_integers(walking(), scale)).markers), scale, rtol=0.03
-    )
+    np.testing.assert_allclose(resolution.estimate_resolution(as_integers(walking(), scale).markers), scale, rtol=1e-6)
+    np.testing.assert_allclose(resolution.estimate_resolution(as_floats(as_integers(walking(), scale)).markers), scale, rtol=0.03)
 
 
 def test_resolution_of_a_float_file():
     markers = as_floats(walking()).markers
     assert (
-        exact_stretches.estimate_resolution(markers)
-        == exact_stretches.compute_float_resolution(markers)
+        resolution.estimate_resolution(markers)
+        == resolution.compute_float_resolution(markers)
         == 2.0**-23 * np.abs(markers).max()
     )
 
