@@ -33,7 +33,7 @@ jit: Any = njit  # without its types, which do not have all options
 
 PACKAGE_FOLDER = Path(__file__).parent.parent
 KERNELS_FOLDER = Path(__file__).parent
-IMPORT_PATTERN = re.compile(r"^(?:from|import) +(mocapfix[\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
+IMPORT_PATTERN = re.compile(r"^ *(?:from|import) +(mocapfix[\w.]*)(?: +import +(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 DIGEST_LENGTH = 12  # hexadecimal digits in a folder's name
 
 
@@ -46,6 +46,15 @@ def compile_kernel(function: Callable[..., Any] | None = None, **options: Any) -
         return lambda function: compile_kernel(function, **options)
     dispatcher: Any = jit(no_cfunc_wrapper=True, **options)(function)  # nothing calls kernels by their address
     dispatcher._cache = KernelCache(function)
+    compile_at_once = dispatcher.compile
+
+    def compile_deferred(signature):
+        from mocapfix.kernels.deferred_code import defer_machine_code
+
+        with defer_machine_code():
+            return compile_at_once(signature)
+
+    dispatcher.compile = compile_deferred
     return dispatcher
 
 

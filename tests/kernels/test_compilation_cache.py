@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mocapfix.kernels import compilation_cache
+from mocapfix.kernels import compilation_cache, deferred_code
 from mocapfix.kernels.compilation_cache import PACKAGE_FOLDER, compile_inner_kernel, find_module_folder
 
 KERNEL_SOURCES = {
@@ -50,7 +50,8 @@ def package(tmp_path):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(textwrap.dedent(source))
-    shutil.copy(compilation_cache.__file__, folder / "kernels")
+    for module in (compilation_cache, deferred_code):
+        shutil.copy(module.__file__, folder / "kernels")
     return folder
 
 
