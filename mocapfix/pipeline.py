@@ -38,7 +38,7 @@ from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.motion_solver import complete_body, solve_body
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take

@@ -19,7 +19,7 @@ from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.solve.frame_windows import FrameChanges
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

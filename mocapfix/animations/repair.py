@@ -21,7 +21,7 @@ from mocapfix.animations.rotation_repair import FrameSpan
 from mocapfix.faults import Fault, build_fault_mask
 from mocapfix.kernels import quaternions
 from mocapfix.solve import occluded_joints
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import find_runs
 
 EXACT_VARIANCE_RAD2 = 1e-8

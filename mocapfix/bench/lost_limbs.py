@@ -25,7 +25,7 @@ from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 

@@ -16,8 +16,8 @@ from mocapfix.skeleton import BodyModel, load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
 from mocapfix.solve.motion_uncertainty import update_motion_sd
-from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import MotionProblem, build_motion_problem
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.unobserved_joints import infer_unobserved_joints
 from mocapfix.solve.window_solver import solve_window
 from mocapfix.state import BodyFit, CleaningState

@@ -14,143 +14,17 @@ proportion to the uncertainty. Used in this way, a model improves gaps of severa
 another tracking term of the poses it increased the error of every gap.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import NamedTuple
+import math
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import quaternions
-from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
-from mocapfix.solve.parallel import count_cores, run_in_parallel
-from mocapfix.stats.gaussian_process import StateCovariance, fit_gaussian_process
-from mocapfix.stats.sequences import group_gaps, select_training_frames
-
-OBSERVED_JOINT_SD_RAD = 0.05
-"""Standard deviation of the rotation of a joint with markers."""
-CODE_ITERATIONS = 4
-"""Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
-MAX_CONDITIONING_FRAMES = 256
-"""Frames per batch; the derivatives of one frame take about 40 kB."""
-MAX_REUSED_CHANGE_RAD = 0.02
-"""Change of an observed joint's rotation vector up to which an earlier prediction of the frame is used again: less than half of
-OBSERVED_JOINT_SD_RAD, to which the prediction assumes the rotations to be known."""
-
-
-class FramePredictions(NamedTuple):
-    """Predictions for N frames, in increasing order, and what they were made from: rotation vectors in radians.
-
-    observed  (N, O, 3) of the observed joints
-    occluded  (N, L, 3) predicted, of the occluded joints
-    """
-
-    frames: np.ndarray
-    observed: np.ndarray
-    occluded: np.ndarray
-
-
-@dataclass(frozen=True)
-class PriorConditioner:
-    """A trained pose model as the solver uses it.
-
-    A take is solved in several rounds, between which few poses change, so the predictions of earlier calls are kept.
-
-    load_pose_model  returns the model; called only when it is needed, since its weights are read from a file
-    prior_scale      factor of the model's standard deviations (2: weaker prior)
-    predictions      the last predictions for each pair of observed and occluded joints
-    """
-
-    load_pose_model: Callable[[], PoseModel]
-    prior_scale: float
-    predictions: dict[tuple[tuple[int, ...], tuple[int, ...]], FramePredictions] = field(default_factory=dict, kw_only=True)
-
-    def predict_rotations(
-        self,
-        local_rotations: Float[np.ndarray, "T J 3 3"],
-        observed_joints: Int[np.ndarray, " O"],
-        occluded_joints: Int[np.ndarray, " L"],
-        frames: Int[np.ndarray, " N"],
-        reference: Float[np.ndarray, "N Q"],
-    ) -> Float[np.ndarray, "N Q"]:
-        """Return predicted quaternions of L occluded joints, multiplied by 2, as rows of Q = 4 L numbers.
-
-        reference  quaternions that determine the sign: of two for the same rotation, the nearer one is returned
-        """
-        model = self.load_pose_model()
-        unique_frames, row_of_frame = np.unique(frames, return_inverse=True)
-        vectors = self.update_predictions(model, local_rotations, observed_joints, occluded_joints, unique_frames)[row_of_frame]
-        predicted = np.empty((len(frames), len(occluded_joints), 4))
-        for i, j in enumerate(occluded_joints):
-            rotation = Rotation.from_rotvec(vectors[:, i]) * Rotation.from_matrix(model.reference_rotations[j])
-            predicted[:, i] = 2 * rotation.as_quat()
-        is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
-        return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
-
-    def update_predictions(
-        self,
-        model: PoseModel,
-        local_rotations: Float[np.ndarray, "T J 3 3"],
-        observed_joints: Int[np.ndarray, " O"],
-        occluded_joints: Int[np.ndarray, " L"],
-        frames: Int[np.ndarray, " N"],
-    ) -> Float[np.ndarray, "N L 3"]:
-        """Return the rotation vectors of the occluded joints in frames in increasing order, and keep them.
-
-        Only frames without an earlier prediction for nearly the same observed rotations are estimated.
-        """
-        pose_vectors = compute_pose_vectors(local_rotations[frames], model.reference_rotations)
-        observed = pose_vectors[:, np.r_[0, observed_joints]]
-        result, is_new = np.empty((len(frames), len(occluded_joints), 3)), np.ones(len(frames), bool)
-        key = tuple(observed_joints.tolist()), tuple(occluded_joints.tolist())
-        if key in self.predictions:
-            earlier = self.predictions[key]
-            row = np.minimum(np.searchsorted(earlier.frames, frames), len(earlier.frames) - 1)
-            change_rad = np.abs(earlier.observed[row] - observed).max(axis=(1, 2))
-            is_new = (earlier.frames[row] != frames) | ~(change_rad <= MAX_REUSED_CHANGE_RAD)
-            observed[~is_new], result[~is_new] = earlier.observed[row[~is_new]], earlier.occluded[row[~is_new]]
-        new_rows = np.flatnonzero(is_new)
-        batch_count = max(-(-len(new_rows) // MAX_CONDITIONING_FRAMES), min(count_cores(), len(new_rows)))
-
-        def estimate(rows: np.ndarray) -> None:
-            result[rows] = self.estimate_rotation_vectors(model, pose_vectors[rows], observed_joints, occluded_joints)
-
-        if batch_count:
-            run_in_parallel(estimate, np.array_split(new_rows, batch_count))
-        self.predictions[key] = FramePredictions(frames, observed, result)
-        return result
-
-    def estimate_rotation_vectors(
-        self,
-        model: PoseModel,
-        pose_vectors: Float[np.ndarray, "N J 3"],
-        observed_joints: Int[np.ndarray, " O"],
-        occluded_joints: Int[np.ndarray, " L"],
-    ) -> Float[np.ndarray, "N L 3"]:
-        """Return the decoded rotation vectors, in radians, of the occluded joints at the most likely code.
-
-        The code is estimated by least squares from the tilt of the root and the observed joints.
-        """
-        observed = np.r_[0, observed_joints]
-        sd = np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[observed])[:, None]
-        vectors, codes = pose_vectors.copy(), np.zeros((len(pose_vectors), model.code_size))
-        vectors[:, occluded_joints] = 0.0
-        for iteration in range(CODE_ITERATIONS):
-            selected = model.select_components(vectors)
-            if iteration == 0 and selected is model:  # all codes are zero, so that one linearisation holds for all frames
-                start = model.linearise(codes[:1])
-                decoded, jacobian = (np.broadcast_to(each, (len(codes), *each.shape[1:])) for each in start)
-            else:
-                decoded, jacobian = selected.linearise(codes)
-            weighted = (jacobian[:, observed] / sd[..., None]).reshape(len(jacobian), -1, model.code_size)
-            residual = ((vectors - decoded)[:, observed] / sd).reshape(len(vectors), -1, 1) + weighted @ codes[..., None]
-            transposed = np.swapaxes(weighted, 1, 2)
-            curvature = transposed @ weighted + np.eye(model.code_size) / self.prior_scale**2
-            codes = np.linalg.solve(curvature, transposed @ residual)[..., 0]
-            vectors[:, occluded_joints] = selected.decode(codes)[:, occluded_joints]
-        return vectors[:, occluded_joints]
-
+from mocapfix.solve.parallel import run_in_parallel
+from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
+from mocapfix.stats.sequences import group_gaps, sample_evenly, select_training_frames
 
 VELOCITY_HALF_SPAN_S = 0.067
 """Time before and after a frame over which velocities are measured."""
@@ -225,6 +99,8 @@ VARIANCE_INFLATION = 1.5
 """Actual squared error of the prediction over the variance that the process predicts."""
 MIN_QUERY_SD_RAD = 0.1
 """Standard deviation of the prediction above which the pose model is used; below, no model improves it."""
+QUERY_STEP_S = 1 / 30
+"""Largest time between the frames of a gap in which the pose model is used; its innovation is interpolated between them."""
 PRIOR_INNOVATION_SD_RAD = 0.3
 """Standard deviation per axis of people's limbs about the innovation of the pose model."""
 
@@ -249,37 +125,57 @@ def infer_occluded_joints(
     joints = np.flatnonzero(free_joints)[1:]
     has_body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
     solved = local_rotations.copy() if is_unobserved.any() else local_rotations
-    for (first, last), occluded in group_gaps(is_unobserved & has_body[:, None]).items():
+
+    def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
+        (first, last), occluded = gap
         observed = joints[~is_unobserved[first : last + 1, joints].any(axis=0)]
         is_known = has_body & ~is_unobserved[:, np.r_[observed, occluded]].any(axis=1)
         training = select_training_frames(is_known, first, last, rate)
         if len(training) < MIN_TRAINING_FRAMES:
-            continue
-        gap, training_variance = np.arange(first, last + 1), variance[training][:, occluded].max(axis=1)
+            return
+        rotations, noise = extract_training_rotations(solved, variance, is_unobserved, training, occluded)
+        frames = np.arange(first, last + 1)
         training_states, gap_states = (
-            compute_joint_state_features(root_position, solved, observed, frames, rate) for frames in (training, gap)
+            compute_joint_state_features(root_position, solved, observed, each, rate) for each in (training, frames)
         )
-        noise = np.maximum(training_variance - np.median(training_variance), 0.0)
         data = training_states, training / rate, noise, kernel
-        rotations = np.concatenate(
-            [2 * quaternions.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded], axis=1
-        )
         process = fit_gaussian_process(rotations, *data)
-        predicted, relative_variance = process.predict(gap_states, gap / rate)
-        power = np.fmax(process.cross_validate_gaps((last - first + 1) / rate), process.signal_power)
-        power = power.reshape(-1, 4).sum(axis=1) / 3
-        power = (len(training) * power + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2) / (
-            len(training) + DEFAULT_POWER_FRAMES
-        )
-        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * power
+        predicted, relative_variance = process.predict(gap_states, frames / rate)
+        gap_variance = VARIANCE_INFLATION * relative_variance[:, None] * estimate_rotation_powers(process, len(frames) / rate)
         if conditioner and gap_variance.max() > MIN_QUERY_SD_RAD**2:
-            frames, reference = np.r_[training, gap], np.concatenate([rotations, predicted])
-            drift = conditioner.predict_rotations(solved, observed, occluded, frames, reference)
+            queried = sample_evenly(len(frames), 1 + math.ceil((len(frames) - 1) / (QUERY_STEP_S * rate)))
+            reference = np.concatenate([rotations, predicted[queried]])
+            drift = conditioner.predict_rotations(solved, observed, occluded, np.r_[training, frames[queried]], reference)
             drift_process = fit_gaussian_process(drift[: len(training)], *data)
-            innovation = drift[len(training) :] - drift_process.predict(gap_states, gap / rate)[0]
+            sampled = drift[len(training) :] - drift_process.predict(gap_states[queried], frames[queried] / rate)[0]
+            innovation = np.stack([np.interp(frames, frames[queried], values) for values in sampled.T], axis=1)
             gain = gap_variance / (gap_variance + (conditioner.prior_scale * PRIOR_INNOVATION_SD_RAD) ** 2)
             predicted += np.repeat(gain, 4, axis=1) * innovation
         for i, j in enumerate(occluded):
             predicted_joint = np.ascontiguousarray(predicted[:, 4 * i : 4 * i + 4])
             quaternions.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
-            variance[gap, j] = gap_variance[:, i]
+            variance[frames, j] = gap_variance[:, i]
+
+    # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
+    gaps = group_gaps(is_unobserved & has_body[:, None])
+    run_in_parallel(infer_gap, sorted(gaps.items(), key=lambda gap: gap[0][0] - gap[0][1]))
+
+
+def extract_training_rotations(
+    solved: Float[np.ndarray, "T J 3 3"],
+    variance: Float[np.ndarray, "T J"],
+    is_unobserved: Bool[np.ndarray, "T J"],
+    training: Int[np.ndarray, " N"],
+    occluded: Int[np.ndarray, " L"],
+) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, " N"]]:
+    """Return quaternions of L joints, multiplied by 2, as rows of Q = 4 L numbers, and their excess variance in rad^2."""
+    rotations = [2 * quaternions.extract_joint_quaternions(solved, j, ~is_unobserved[:, j])[training] for j in occluded]
+    training_variance = variance[training][:, occluded].max(axis=1)
+    return np.concatenate(rotations, axis=1), np.maximum(training_variance - np.median(training_variance), 0.0)
+
+
+def estimate_rotation_powers(process: GaussianProcess, gap_s: float) -> Float[np.ndarray, " L"]:
+    """Return the signal power of each joint's rotation, in rad^2 per axis, as errors in gaps of this duration show it."""
+    frame_count = len(process.training_times_s)
+    power = np.fmax(process.cross_validate_gaps(gap_s), process.signal_power).reshape(-1, 4).sum(axis=1) / 3
+    return (frame_count * power + DEFAULT_POWER_FRAMES * DEFAULT_ROTATION_POWER_RAD2) / (frame_count + DEFAULT_POWER_FRAMES)

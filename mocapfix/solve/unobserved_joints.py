@@ -15,8 +15,8 @@ from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.solve import occluded_joints, smoothing
 from mocapfix.solve.kinematics import Poses
-from mocapfix.solve.occluded_joints import PriorConditioner
 from mocapfix.solve.pose_problem import MotionProblem
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
 FIXED_JOINT_WEIGHT = 1e5
 """Weight, in 1/rad^2 or 1/m^2, that keeps solved joints and the root where they are, compared with those of prior and limits."""

@@ -7,7 +7,7 @@ from mocapfix.animations.repair import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
 SKELETON = load_cmu31_body().skeleton
 COUNT = len(SKELETON.names)

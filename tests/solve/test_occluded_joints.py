@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import occluded_joints
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
 BODY = load_cmu31_body()
 ARM = ("LeftArm", "LeftForeArm", "LeftHand")

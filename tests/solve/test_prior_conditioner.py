@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve.occluded_joints import PriorConditioner
+from mocapfix.solve.prior_conditioner import PriorConditioner
 
 BODY = load_cmu31_body()
 NAMES, JOINTS = BODY.skeleton.names, len(BODY.skeleton.names)
@@ -51,27 +51,3 @@ def test_occluded_joints_are_ignored_and_input_is_not_modified():
         people.predict_rotations(elsewhere, *arguments), people.predict_rotations(local, *arguments), atol=1e-3
     )
     np.testing.assert_array_equal(elsewhere, was)
-
-
-def test_predictions_of_unchanged_frames_are_used_again(monkeypatch):
-    estimated = []
-    estimate = PriorConditioner.estimate_rotation_vectors
-
-    def record(self, model, pose_vectors, *joints):
-        estimated.append(len(pose_vectors))
-        return estimate(self, model, pose_vectors, *joints)
-
-    monkeypatch.setattr(PriorConditioner, "estimate_rotation_vectors", record)
-    angles, frames = np.linspace(-1, 1, 9), np.array([4, 1, 8, 4])
-    arguments = (OBSERVED, np.array([LEFT]), frames, np.ones((4, 4)))
-    people = PriorConditioner(mirrors, 1.0)
-    first = people.predict_rotations(poses(angles), *arguments)
-    assert sum(estimated) == 3
-    np.testing.assert_array_equal(first[0], first[3])
-    np.testing.assert_array_equal(people.predict_rotations(poses(angles + 1e-3), *arguments), first)
-    assert sum(estimated) == 3
-    angles[8] += 0.3
-    changed = people.predict_rotations(poses(angles), *arguments)
-    assert sum(estimated) == 4
-    np.testing.assert_array_equal(changed[:2], first[:2])
-    np.testing.assert_allclose(changed, PriorConditioner(mirrors, 1.0).predict_rotations(poses(angles), *arguments))

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocapfix.motion import PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.solve import smoothing
-from mocapfix.motion import PoseUncertainty
 
 RATE = 100.0
 seeds = st.integers(0, 2**32 - 1)

@@ -1,0 +1,124 @@
+"""The prior conditioner: what a trained pose model predicts for the occluded joints of a frame from its observed joints.
+
+The model's code is estimated by least squares from the tilt of the root and the observed joints. Code dimensions in which the
+decoder is linear have the same derivatives in every frame, so that they are eliminated beforehand: they correlate the errors of
+the observed joints, and what these errors show of them is added to the prediction.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import solve_triangular
+from scipy.spatial.transform import Rotation
+
+from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
+
+OBSERVED_JOINT_SD_RAD = 0.05
+"""Standard deviation of the rotation of a joint with markers."""
+CODE_ITERATIONS = 4
+"""Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
+MAX_CONDITIONING_FRAMES = 256
+"""Frames per batch; the derivatives of one frame take about 20 kB."""
+
+
+class ObservedErrors(NamedTuple):
+    """The errors of O observed joints over their standard deviations, as the linear dimensions of the code correlate them.
+
+    joints         (O,) the observed joints and the root
+    sd             (3 O,) rad: standard deviations without these dimensions
+    whitening      (3 O, 3 O): makes the errors independent, of unit variance
+    occluded_gain  (3 L, 3 O) rad: expected errors of L occluded joints
+    """
+
+    joints: np.ndarray
+    sd: np.ndarray
+    whitening: np.ndarray
+    occluded_gain: np.ndarray
+
+    def scale(self, values: Float[np.ndarray, "N J 3 C"]) -> Float[np.ndarray, "N E C"]:
+        """Return values of the observed joints in radians over the standard deviations."""
+        return values[:, self.joints].reshape(len(values), len(self.sd), values.shape[3]) / self.sd[:, None]
+
+
+@dataclass(frozen=True)
+class PriorConditioner:
+    """A trained pose model as the solver uses it.
+
+    load_pose_model  returns the model; called only when it is needed, since its weights are read from a file
+    prior_scale      factor of the model's standard deviations (2: weaker prior)
+    """
+
+    load_pose_model: Callable[[], PoseModel]
+    prior_scale: float
+
+    def predict_rotations(
+        self,
+        local_rotations: Float[np.ndarray, "T J 3 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+        frames: Int[np.ndarray, " N"],
+        reference: Float[np.ndarray, "N Q"],
+    ) -> Float[np.ndarray, "N Q"]:
+        """Return predicted quaternions of L occluded joints, multiplied by 2, as rows of Q = 4 L numbers.
+
+        reference  quaternions that determine the sign: of two for the same rotation, the nearer one is returned
+        """
+        model = self.load_pose_model()
+        batches = np.array_split(frames, -(-len(frames) // MAX_CONDITIONING_FRAMES)) if len(frames) else []
+        predicted = np.empty((len(frames), len(occluded_joints), 4))
+        vectors = [
+            self.estimate_rotation_vectors(
+                model, compute_pose_vectors(local_rotations[batch], model.reference_rotations), observed_joints, occluded_joints
+            )
+            for batch in batches
+        ]
+        for i, j in enumerate(occluded_joints):
+            rotation = Rotation.from_rotvec(np.concatenate([each[:, i] for each in vectors]))
+            predicted[:, i] = 2 * (rotation * Rotation.from_matrix(model.reference_rotations[j])).as_quat()
+        is_opposite = (predicted * reference.reshape(predicted.shape)).sum(axis=2) < 0
+        return np.where(is_opposite[..., None], -predicted, predicted).reshape(reference.shape)
+
+    def estimate_rotation_vectors(
+        self,
+        model: PoseModel,
+        pose_vectors: Float[np.ndarray, "N J 3"],
+        observed_joints: Int[np.ndarray, " O"],
+        occluded_joints: Int[np.ndarray, " L"],
+    ) -> Float[np.ndarray, "N L 3"]:
+        """Return the decoded rotation vectors, in radians, of the occluded joints at the most likely code."""
+        vectors, codes = pose_vectors.copy(), np.zeros((len(pose_vectors), model.code_size))
+        vectors[:, occluded_joints] = 0.0
+        size = model.nonlinear_code_size
+        errors = self.build_observed_errors(model, observed_joints, occluded_joints)
+        for iteration in range(CODE_ITERATIONS):
+            selected = model.select_components(vectors)
+            is_common = iteration == 0 and selected is model  # all codes are zero, so that one linearisation holds for all frames
+            decoded, jacobian = selected.linearise(codes[:1] if is_common else codes)
+            slopes = errors.scale(jacobian[:, :, :, :size])
+            whitened = errors.whitening @ slopes
+            transposed = np.swapaxes(whitened, 1, 2)
+            curvature = transposed @ whitened + np.eye(size) / self.prior_scale**2
+            residual = errors.scale((vectors - decoded)[..., None]) + slopes @ codes[:, :size, None]
+            codes[:, :size] = np.linalg.solve(curvature, transposed @ (errors.whitening @ residual))[..., 0]
+            remaining = (residual - slopes @ codes[:, :size, None])[..., 0] @ errors.occluded_gain.T
+            vectors[:, occluded_joints] = selected.decode(codes)[:, occluded_joints] + remaining.reshape(len(vectors), -1, 3)
+        return vectors[:, occluded_joints]
+
+    def build_observed_errors(
+        self, model: PoseModel, observed_joints: Int[np.ndarray, " O"], occluded_joints: Int[np.ndarray, " L"]
+    ) -> "ObservedErrors":
+        """Return the errors of the observed joints and the root that the linear dimensions of the code explain."""
+        joints, size = np.r_[0, observed_joints], model.nonlinear_code_size
+        sd = np.repeat(np.hypot(OBSERVED_JOINT_SD_RAD, self.prior_scale * model.residual_sd_rad[joints]), 3)
+        directions = np.zeros((len(model.joint_names), 3, 0))
+        if size < model.code_size:
+            directions = self.prior_scale * model.linearise(np.zeros((1, model.code_size)))[1][0, ..., size:]
+        count = directions.shape[-1]
+        observed = directions[joints].reshape(len(sd), count) / sd[:, None]
+        factor = np.linalg.cholesky(observed @ observed.T + np.eye(len(sd)))
+        whitening = solve_triangular(factor, np.eye(len(sd)), lower=True)
+        occluded = directions[occluded_joints].reshape(3 * len(occluded_joints), count)
+        return ObservedErrors(joints, sd, whitening, occluded @ observed.T @ whitening.T @ whitening)
