@@ -2,7 +2,9 @@
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,6 +35,10 @@ MAX_LISTED_RUNS = 5
 """runs of unfilled samples that the summary lists"""
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")
 """files without markers, for which few kernels are needed"""
+SOLVE_STAGE = "solve"
+"""the stage during which what writes the reports is imported"""
+REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")
+"""modules that the reports need, which take a third of a second to import"""
 STAGES = ("read", "subject", "detect", "initialise", "prior", "solve", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import Report, TakeSection
@@ -98,7 +104,7 @@ def clean_takes(
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
             check_outputs_free(folder, take.stem, overwrite, take, options.output)
             with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
-                result = pipeline.clean(take, options, progress=progress)
+                result = pipeline.clean(take, options, progress=import_while_solving(progress))
                 result.write(folder, overwrite, progress, options.output)
         except MocapfixError as error:
             print_error(str(error))
@@ -112,6 +118,22 @@ def clean_takes(
     if as_json and reports:
         print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
     return EXIT_DONE if len(written) == len(takes) else EXIT_FAILED
+
+
+def import_while_solving(progress: Callable[[str], None]) -> Callable[[str], None]:
+    """Return a progress callback that also imports the modules of the reports, in a thread, once the body is solved.
+
+    The solver is compiled code that leaves the interpreter to others.
+    """
+    threads: list[threading.Thread] = []
+
+    def show_stage(stage: str) -> None:
+        progress(stage)
+        if stage == SOLVE_STAGE and not threads:
+            threads.append(threading.Thread(target=lambda: [import_module(name) for name in REPORT_MODULES]))
+            threads[0].start()
+
+    return show_stage
 
 
 def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix: str | None = None) -> None:

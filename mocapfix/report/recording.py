@@ -17,7 +17,7 @@ markers is a row without points; without such a row rerun keeps showing the prev
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
@@ -148,7 +148,7 @@ class _RecordingWriter:
         known = np.isfinite(bones).all(axis=(2, 3))
         style = rr.LineStrips3D.from_fields(radii=BONE_RADIUS_M, colors=_convert_to_rgba(RECORDING_BONE_COLOUR))
         self.recording.log("world/skeleton", style, static=True)
-        columns = rr.LineStrips3D.columns(strips=bones[known].astype(np.float32))
+        columns = rr.LineStrips3D.columns(strips=_build_strips(bones[known].astype(np.float32)))
         self.send_columns("world/skeleton", columns.partition(known.sum(axis=1)))
 
     def log_sample_states(self, outcome: Int[np.ndarray, "T M"]) -> None:
@@ -242,6 +242,18 @@ def _compute_eye_position(
 def _convert_to_rgba(colour: str) -> np.uint32:
     """Convert "#rrggbb" to 0xRRGGBBAA."""
     return np.uint32(int(colour[1:] + "ff", 16))
+
+
+def _build_strips(lines: Float[np.ndarray, "N 2 3"]) -> Any:
+    """Return an Arrow array of straight lines, as rerun stores them. Its own conversion of an array calls Python once for each line."""
+    import pyarrow as pa
+    import rerun as rr
+
+    if not len(lines):
+        return rr.components.LineStrip3DBatch(lines).as_arrow_array()
+    strip_type = rr.components.LineStrip3DBatch(lines[:1]).as_arrow_array().type
+    points = rr.encodings.Vec3DBatch(lines.reshape(-1)).as_arrow_array()
+    return pa.ListArray.from_arrays(np.arange(0, 2 * len(lines) + 1, 2, dtype=np.int32), points, type=strip_type)
 
 
 def _select_colours(default: str, masks: dict[str, Bool[np.ndarray, "T M"]]) -> UInt32[np.ndarray, "T M"]:
