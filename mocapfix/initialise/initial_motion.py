@@ -31,6 +31,8 @@ MIN_MARKER_TRUST = 0.25
 """Robust weight below which a marker is not used by HybrIK; a marker 5 cm from its segment has this weight."""
 HYBRIK_VARIANTS: dict[str, HybrikVariant] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybrik-naive": "naive"}
 """The HybrIK variant of each method."""
+MAX_BLOCK_FRAMES = 8192
+"""Frames that are posed at a time; a frame takes its root from its neighbours only within them, if its markers do not show it."""
 MIN_START_MARKER_SHARE = 0.5
 """Share of the markers that are visible in any frame which a frame must show to start the chain of method "previous"."""
 
@@ -44,6 +46,10 @@ def initialise_motion(
     prior   its mean pose is that of the joints that the body does not turn
     method  one of INIT_METHODS
     """
+    if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
+        blocks = np.array_split(np.arange(take.frame_count), -(-take.frame_count // MAX_BLOCK_FRAMES))
+        parts = [initialise_motion(take.replace_markers(take.markers[b]), subject, body, prior, method) for b in blocks]
+        return Motion(*(np.concatenate(fields) for fields in zip(*(vars(part).values() for part in parts), strict=True)))
     if method in HYBRIK_VARIANTS:
         estimate, is_held = joint_positions.estimate_joint_positions(take, subject, body), ~body.free_joints
         motion = solve_hybrik(
@@ -116,11 +122,10 @@ def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningStat
     if state.body is None or changes.is_restarted.all():
         motion = initialise_motion(take, state.extended_subject, body, prior, method)
         return replace(state, initial_motion=motion, frame_changes=change_all_frames(take.frame_count))
-    motion, restarted = state.body.motion, np.flatnonzero(changes.is_restarted)
-    if len(restarted):
-        part = take.replace_markers(take.markers[restarted])
-        motion = insert_poses(motion, restarted, initialise_motion(part, state.extended_subject, body, prior, method))
-    return replace(state, initial_motion=motion, frame_changes=changes)
+    restarted = np.flatnonzero(changes.is_restarted)
+    part = take.replace_markers(take.markers[restarted])
+    poses = initialise_motion(part, state.extended_subject, body, prior, method)
+    return replace(state, initial_motion=insert_poses(state.body.motion, restarted, poses), frame_changes=changes)
 
 
 def find_frame_changes(state: CleaningState, take: Take) -> FrameChanges:

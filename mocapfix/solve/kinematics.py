@@ -14,6 +14,9 @@ from mocapfix.subject import Subject
 Poses: TypeAlias = tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]]
 """root positions in metres and local rotations"""
 
+DISTANCE_BLOCK_FRAMES = 4096
+"""Frames whose marker positions are held at a time where only their distances are needed."""
+
 
 def build_kinematic_tree(skeleton: Skeleton) -> KinematicTree:
     """Return the skeleton for the kernels, all joints free."""
@@ -44,6 +47,16 @@ def compute_joint_and_marker_positions(
 def predict_markers(subject: Subject, pose: Poses) -> Float[np.ndarray, "T K 3"]:
     """Return where the body carries the subject's markers, in metres."""
     return _compute_positions(subject, pose)[1]
+
+
+def compute_marker_distances(subject: Subject, pose: Poses, markers: Float[np.ndarray, "T K 3"]) -> Float[np.ndarray, "T K"]:
+    """Return the distances in metres of markers from where the body carries them, NaN where missing."""
+    distance = np.empty(markers.shape[:2])
+    for first in range(0, len(markers), DISTANCE_BLOCK_FRAMES):
+        block = slice(first, first + DISTANCE_BLOCK_FRAMES)
+        predicted = predict_markers(subject, (pose[0][block], pose[1][block]))
+        distance[block] = np.linalg.norm(markers[block] - predicted, axis=-1)
+    return distance
 
 
 def _compute_positions(subject: Subject, pose: Poses) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T K 3"]]:

@@ -49,7 +49,12 @@ def solve_motion(
     conditioner      a trained pose model; used only if a limb is occluded for so long that the take itself does not determine it
     """
     problem = build_motion_problem(take, subject, body, prior, limits, options)
-    motion, evidence = solve_changed_frames(problem, initial_motion, change_all_frames(take.frame_count))
+    start = replace(
+        initial_motion,
+        root_position=initial_motion.root_position.copy(),
+        local_rotations=initial_motion.local_rotations.copy(),
+    )
+    motion, evidence = solve_changed_frames(problem, start, change_all_frames(take.frame_count))
     return complete_motion(problem, motion, evidence, conditioner)
 
 
@@ -69,13 +74,14 @@ def solve_changed_frames(
 ) -> tuple[Motion, PoseEvidence]:
     """Solve the frames that changes affect, from the poses in `start`; the others keep these.
 
-    start, evidence  the solution before, except for the poses of restarted frames; without evidence all frames are solved
+    start     the solution before, except for the poses of restarted frames; its poses are overwritten with the new solution
+    evidence  of the solution before; without it all frames are solved
 
     Unobserved joints follow interpolations, until `complete_motion` finds better poses for them.
     """
     frame_count, joint_count = start.local_rotations.shape[:2]
     marker_count = len(problem.subject.joints)
-    root_position, local_rotations = start.root_position.copy(), start.local_rotations.copy()
+    root_position, local_rotations = start.root_position, start.local_rotations
     status, iterations = start.status.copy(), start.iterations.copy()
     if evidence is None:
         evidence = PoseEvidence(
@@ -109,8 +115,7 @@ def classify_frames(motion: Motion, subject: Subject, markers: Float[np.ndarray,
 
     markers  in metres in the subject's order, NaN if not visible or an outlier
     """
-    _, predicted = kinematics.compute_joint_and_marker_positions(subject, motion)
-    distance = np.linalg.norm(markers - predicted, axis=-1)
+    distance = kinematics.compute_marker_distances(subject, (motion.root_position, motion.local_rotations), markers)
     visible_count = (~np.isnan(distance)).sum(1)
     mean_distance = np.nansum(distance, axis=1) / np.maximum(visible_count, 1)
     is_guessed: Bool[np.ndarray, " T"] = visible_count < MIN_FRAME_MARKERS
@@ -145,8 +150,9 @@ def complete_body(state: CleaningState, options: CleanOptions) -> CleaningState:
         return state
     problem = _build_body_problem(state, options)
     motion = complete_motion(problem, body.motion, body.evidence, state.prior_conditioner)
+    body = replace(body, detection=None, evidence=None)  # which are needed for a further solve only
     if motion is body.motion:
-        return state
+        return replace(state, body=body)
     joints, markers = kinematics.compute_joint_and_marker_positions(body.extended_subject, motion)
     status = classify_frames(motion, body.extended_subject, problem.pose_problem.marker_positions)
     motion = replace(motion, status=status)

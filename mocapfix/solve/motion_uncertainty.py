@@ -32,6 +32,8 @@ MIN_ESTIMATED_MARKER_SD_M = 0.001
 """Smallest estimate of the marker error per axis."""
 MAX_ABSORBED_SHARE = 0.9
 """Share of its squared error that the pose absorbs above which a marker does not enter the estimate."""
+UNCERTAINTY_BLOCK_FRAMES = 4096
+"""Frames whose problem is held at a time."""
 MIN_TRACKING_SD_RAD = 0.01
 """Smallest standard deviation of a joint's smooth trajectory in the uncertainty of the result."""
 GAP_VARIANCE_INFLATION = 3.0
@@ -42,31 +44,31 @@ CMU's training subjects: the solve must not trust a trajectory too much."""
 def update_motion_sd(problem: MotionProblem, motion: Motion, evidence: PoseEvidence, frames: Int[np.ndarray, " N"]) -> Motion:
     """Return the motion with the standard deviations of its joints and markers computed for some frames.
 
-    motion  its deviations in the other frames are kept; (T, 0) arrays if there are none yet
+    motion  its deviations in the other frames are kept, unless markers were added
     """
+    if not len(frames):
+        return motion
     gap_variance = np.where(problem.is_unobserved, evidence.rotation_variance, evidence.gap_variance)
     actual_variance = np.maximum(gap_variance / GAP_VARIANCE_INFLATION, MIN_TRACKING_SD_RAD**2)
     actual_marker_sd = estimate_actual_marker_sd(
         problem.pose_problem, (motion.root_position, motion.local_rotations), problem.subject, evidence.marker_sd
     )
-    is_complete = motion.marker_sd.shape != evidence.marker_sd.shape or len(frames) == motion.frame_count
-    selected = slice(None) if is_complete else frames
-    pose = motion.root_position[selected], motion.local_rotations[selected]
-    weight = problem.is_uncertain[selected] / actual_variance[selected]
-    marker_sd, joint_sd = compute_pose_sd(
-        problem.pose_problem.select_frames(selected),
-        pose,
-        problem.subject,
-        problem.prior,
-        actual_marker_sd,
-        TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[selected]),
-        problem.options.robust_scales_m[-1],
-    )
-    if is_complete:
-        return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
-    all_marker_sd, all_joint_sd = motion.marker_sd.copy(), motion.joint_sd.copy()
-    all_marker_sd[frames], all_joint_sd[frames] = marker_sd, joint_sd
-    return replace(motion, marker_sd=all_marker_sd, joint_sd=all_joint_sd)
+    marker_sd, joint_sd = motion.marker_sd.copy(), motion.joint_sd.copy()
+    if marker_sd.shape != evidence.marker_sd.shape:
+        frames, marker_sd = np.arange(motion.frame_count), np.empty(evidence.marker_sd.shape)
+    for block in np.array_split(frames, -(-len(frames) // UNCERTAINTY_BLOCK_FRAMES)):
+        pose = motion.root_position[block], motion.local_rotations[block]
+        weight = problem.is_uncertain[block] / actual_variance[block]
+        marker_sd[block], joint_sd[block] = compute_pose_sd(
+            problem.pose_problem.select_frames(block),
+            pose,
+            problem.subject,
+            problem.prior,
+            actual_marker_sd,
+            TrackingTerm(pose[1], weight, pose[0], evidence.root_weight[block]),
+            problem.options.robust_scales_m[-1],
+        )
+    return replace(motion, marker_sd=marker_sd, joint_sd=joint_sd)
 
 
 def compute_pose_sd(
@@ -99,9 +101,8 @@ def estimate_actual_marker_sd(
     problem            as it was solved
     nominal_marker_sd  standard deviation of the markers predicted with the weights of the solve, in metres
     """
-    predicted = kinematics.predict_markers(subject, pose)
     absorbed_share = (nominal_marker_sd / problem.marker_sd) ** 2
-    distance = np.linalg.norm(problem.marker_positions - predicted, axis=-1)
+    distance = kinematics.compute_marker_distances(subject, pose, problem.marker_positions)
     is_usable = problem.solver_mask & (absorbed_share < MAX_ABSORBED_SHARE)
     return estimate_marker_sd(distance, absorbed_share, is_usable, problem.marker_sd)
 

@@ -115,16 +115,19 @@ def infer_occluded_joints(
     *,
     conditioner: PriorConditioner | None = None,
     kernel: StateCovariance = ESTIMATED_ROTATION_KERNEL,
+    solved: Float[np.ndarray, "T J 3 3"] | None = None,
 ) -> None:
     """Overwrite the rotations of unobserved joints, and their variance in rad^2, with predictions.
 
     root_position, local_rotations, variance  the solution of each frame on its own, in metres and rad^2
     is_unobserved                             as from `observability.find_unobserved_joints`
     kernel                                    covariance of the rotations between frames
+    solved                                    equal to local_rotations, which are overwritten; copied from there by default
     """
     joints = np.flatnonzero(free_joints)[1:]
     has_body = is_unobserved[:, joints].mean(axis=1) <= MAX_UNOBSERVED_SHARE
-    solved = local_rotations.copy() if is_unobserved.any() else local_rotations
+    if solved is None:
+        solved = local_rotations.copy()
 
     def infer_gap(gap: tuple[tuple[int, int], Int[np.ndarray, " L"]]) -> None:
         (first, last), occluded = gap

@@ -20,7 +20,7 @@ OBSERVED_JOINT_SD_RAD = 0.05
 """Standard deviation of the rotation of a joint with markers."""
 CODE_ITERATIONS = 4
 """Gauss-Newton iterations of the code; the decoder of a network is nearly linear among people's poses."""
-MAX_CONDITIONING_FRAMES = 256
+MAX_CONDITIONING_FRAMES = 64
 """Frames per batch; the derivatives of one frame take about 20 kB."""
 
 

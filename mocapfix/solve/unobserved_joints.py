@@ -36,6 +36,7 @@ def infer_unobserved_joints(
         problem.pose_problem.tree.free,
         problem.rate,
         conditioner=conditioner,
+        solved=motion.local_rotations,
     )
     inferred = _solve_inferred_joints(problem, (motion.root_position, local_rotations), variance, frames)
     is_unobserved = problem.is_unobserved[frames]
