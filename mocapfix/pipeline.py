@@ -31,7 +31,7 @@ from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.repair.computed_points import update_computed_points
 from mocapfix.report.build_report import build_inspection_report, build_report
-from mocapfix.report.notes import describe_computed_points
+from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
 from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read_review_files
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
@@ -199,7 +199,11 @@ def inspect(
         marker_set = state.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
         name = marker_set.name if marker_set else None
-        reports.append(build_inspection_report(take, name, take, faults, [*take.notes, *describe_computed_points(take), reason]))
+        reports.append(
+            build_inspection_report(
+                take, name, take, faults, [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
+            )
+        )
     return reports
 
 

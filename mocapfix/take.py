@@ -14,6 +14,21 @@ from mocapfix.stats.point_functions import PointFunction
 
 
 @dataclass(frozen=True)
+class UpAxis:
+    """The axis of a file that points up.
+
+    Attributes:
+        letter: "X", "Y" or "Z".
+        basis: From what it is known, in a few words.
+        is_certain: Whether other axes are far less likely.
+    """
+
+    letter: str
+    basis: str
+    is_certain: bool = True
+
+
+@dataclass(frozen=True)
 class Take:
     """Marker positions over time: T frames of M markers, in metres, Y up, right-handed.
 
@@ -35,6 +50,7 @@ class Take:
         subject_names: Names of the subjects that the file lists, whether or not it holds their markers.
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
+        up_axis: The axis of the file that points up; None if there is no file.
         point_kind: "joint" if the points are the joints of an animation (see mocapfix.animations.joint_points).
     """
 
@@ -55,6 +71,7 @@ class Take:
     subject_names: tuple[str, ...] = ()
     subject_name: str = ""
     notes: tuple[str, ...] = ()
+    up_axis: UpAxis | None = None
     point_kind: Literal["marker", "joint"] = "marker"
 
     @property

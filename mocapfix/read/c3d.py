@@ -10,9 +10,8 @@ from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, C3dLayout
 from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
-    MAX_INSPECTED_FRAMES,
     METRES_PER_UNIT,
-    estimate_rotation_y_up,
+    ROTATIONS_TO_Y_UP,
     find_valid_points,
     get_metres_per_unit,
 )
@@ -23,7 +22,8 @@ from mocapfix.read.point_types import (
     detect_computed_samples,
     detect_uncaptured_samples,
 )
-from mocapfix.take import Take
+from mocapfix.read.up_axis import estimate_up_axis
+from mocapfix.take import Take, UpAxis
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
 C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
@@ -60,10 +60,11 @@ def read_c3d(path: Path, data: bytes) -> Take:
     if not len(columns):
         problem = f"none of its {layout.point_count} points is a labelled marker"
         raise ReadError(f"{path}: {problem}; label them and export it again.")
-    step = max(1, layout.frame_count // MAX_INSPECTED_FRAMES)
-    inspected = _convert_to_metres(values[::step], visible[::step], columns, layout)
-    rotation = estimate_rotation_y_up(parameters.screen_axis, [types.labels[i] for i in columns], inspected)
-    layout = replace(layout, rotation_y_up_file=rotation)
+    up_axis = get_screen_up_axis(parameters.screen_axis)
+    if up_axis is None:
+        in_file = _convert_to_metres(values, visible, columns, layout)
+        up_axis = estimate_up_axis([types.labels[i] for i in columns], in_file, parameters.rate)
+    layout = replace(layout, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis.letter])
     take = Take(
         _convert_to_metres(values, visible, columns, layout),
         tuple(types.labels[i] for i in columns),
@@ -75,9 +76,19 @@ def read_c3d(path: Path, data: bytes) -> Take:
         computed=detect_computed_samples(residual_words[:, columns], visible[:, columns]),
         uncaptured=detect_uncaptured_samples(residual_words[:, columns], visible[:, columns]),
         subject_names=parameters.subject_names,
+        up_axis=up_axis,
         notes=notes,
     )
     return add_other_points(take, types, lambda other: _convert_to_metres(values, visible, other, layout))
+
+
+def get_screen_up_axis(screen_axis: str) -> UpAxis | None:
+    """Return the up axis by POINT:Y_SCREEN, such as "+Z"; None if it names no axis.
+
+    Only its letter is used: the sign gives the viewer's side rather than the up direction, and Qualisys writes -Z on Z-up data.
+    """
+    letter = screen_axis[-1:]
+    return UpAxis(letter, "POINT:Y_SCREEN of the file") if letter in ROTATIONS_TO_Y_UP else None
 
 
 def _convert_to_metres(

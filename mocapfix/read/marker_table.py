@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
-from mocapfix.read.coordinates import estimate_rotation_y_up, find_valid_points
+from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
 from mocapfix.read.file_content import TextDocument
 from mocapfix.read.point_takes import add_other_points
 from mocapfix.read.point_types import DeclaredPoints, classify_points
@@ -26,6 +26,7 @@ from mocapfix.read.table_cells import (
     parse_whole_number,
     split_fields,
 )
+from mocapfix.read.up_axis import estimate_up_axis
 from mocapfix.take import Take
 
 MAX_HEADER_LINES = 15  # lines within which the column names must begin
@@ -157,7 +158,8 @@ def build_take(
         raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
     positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
     marker_labels = tuple(types.labels[int(i)] for i in columns)
-    rotation = estimate_rotation_y_up("", marker_labels, positions_file[:, columns], default_up_axis)
+    up_axis = estimate_up_axis(marker_labels, positions_file[:, columns], rate, default_up_axis)
+    rotation = ROTATIONS_TO_Y_UP[up_axis.letter]
     take = Take(
         positions_file[:, columns] @ rotation.T,
         marker_labels,
@@ -166,6 +168,7 @@ def build_take(
         path,
         layout=replace(layout, rotation_y_up_file=rotation),
         point_columns=columns,
+        up_axis=up_axis,
         notes=notes,
     )
     return add_other_points(take, types, lambda other: positions_file[:, other] @ rotation.T)

@@ -39,6 +39,8 @@ def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | 
         "marker_set": marker_set,
         "labels": list(take.labels),
     }
+    if take.up_axis:
+        section["up_axis"] = {"axis": take.up_axis.letter, "basis": take.up_axis.basis, "certain": take.up_axis.is_certain}
     if take.computed_points:
         section["computed_points"] = _build_computed_point_entries(take, cleaned_take or take)
     if take.subject_name:
@@ -219,6 +221,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
         "seconds": stage_seconds,
         "notes": [
             *take.notes,
+            *notes.describe_up_axis(take),
             *notes.describe_computed_points(state.cleaned_take),
             *state.notes,
             *body_notes,

@@ -172,6 +172,15 @@ def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndar
     ]
 
 
+def describe_up_axis(take: Take) -> list[str]:
+    """Return a note on an up axis that is uncertain; no note if the file gives it or its evidence is clear."""
+    if take.up_axis is None or take.up_axis.is_certain:
+        return []
+    return [
+        f"{take.up_axis.letter} is assumed to be the up axis ({take.up_axis.basis}); this is uncertain: --up X, Y or Z sets it."
+    ]
+
+
 def describe_computed_points(take: Take) -> list[str]:
     """Return a note on the points that a program computed from markers; no note without any."""
     computed = take.computed_points

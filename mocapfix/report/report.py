@@ -34,11 +34,20 @@ class ComputedPointEntry(TypedDict):
     updated: int
 
 
+class UpAxisEntry(TypedDict):
+    """The up axis of the file, from what it is known, and whether other axes are far less likely."""
+
+    axis: str
+    basis: str
+    certain: bool
+
+
 class TakeSection(TypedDict):
     """The input file.
 
     person           subject whose markers these are, in a take of several subjects
     marker_set       None if no marker set matches
+    up_axis          the axis of the file that points up
     computed_points  the positions in the file that a program computed from markers, if there are any
     animation        True if the points are the joints of an animation
     """
@@ -51,6 +60,7 @@ class TakeSection(TypedDict):
     markers: int
     marker_set: str | None
     labels: list[str]
+    up_axis: NotRequired[UpAxisEntry]
     computed_points: NotRequired[list[ComputedPointEntry]]
     animation: NotRequired[bool]
 
