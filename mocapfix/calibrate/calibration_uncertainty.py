@@ -35,7 +35,7 @@ def compute_shared_covariance(
     marker_response: Float[np.ndarray, "n rows K 3"],
     marker_weight: Float[np.ndarray, "n K"],
     curvature: Float[np.ndarray, "Q Q"],
-    information: Float[np.ndarray, "Q Q"],
+    prior_gradient_covariance: Float[np.ndarray, "Q Q"],
     times_s: Float[np.ndarray, " N"],
     residual_sd_m: float,
 ) -> Float[np.ndarray, "Q Q"]:
@@ -47,7 +47,8 @@ def compute_shared_covariance(
     (Huber 1967, "The behavior of maximum likelihood estimates under nonstandard conditions").
 
     marker_response, marker_weight  of n of the N frames, each of which stands for an equal part of them (see `SharedResponses`)
-    information                     inverse covariance of the unknowns about 0, the prior's part of the curvature
+    prior_gradient_covariance       of the gradient of the prior's cost: the prior's part of the curvature, larger for unknowns
+                                    that vary more than the fit assumes
     times_s                         of all frames, in rising order
     residual_sd_m                   of a marker about its place on the body, per axis
     """
@@ -56,7 +57,8 @@ def compute_shared_covariance(
     summed = np.add.reduceat(np.add.reduceat(correlation, parts, axis=0), parts, axis=1)
     weighted = marker_response[:, :-1] * marker_weight[:, None, :, None]
     smoothed = (summed @ weighted.reshape(len(weighted), -1)).reshape(weighted.shape)
-    gradient_covariance = residual_sd_m**2 * np.tensordot(smoothed, weighted, axes=([0, 2, 3], [0, 2, 3])) + information
+    marker_gradient_covariance = residual_sd_m**2 * np.tensordot(smoothed, weighted, axes=([0, 2, 3], [0, 2, 3]))
+    gradient_covariance = marker_gradient_covariance + prior_gradient_covariance
     covariance = np.linalg.solve(curvature, np.linalg.solve(curvature, gradient_covariance).T)
     return (covariance + covariance.T) / 2
 

@@ -1,7 +1,7 @@
 """Calibration parameters: what calibration may change of a body, and the prior deviations of people from the average.
 
 The parameters are the size, the principal components of body shape, the scale of each bone group, the length of each bone, the
-marker offsets, and the take's mean pose.
+direction of each bone of the trunk, the marker offsets, and the take's mean pose.
 """
 
 from dataclasses import dataclass
@@ -21,6 +21,15 @@ BONE_GROUP_SD = 0.05
 """Relative standard deviation of a bone group's length, left and right together: the most likely value over the CMU subjects."""
 INDIVIDUAL_BONE_LENGTH_SD = 0.03
 """Relative standard deviation of one bone's length within its group: the asymmetry of the CMU subjects."""
+LEANING_BONES = ("LeftUpLeg", "RightUpLeg", "Neck", "Neck1", "Head", "LeftArm", "RightArm")
+"""Joints at the ends of bones whose direction differs from person to person. A limb's bone defines the axes of its segment."""
+FIRM_BONES = ("Spine", "Spine1")
+"""The same for bones whose direction looks like a bend of the joint below: the fit hardly changes it."""
+PEOPLE_LEAN_SD_RAD = 0.04
+"""Standard deviation of the direction of such a bone about each axis across it: that of each of CMU's subjects from the principal
+components of the others."""
+FIRM_BONE_LEAN_SD_RAD = 0.005
+"""The same as the fit assumes it for FIRM_BONES."""
 MEAN_POSE_SD_RAD = 0.02
 """Standard deviation of a take's mean pose from the average about axes for which no variation is known."""
 MIN_SCALED_BONE_LENGTH_M = 0.02
@@ -53,7 +62,8 @@ class CalibrationParameters:
     marker_offsets  (K, 3) m: marker offsets at the start
     free_joints     (J,) joints that turn
     deformations    change of the offsets with each of the P coefficients
-    information     (Q, Q) inverse covariance of the unknowns about 0
+    information     (Q, Q) inverse covariance of the unknowns about 0, as the fit assumes it
+    variance_ratio  (Q,) actual variance of people over that which the fit assumes: 1 unless the fit holds an unknown firmly
     """
 
     offsets: Float[np.ndarray, "J 3"]
@@ -61,6 +71,12 @@ class CalibrationParameters:
     free_joints: np.ndarray
     deformations: ShapeDeformations
     information: Float[np.ndarray, "Q Q"]
+    variance_ratio: Float[np.ndarray, " Q"]
+
+    @property
+    def gradient_covariance(self) -> Float[np.ndarray, "Q Q"]:
+        """The covariance of the prior's gradient at the true values, larger for unknowns that the fit holds firmly."""
+        return self.information * np.sqrt(self.variance_ratio * self.variance_ratio[:, None])
 
     def compute_body(self, unknowns: Float[np.ndarray, " Q"]) -> CalibratedBody:
         """Return the body that the unknowns describe."""
@@ -86,16 +102,22 @@ def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPos
     for g, joints in enumerate(map(list, body.bone_groups.values())):
         groups[g, joints] = offsets[joints]
     bones = list_bones(start.skeleton)
-    joint_deformations = np.concatenate([offsets[None], shapes, groups, bones])
+    leans, firm_leans = (list_bone_leans(start.skeleton, names) for names in (LEANING_BONES, FIRM_BONES))
+    joint_deformations = np.concatenate([offsets[None], shapes, groups, bones, leans, firm_leans])
     # the size alone moves the markers along
     marker_deformations = np.concatenate([marker_offsets[None], np.zeros((len(joint_deformations) - 1, *marker_offsets.shape))])
     length_sd = *[BONE_GROUP_SD] * len(groups), *[INDIVIDUAL_BONE_LENGTH_SD] * len(bones)
-    sd = (BODY_SIZE_SD, *[1.0] * len(shapes), *length_sd, *np.repeat(start.marker_spread, 3))
+    lean_sd = *[PEOPLE_LEAN_SD_RAD] * len(leans), *[FIRM_BONE_LEAN_SD_RAD] * len(firm_leans)
+    sd = (BODY_SIZE_SD, *[1.0] * len(shapes), *length_sd, *lean_sd, *np.repeat(start.marker_spread, 3))
     free_below_root = np.flatnonzero(body.free_joints)[1:]
     mean_pose_information = np.linalg.inv(prior.between_take_covariance[free_below_root] + MEAN_POSE_SD_RAD**2 * np.eye(3))
     information = np.asarray(block_diag(np.diag(1 / np.square(sd)), *mean_pose_information))
+    variance_ratio = np.ones(len(information))
+    variance_ratio[len(joint_deformations) - len(firm_leans) : len(joint_deformations)] = (
+        PEOPLE_LEAN_SD_RAD / FIRM_BONE_LEAN_SD_RAD
+    ) ** 2
     deformations = ShapeDeformations(joint_deformations, marker_deformations)
-    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information)
+    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information, variance_ratio)
 
 
 def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
@@ -109,3 +131,16 @@ def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:
         if np.flatnonzero(is_same)[0] == j:
             bones.append(np.where(is_same[:, None], offsets, 0.0))
     return np.array(bones)
+
+
+def list_bone_leans(skeleton: Skeleton, joint_names: tuple[str, ...]) -> Float[np.ndarray, "L J 3"]:
+    """Return the changes of the joints' offsets by a rotation of each bone about two axes across it, in metres per radian.
+
+    joint_names  one joint at the end of each bone; joints at the same offset from one parent share a bone
+    """
+    offsets, leans = skeleton.offsets, list[np.ndarray]()
+    for j in map(skeleton.find_joint, joint_names):
+        is_same = (skeleton.parents == skeleton.parents[j]) & np.isclose(offsets, offsets[j]).all(1)
+        length_m, across = np.linalg.norm(offsets[j]), np.linalg.svd(offsets[j][None])[2][1:]
+        leans += [np.where(is_same[:, None], length_m * direction, 0.0) for direction in across]
+    return np.array(leans)

@@ -247,7 +247,7 @@ def compute_calibration_sd(
             responses.marker_response,
             responses.marker_weight,
             curvature,
-            state.parameters.information,
+            state.parameters.gradient_covariance,
             times_s,
             residual_sd_m,
         )

@@ -26,8 +26,7 @@ class MeanPosePrior:
                               axes of the joint's parent; zero for the root, whose rotation the prior does not constrain
     locked_information        (J, 3, 3) 1/rad^2: the part of `information` about locked axes, in which the skeleton does not
                               rotate (fixed joints, and hinges across their axis)
-    between_take_covariance   (J, 3, 3) rad^2: covariance of the mean poses of takes; about locked axes zero
-                              except at the elbows
+    between_take_covariance   (J, 3, 3) rad^2: covariance of the mean poses of takes; zero about locked axes
     """
 
     name: str

@@ -7,9 +7,7 @@ takes, each of which has its own mean pose, is given separately: a take observes
 
 In CMU's skeleton knee and elbow are hinges, the forearm rotates only at the wrist, and the clavicle is fixed. Real joints have
 some freedom about these axes, and markers show it. Axes about which a joint never rotates are locked: their standard deviation is
-LOCKED_JOINT_SD_RAD, or HINGE_CROSS_AXIS_SD_RAD if the joint rotates about another axis. The elbow is given the forearm's twist,
-and more freedom across its axis than the knee: all CMU skeletons have the same elbow axis, people do not. Held more firmly, a
-deviating axis would turn the upper arm about itself and displace the calibrated elbow by centimetres.
+LOCKED_JOINT_SD_RAD, or HINGE_CROSS_AXIS_SD_RAD if the joint rotates about another axis. The elbow is given the forearm's twist.
 """
 
 import json
@@ -26,8 +24,6 @@ from mocapfix.train.training_poses import MIRROR_X_MATRIX, mirror_joint_name
 MAX_LOCKED_AXIS_MOTION_RAD = 0.02  # a root-mean-square rotation below this, over all the data, means that the axis is locked
 LOCKED_JOINT_SD_RAD = 0.2  # standard deviation assumed for a joint that never rotates: people do shrug
 HINGE_CROSS_AXIS_SD_RAD = 0.1  # standard deviation assumed across the axes of a joint: knees yield by a few degrees
-ELBOW_CROSS_AXIS_SD_RAD = 0.21  # the same at the elbow
-ELBOW_CROSS_AXIS_BETWEEN_TAKES_SD_RAD = 0.15  # the part of it that lies between takes: a person's own elbow axis
 FOREARM_TWIST_SD_RAD = 0.5  # standard deviation assumed for the twist of the forearm
 FOREARM_TWIST_BETWEEN_TAKES_SD_RAD = 0.25  # the part of it that lies between takes, as measured at the wrists
 MEAN_POSE_HEADER = """\
@@ -63,7 +59,6 @@ def fit_mean_pose(
         both_takes = np.r_[take_index, take_index + take_index.max() + 1]
         between_takes = compute_between_take_covariance(difference, both_takes, locked_axes)
         if is_forearm:
-            between_takes += ELBOW_CROSS_AXIS_BETWEEN_TAKES_SD_RAD**2 * locked_axes.T @ locked_axes
             between_takes[0, 0] = min(FOREARM_TWIST_BETWEEN_TAKES_SD_RAD**2, covariance[0, 0] / 2)
         joints[name] = {
             "quaternion_xyzw": [round(float(q), 5) for q in quaternion],
@@ -106,7 +101,7 @@ def compute_pose_covariance(
     if is_forearm and is_locked.sum() == 2:
         third = np.cross(axes[:, 2], [1.0, 0.0, 0.0])
         axes = np.stack([third / np.linalg.norm(third), np.cross(axes[:, 2], third / np.linalg.norm(third)), axes[:, 2]], 1)
-        variance = np.array([ELBOW_CROSS_AXIS_SD_RAD**2, FOREARM_TWIST_SD_RAD**2, variance[2]])
+        variance = np.array([HINGE_CROSS_AXIS_SD_RAD**2, FOREARM_TWIST_SD_RAD**2, variance[2]])
         return (axes * variance) @ axes.T, axes[:, :1].T
     variance = np.where(is_locked, LOCKED_JOINT_SD_RAD**2 if is_locked.all() else HINGE_CROSS_AXIS_SD_RAD**2, variance)
     return (axes * variance) @ axes.T, axes[:, is_locked].T

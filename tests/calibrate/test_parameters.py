@@ -111,3 +111,24 @@ def test_mean_pose_has_information_for_free_joints_only():
     clavicle = 3 * list(TURNING).index(BODY.skeleton.find_joint("LeftShoulder"))
     its = slice(clavicle, clavicle + 3)
     np.testing.assert_allclose(covariance[its, its], parameters.MEAN_POSE_SD_RAD**2 * np.eye(3), atol=1e-9)
+
+
+def test_a_leaning_bone_keeps_its_length_and_carries_what_it_carries():
+    skeleton = BODY.skeleton
+    leans = parameters.list_bone_leans(skeleton, ("Neck",))
+    assert leans.shape == (2, len(skeleton.names), 3)
+    moved = np.flatnonzero((leans != 0).any((0, 2)))
+    assert [skeleton.names[j] for j in moved] == ["Neck", "LeftShoulder", "RightShoulder"]
+    neck = skeleton.find_joint("Neck")
+    np.testing.assert_allclose(leans[:, neck] @ skeleton.offsets[neck], 0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(leans[:, neck], axis=1), np.linalg.norm(skeleton.offsets[neck]))
+
+
+def test_people_vary_more_in_what_the_fit_holds_firmly():
+    held = FREE.variance_ratio > 1
+    assert held.sum() == 2 * len(parameters.FIRM_BONES)
+    assumed = 1 / np.diag(FREE.information)[held]
+    actual = np.diag(FREE.gradient_covariance)[held] * assumed**2  # of an estimate that stays at 0
+    np.testing.assert_allclose(assumed, parameters.FIRM_BONE_LEAN_SD_RAD**2)
+    np.testing.assert_allclose(actual, parameters.PEOPLE_LEAN_SD_RAD**2)
+    np.testing.assert_array_equal(FREE.gradient_covariance[~held][:, ~held], FREE.information[~held][:, ~held])

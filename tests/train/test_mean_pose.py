@@ -82,7 +82,7 @@ def test_elbow_gets_the_twist_of_the_forearm():
     )
     assert covariance[0, 0] == pytest.approx(mean_pose.FOREARM_TWIST_SD_RAD**2)
     np.testing.assert_allclose(np.abs(locked), [[0, 0.6, 0.8]], atol=1e-6)
-    assert locked[0] @ covariance @ locked[0] == pytest.approx(mean_pose.ELBOW_CROSS_AXIS_SD_RAD**2)
+    assert locked[0] @ covariance @ locked[0] == pytest.approx(mean_pose.HINGE_CROSS_AXIS_SD_RAD**2)
 
 
 @given(st.integers(0, 2**32 - 1))
