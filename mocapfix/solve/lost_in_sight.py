@@ -6,9 +6,10 @@ all of whose samples were taken for spikes is lost as well.
 
 Two markers are consistent if their distance is possible on this subject. Markers on one segment keep their distance from one
 another, up to the motion of the skin. Markers on two segments are connected by a chain of bones: their distance lies between
-those of the folded and the stretched chain. A sample that detection took for a fault counts only if it keeps its distance from
-another marker on the same segment that lies off the body as well. Of the markers of a part the one with the most
-contradictions is left out, until none is left.
+those of the folded and the stretched chain. Samples that detection took for faults count only if they keep their distances from
+another marker on the same segment that lies off the body as well, and if more of the segment's markers lie off the body so than
+sound ones lie on it: two spikes may keep their distance by chance. Of the markers of a part the one with the most contradictions
+is left out, until none is left; of two that contradict each other alone, the one that lies off the body.
 """
 
 from collections.abc import Iterable
@@ -189,7 +190,10 @@ def select_consistent_markers(
     is_possible = (distance_m >= low_m) & (distance_m <= high_m)
     is_selected = ~np.isnan(position[..., 0])
     is_off_body = body_distance_m[np.ix_(frames, columns)] > MIN_SHARED_DISTANCE_M
-    is_selected &= inlier_mask[np.ix_(frames, columns)] | (is_possible & is_same_segment & is_off_body[:, None]).any(2)
+    is_sound = inlier_mask[np.ix_(frames, columns)]
+    supporter_count = (is_possible & is_same_segment & is_off_body[:, None]).sum(2)
+    on_body_count = (is_same_segment & (is_sound & is_selected & ~is_off_body)[:, None]).sum(2)
+    is_selected &= is_sound | ((supporter_count > 0) & (supporter_count + 1 > on_body_count))
     contradicts = ~is_possible
     for _ in range(len(columns)):
         pairs = contradicts & is_selected[:, :, None] & is_selected[:, None]
@@ -197,9 +201,9 @@ def select_consistent_markers(
         is_contradicted = contradiction_count.max(1) > 0
         if not is_contradicted.any():
             break
-        # Of equally contradicted markers the one with the largest excess over the possible distances.
+        # Of equally contradicted markers one off the body, of those the one with the largest excess over the possible distances.
         excess_m = np.where(pairs, np.maximum(distance_m - high_m, low_m - distance_m), 0).sum(2)
-        worst = np.argmax(contradiction_count + excess_m / (1 + excess_m), axis=1)
+        worst = np.argmax(2 * contradiction_count + is_off_body + excess_m / (1 + excess_m), axis=1)
         is_selected[is_contradicted, worst[is_contradicted]] = False
     return is_selected
 

@@ -155,3 +155,28 @@ def test_parts_name_joints_of_the_skeleton(scene):
     assert {part.name for part in find_lost_parts(scene[1], np.ones(scene[1].shape[:2], bool), fewer, scene[1] + 0.1)} == {
         "pelvis"
     }
+
+
+def test_two_equal_spikes_do_not_outvote_two_sound_markers(scene):
+    subject, markers, _ = scene
+    spiked = markers.copy()
+    columns = find_columns(subject, ["LFHD", "LBHD"])
+    spiked[10, columns] += [0, 0.3, 0]
+    inliers = np.ones(markers.shape[:2], bool)
+    inliers[10, columns] = False
+    assert count_lost(scene, markers=spiked, inliers=inliers) == {}
+    # without the sound markers beside them the same samples count
+    hidden = spiked.copy()
+    hidden[10, find_columns(subject, ["RFHD"])] = np.nan
+    inliers[10, find_columns(subject, ["RFHD", "RBHD"])] = False
+    hidden[10, find_columns(subject, ["RBHD"])] += [0, 0.3, 0]
+    assert count_lost(scene, markers=hidden, inliers=inliers) == {"head": 1}
+
+
+def test_of_two_contradicting_markers_the_one_off_the_body_is_ignored(scene):
+    subject, markers, _ = scene
+    wrong = markers.copy()
+    wrong[10, find_columns(subject, ["LHEE"])] = np.nan
+    wrong[10, find_columns(subject, ["LMT5"])] += [0, 0.25, 0]
+    wrong[10, find_columns(subject, ["LSHN", "LANK", "LTHI"])] = np.nan
+    assert count_lost(scene, markers=wrong) == {}
