@@ -2,7 +2,8 @@
 
 A strike, a landing or a whirled limb bends the paths of all markers of a segment at once, and where the solved body is wrong,
 the whole limb lies off it. A fault of the samples concerns one marker. So a deviation that several neighbours have in the
-same direction is motion, or an error of the body, and no fault of the marker.
+same direction is motion, or an error of the body, and no fault of the marker. So is one in which a segment turns: its markers
+deviate in different directions and keep their distances.
 """
 
 import numpy as np
@@ -19,6 +20,8 @@ MIN_SHARING_NEIGHBOURS = 2
 MAX_EQUAL_DIFFERENCE_RATIO = 0.3
 # With fewer neighbours visible, one with an almost equal deviation is sufficient.
 MIN_COMPARED_NEIGHBOURS = 3
+# Largest change of the distances between the markers of a rigid segment that is struck, in metres.
+MAX_RIGID_CHANGE_M = 0.0015
 # Number of neighbours by which the noise of a marker is explained.
 MAX_EXPLAINING_NEIGHBOURS = 4
 # Smallest fraction of the frames in which such a neighbour is visible.
@@ -42,6 +45,38 @@ def find_shared_deviations(own: Float[np.ndarray, "N 3"], neighbours: Float[np.n
     is_equal = np.linalg.norm(neighbours - own[:, None], axis=-1) < MAX_EQUAL_DIFFERENCE_RATIO * own_length
     has_few_neighbours = (~np.isnan(length)).sum(1) < MIN_COMPARED_NEIGHBOURS
     return (is_similar.sum(1) >= MIN_SHARING_NEIGHBOURS) | (has_few_neighbours & is_equal.any(1))
+
+
+def find_rigid_deviations(
+    own: Float[np.ndarray, "N 3 3"], neighbours: Float[np.ndarray, "N 3 K 3"], fraction: Float[np.ndarray, " N"]
+) -> Bool[np.ndarray, " N"]:
+    """Find the deviations of a marker in which a rigid segment moves with it: a struck hand turns as well.
+
+    The markers of a turning segment deviate in different directions and keep their distances. That a neighbour deviates as well
+    and three markers keep their distances is no coincidence of faults.
+
+    Args:
+        own: Positions of the marker in metres: before, at and after each deviation.
+        neighbours: Positions of K neighbours in metres at the same times, NaN where missing.
+        fraction: The time of the deviation as a fraction of the time from before to after.
+    """
+    own_length = np.linalg.norm(_measure_bend(own, fraction), axis=-1)
+    length = np.linalg.norm(_measure_bend(neighbours, fraction), axis=-1)
+    is_moved = length > MIN_SHARED_LENGTH_RATIO * own_length[:, None]
+    distance = np.linalg.norm(neighbours - own[:, :, None], axis=-1)
+    is_kept = np.abs(_measure_bend(distance, fraction)) < MAX_RIGID_CHANGE_M
+    mutual = np.linalg.norm(neighbours[:, :, :, None] - neighbours[:, :, None], axis=-1)
+    is_pair_kept = np.abs(_measure_bend(mutual, fraction)) < MAX_RIGID_CHANGE_M
+    is_other = ~np.eye(neighbours.shape[2], dtype=bool)
+    is_triangle = is_other & is_pair_kept & is_kept[:, :, None] & is_kept[:, None] & (is_moved[:, :, None] | is_moved[:, None])
+    return np.any(is_triangle, axis=(1, 2))
+
+
+def _measure_bend(values: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Return the difference (N, ...) of middle values from those interpolated between the first and the last (N, 3, ...)."""
+    first, middle, last = values[:, 0], values[:, 1], values[:, 2]
+    share = fraction.reshape(len(values), *[1] * (first.ndim - 1))
+    return middle - (1 - share) * first - share * last
 
 
 def compute_weighted_deviations(

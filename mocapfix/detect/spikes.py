@@ -16,7 +16,7 @@ import numpy as np
 
 from mocapfix.detect.marker_distances import estimate_distances
 from mocapfix.detect.round_memory import RoundMemory
-from mocapfix.detect.shared_motion import compute_weighted_deviations, find_shared_deviations
+from mocapfix.detect.shared_motion import compute_weighted_deviations, find_rigid_deviations, find_shared_deviations
 from mocapfix.faults import Fault
 from mocapfix.kernels.viterbi import find_cheapest_chain
 from mocapfix.stats.sequences import find_runs
@@ -53,7 +53,7 @@ def detect_spikes(take: Take, min_distance_m: float, max_duration_s: float, memo
         if not len(excursion.frames):
             continue
         partners = estimate_distances(take.markers).partner if partners is None else partners
-        is_spike = ~_find_shared_excursions(take, excursion, partners[m][partners[m] >= 0])
+        is_spike = ~_find_shared_excursions(take, m, excursion, partners[m][partners[m] >= 0])
         distance_m = np.zeros(take.frame_count)
         distance_m[excursion.frames[is_spike]] = np.linalg.norm(excursion.deviation[is_spike], axis=-1)
         faults += [_build_spike_fault(label, m, first, distance_m[first : last + 1]) for first, last in find_runs(distance_m > 0)]
@@ -108,7 +108,7 @@ def _find_excursions(path: _Path, min_distance_m: float, max_duration_s: float) 
     return _Excursions(frames[omitted][is_far], deviation[is_far], frames[is_kept][fit.samples[is_far]], fit.weight[is_far])
 
 
-def _find_shared_excursions(take: Take, excursion: _Excursions, partners: np.ndarray) -> np.ndarray:
+def _find_shared_excursions(take: Take, marker: int, excursion: _Excursions, partners: np.ndarray) -> np.ndarray:
     """Find (N,) the excursions that the marker's partners share and that a body can make."""
     before = excursion.frames - excursion.fitted_frames[:, FIT_SAMPLES_PER_SIDE - 1]
     after = excursion.fitted_frames[:, FIT_SAMPLES_PER_SIDE] - excursion.frames
@@ -119,7 +119,10 @@ def _find_shared_excursions(take: Take, excursion: _Excursions, partners: np.nda
     rows = rows.reshape(count, -1)
     neighbours = take.markers[needed[:, None], partners]
     deviation = compute_weighted_deviations(neighbours, rows[:, 0], rows[:, 1:], excursion.weight)
-    return is_possible & find_shared_deviations(excursion.deviation, deviation)
+    moments = np.stack([excursion.frames - before, excursion.frames, excursion.frames + after], axis=1)
+    fraction = np.where((before > 0) & (after > 0), before / np.maximum(before + after, 1), np.nan)
+    is_rigid = find_rigid_deviations(take.markers[moments, marker], take.markers[moments[:, :, None], partners], fraction)
+    return is_possible & (find_shared_deviations(excursion.deviation, deviation) | is_rigid)
 
 
 class _LocalFit(NamedTuple):
