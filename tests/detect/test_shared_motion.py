@@ -93,7 +93,7 @@ def test_strike_that_turns_three_markers_rigidly_is_no_spike(seed, monkeypatch):
 
 
 @pytest.mark.parametrize("marker", range(3))
-def test_spikes_of_a_struck_glove_are_detected(marker, monkeypatch):
+def test_spikes_of_a_glove_between_and_in_impacts_are_detected(marker, monkeypatch):
     """Spikes in all directions, between the strikes and in them, are found as without regard to rigid motion."""
     random = np.random.default_rng(marker)
     take, strikes = push_rims()
