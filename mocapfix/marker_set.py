@@ -2,12 +2,12 @@
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
 
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
 """the characters between the words of a label"""
@@ -17,6 +17,15 @@ MIN_MARKERS_PER_LIMB = 2
 """the number of markers on a limb with which its pose can be estimated"""
 MAX_MISSING_LIMBS = 1
 """the number of limbs that may have fewer markers"""
+MIN_SECTION_MARKERS = 3
+"""the number of markers on a section of the body with which it belongs to a part of a body"""
+MIN_SECTION_MARKER_FRACTION = 0.6
+"""the fraction of the required markers on a section that a take must have, so that a few equal labels are no match"""
+MIN_SINGLE_LIMB_MARKERS = 5
+"""the number of markers on a limb with which it is a part of a body without pelvis or trunk"""
+MIN_SINGLE_SEGMENT_MARKERS = 2
+"""the number of them on its upper and on its lower segment"""
+ARMS, LEGS = ("left arm", "right arm"), ("left leg", "right leg")
 MAX_LISTED_NAMES = 12
 """the number of names that messages list"""
 LIMB_JOINT_NAMES = {
@@ -77,7 +86,62 @@ class MarkerSet:
         """Return the required markers that are not among `found_labels`."""
         return tuple(label for label in self.required_labels if label not in found_labels)
 
+    def find_shown_sections(self, found_labels: Collection[str]) -> tuple[str, ...]:
+        """Return the sections (BODY_SECTIONS) of the body, or of the part of a body, that the markers `found_labels` show.
+
+        A part is connected: a pelvis with legs, a trunk with arms and head, both, or a single limb. Each of its sections has
+        most of its required markers; a pelvis between two legs may have fewer. Returns an empty tuple if there is neither a
+        whole body nor such a part.
+        """
+        labels_of_section = self._group_labels()
+        found = {section: [x for x in labels if x in found_labels] for section, labels in labels_of_section.items()}
+        if not self.describe_incomplete_body(found_labels):
+            return tuple(section for section, labels in found.items() if labels)
+        shown = {section for section, labels in found.items() if self._shows_section(labels, labels_of_section[section])}
+        single_limbs = {limb for limb in shown.intersection(LIMB_JOINT_NAMES) if self._shows_single_limb(limb, found[limb])}
+        if single_limbs.issuperset(LEGS) and found["pelvis"]:
+            shown.add("pelvis")
+        legs, arms = shown.intersection(LEGS), shown.intersection(ARMS)
+        lower, upper = {"pelvis", *legs}, (shown & {"trunk", "head"}) | arms
+        groups = [lower] if legs and "pelvis" in shown else []
+        groups += [upper] if arms and "trunk" in shown else []
+        if {"pelvis", "trunk"} <= shown and groups:
+            groups = [lower | upper]
+        groups = groups or [{limb} for limb in sorted(single_limbs)]
+        part = max(groups, key=lambda group: sum(len(found[section]) for section in group), default=set[str]())
+        return tuple(section for section in BODY_SECTIONS if section in part)
+
+    def select_shown_part(self, found_labels: Collection[str]) -> "MarkerSet":
+        """Return the set without the markers of the joints that the markers `found_labels` do not show.
+
+        A set all of whose joints are shown is returned as it is, with the markers that were not found.
+        """
+        sections, labels_of_section = self.find_shown_sections(found_labels), self._group_labels()
+        candidates = {label for section in sections for label in labels_of_section[section]}
+        joint_of_label = dict(zip(self.labels, self.joints.tolist(), strict=True))
+        shown_joints = {joint_of_label[label] for label in candidates.intersection(found_labels)}
+        return self.select_markers({label for label in candidates if joint_of_label[label] in shown_joints})
+
+    def select_markers(self, labels: Collection[str]) -> "MarkerSet":
+        """Return the set with those of its markers that are among `labels`."""
+        kept = [k for k, label in enumerate(self.labels) if label in labels]
+        if len(kept) == len(self.labels):
+            return self
+        return replace(
+            self,
+            labels=tuple(self.labels[k] for k in kept),
+            joints=self.joints[kept],
+            marker_offsets=self.marker_offsets[kept],
+            marker_spread=self.marker_spread[kept],
+            aliases=tuple(self.aliases[k] for k in kept),
+            optional_labels=self.optional_labels.intersection(labels),
+        )
+
     def describe_missing_body(self, found_labels: Collection[str]) -> str:
+        """Return why the markers `found_labels` show neither a whole body nor a part, as part of a sentence; "" if they do."""
+        return "" if self.find_shown_sections(found_labels) else self.describe_incomplete_body(found_labels)
+
+    def describe_incomplete_body(self, found_labels: Collection[str]) -> str:
         """Return why the markers `found_labels` do not show a whole body, as part of a sentence; "" if they do.
 
         A whole body has markers on hips and thorax, at least three limbs, and most of the required markers.
@@ -96,6 +160,23 @@ class MarkerSet:
         else:
             return ""
         return f"{reason}; not found: {format_name_list(missing_labels)}"
+
+    def _group_labels(self) -> dict[str, list[str]]:
+        """Return the labels of the markers on each section of the body."""
+        joint_names = load_cmu31_body().skeleton.names
+        names = dict(zip(self.labels, (joint_names[j] for j in self.joints), strict=True))
+        return {section: [label for label in self.labels if names[label] in joints] for section, joints in BODY_SECTIONS.items()}
+
+    def _shows_section(self, found: Collection[str], labels: Collection[str]) -> bool:
+        required = [label for label in labels if label not in self.optional_labels]
+        found_required = [label for label in required if label in found]
+        return len(found) >= MIN_SECTION_MARKERS and len(found_required) >= MIN_SECTION_MARKER_FRACTION * len(required)
+
+    def _shows_single_limb(self, limb: str, found: Collection[str]) -> bool:
+        joint_names = load_cmu31_body().skeleton.names
+        joints = [joint_names[j] for label, j in zip(self.labels, self.joints, strict=True) if label in found]
+        is_marked = all(joints.count(segment) >= MIN_SINGLE_SEGMENT_MARKERS for segment in LIMB_JOINT_NAMES[limb][:2])
+        return is_marked and len(found) >= MIN_SINGLE_LIMB_MARKERS
 
     def _match_names(self, index_of_name: Mapping[str, int]) -> dict[str, int]:
         found: dict[str, int] = {}

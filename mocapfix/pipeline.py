@@ -36,7 +36,7 @@ from mocapfix.report.report import InspectionReport
 from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read_review_files
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.skeleton import load_cmu31_body, restrict_body
 from mocapfix.solve.motion_solver import complete_body, solve_body
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.state import CleaningState, DetectionState
@@ -130,7 +130,7 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
         fragment_donors=detection.donor_markers,
         subject=body.subject if body else None,
         motion=body.motion if body else None,
-        joint_position_world=body.joint_positions if body else None,
+        joint_position_world=body.solved_joint_positions if body else None,
         residual_m=state.residual_m,
         report=build_report(state, options, timer.stage_seconds),
     )
@@ -243,8 +243,8 @@ def calibrate_takes(
         )
     takes = [take for take, _ in selected]
     joined = takes[0].replace_markers(np.concatenate([take.markers for take in takes]))
-    body = load_cmu31_body()
     (marker_set,) = marker_sets.values()
+    body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
     return calibrate_subject(joined, marker_set, body, load_mean_pose_prior(mean_pose_prior, body.skeleton))
 
 

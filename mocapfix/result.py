@@ -49,7 +49,7 @@ class CleaningResult:
     fragment_donors  markers whose samples are fragments of other markers
     subject          calibrated subject; None if no marker set matches
     motion           motion of the subject; None if no marker set matches
-    joint_position_world  (T, J, 3) m, the solved joints; None without a body
+    joint_position_world  (T, J, 3) m, the solved joints; NaN for joints that the markers do not show; None without a body
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
     report           contents of the JSON report
     subject_results  results by subject of a take of several subjects. Their common result has no body of its own

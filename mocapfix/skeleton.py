@@ -5,7 +5,8 @@ parallel to the world's), so that CMU motion and mocapfix motion can be compared
 and the wrists, which the BVH release of the CMU data omits.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +17,16 @@ from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder, read_shipped_yaml, read_yaml
 
 CMU31_FILE = "skeletons/cmu31.yaml"
+BODY_SECTIONS: dict[str, tuple[str, ...]] = {
+    "pelvis": ("Hips", "LHipJoint", "RHipJoint"),
+    "trunk": ("LowerBack", "Spine", "Spine1", "LeftShoulder", "RightShoulder"),
+    "head": ("Neck", "Neck1", "Head"),
+    "left arm": ("LeftArm", "LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"),
+    "right arm": ("RightArm", "RightForeArm", "RightHand", "RightFingerBase", "RightHandIndex1", "RThumb"),
+    "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
+    "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
+}
+"""the joints of each section of the body"""
 
 
 @dataclass(frozen=True)
@@ -60,12 +71,26 @@ class BodyModel:
     shape_components  (P, J, 3) m: the variation of people's offsets at one size, one standard deviation per component
     free_joints       (J,) joints that markers can turn. The hip stubs are redundant with the thighs, and toes, fingers and
                       thumbs carry no markers, so they keep their rest pose.
+    shown_segments    (J,) joints whose own segment is determined by markers; all joints for a whole body
+
+    Of a part of a body (see `restrict_body`), only the joints within the part are free. The others keep the mean pose.
     """
 
     skeleton: Skeleton
     bone_groups: dict[str, tuple[int, ...]]
     shape_components: Float[np.ndarray, "P J 3"]
     free_joints: Bool[np.ndarray, " J"]
+    shown_segments: Bool[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if not len(self.shown_segments):
+            object.__setattr__(self, "shown_segments", np.ones(len(self.free_joints), bool))
+
+    @property
+    def solved_joints(self) -> Bool[np.ndarray, " J"]:
+        """The joints (J,) whose positions markers determine: those on the segments that the markers show."""
+        parents = self.skeleton.parents
+        return self.shown_segments | (self.shown_segments[parents] & (parents >= 0))
 
 
 @cache
@@ -76,6 +101,48 @@ def load_cmu31_body() -> BodyModel:
     free_joints = np.array([name not in data["fixed"] for name in skeleton.names])
     shape_components = load_shape_components(find_shipped_folder("priors") / "shape.yaml", skeleton.names)
     return BodyModel(skeleton, bone_groups, shape_components, free_joints)
+
+
+def restrict_body(body: BodyModel, marked_joints: Collection[int]) -> BodyModel:
+    """Return the part of a body that markers on some joints show: the segments with markers and those between them.
+
+    Markers show how a joint turns if some are on its segment or beyond, and others on the other side of it. The segment nearest
+    to the root keeps the mean pose relative to the root, whose position and rotation then follow from that of this segment.
+    """
+    parents, free_joints = body.skeleton.parents, body.free_joints
+    carriers = find_carriers(parents, free_joints)
+    marked = {int(carriers[joint]) for joint in marked_joints}
+    if not marked:
+        return body
+    top = find_common_joint(parents, marked)
+    shown = np.zeros(len(parents), bool)
+    for joint in marked:
+        while joint >= 0 and not shown[joint]:
+            shown[joint] = True
+            joint = int(parents[joint]) if joint != top else -1
+    is_free = free_joints & shown
+    is_free[top], is_free[0] = False, True
+    return replace(body, free_joints=is_free, shown_segments=shown[carriers])
+
+
+def find_carriers(parents: Int[np.ndarray, " J"], free_joints: Bool[np.ndarray, " J"]) -> Int[np.ndarray, " J"]:
+    """Return for each joint the free joint with which it turns: itself, or the nearest one above a fixed joint."""
+    carriers = np.arange(len(parents))
+    for joint in range(1, len(parents)):
+        if not free_joints[joint]:
+            carriers[joint] = carriers[parents[joint]]
+    return carriers
+
+
+def find_common_joint(parents: Int[np.ndarray, " J"], joints: Collection[int]) -> int:
+    """Return the lowest joint that is one of `joints`, or an ancestor, of each of them."""
+    paths: list[list[int]] = []
+    for joint in joints:
+        path = [int(joint)]
+        while parents[path[-1]] >= 0:
+            path.append(int(parents[path[-1]]))
+        paths.append(path)
+    return next(joint for joint in paths[0] if all(joint in path for path in paths))
 
 
 def load_cmu31_skeleton() -> Skeleton:

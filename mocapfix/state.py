@@ -132,6 +132,11 @@ class BodyFit:
     detection: DetectionState | None = None
     evidence: PoseEvidence | None = None
 
+    @property
+    def solved_joint_positions(self) -> Float[np.ndarray, "T J 3"]:
+        """The joint positions in metres, NaN for joints that the markers do not show."""
+        return np.where(self.subject.solved_joints[:, None], self.joint_positions, np.nan)
+
     def expand_to_take(self, epochs: MarkerEpochs) -> Float[np.ndarray, "T M 3"]:
         """Return where the body carries the take's markers, in metres; NaN for markers that it does not carry."""
         has_column = self.marker_columns >= 0

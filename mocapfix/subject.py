@@ -1,11 +1,12 @@
 """A subject: one person's bones and the positions of the markers on them."""
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from mocapfix.skeleton import Skeleton
+from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body, restrict_body
 
 
 @dataclass(frozen=True)
@@ -38,3 +39,25 @@ class Subject:
         for name, count in (("joint_sd", len(self.skeleton.names)), ("marker_sd", len(self.labels))):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.zeros(count))
+
+    @property
+    def body_model(self) -> BodyModel:
+        """The average body as far as the markers of the subject show it."""
+        return restrict_body(load_cmu31_body(), set(self.joints.tolist()))
+
+    @property
+    def solved_joints(self) -> Bool[np.ndarray, " J"]:
+        """The joints (J,) whose positions the markers of the subject determine."""
+        return self.body_model.solved_joints
+
+    def select_markers(self, labels: Collection[str]) -> "Subject":
+        """Return the subject with those of its markers that are among `labels`."""
+        kept = [k for k, label in enumerate(self.labels) if label in labels]
+        return replace(
+            self,
+            labels=tuple(self.labels[k] for k in kept),
+            joints=self.joints[kept],
+            marker_offsets=self.marker_offsets[kept],
+            marker_spread=self.marker_spread[kept],
+            marker_sd=self.marker_sd[kept],
+        )

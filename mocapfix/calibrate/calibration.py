@@ -15,7 +15,7 @@ from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
-from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body
+from mocapfix.skeleton import BodyModel, Skeleton, load_cmu31_body, restrict_body
 from mocapfix.solve import kinematics
 from mocapfix.state import CalibrationFit, CleaningState
 from mocapfix.stats.sequences import sample_evenly
@@ -212,7 +212,7 @@ def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState
     columns = state.marker_set.find_columns(epochs.take.labels)
     subject, calibration = state.known_subject, None
     if subject is None:
-        body = load_cmu31_body()
+        body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
         prior = load_mean_pose_prior("mean-pose", body.skeleton)
         take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
         calibration = update_calibration(take, state.marker_set, body, prior, state.calibration)

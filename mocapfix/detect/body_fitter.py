@@ -71,7 +71,7 @@ class BodyFitter:
 
 def build_body_fitter(subject: Subject) -> BodyFitter:
     """Build the fitter of a known subject."""
-    body = load_cmu31_body()
+    body = subject.body_model
     return BodyFitter(body, subject, mean_pose.load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))
 
 

@@ -27,6 +27,8 @@ from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 # The body rests facing +Z, so left and right differ in the sign of x.
+# Distance of a marker from the mirrored place of another within which the two mirror each other.
+MAX_TWIN_DISTANCE_M = 0.15
 MIRROR_SIGNS = np.array([-1.0, 1.0, 1.0])
 # Number of frames to which the body is fitted, evenly spread over the fullest ones.
 MAX_BODY_FIT_FRAMES = 16
@@ -184,9 +186,9 @@ def find_pair_exchanges(
 def find_twins(marker_set: MarkerSet) -> Int[np.ndarray, " K"]:
     """Find the index of the marker that mirrors each one; its own index if there is none or it lies in the middle."""
     rest = compute_rest_markers(marker_set)
-    nearest = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1).argmin(1)
-    own = np.arange(len(rest))
-    return np.where(nearest[nearest] == own, nearest, own)
+    distance_m = np.linalg.norm(rest[:, None] * MIRROR_SIGNS - rest[None], axis=-1)
+    nearest, own = distance_m.argmin(1), np.arange(len(rest))
+    return np.where((nearest[nearest] == own) & (distance_m.min(1) <= MAX_TWIN_DISTANCE_M), nearest, own)
 
 
 def list_mirror_exchanges(marker_set: MarkerSet) -> list[Int[np.ndarray, " K"]]:

@@ -20,7 +20,7 @@ from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
-from mocapfix.skeleton import BodyModel, load_cmu31_body
+from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.solve.frame_windows import FrameChanges, change_all_frames, find_changed_frames
 from mocapfix.state import CleaningState
@@ -117,7 +117,7 @@ def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningStat
     assert state.extended_subject is not None
     take, method = state.solver_take, options.initialise.init_method
     changes = find_frame_changes(state, take) if method != "previous" else change_all_frames(take.frame_count)
-    body = load_cmu31_body()
+    body = state.extended_subject.body_model
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     if state.body is None or changes.is_restarted.all():
         motion = initialise_motion(take, state.extended_subject, body, prior, method)

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.kernels.joint_registration import register_limb_frames
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.skeleton import Skeleton
+from mocapfix.skeleton import Skeleton, find_common_joint
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.stats.rigid_alignment import compute_cross_covariance, fit_rotations
 from mocapfix.subject import Subject
@@ -20,9 +20,10 @@ def register_poses(
 ) -> Motion:
     """Return every frame's pose from its own markers alone.
 
-    The root is fitted to pelvis and chest in the mean pose. Then, down the tree, each joint that carries markers is rotated
-    about its own position to fit them, and the joints between it and the last such joint share the rotation. Without markers,
-    the mean pose is kept; a frame with fewer than three markers on the trunk takes its root from its neighbours in time.
+    The root is fitted to pelvis and chest in the mean pose, or, without pelvis markers, to the segments nearest to it. Then, down
+    the tree, each joint that carries markers is rotated about its own position to fit them, and the joints between it and the
+    last such joint share the rotation. Without markers, the mean pose is kept; a frame with fewer than three markers on the
+    trunk takes its root from its neighbours in time.
 
     free     joints that may rotate
     markers  metres, in the subject's order, NaN where missing or rejected
@@ -46,12 +47,16 @@ def register_trunk(
     local = np.tile(prior.mean_rotations, (len(markers), 1, 1, 1))
     model = np.full(offsets.shape, np.nan)
     position, rotation = np.zeros(3), np.eye(3)
-    model[joints == 0] = offsets[joints == 0]
-    for j in find_trunk_chain(skeleton, joints):
-        position, rotation = position + rotation @ skeleton.offsets[j], rotation @ prior.mean_rotations[j]
-        model[joints == j] = position + offsets[joints == j] @ rotation.T
+    marker_weight = np.where(joints == 0, PELVIS_MARKER_WEIGHT, 1.0)
+    if (joints == 0).any():
+        model[joints == 0] = offsets[joints == 0]
+        for j in find_trunk_chain(skeleton, joints):
+            position, rotation = position + rotation @ skeleton.offsets[j], rotation @ prior.mean_rotations[j]
+            model[joints == j] = position + offsets[joints == j] @ rotation.T
+    else:
+        model, marker_weight = place_mean_pose_markers(subject, prior)
     used = ~np.isnan(model[:, 0])
-    weight = ~np.isnan(markers[:, used, 0]) * np.where(joints[used] == 0, PELVIS_MARKER_WEIGHT, 1.0)
+    weight = ~np.isnan(markers[:, used, 0]) * marker_weight[used]
     cross, mean_markers, mean_model = compute_cross_covariance(markers[:, used], model[used], weight)
     root_rotation = fit_rotations(cross)
     root = mean_markers - np.einsum("tab,tb->ta", root_rotation, mean_model)
@@ -66,6 +71,24 @@ def register_trunk(
         root[:, a] = np.interp(frames, known, root[known, a])
     local[:, 0] = root_rotation[nearest]
     return root, local
+
+
+def place_mean_pose_markers(subject: Subject, prior: MeanPosePrior) -> tuple[Float[np.ndarray, "K 3"], Float[np.ndarray, " K"]]:
+    """Return the markers of a body without pelvis markers in the mean pose, in metres in the axes of the root, and their weights.
+
+    The segment nearest to the root keeps its place relative to it (see `restrict_body`), those beyond turn.
+    """
+    skeleton, joints = subject.skeleton, subject.joints
+    top = find_common_joint(skeleton.parents, set(joints.tolist()))
+    positions, rotations = np.zeros((len(skeleton.parents), 3)), np.tile(np.eye(3), (len(skeleton.parents), 1, 1))
+    depth = np.zeros(len(skeleton.parents))
+    for j in range(1, len(skeleton.parents)):
+        p = skeleton.parents[j]
+        positions[j] = positions[p] + rotations[p] @ skeleton.offsets[j]
+        rotations[j] = rotations[p] @ prior.mean_rotations[j]
+        depth[j] = 0 if j == top else depth[p] + 1
+    model = positions[joints] + np.einsum("kab,kb->ka", rotations[joints], subject.marker_offsets)
+    return model, PELVIS_MARKER_WEIGHT ** -depth[joints]
 
 
 def find_trunk_chain(skeleton: Skeleton, joints: Int[np.ndarray, " K"]) -> list[int]:

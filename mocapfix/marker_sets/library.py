@@ -5,7 +5,7 @@ Marker sets are read and written as YAML. A take gets the set that the options n
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -146,12 +146,13 @@ class MarkerSetMatch:
 def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
     """Return the shipped set that matches the most of a take's labels, among the sets that find a whole body in them.
 
-    Among sets that match equally many, the one with the fewest missing markers is chosen. `MarkerSet.describe_missing_body`
-    defines a whole body.
+    If there is none, it is the set with the most markers on a part of a body. Among sets that match equally many, the one with
+    the fewest missing markers is chosen. `MarkerSet.find_shown_sections` defines both.
     """
     shipped = load_shipped_marker_sets()
     ranked = sorted(((each, each.match_labels(labels)) for each in shipped), key=lambda pair: _rank_match(*pair), reverse=True)
-    best = next((each for each, found in ranked if not each.describe_missing_body(found)), None)
+    best = next((each for each, found in ranked if not each.describe_incomplete_body(found)), None)
+    best = best or _choose_part(ranked)
     if best:
         return MarkerSetMatch(best, describe_marker_set_match(best, labels))
     nearest, found = ranked[0]
@@ -166,6 +167,13 @@ def choose_marker_set(labels: Sequence[str]) -> MarkerSetMatch:
 def describe_marker_set_match(marker_set: MarkerSet, labels: Sequence[str]) -> str:
     """Return a sentence with the number of markers of a set that are among a take's labels."""
     return f"{marker_set.title}: {_format_match_count(marker_set, marker_set.match_labels(labels))} were found."
+
+
+def _choose_part(matches: Sequence[tuple[MarkerSet, Collection[str]]]) -> MarkerSet | None:
+    """Return the set with the most markers on a part of a body, None if no set shows one."""
+    parts = [(each, each.select_shown_part(found), found) for each, found in matches]
+    ranks = [(_rank_match(part, set(found).intersection(part.labels)), each) for each, part, found in parts if part.labels]
+    return max(ranks, key=lambda pair: pair[0])[1] if ranks else None
 
 
 def _rank_match(marker_set: MarkerSet, found_labels: Collection[str]) -> tuple[int, int]:
@@ -217,9 +225,20 @@ def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     if marker_set is None:
         match = choose_marker_set(take.labels)
         notes = () if match.marker_set else (match.reason, "The take was cleaned without a skeleton: there is no BVH.")
-        return SubjectChoice(None, match.marker_set, notes)
+        return restrict_subject_choice(SubjectChoice(None, match.marker_set, notes), take.labels)
     found = marker_set.match_labels(take.labels)
     if missing := marker_set.describe_missing_body(found):
         count = f"{len(found)} of its {len(marker_set.labels)} markers"
         raise TakeError(f"{take.name}: {marker_set.name} does not fit: {count}, {missing}.")
-    return requested
+    return restrict_subject_choice(requested, take.labels)
+
+
+def restrict_subject_choice(choice: SubjectChoice, labels: Sequence[str]) -> SubjectChoice:
+    """Return the choice with the markers of the joints that a take with these labels shows."""
+    if choice.marker_set is None:
+        return choice
+    marker_set = choice.marker_set.select_shown_part(choice.marker_set.match_labels(labels))
+    subject = choice.subject
+    if marker_set is choice.marker_set or not marker_set.labels:
+        return choice
+    return replace(choice, marker_set=marker_set, subject=subject.select_markers(marker_set.labels) if subject else None)

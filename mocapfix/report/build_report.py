@@ -100,11 +100,12 @@ def build_inspection_report(
 
 def build_subject_section(subject: Subject) -> SubjectSection:
     """Return the section on the calibrated subject."""
-    lengths = np.linalg.norm(subject.skeleton.offsets, axis=1)
+    lengths, is_solved = np.linalg.norm(subject.skeleton.offsets, axis=1), subject.solved_joints
+    has_length = (lengths > 0) & is_solved & is_solved[subject.skeleton.parents]
     return {
         "marker_set": subject.marker_set,
         "frames": subject.frame_count,
-        "bones_m": {name: round(float(x), 4) for name, x in zip(subject.skeleton.names, lengths, strict=True) if x > 0},
+        "bones_m": {subject.skeleton.names[j]: round(float(lengths[j]), 4) for j in np.flatnonzero(has_length)},
         "spread_m": {label: round(float(x), 4) for label, x in zip(subject.labels, subject.marker_spread, strict=True)},
     }
 
@@ -139,6 +140,9 @@ def build_solve_section(
             "p95": overall["p95"],
             "by_marker": {names[m]: _summarise_errors(residual_m[:, m]) for m in compared},
         },
+        "solved_joints": [
+            name for name, is_solved in zip(subject.skeleton.names, subject.solved_joints, strict=True) if is_solved
+        ],
         "joint_deviation_mm": {name: _summarise_errors(sd) for name, sd in joint_sd},
         "start": start_name,
         "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},

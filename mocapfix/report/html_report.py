@@ -241,7 +241,8 @@ def _build_solve_part(solve: SolveSection) -> SolvePart:
         joint_legend=JOINT_SD_LEGEND,
         joint_bars=_build_error_bars(solve["joint_deviation_mm"]),
         status_rows=[(f"{count:,}", text) for text, count in solve["status"].items() if count],
-        text=f"{iterations} iterations per frame on average; initial poses: {solve['start']}. {_describe_prior(solve)}",
+        text=f"{iterations} iterations per frame on average; initial poses: {solve['start']}. {_describe_prior(solve)} "
+        f"Joints that the markers show: {len(solve['solved_joints'])} of {len(solve['joint_deviation_mm'])}.",
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
+from mocapfix.marker_set import format_name_list
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, join_words
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
@@ -39,6 +40,7 @@ def build_body_notes(
     columns = body.marker_columns
     marker_set_take = epochs.take.select(columns, epochs.split_mask(detection.inlier_take.visible))
     return [
+        *describe_unsolved_joints(body.subject),
         *describe_unobserved_joints(marker_set_take, body.extended_subject),
         *describe_unassigned_markers(detection.take, epochs.column_marker[columns[columns >= 0]], detection.donor_markers),
         *(describe_lost_part(detection.take, part, columns, epochs, detection.inlier_mask) for part in lost_parts),
@@ -47,6 +49,12 @@ def build_body_notes(
         ),
         *describe_imported_fills(detection, residual_m),
     ]
+
+
+def describe_unsolved_joints(subject: Subject) -> list[str]:
+    """Return a note on the joints that the subject's markers do not show."""
+    names = [name for name, is_solved in zip(subject.skeleton.names, subject.solved_joints, strict=True) if not is_solved]
+    return [f"Not shown by any marker, so not solved and kept at rest: {format_name_list(names)}."] if names else []
 
 
 def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[str]:

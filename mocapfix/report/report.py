@@ -110,7 +110,7 @@ class SubjectSection(TypedDict):
     """The calibrated subject.
 
     frames    number of frames used for the calibration
-    bones_m   length from the parent by joint
+    bones_m   length from the parent by solved joint
     spread_m  standard deviation of the marker on its segment by label
     """
 
@@ -130,7 +130,8 @@ class PriorEntry(TypedDict):
 class SolveSection(TypedDict):
     """The solve.
 
-    joint_deviation_mm  predicted standard deviation per axis by joint
+    solved_joints       the joints that the markers show; the others stay at rest
+    joint_deviation_mm  predicted standard deviation per axis by joint; without numbers for joints that are not solved
     start               method that initialises each pose
     prior               pose prior for occluded limbs; None without one
     lost_in_sight       number of frames in which a part of the body lies more than 60 mm from at least three of its markers that
@@ -140,6 +141,7 @@ class SolveSection(TypedDict):
     """
 
     marker_residual_mm: ResidualSummary
+    solved_joints: list[str]
     joint_deviation_mm: dict[str, ErrorSummary]
     start: str
     prior: PriorEntry | None

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from markupsafe import Markup
 
 from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
@@ -29,9 +29,15 @@ def find_worst_frame(sample_states: Int[np.ndarray, "T M"], joint_position_world
     corrected = find_estimated_samples(sample_states) | (sample_states == SampleOutcome.RELABELLED)
     score = corrected.sum(axis=1) * (sample_states.shape[1] + 1) + (sample_states == SampleOutcome.EMPTY).sum(axis=1)
     if joint_position_world is not None:
-        score = np.where(np.isfinite(joint_position_world).all(axis=(1, 2)), score, -1)
+        is_solved = find_solved_joints(joint_position_world)
+        score = np.where(np.isfinite(joint_position_world[:, is_solved]).all(axis=(1, 2)), score, -1)
     worst = np.flatnonzero(score == score.max())
     return int(worst[len(worst) // 2])
+
+
+def find_solved_joints(joint_position_world: Float[np.ndarray, "T J 3"]) -> Bool[np.ndarray, " J"]:
+    """Return the joints that have a position in any frame; the others are not shown by the markers."""
+    return np.isfinite(joint_position_world).all(axis=2).any(axis=0)
 
 
 def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
@@ -42,8 +48,9 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
     before, after, skeleton = comparison.input_take, comparison.cleaned_take, comparison.skeleton
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
-    body = comparison.joint_position_world[frame] if comparison.joint_position_world is not None else np.empty((0, 3))
-    body = body if np.isfinite(body).all() else np.empty((0, 3))
+    body = np.empty((0, 3))
+    if (joints := comparison.joint_position_world) is not None and np.isfinite(joints[frame, find_solved_joints(joints)]).all():
+        body = joints[frame]
     if skeleton is not None and len(body):
         left = _find_left_direction(skeleton, body)
     else:
@@ -88,7 +95,7 @@ class _FigureView:
     def draw_bones(self, skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> str:
         child = np.flatnonzero(skeleton.parents >= 0)
         ends = np.stack([joint_position[skeleton.parents[child]], joint_position[child]], axis=1)
-        return _draw_lines("bones", self.project_points(ends))
+        return _draw_lines("bones", self.project_points(ends[np.isfinite(ends).all(axis=(1, 2))]))
 
     def draw_markers(
         self, marker_position: Float[np.ndarray, "M 3"], sample_states: Int[np.ndarray, " M"], labels: tuple[str, ...]
@@ -145,8 +152,9 @@ def _fit_view(
 
 def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
     """Return the level direction to the body's left, +X in the rest pose, from the regression of the joints on the rest pose."""
-    lateral = skeleton.rest_positions[:, 0]
-    return _project_to_floor((lateral - lateral.mean()) @ joint_position)
+    known = np.isfinite(joint_position).all(axis=1)
+    lateral = skeleton.rest_positions[known, 0]
+    return _project_to_floor((lateral - lateral.mean()) @ joint_position[known])
 
 
 def _find_widest_direction(position: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:

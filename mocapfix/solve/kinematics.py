@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from mocapfix.kernels.forward_kinematics import KinematicTree, compute_marker_frames, compute_world_frames
 from mocapfix.motion import Motion
-from mocapfix.skeleton import Skeleton
+from mocapfix.skeleton import Skeleton, find_common_joint
 from mocapfix.solve.parallel import run_over_frames
 from mocapfix.subject import Subject
 
@@ -35,6 +35,16 @@ def compute_tree_poses(
     position, rotation = np.empty(local_rotations.shape[:3]), np.empty(local_rotations.shape)
     run_over_frames(compute_world_frames, len(root_position), tree, root_position, local_rotations, position, rotation)
     return position, rotation
+
+
+def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:
+    """Return the position relative to the root, in metres, of the joint nearest to it whose motion markers show.
+
+    It is 0 for a whole body. The root of a part of a body may lie far from all markers, at the end of a lever.
+    """
+    origin, free_below_root = np.zeros((len(local_rotations), 3)), np.flatnonzero(tree.free)[1:].tolist()
+    anchor = find_common_joint(tree.parents, free_below_root) if free_below_root else 0
+    return compute_tree_poses(tree, origin, local_rotations)[0][:, anchor] if anchor else origin
 
 
 def compute_joint_and_marker_positions(

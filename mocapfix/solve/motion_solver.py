@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.motion import FrameStatus, Motion, PoseEvidence
 from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
-from mocapfix.skeleton import BodyModel, load_cmu31_body
+from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
 from mocapfix.solve.frame_windows import FrameChanges, FrameWindow, change_all_frames, list_window_frames, select_windows
 from mocapfix.solve.motion_uncertainty import update_motion_sd
@@ -162,7 +162,7 @@ def complete_body(state: CleaningState, options: CleanOptions) -> CleaningState:
 def _build_body_problem(state: CleaningState, options: CleanOptions) -> MotionProblem:
     """Return the motion problem of the samples that the solver uses."""
     assert state.extended_subject is not None
-    body = load_cmu31_body()
+    body = state.extended_subject.body_model
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     limits = load_joint_limits(body.skeleton)
     return build_motion_problem(state.solver_take, state.extended_subject, body, prior, limits, options.solve)

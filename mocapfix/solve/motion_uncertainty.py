@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.kernels.terms import TrackingTerm
 from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
+from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.pose_problem import MotionProblem, PoseProblem, build_pose_prior_term
@@ -82,6 +83,8 @@ def compute_pose_sd(
 ) -> tuple[Float[np.ndarray, "T K"], Float[np.ndarray, "T J"]]:
     """Return the standard deviations per axis, in metres, of the markers as the body places them, and of the joints.
 
+    That of a joint that the subject's markers do not show is NaN.
+
     problem           as it was solved
     actual_marker_sd  standard deviation of a measured marker about its place, see `estimate_actual_marker_sd`, in metres
     tracking          the trajectories of the root and of joints that lack a marker, weighted by their actual uncertainty
@@ -89,8 +92,9 @@ def compute_pose_sd(
     """
     actual = replace(problem, marker_sd=actual_marker_sd, pose_prior=build_pose_prior_term(prior))
     uncertainty = actual.compute_uncertainty(*pose, tracking, robust_scale_m)
-    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, problem.tree.free)
-    return np.hypot(uncertainty.marker_sd, subject.marker_sd), np.sqrt(uncertainty.joint_sd**2 + constant_variance)
+    constant_variance = subject.joint_sd**2 + compute_unsolved_joint_variance(subject, prior, load_cmu31_body().free_joints)
+    joint_sd = np.where(subject.solved_joints, np.sqrt(uncertainty.joint_sd**2 + constant_variance), np.nan)
+    return np.hypot(uncertainty.marker_sd, subject.marker_sd), joint_sd
 
 
 def estimate_actual_marker_sd(

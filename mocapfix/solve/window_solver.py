@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from mocapfix.motion import PoseEvidence, PoseUncertainty
-from mocapfix.solve import limb_recovery, smoothing
+from mocapfix.solve import kinematics, limb_recovery, smoothing
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.pose_problem import MotionProblem, build_no_tracking
 
@@ -61,9 +61,11 @@ def solve_window(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarr
         is_uncertain=window.is_uncertain,
         options=options,
     )
-    root_position[:] = smoothing.remove_pose_jitter(
-        root_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate, options
+    anchor_position = root_position + kinematics.compute_anchor_offset(problem.tree, local_rotations)
+    anchor_position = smoothing.remove_pose_jitter(
+        anchor_position, local_rotations, window.is_uncertain, window.is_unobserved, problem.tree, rate, options
     )
+    root_position[:] = anchor_position - kinematics.compute_anchor_offset(problem.tree, local_rotations)
     evidence = PoseEvidence(known.marker_sd, known.rotation_variance, alone.gap_variance, tracking.root_weight)
     return WindowSolution(status, alone.iterations + iterations, evidence)
 

@@ -11,18 +11,21 @@ Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joint
     root (T, 3)     position of the root in the world
     rotations (T, J, 4)  axes of each joint in its parent's (of the root in the world) as quaternions x, y, z, w, without flips
     joints (T, J, 3)     positions of the joints in the world;  joint_sd (T, J) their predicted standard deviation per axis
+    solved_joints (J,)   whether the markers show the joint; of the others, joints and joint_sd are NaN and the rotations at rest
     status (T,)     an index into status_texts (S,), which describe the confidence in the pose of each frame
     labels (M,)     marker names as in the file
     markers (F, M, 3)    cleaned markers, NaN where missing
     marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
     marker_rate     frames per second of the markers, always that of the take
 
-A take without a body has no names, parents, offsets, ends, root, rotations, joints, joint_sd, status and status_texts.
+A take without a body has no names, parents, offsets, ends, root, rotations, joints, joint_sd, solved_joints,
+status and status_texts.
 """
 
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import quaternions
@@ -36,7 +39,12 @@ NPZ_UNITS = "metres, seconds, radians; Y up, right-handed; quaternions x, y, z, 
 
 
 def write_npz(
-    target: Path, take: Take, skeleton: Skeleton | None = None, motion: Motion | None = None, rate: float | None = None
+    target: Path,
+    take: Take,
+    skeleton: Skeleton | None = None,
+    motion: Motion | None = None,
+    rate: float | None = None,
+    solved_joints: Bool[np.ndarray, " J"] | None = None,
 ) -> None:
     """Write the markers of a take and, if there is a body, its motion.
 
@@ -46,6 +54,7 @@ def write_npz(
         skeleton: The skeleton of the body.
         motion: Its motion.
         rate: Frames per second of the motion; by default those of the take.
+        solved_joints: The joints that the markers show; by default all.
 
     Raises:
         WriteError: If `target` is not writable.
@@ -61,13 +70,14 @@ def write_npz(
         "marker_rate": np.array(float(take.rate)),
     }
     if skeleton is not None and motion is not None:
-        arrays |= _build_body_arrays(skeleton, motion)
+        arrays |= _build_body_arrays(skeleton, motion, solved_joints)
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _build_body_arrays(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarray]:
+def _build_body_arrays(skeleton: Skeleton, motion: Motion, solved_joints: Bool[np.ndarray, " J"] | None) -> dict[str, np.ndarray]:
     is_known = np.ones(motion.frame_count, bool)
+    is_solved = np.ones(len(skeleton.names), bool) if solved_joints is None else solved_joints
     joints = range(len(skeleton.names))
     rotations = [quaternions.extract_joint_quaternions(motion.local_rotations, joint, is_known) for joint in joints]
     return {
@@ -77,8 +87,9 @@ def _build_body_arrays(skeleton: Skeleton, motion: Motion) -> dict[str, np.ndarr
         "ends": skeleton.ends,
         "root": motion.root_position,
         "rotations": np.stack(rotations, axis=1),
-        "joints": kinematics.compute_world_poses(skeleton, motion)[0],
+        "joints": np.where(is_solved[:, None], kinematics.compute_world_poses(skeleton, motion)[0], np.nan),
         "joint_sd": motion.joint_sd,
+        "solved_joints": is_solved,
         "status": motion.status,
         "status_texts": np.array([status.description for status in FrameStatus]),
     }

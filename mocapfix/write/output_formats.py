@@ -146,7 +146,7 @@ def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion 
         write_npz(target, take)
         return
     lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
-    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate)
+    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate, exported.subject.solved_joints)
 
 
 def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:

@@ -150,38 +150,99 @@ def test_reason_counts_optional_markers_separately():
     )
 
 
-def test_body_may_lack_one_arm_but_not_two():
+def test_whole_body_may_lack_one_arm_but_not_two():
     names = load_cmu31_body().skeleton.names
     arm = ("Arm", "ForeArm", "Hand")
     joint = {label: names[j] for label, j in zip(GAIT.labels, GAIT.joints, strict=True)}
     one = [x for x in GAIT.labels if joint[x] not in [f"Left{bone}" for bone in arm]]
     none = [x for x in one if joint[x] not in [f"Right{bone}" for bone in arm]]
-    assert choose_marker_set(one).marker_set is GAIT
-    assert choose_marker_set(none).marker_set is None
-    assert "the left arm, right arm cannot be located; not found: LUPA, LELB, LFRM" in choose_marker_set(none).reason
+    assert not GAIT.describe_incomplete_body(one)
+    assert "the left arm, right arm cannot be located; not found: LUPA, LELB, LFRM" in GAIT.describe_incomplete_body(none)
+    assert GAIT.find_shown_sections(none) == ("pelvis", "trunk", "head", "left leg", "right leg")
+    assert choose_marker_set(one).marker_set is choose_marker_set(none).marker_set is GAIT
 
 
-@pytest.mark.parametrize("joint", ["Hips", "Spine1"])
-def test_body_without_hips_or_thorax_does_not_fit(joint):
-    wanted = load_cmu31_body().skeleton.find_joint(joint)
-    assert choose_marker_set([label for label, j in zip(CMU.labels, CMU.joints, strict=True) if j != wanted]).marker_set is None
+@pytest.mark.parametrize(
+    ("joint", "sections"),
+    [("Hips", ("trunk", "head", "left arm", "right arm")), ("Spine1", ("pelvis", "left leg", "right leg"))],
+)
+def test_without_hips_or_thorax_the_body_on_one_side_of_them_is_a_part(joint, sections):
+    removed = load_cmu31_body().skeleton.find_joint(joint)
+    labels = [label for label, j in zip(CMU.labels, CMU.joints, strict=True) if j != removed]
+    assert CMU.describe_incomplete_body(labels)
+    assert CMU.find_shown_sections(labels) == sections
+    assert choose_marker_set(labels).marker_set is CMU
 
 
-def test_sixty_percent_of_the_markers_are_needed():
+def test_sixty_percent_of_the_markers_of_a_whole_body_are_needed():
     first = ["LFWT", "CLAV", "LUPA", "LELB", "LTHI", "LKNE", "RTHI", "RKNE"]  # hips, thorax and three limbs
     labels = first + [label for label in CMU.labels if label not in first]
-    assert choose_marker_set(labels[:25]).marker_set is CMU  # 0.6 * 41 = 24.6
-    assert "at least 60%" in choose_marker_set(labels[:24]).reason
+    assert not CMU.describe_incomplete_body(labels[:25])  # 0.6 * 41 = 24.6
+    assert "at least 60%" in CMU.describe_incomplete_body(labels[:24])
+
+
+PELVIS, LEG, TRUNK, ARM = (
+    ("LFWT", "RFWT", "LBWT", "RBWT"),
+    ("LTHI", "LKNE", "LSHN", "LANK", "LHEE", "LTOE", "LMT5"),
+    ("C7", "T10", "CLAV", "STRN", "RBAC"),
+    ("LUPA", "LELB", "LFRM", "LWRA", "LWRB", "LFIN"),
+)
+HEAD = ("LFHD", "RFHD", "LBHD", "RBHD")
+
+
+@pytest.mark.parametrize(
+    ("labels", "sections"),
+    [
+        ((*PELVIS, *LEG), ("pelvis", "left leg")),
+        (LEG, ("left leg",)),
+        ((*TRUNK, *ARM), ("trunk", "left arm")),
+        ((*TRUNK, *ARM, *HEAD), ("trunk", "head", "left arm")),
+        ((*PELVIS, *LEG, *TRUNK), ("pelvis", "trunk", "left leg")),
+        ((*PELVIS, *LEG, *ARM), ("pelvis", "left leg")),  # nothing connects the arm
+        ((*PELVIS, *LEG, "C7", "CLAV"), ("pelvis", "left leg")),
+    ],
+)
+def test_part_of_a_body_is_connected(labels, sections):
+    assert CMU.find_shown_sections(labels) == sections
+    part = CMU.select_shown_part(labels)
+    assert set(part.labels) <= set(labels)
+    assert part.find_shown_sections(part.labels) == sections
+    mirrored = [f"R{label[1:]}" if label in (*LEG, *ARM) else label for label in labels]
+    assert CMU.find_shown_sections(mirrored) == tuple(section.replace("left", "right") for section in sections)
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        PELVIS,
+        (*PELVIS, "LTHI", "LSHN"),  # wands
+        (*PELVIS, *TRUNK, *HEAD),  # no limb
+        HEAD,
+        TRUNK,
+        LEG[1:],  # one marker on the thigh
+        (*PELVIS[:2], *LEG[:4]),
+    ],
+)
+def test_few_markers_are_no_part_of_a_body(labels):
+    assert CMU.find_shown_sections(labels) == ()
+    assert choose_marker_set(labels).marker_set is None
+    assert CMU.select_shown_part(labels).labels == ()
+
+
+def test_whole_body_keeps_the_markers_that_were_not_found():
+    labels = [label for label in CMU.labels if label not in ("LFHD", "RELB", "LTHI")]
+    assert CMU.select_shown_part(labels) is CMU
+    assert set(CMU.labels) - set(CMU.select_shown_part([x for x in labels if x != "LFIN"]).labels) == {"LFIN"}
 
 
 def test_reason_lists_found_and_missing_markers():
-    labels = ("LASI", "RASI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE", "RTHI", "RKNE", "RTIB", "RANK", "RHEE", "RTOE")
+    labels = ("LASI", "RASI", "LTHI", "LANK", "LHEE", "LTOE", "RTHI", "RANK", "RHEE", "RTOE", "LMT1", "RMT1")
     choice = choose_marker_set(labels)
     assert choice.marker_set is None
     assert choice.reason == (
-        "No marker set fits the labels LASI, RASI, LTHI, LKNE, LTIB, LANK, LHEE, LTOE, RTHI, RKNE, RTIB, RANK and 2 more: "
-        "the nearest is plug-in-gait39 with 14 of its 39 markers, but the thorax, left arm, right arm cannot be "
-        "located; not found: LFHD, RFHD, LBHD, RBHD, C7, T10, CLAV, STRN, RBAK, LSHO, LUPA, LELB and 13 more."
+        "No marker set fits the labels LASI, RASI, LTHI, LANK, LHEE, LTOE, RTHI, RANK, RHEE, RTOE, LMT1, RMT1: "
+        "the nearest is plug-in-gait39 with 10 of its 39 markers and 2 optional ones, but the thorax, left arm, right arm cannot "
+        "be located; not found: LFHD, RFHD, LBHD, RBHD, C7, T10, CLAV, STRN, RBAK, LSHO, LUPA, LELB and 17 more."
     )
 
 
@@ -204,7 +265,9 @@ def test_unknown_labels_list_the_shipped_sets(labels):
         ("c3d/hockey_whole_body.c3d", "plug-in-gait39", 39),
         ("c3d/walking2.c3d", None, 0),
         ("c3d/Qualisys.c3d", None, 0),
-        ("c3d/sub_labels.c3d", None, 0),
+        ("c3d/S4-AMGait05.c3d", "plug-in-gait39", 16),
+        ("c3d/JA1Gait35.c3d", None, 0),
+        ("c3d/ADemo1_pc_integer.c3d", None, 0),
     ],
 )
 def test_sets_of_real_captures(take, name, marker_count):

@@ -111,6 +111,7 @@ def build_scene_report(comparison: CleaningComparison) -> Report:
             "joint_deviation_mm": {"LeftFoot": {"mean": 6.0, "p95": 9.0}, "LeftHand": {"mean": 12.0, "p95": 21.0}},
             "start": "hybrik-x",
             "iterations_mean": 4.25,
+            "solved_joints": ["Hips", "LeftFoot", "LeftHand"],
             "lost_in_sight": {"left arm": 3},
             "status": {"solved: well": 200, "guessed: too few": 40},
         },

@@ -115,6 +115,7 @@ def test_solve_section_has_residuals_iterations_and_statuses(subject):
     residual = section["marker_residual_mm"]
     assert set(section) == {
         "marker_residual_mm",
+        "solved_joints",
         "joint_deviation_mm",
         "start",
         "prior",
