@@ -50,7 +50,7 @@ def test_the_subject_is_in_the_label_or_is_the_only_one_of_the_file():
 def test_whole_bodies_are_subjects_and_parts_of_bodies_are_not():
     labels = build_labels("Jim", "Ann", more=(*(f"Bob:{label}" for label in FOOT), "box:1", "C7"))
     assert multi_subject.find_whole_bodies(build_take(labels)) == ("Jim", "Ann")
-    assert multi_subject.find_whole_bodies(build_take(labels), load_marker_set("plug-in-gait39")) == ()
+    assert multi_subject.find_whole_bodies(build_take(labels), load_marker_set("qualisys-sports")) == ()
     assert multi_subject.find_whole_bodies(build_take(CMU41)) == ("",)
 
 
