@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
+from mocapfix.skeleton import BODY_SECTIONS, MIN_WHOLE_BODY_LIMBS, load_cmu31_body
 
 LABEL_SEPARATORS = re.compile(r"[\s._-]+")
 """the characters between the words of a label"""
@@ -15,8 +15,6 @@ MIN_REQUIRED_MARKER_FRACTION = 0.6
 """the fraction of the required markers of a set that a take must have to show a whole body"""
 MIN_MARKERS_PER_LIMB = 2
 """the number of markers on a limb with which its pose can be estimated"""
-MAX_MISSING_LIMBS = 1
-"""the number of limbs that may have fewer markers"""
 MIN_SECTION_MARKERS = 3
 """the number of markers on a section of the body with which it belongs to a part of a body"""
 MIN_SECTION_MARKER_FRACTION = 0.6
@@ -34,6 +32,8 @@ LIMB_JOINT_NAMES = {
     "left leg": ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"),
     "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
 }
+MAX_MISSING_LIMBS = len(LIMB_JOINT_NAMES) - MIN_WHOLE_BODY_LIMBS
+"""the number of limbs that may have fewer markers"""
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ BODY_SECTIONS: dict[str, tuple[str, ...]] = {
     "right leg": ("RightUpLeg", "RightLeg", "RightFoot", "RightToeBase"),
 }
 """the joints of each section of the body"""
+MIN_WHOLE_BODY_LIMBS = 3
+"""the number of limbs with markers, besides pelvis and trunk, of a whole body"""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,8 @@ def restrict_body(body: BodyModel, marked_joints: Collection[int]) -> BodyModel:
 
     Markers show how a joint turns if some are on its segment or beyond, and others on the other side of it. The segment nearest
     to the root keeps the mean pose relative to the root, whose position and rotation then follow from that of this segment.
+
+    In a whole body all joints stay free: the prior alone keeps the few that markers do not show, such as the hands.
     """
     parents, free_joints = body.skeleton.parents, body.free_joints
     carriers = find_carriers(parents, free_joints)
@@ -122,7 +126,15 @@ def restrict_body(body: BodyModel, marked_joints: Collection[int]) -> BodyModel:
             joint = int(parents[joint]) if joint != top else -1
     is_free = free_joints & shown
     is_free[top], is_free[0] = False, True
+    if _is_whole_body({body.skeleton.names[joint] for joint in marked}):
+        is_free = free_joints
     return replace(body, free_joints=is_free, shown_segments=shown[carriers])
+
+
+def _is_whole_body(joint_names: Collection[str]) -> bool:
+    """Return whether joints with markers are those of a whole body: on pelvis and trunk, and on all limbs but one."""
+    sections = {section for section, joints in BODY_SECTIONS.items() if not set(joints).isdisjoint(joint_names)}
+    return {"pelvis", "trunk"} <= sections and len(sections - {"pelvis", "trunk", "head"}) >= MIN_WHOLE_BODY_LIMBS
 
 
 def find_carriers(parents: Int[np.ndarray, " J"], free_joints: Bool[np.ndarray, " J"]) -> Int[np.ndarray, " J"]:
