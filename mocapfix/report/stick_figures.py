@@ -37,7 +37,7 @@ def find_worst_frame(sample_states: Int[np.ndarray, "T M"], joint_position_world
 
 def find_solved_joints(joint_position_world: Float[np.ndarray, "T J 3"]) -> Bool[np.ndarray, " J"]:
     """Return the joints that have a position in any frame; the others are not shown by the markers."""
-    return np.isfinite(joint_position_world).all(axis=2).any(axis=0)
+    return np.asarray(np.isfinite(joint_position_world).all(axis=2).any(axis=0), bool)
 
 
 def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Markup, Markup]:
