@@ -9,6 +9,7 @@ from mocapfix.kernels import low_rank, sweep
 from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.normal_equations import linearise_terms
+from mocapfix.kernels.small_matrices import clear_array
 from mocapfix.kernels.workspace import allocate_workspace, load_pose
 
 
@@ -81,8 +82,8 @@ def add_shared_covariance(tree, work, covariance, rotation_variance):
     for c in range(len(step.shared)):
         for d in range(len(step.shared)):
             step.shared[d] = factor[d, c] if d >= c else 0.0
-        work.g.fill(0)
-        work.g_joint.fill(0)
+        clear_array(work.g)
+        clear_array(work.g_joint)
         sweep.solve_tree(tree, work.equations, work.factors, work.g, work.g_joint, step)
         add_outer_products(1.0, step.twist, step.joint_turn, covariance, rotation_variance)
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
+from mocapfix.kernels.small_matrices import load_single_matrix, multiply_matrices, store_matrix, transpose_matrix
 
 MIN_GIMBAL_COSINE = 1e-7  # cosine of the middle angle; below it only the sum or difference of the outer angles is known
 MAX_ANGLE_FIT_ROUNDS = 30  # of fitting one angle after the other, for joints with fewer than three axes
@@ -26,8 +27,9 @@ def compute_euler_matrices(angles, axes):
 
 @compile_inner_kernel
 def _compose_rotation(angles, axes, out):
-    out[:] = 0.0
-    out[0, 0] = out[1, 1] = out[2, 2] = 1.0
+    for a in range(3):
+        for b in range(3):
+            out[a, b] = 1.0 if a == b else 0.0
     for d in range(len(axes)):
         _rotate_about_axis(out, axes[d], angles[d])
 
@@ -59,7 +61,8 @@ def compute_continuous_euler_angles(rotations, axes, start):
             _solve_three_angles(rotations[t], axes, current)
         else:
             _fit_angles(rotations[t], axes, current)
-        out[t] = current
+        for d in range(len(axes)):
+            out[t, d] = current[d]
     return out
 
 
@@ -94,15 +97,16 @@ def _solve_three_angles(r, axes, current):
 @compile_inner_kernel
 def _fit_angles(r, axes, current):
     """Replace `current` (D,) by the angles of the rotation nearest to `r`: coordinate descent, each angle in closed form."""
-    before, after = np.empty((3, 3)), np.empty((3, 3))
+    before, after, remaining = np.empty((3, 3)), np.empty((3, 3)), np.empty((1, 3, 3))
     for _ in range(MAX_ANGLE_FIT_ROUNDS if len(axes) > 1 else 1):
         change = 0.0
         for d in range(len(axes)):
             _compose_rotation(current[:d], axes[:d], before)
             _compose_rotation(current[d + 1 :], axes[d + 1 :], after)
-            remaining = before.T @ np.ascontiguousarray(r) @ after.T
+            rest = multiply_matrices(transpose_matrix(load_single_matrix(before)), load_single_matrix(r))
+            store_matrix(multiply_matrices(rest, transpose_matrix(load_single_matrix(after))), remaining, 0)
             j, k = (axes[d] + 1) % 3, (axes[d] + 2) % 3
-            angle = math.atan2(remaining[k, j] - remaining[j, k], remaining[j, j] + remaining[k, k])
+            angle = math.atan2(remaining[0, k, j] - remaining[0, j, k], remaining[0, j, j] + remaining[0, k, k])
             step = _wrap_angle(angle - current[d])
             current[d] += step
             change += abs(step)

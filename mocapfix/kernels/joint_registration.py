@@ -47,7 +47,9 @@ def register_root_frames(root_points, points, variance, refine, position, rotati
     symmetric, vectors = np.empty((4, 4)), np.empty((4, 4))
     for t in range(first, stop):
         frame_variance = variance[t % len(variance)]
-        place_counts[t], is_counted[:] = 0, 0
+        place_counts[t] = 0
+        for i in range(count):
+            is_counted[i] = 0
         for i in range(count):
             k = root_points.point_index[i]
             known = not np.isnan(points[t, k, 0] + points[t, k, 1] + points[t, k, 2])

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocapfix.kernels import sweep
 from mocapfix.kernels.compilation_cache import compile_inner_kernel
-from mocapfix.kernels.small_matrices import copy_array, factor_cholesky, solve_cholesky
+from mocapfix.kernels.small_matrices import clear_array, copy_array, factor_cholesky, solve_cholesky
 
 
 class RowResponses(NamedTuple):
@@ -66,7 +66,7 @@ def compute_row_responses(tree, equations, factors, spare_g, responses):
     rows = len(equations.row_residual)
     for m in range(rows):
         step = sweep.PoseStep(responses.twist[m], responses.joint_turn[m], responses.shared[m])
-        step.shared.fill(0)
+        clear_array(step.shared)
         copy_array(equations.row_twist[m], spare_g)
         sweep.solve_tree(tree, equations, factors, spare_g, equations.row_joint[m], step)
     for m in range(rows):

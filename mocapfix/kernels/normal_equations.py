@@ -6,7 +6,7 @@ import numpy as np
 from numba import literal_unroll
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel
-from mocapfix.kernels.small_matrices import load_matrix, multiply_vector
+from mocapfix.kernels.small_matrices import clear_array, load_matrix, multiply_vector
 from mocapfix.kernels.terms.contract import add_term
 
 
@@ -48,16 +48,16 @@ def allocate_equations(joints, unknowns, rows):
 @compile_inner_kernel
 def clear_equations(equations):
     """Set the model to zero."""
-    equations.h.fill(0)
-    equations.g.fill(0)
-    equations.h_joint.fill(0)
-    equations.g_joint.fill(0)
-    equations.h_joint_shared.fill(0)
-    equations.h_shared.fill(0)
-    equations.g_shared.fill(0)
-    equations.row_twist.fill(0)
-    equations.row_joint.fill(0)
-    equations.row_residual.fill(0)
+    clear_array(equations.h)
+    clear_array(equations.g)
+    clear_array(equations.h_joint)
+    clear_array(equations.g_joint)
+    clear_array(equations.h_joint_shared)
+    clear_array(equations.h_shared)
+    clear_array(equations.g_shared)
+    clear_array(equations.row_twist)
+    clear_array(equations.row_joint)
+    clear_array(equations.row_residual)
     equations.row_count[0] = 0
 
 

@@ -22,7 +22,9 @@ def extract_joint_quaternions(rotations, joint, known):
     Of the two signs the one nearer to the last `known` (T,) frame is chosen; before the first known frame, the one nearer to
     that frame. If no frame is known, all count as known.
     """
-    frames, none_known = len(rotations), not known.any()
+    frames, none_known = len(rotations), True
+    for t in range(frames):
+        none_known = none_known and not known[t]
     out = np.empty((frames, 4))
     reference = 0
     for t in range(frames - 1, -1, -1):

@@ -16,6 +16,7 @@ from mocapfix.kernels.forward_kinematics import compute_forward_kinematics
 from mocapfix.kernels.lie import compute_left_jacobian_inverse, compute_logarithm
 from mocapfix.kernels.normal_equations import linearise_terms
 from mocapfix.kernels.small_matrices import (
+    clear_array,
     copy_array,
     load_matrix,
     multiply_matrices,
@@ -30,7 +31,8 @@ from mocapfix.kernels.workspace import allocate_workspace, load_pose
 @compile_inner_kernel
 def compute_shape_shift(deformations, p, points, parents, rotation, joint_shift, marker_shift):
     """Write the shift of joints (J, 3) and markers (K, 3), in world axes, by the p-th deformation with all rotations fixed."""
-    joint_shift[0] = 0.0
+    for a in range(3):
+        joint_shift[0, a] = 0.0
     for j in range(1, len(joint_shift)):
         r = rotation[parents[j]]
         x, y, z = deformations.joint_offsets[p, j]
@@ -46,7 +48,7 @@ def compute_shape_shift(deformations, p, points, parents, rotation, joint_shift,
 @compile_inner_kernel
 def compute_marker_gradient(points, lever, marker_weight, shift, g):
     """Write the gradient on the bodies' twists, g (J, 6), of markers shifted by `shift` (K, 3)."""
-    g.fill(0)
+    clear_array(g)
     for k in range(len(shift)):
         w, j = marker_weight[k], points.joints[k]
         x, y, z = lever[k, 0], lever[k, 1], lever[k, 2]
@@ -146,8 +148,8 @@ def eliminate_pose(
     sweep.factorise_tree(tree, equations, sweep.MIN_INFORMATION, work.factors)
     for q in range(len(marker_response)):
         k, f = (q - dense) // 3, (q - dense) // 3 - markers
-        joint_shift.fill(0)
-        shift.fill(0)
+        clear_array(joint_shift)
+        clear_array(shift)
         if q < dense:
             compute_shape_shift(deformations, q, points, tree.parents, rotation, joint_shift, shift)
             compute_marker_responses(points.joints, no_twist, lever, shift, rotation, marker_shift[q])
@@ -157,7 +159,7 @@ def eliminate_pose(
             shift[k, a] = rotation[points.joints[k], a, (q - dense) % 3]
         if q < last:
             compute_marker_gradient(points, lever, marker_weight, shift, work.g)
-            work.g_joint.fill(0)
+            clear_array(work.g_joint)
             if f >= 0:
                 compute_prior_gradient(
                     prior_information[f], load_matrix(jacobian, f), (q - dense) % 3, work.g_joint[rotating[f]]

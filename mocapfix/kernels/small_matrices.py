@@ -141,6 +141,14 @@ def invert_cholesky(m):
 
 
 @compile_inner_kernel
+def clear_array(array):
+    """Set a contiguous array to zero. (`array.fill` compiles an assignment to a slice, and with it the text of its errors.)"""
+    flat = array.reshape(-1)
+    for i in range(len(flat)):
+        flat[i] = 0.0
+
+
+@compile_inner_kernel
 def copy_array(source, target):
     """Copy `source` into `target`, both contiguous and of one shape."""
     flat, out = source.reshape(-1), target.reshape(-1)

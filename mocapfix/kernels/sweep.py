@@ -19,6 +19,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel
 from mocapfix.kernels.small_matrices import (
+    clear_array,
     copy_array,
     factor_cholesky,
     invert_cholesky,
@@ -81,7 +82,7 @@ def factorise_tree(tree, equations, damping, factors):
     )
     copy_array(equations.h, h)
     if unknowns:
-        cross.fill(0)
+        clear_array(cross)
         copy_array(equations.h_joint_shared[0], cross[0, :3])  # the root's own rotation is part of its twist
         copy_array(equations.h_shared, factors.shared_cholesky)
     for i in range(len(parents) - 1, 0, -1):

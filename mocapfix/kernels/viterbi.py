@@ -30,9 +30,13 @@ def find_cheapest_chain(frames, points, rate, max_omitted):
     cost[i, g] is the cost of the cheapest chain that ends in samples i - g - 1 and i; predecessor[i, g] is its g before.
     """
     count, steps = len(frames), max_omitted + 1
-    cost, predecessor = np.full((count, steps), np.inf), np.full((count, steps), -1)
-    price = np.array([0.0] + [OMITTED_SAMPLE_COST + OMITTED_RUN_LENGTH_COST * n / max_omitted for n in range(max_omitted)])
-    edge_price = price.copy()
+    cost, predecessor = np.empty((count, steps)), np.empty((count, steps), np.int64)
+    for i in range(count):
+        for g in range(steps):
+            cost[i, g], predecessor[i, g] = np.inf, -1
+    price, edge_price = np.zeros(steps), np.zeros(steps)
+    for n in range(max_omitted):
+        price[n + 1] = edge_price[n + 1] = OMITTED_SAMPLE_COST + OMITTED_RUN_LENGTH_COST * n / max_omitted
     edge_price[1] = OMITTED_EDGE_SAMPLE_COST
     for i in range(1, count):
         for g in range(min(steps, i)):
@@ -70,8 +74,9 @@ def _trace_chain(predecessor, i, g):
 def compute_cheapest_states(step_cost, state_cost):
     """Return (T,) the state of each frame in the sequence of least total cost."""
     frames, states = state_cost.shape
-    cost, predecessor = state_cost[0].copy(), np.zeros((frames, states), np.int64)
-    total = cost.copy()
+    cost, total, predecessor = np.empty(states), np.empty(states), np.zeros((frames, states), np.int64)
+    for s in range(states):
+        cost[s] = state_cost[0, s]
     for t in range(1, frames):
         for s in range(states):
             for r in range(states):
@@ -81,7 +86,9 @@ def compute_cheapest_states(step_cost, state_cost):
         for s in range(states):  # not an assignment to a slice: that compiles the text of its errors
             cost[s] = total[s]
     state = np.zeros(frames, np.int64)
-    state[-1] = np.argmin(cost)
+    for s in range(1, states):
+        if cost[s] < cost[state[-1]]:
+            state[-1] = s
     for t in range(frames - 1, 0, -1):
         state[t - 1] = predecessor[t, state[t]]
     return state
