@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
+from mocapfix.stats.vectors import compute_lengths
 from mocapfix.take import Take
 
 # What a reviewer decides about a change (see `Change.decision`).
@@ -120,6 +121,9 @@ def build_changes(
     Returns:
         The changes and their faults, in the order of the faults.
     """
+    faults = list(faults)
+    if not faults:
+        return []
     is_changed = compare_samples(before, after)
     off_body_m = {id(take): _measure_distances_from_body(take, body_markers) for take in (before, relabelled, after)}
     changes: list[tuple[Change, Fault]] = []
@@ -177,7 +181,7 @@ def _measure_distances_from_body(take: Take, body_markers: np.ndarray | None) ->
     """Measure the distances (T, M) in metres of the samples from the solved body's markers, NaN where unknown."""
     if body_markers is None:
         return np.full(take.visible.shape, np.nan)
-    return np.linalg.norm(take.markers - body_markers, axis=-1)
+    return compute_lengths(take.markers - body_markers)
 
 
 def _measure_state(take: Take, samples: _SampleIndices, off_body_m: np.ndarray) -> SampleState:

@@ -1,6 +1,7 @@
 """Marker takes: the trajectories of one recorded performance."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -107,7 +108,7 @@ class Take:
         stem, subject = self.path.stem if self.path else "take", re.sub(r"[^\w. -]", "_", self.subject_name)
         return f"{stem}.{subject}" if subject else stem
 
-    @property
+    @cached_property
     def bare_labels(self) -> tuple[str, ...]:
         """The labels without subject prefixes: "LFHD" for "Jim:LFHD"."""
         return tuple(label.rsplit(":", 1)[-1].strip() for label in self.labels)
@@ -179,13 +180,21 @@ class Take:
         In the frames from first to last inclusive, each marker of the cycle gets the samples of the next one, and the last
         marker those of the first. Exchanging two markers twice restores the take bit for bit.
         """
-        frames = slice(first_frame_index, last_frame_index + 1)
-        targets, origins = list(label_cycle), list(label_cycle[1:] + label_cycle[:1])
+        return self.exchange_labels_in_turn([(label_cycle, first_frame_index, last_frame_index)])
+
+    def exchange_labels_in_turn(self, exchanges: Iterable[tuple[tuple[int, ...], int, int]]) -> "Take":
+        """Return the take with each exchange (cycle, first, last) made as by `exchange_labels`, one after the other.
+
+        The samples are copied once, however many exchanges there are.
+        """
         arrays: dict[str, Any] = {name: getattr(self, name) for name in ("markers", "sample_sd", "computed", "uncaptured")}
         changed = {name: array.copy() for name, array in arrays.items() if array is not None}
         changed["relabelled_points"] = self.source_points.copy()
-        for array in changed.values():
-            array[frames, targets] = array[frames, origins]
+        for label_cycle, first_frame_index, last_frame_index in exchanges:
+            frames = slice(first_frame_index, last_frame_index + 1)
+            targets, origins = list(label_cycle), list(label_cycle[1:] + label_cycle[:1])
+            for array in changed.values():
+                array[frames, targets] = array[frames, origins]
         return replace(self, **changed)
 
     def replace_markers(self, markers: Float[np.ndarray, "T M 3"], sample_sd: Float[np.ndarray, "T M"] | None = None) -> "Take":

@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.faults import Fault, MarkerShift
 from mocapfix.motion import Motion
 from mocapfix.solve import kinematics
+from mocapfix.stats.vectors import compute_lengths
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -55,7 +56,7 @@ class BodyResiduals:
     @cached_property
     def distance_m(self) -> Float[np.ndarray, "T K"]:
         """The lengths of the residuals in metres, NaN where missing."""
-        return _measure_lengths(self.residual_segment)
+        return compute_lengths(self.residual_segment)
 
 
 def compute_body_residuals(
@@ -76,11 +77,12 @@ def compute_body_residuals(
     for frames in blocks:
         from_joint = markers[frames] - position[frames, joints]
         residual[frames] = np.einsum("tkba,tkb->tka", rotation[frames, joints], from_joint) - subject.marker_offsets
-    bias, sd_m = np.zeros((residual.shape[1], 3)), np.full(residual.shape[1], MIN_RESIDUAL_SD_M)
+    bias, sd_m = np.zeros((len(joints), 3)), np.full(len(joints), MIN_RESIDUAL_SD_M)
     for k in np.flatnonzero(solver_mask.any(0)):
-        x, y, z = used = np.ascontiguousarray(residual[solver_mask[:, k], k].T)
+        used = np.ascontiguousarray(residual[solver_mask[:, k], k].T)
         bias[k] = np.median(used, axis=1)
-        square = (x - bias[k, 0]) ** 2 + (y - bias[k, 1]) ** 2 + (z - bias[k, 2]) ** 2
+        x, y, z = used - bias[k, :, None]
+        square = x * x + y * y + z * z
         sd_m[k] = max(MIN_RESIDUAL_SD_M, np.sqrt(np.median(square) / CHI_SQUARED_3_MEDIAN))
     usual_offsets = subject.marker_offsets + bias
     for frames in blocks:
@@ -89,12 +91,6 @@ def compute_body_residuals(
     residual -= bias
     excess_variance = np.maximum(motion.marker_sd**2 - np.median(motion.marker_sd, axis=0) ** 2, 0)
     return BodyResiduals(markers, expected_world, residual, np.sqrt(sd_m**2 + excess_variance))
-
-
-def _measure_lengths(vectors: np.ndarray) -> np.ndarray:
-    """Measure the lengths of vectors (..., 3), several times as fast as `np.linalg.norm` along a short axis."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.sqrt(x * x + y * y + z * z)
 
 
 MIN_LEAP_M = 0.010
@@ -250,7 +246,7 @@ def _detect_leaps(markers: np.ndarray, rate: float) -> np.ndarray:
     step = np.full((len(markers) + 2, *markers.shape[1:]), np.nan)
     step[1 : len(markers)] = np.diff(markers, axis=0)
     before, own, after = step[:-2], step[1:-1], step[2:]
-    difference_m = [_measure_lengths(own - other) for other in (before, after, (before + after) / 2)]
+    difference_m = [compute_lengths(own - other) for other in (before, after, (before + after) / 2)]
     is_leap = ~(np.fmin.reduce(difference_m) < STEP_TOLERANCE_M + STEP_TOLERANCE_M_PER_S2 / rate**2)
     return np.concatenate([np.ones_like(is_leap[:1]), is_leap[:-1]])
 

@@ -27,6 +27,7 @@ from mocapfix.faults import (
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.options import CleanOptions
 from mocapfix.repair.relabel import relabel_samples
+from mocapfix.report.review_file import ReviewIndex
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.take import Take
 
@@ -53,10 +54,8 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
         and _is_editable(fault, is_editable)
         and not _matches_estimate(fault, detection, fill.take)
     ]
-    decisions = {
-        id(fault): next((each.decision for each in state.reviewed_changes if each.matches(fault)), "accept")
-        for fault in considered
-    }
+    reviewed = ReviewIndex(state.reviewed_changes)
+    decisions = {id(fault): next((each.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered}
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
     reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]
@@ -68,9 +67,8 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
     ]
     accepted_changes = build_changes(original, detection.take, cleaned, accepted, body_markers, methods)
     changes = sorted((*accepted_changes, *declined_changes), key=lambda each: (each[1].marker, each[1].first))
-    not_found = [
-        each.to_change() for each in state.reviewed_changes if not any(each.matches(fault) for _, fault in declined_changes)
-    ]
+    found = {id(each) for _, fault in declined_changes for each in reviewed.find_matches(fault)}
+    not_found = [each.to_change() for each in state.reviewed_changes if id(each) not in found]
     reasons = np.where(fill.take.visible, "its change was not applied", fill.unfilled_reasons)
     return replace(
         state,
@@ -96,8 +94,8 @@ def _revert_faults(original: Take, detection: DetectionState, repaired: Take, fa
 
     Where a label change is reverted, the repairs of the samples concerned are reverted too.
     """
-    reverted_label_faults = [fault for fault in faults if affects_labels(fault)]
-    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if fault not in reverted_label_faults])
+    reverted_label_faults = {id(fault) for fault in faults if affects_labels(fault)}
+    relabelled = relabel_samples(original, [fault for fault in detection.label_faults if id(fault) not in reverted_label_faults])
     revert_mask = build_affected_mask([fault for fault in faults if not affects_labels(fault)], detection.take)
     without_samples = revert_samples(repaired, detection.take, revert_mask)
     without_labels = revert_samples(without_samples, relabelled, compare_samples(detection.take, relabelled))

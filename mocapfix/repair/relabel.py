@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -43,14 +44,17 @@ def join_fragments(take: Take, faults: Iterable[Fault]) -> Take:
 
 def undo_label_exchanges(take: Take, faults: Iterable[Fault]) -> Take:
     """Undo the exchanges of labels with a sufficient confidence, in the given order. Other faults are ignored."""
-    for fault in faults:
-        if fault.kind in LABEL_KINDS and fault.confidence >= MIN_LABEL_CONFIDENCE:
-            take = take.exchange_labels(fault.markers, fault.first, fault.last)
-    return take
+    exchanges = [
+        (fault.markers, fault.first, fault.last)
+        for fault in faults
+        if fault.kind in LABEL_KINDS and fault.confidence >= MIN_LABEL_CONFIDENCE
+    ]
+    return take.exchange_labels_in_turn(exchanges) if exchanges else take
 
 
 def relabel_samples(take: Take, faults: Iterable[Fault]) -> Take:
     """Join fragments and undo exchanges of labels, one after the other in the given order."""
-    for fault in faults:
-        take = undo_label_exchanges(join_fragments(take, [fault]), [fault])
+    for are_fragments, group in groupby(faults, key=lambda fault: isinstance(fault, Fragment)):
+        repair = join_fragments if are_fragments else undo_label_exchanges
+        take = repair(take, group)
     return take

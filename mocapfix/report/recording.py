@@ -245,7 +245,7 @@ def _convert_to_rgba(colour: str) -> np.uint32:
 
 
 def _build_strips(lines: Float[np.ndarray, "N 2 3"]) -> Any:
-    """Return an Arrow array of straight lines, as rerun stores them. Its own conversion of an array calls Python once for each line."""
+    """Return straight lines as an Arrow array in rerun's type. Its own conversion of an array calls Python once for each line."""
     import pyarrow as pa
     import rerun as rr
 

@@ -1,7 +1,9 @@
 """The review file: all changes of a take as YAML, with a decision for each, to be edited and read back."""
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +110,32 @@ class ReviewedChange:
         return fault.first <= self.last and self.first <= fault.last
 
 
+class ReviewIndex:
+    """Declined changes by kind and marker and in order of time, so that those that match a fault are found without a search."""
+
+    def __init__(self, reviewed_changes: Sequence[ReviewedChange]) -> None:
+        groups: dict[tuple[str, int], list[int]] = {}
+        for n, each in enumerate(reviewed_changes):
+            groups.setdefault((each.entry.kind, each.markers[0]), []).append(n)
+        self._changes = reviewed_changes
+        self._groups = {key: self._order_by_time(numbers) for key, numbers in groups.items()}
+
+    def find_matches(self, fault: Fault) -> list[ReviewedChange]:
+        """Return the changes that corrected this fault, in the order of the review file."""
+        group = self._groups.get((fault.kind, fault.marker))
+        if group is None:
+            return []
+        numbers, first, latest = group
+        nearby = numbers[bisect_left(latest, fault.first) : bisect_right(first, fault.last)]
+        return [self._changes[n] for n in sorted(nearby) if self._changes[n].matches(fault)]
+
+    def _order_by_time(self, numbers: list[int]) -> tuple[list[int], list[int], list[int]]:
+        """Return the numbers of changes in order of time, their first frames, and the latest frame that any so far reaches."""
+        ordered = sorted(numbers, key=lambda n: self._changes[n].first)
+        latest = accumulate((self._changes[n].last for n in ordered), max)
+        return ordered, [self._changes[n].first for n in ordered], list(latest)
+
+
 def write_review_file(path: str | Path, take: Take, changes: Sequence[Change]) -> None:
     """Write the changes of a take.
 
@@ -196,7 +224,7 @@ def build_fault_filter(take: Take, reviewed_changes: Sequence[ReviewedChange]) -
 
     Excluded are faults of samples that the review keeps as measured, and marker shifts that the review declines.
     """
-    count = len(take.labels)
+    count, index = len(take.labels), ReviewIndex(reviewed_changes)
     kept = np.zeros((take.frame_count, count), bool)
     for each in reviewed_changes:
         if each.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
@@ -206,7 +234,7 @@ def build_fault_filter(take: Take, reviewed_changes: Sequence[ReviewedChange]) -
         if fault.kind in MISSING_KINDS:
             return True  # missing samples cannot be declared correct
         if fault.kind in SHIFT_KINDS:
-            return not any(each.matches(fault) for each in reviewed_changes)
+            return not index.find_matches(fault)
         return not kept[fault.frame_slice][:, list_affected_markers(fault, count)].any()
 
     return is_accepted

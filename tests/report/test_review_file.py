@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mocapfix.changes import Change, Decision, SampleState
 from mocapfix.errors import SceneError
 from mocapfix.faults import Fault, Fragment, MarkerShift
-from mocapfix.report.review_file import build_fault_filter, read_review_file, write_review_file
+from mocapfix.report.review_file import ReviewedChange, ReviewIndex, build_fault_filter, read_review_file, write_review_file
 from mocapfix.take import Take
 
 FIRST_FRAME = 101
@@ -162,6 +162,21 @@ def test_a_decision_matches_faults_of_its_kind_marker_and_frames(tmp_path):
     assert not reviewed.matches(Fault("spike", 1, 12, 13, 0.1, ""))
     assert not reviewed.matches(Fault("spike", 2, 9, 11, 0.1, ""))
     assert not reviewed.matches(Fault("ghost", 1, 9, 11, 0.1, ""))
+
+
+@given(
+    intervals=st.lists(st.tuples(st.integers(0, 1), st.integers(0, 40), st.integers(0, 9)), max_size=12),
+    first=st.integers(0, 45),
+    length=st.integers(0, 9),
+)
+def test_index_finds_what_matches_a_fault(tmp_path_factory, intervals, first, length):
+    changes = [
+        build_change(markers=(("Jim:LFHD", "C7")[marker],), first=FIRST_FRAME + start, last=FIRST_FRAME + start + more)
+        for marker, start, more in intervals
+    ]
+    reviewed: tuple[ReviewedChange, ...] = write_and_read(tmp_path_factory.mktemp("review"), *changes)
+    fault = Fault("spike", 1, first, min(first + length, 49), 0.1, "")
+    assert ReviewIndex(reviewed).find_matches(fault) == [each for each in reviewed if each.matches(fault)]
 
 
 def test_kept_samples_have_no_faults(tmp_path):
