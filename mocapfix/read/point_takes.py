@@ -12,6 +12,7 @@ from mocapfix.stats.point_functions import PointFunction
 from mocapfix.stats.resolution import estimate_resolution
 from mocapfix.take import ComputedEvidence, ComputedPoints, Take
 
+MAX_RESOLUTION_FRAMES = 2000  # from which the resolution of the coordinates is estimated
 PointConverter = Callable[[Int[np.ndarray, " K"]], Float[np.ndarray, "T K 3"]]
 
 
@@ -38,7 +39,7 @@ def add_other_points(take: Take, types: PointTypes, convert: PointConverter) -> 
 
 def separate_computed_markers(take: Take) -> Take:
     """Return a take without the markers that are exact functions of others; they are among its computed points."""
-    resolution_m, is_visible = estimate_resolution(take.markers), np.any(take.visible, axis=0)
+    resolution_m, is_visible = estimate_resolution(take.markers[:MAX_RESOLUTION_FRAMES]), np.any(take.visible, axis=0)
     functions = find_point_functions(take.markers, resolution_m, is_visible, is_visible)
     found = np.array(sorted(functions), int)
     kept = np.setdiff1d(np.arange(len(is_visible)), found)

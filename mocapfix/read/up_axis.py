@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import UpAxis
 
 AXIS_NAMES = "XYZ"
@@ -45,6 +46,9 @@ X_AXIS_SCORE = -2.0
 # Weight of the evidence of the floor where no label names a part of the body: there may be no body that stands on it.
 UNKNOWN_MARKERS_FACTOR = 0.5
 UPRIGHT_BASIS = "head, pelvis and feet"
+# Number of frames, evenly spread, in which a body and the floor are looked for, and of markers whose fall is measured.
+MAX_INSPECTED_FRAMES = 300
+MAX_FALLING_MARKERS = 12
 # Least difference of two scores at which the better one is certain.
 MIN_CERTAIN_SCORE = 2.0
 
@@ -90,7 +94,8 @@ def estimate_up_axis(
         rate: Frames per second.
         default_axis: The up axis of most files of the format.
     """
-    seen = positions_file[np.any(~np.isnan(positions_file[..., 0]), axis=1)]
+    inspected = positions_file[sample_evenly(len(positions_file), MAX_INSPECTED_FRAMES)]
+    seen = inspected[np.any(~np.isnan(inspected[..., 0]), axis=1)]
     default = UpAxisEvidence("the usual axis of the format", _score_default(default_axis))
     if not len(seen):
         return UpAxis(default_axis, default.description, is_certain=False)
@@ -115,6 +120,7 @@ def find_free_fall(positions_file: Float[np.ndarray, "T M 3"], rate: float) -> B
     """Return along which axes the markers fall freely, on average, for some time."""
     step = max(1, round(FALL_STEP_S * rate))
     falls = np.zeros(3, bool)
+    positions_file = positions_file[:, sample_evenly(positions_file.shape[1], MAX_FALLING_MARKERS)]
     if len(positions_file) <= 2 * step:
         return falls
     bend = positions_file[2 * step :] - 2 * positions_file[step:-step] + positions_file[: -2 * step]

@@ -1,7 +1,9 @@
 """Distances between points that are constant to the resolution of the file, and what measures them."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Shaped
+
+from mocapfix.stats.sequences import sample_evenly
 
 # Number of frames, evenly spread, in which points are compared.
 MAX_FUNCTION_FRAMES = 240
@@ -33,7 +35,7 @@ def find_exactly_rigid_points(points: Float[np.ndarray, "T P 3"], resolution_m: 
     is_visible = ~np.isnan(points[..., 0]).all(0)
     if resolution_m > MAX_EXACT_RESOLUTION_M or len(points) < MIN_COMMON_FRAMES:
         return np.zeros_like(is_visible)
-    sampled = points[sample_frames(len(points), MAX_FUNCTION_FRAMES)]
+    sampled = points[sample_evenly(len(points), MAX_FUNCTION_FRAMES)]
     sd_m = measure_distance_sd(sampled)
     is_exact = (sd_m <= max(MAX_MISFIT_RESOLUTIONS * resolution_m, MIN_MISFIT_LIMIT_M)).any(1)
     if not is_exact.any() or 2 * is_exact.sum() > is_visible.sum():
@@ -41,11 +43,6 @@ def find_exactly_rigid_points(points: Float[np.ndarray, "T P 3"], resolution_m: 
     has_carriers = (np.where(is_exact, np.inf, sd_m) < MAX_CARRIER_SD_M).sum(1) >= MIN_CARRIERS
     travel_m = compute_known_median(np.abs(sampled - compute_known_median(sampled))).max(1)
     return is_exact & has_carriers & np.isfinite(travel_m) & (travel_m > MIN_TRAVEL_M)
-
-
-def sample_frames(count: int, max_count: int = MAX_FUNCTION_FRAMES) -> Int[np.ndarray, " N"]:
-    """Return the indices of at most `max_count` of `count` frames, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, max_count).astype(int))
 
 
 def measure_distance_sd(points: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "P P"]:

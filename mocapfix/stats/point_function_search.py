@@ -24,12 +24,13 @@ from mocapfix.stats.exact_distances import (
     compute_known_median,
     find_exactly_rigid_points,
     measure_distance_sd,
-    sample_frames,
 )
 from mocapfix.stats.point_functions import PointFunction, build_frame_axes
+from mocapfix.stats.sequences import sample_evenly
 
-# Number of frames, evenly spread, that decide which functions are worth a full estimate.
+# Number of frames, evenly spread, that decide which functions, and which points between two, are worth a full estimate.
 MAX_SCREENED_FRAMES = 20
+MAX_LINE_FRAMES = 5
 # Largest such distance in the screening by functions of nearly the right form, in addition to that limit.
 SCREENING_MISFIT_M = 2e-3
 # Largest such distance in the screening by functions of the right form, in multiples of that limit.
@@ -80,7 +81,7 @@ def find_point_functions(
     if len(points) < MIN_COMMON_FRAMES:
         return {}
     search = _FunctionSearch(
-        points[sample_frames(len(points), MAX_FUNCTION_FRAMES)], max(MAX_MISFIT_RESOLUTIONS * resolution_m, MIN_MISFIT_LIMIT_M)
+        points[sample_evenly(len(points), MAX_FUNCTION_FRAMES)], max(MAX_MISFIT_RESOLUTIONS * resolution_m, MIN_MISFIT_LIMIT_M)
     )
     is_parent, functions = is_parent.copy(), dict[int, PointFunction]()
     is_exact = find_exactly_rigid_points(points, resolution_m)
@@ -116,7 +117,7 @@ class _FunctionSearch:
 
     def __init__(self, points: Float[np.ndarray, "T P 3"], limit_m: float):
         self.points, self.limit_m = points, limit_m
-        self.screened = points[sample_frames(len(points), MAX_SCREENED_FRAMES)]
+        self.screened = points[sample_evenly(len(points), MAX_SCREENED_FRAMES)]
         self.distance_sd_m = measure_distance_sd(self.screened)
 
     def find_between_two(self, point: int, others: Int[np.ndarray, " K"]) -> PointFunction | None:
@@ -124,7 +125,8 @@ class _FunctionSearch:
         if len(others) > MAX_LINE_CANDIDATES:
             others = others[np.argsort(self.distance_sd_m[point, others])[:MAX_LINE_CANDIDATES]]
         before, after = (others[index] for index in np.triu_indices(len(others), 1))
-        screened = self.screened[::2]
+        seen = np.flatnonzero(~np.isnan(self.points[:, point, 0]))
+        screened = self.points[seen[sample_evenly(len(seen), MAX_LINE_FRAMES)]]
         first, step = screened[:, before], screened[:, after] - screened[:, before]
         own = screened[:, point, None] - first
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -147,12 +149,18 @@ class _FunctionSearch:
         seen = np.flatnonzero(~np.any(np.isnan(self.points[:, group, 0]), axis=1))
         if len(seen) < MIN_COMMON_FRAMES:
             return None
-        screened = self._remove_faulty_frames(self.points[seen[sample_frames(len(seen), MAX_SCREENED_FRAMES)]], group)
+        screened = self._remove_faulty_frames(self.points[seen[sample_evenly(len(seen), MAX_SCREENED_FRAMES)]], group)
         rough = self._fit_as_mean(screened, point, tuple(near))
         is_near = compute_known_median(rough.misfit_m[0]) < EXACT_SCREENING_LIMITS * self.limit_m
         if is_near and (function := self._fit_mean(point, tuple(near))):
             return function
         candidates = _list_corners(len(near))
+        is_used = np.any(candidates != 0, axis=1)
+        near_sd_m = self.distance_sd_m[np.ix_(near, near)]
+        least_sd_m = np.where(is_used[:, :, None] & is_used[:, None], near_sd_m, np.inf).min((1, 2))
+        candidates = candidates[least_sd_m > MIN_PARENT_VARIATION * self.limit_m]
+        if not len(candidates):
+            return None
         corners = np.einsum("ncp,tpx->ntcx", candidates, screened[:, near])
         own = screened[:, point] - corners[:, :, 0]
         misfit = compute_known_median(self._regress(own, _build_screening_basis(corners), SCREENING_ROUNDS).misfit_m.T)
