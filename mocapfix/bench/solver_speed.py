@@ -22,7 +22,7 @@ from mocapfix.bench.compared_solvers import (
 )
 from mocapfix.bench.dense_solver import DenseSolver
 from mocapfix.bench.scope_scenes import SCOPE_JOINT_COUNTS, ScopeScene, build_scope_experiments
-from mocapfix.solve.parallel import count_cores
+from mocapfix.kernels.precompilation import count_cores
 
 ONE_THREAD_ENVIRONMENT: dict[str, str] = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 TASK_TAKE_NAMES = ("clean", "noisy")

@@ -36,8 +36,7 @@ def precompile_kernels(report_progress: Callable[[int, int], None], processes: i
     signatures = read_signatures()
     schedule = CompilationSchedule(signatures, report_progress)
     if processes is None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        processes = min(cores, MAX_PROCESSES)
+        processes = min(count_cores(), MAX_PROCESSES)
     helpers = [threading.Thread(target=_feed_worker, args=(schedule,), daemon=True) for _ in range(processes - 1)]
     for helper in helpers:
         helper.start()
@@ -53,6 +52,11 @@ def precompile_kernels(report_progress: Callable[[int, int], None], processes: i
         for outdated in path.parent.glob(f"precompiled.{sys.implementation.cache_tag}-*"):
             outdated.unlink()
         path.touch()
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _get_stamp_path() -> Path:

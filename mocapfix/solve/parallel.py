@@ -4,7 +4,6 @@ The kernels release the interpreter's lock. Each thread takes a block of frames 
 depend on the number of threads. (Numba's own parallel loops do the same but take several times as long to compile.)
 """
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
@@ -12,6 +11,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
+
+from mocapfix.kernels.precompilation import count_cores
 
 
 class SolveOrder(NamedTuple):
@@ -82,11 +83,6 @@ def order_from_gap_ends(gaps: list[tuple[int, int]], uncertain_joints: Bool[np.n
 Part = TypeVar("Part")
 
 BLOCKS_PER_CORE = 4  # so that cores that finish early take over blocks from others
-
-
-def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_over_frames(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
