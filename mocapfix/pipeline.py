@@ -152,20 +152,24 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
     if state.marker_set is None:
         return state
     for solve_round in range(1, options.solve.max_solve_rounds + 1):
-        with timer("calibrate") if state.known_subject is None else nullcontext():
-            state = calibrate_body(state, options)
-        state = initialise_and_solve(state, options, timer)
-        extended = place_moved_markers(state, options)
-        if extended is not state:
-            state = initialise_and_solve(extended, options, timer)
+        state = fit_body(state, options, timer)
         if solve_round == options.solve.max_solve_rounds:
             break
+        detection = state.detection
         with timer("detect"):
-            checked = detect_on_body(state, options)
-        if checked is state:
+            state = detect_on_body(state, options)
+        if state.detection is detection:
             break
-        state = checked
     return state
+
+
+def fit_body(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
+    """Calibrate the body and solve its poses, with the markers that moved on it at each of their places."""
+    with timer("calibrate") if state.known_subject is None else nullcontext():
+        state = calibrate_body(state, options)
+    state = initialise_and_solve(state, options, timer)
+    extended = place_moved_markers(state, options)
+    return state if extended is state else initialise_and_solve(extended, options, timer)
 
 
 def initialise_and_solve(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:

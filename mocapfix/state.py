@@ -95,6 +95,7 @@ class CalibrationFit:
         markers: (N, K, 3) metres, the samples in these frames.
         root_positions: (N, 3) metres, the poses in these frames.
         local_rotations: (N, J, 3, 3), the same.
+        improvement: by how much the refinement decreased its cost, relative to the result.
     """
 
     subject: Subject
@@ -104,6 +105,7 @@ class CalibrationFit:
     markers: Float[np.ndarray, "N K 3"]
     root_positions: Float[np.ndarray, "N 3"]
     local_rotations: Float[np.ndarray, "N J 3 3"]
+    improvement: float
 
 
 @dataclass(frozen=True)

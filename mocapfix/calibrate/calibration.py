@@ -38,8 +38,12 @@ MIN_PAIR_FRAMES = 10
 """Frames in which both markers of a pair must be visible."""
 MAX_DISTANCE_VARIATION = 0.03
 """Median absolute deviation of a pair's distance as a share of its median; a pair that varies more spans a bending joint."""
-MAX_KEPT_CHANGE_SD = 0.5
-"""Change of a bone or marker offset, in standard deviations of the calibration, up to which the earlier calibration is kept."""
+MAX_KEPT_IMPROVEMENT = 0.003
+"""Relative decrease of the cost by a further refinement up to which the earlier calibration is kept: that of a few steps after
+which a refinement ends."""
+MAX_KEPT_CHANGE_SD = 3.0
+"""Change of a marker offset, in standard deviations of the calibration, up to which it is kept: a marker that is seldom visible
+hardly affects the cost."""
 MIN_SIZE_RATIO = 0.3
 """Smallest accepted size relative to the average body: a baby."""
 MAX_SIZE_RATIO = 1.6
@@ -73,13 +77,13 @@ def fit_calibration(
     else:
         start, frames, unknowns = previous.start, previous.frames, previous.unknowns
         root_positions, local_rotations = previous.root_positions, previous.local_rotations
-    subject, refined = refinement.refine_subject(
+    subject, refined, first_cost = refinement.refine_subject(
         start, body, prior, take.markers[frames], root_positions, local_rotations, unknowns, times_s=frames / take.rate
     )
     check_size_ratio(take, subject.skeleton.total_length_m / body.skeleton.total_length_m)
-    return CalibrationFit(
-        subject, start, refined.unknowns, frames, take.markers[frames], refined.root_position, refined.local_rotations
-    )
+    improvement = (first_cost - refined.cost) / refined.cost
+    poses = refined.root_position, refined.local_rotations
+    return CalibrationFit(subject, start, refined.unknowns, frames, take.markers[frames], *poses, improvement)
 
 
 def scale_average_subject(take: Take, marker_set: MarkerSet, body: BodyModel) -> Subject:
@@ -229,16 +233,10 @@ def update_calibration(
     if np.array_equal(previous.markers, take.markers[previous.frames], equal_nan=True):
         return previous
     updated = fit_calibration(take, marker_set, body, prior, previous)
-    return previous if is_negligible_change(previous.subject, updated.subject) else updated
-
-
-def is_negligible_change(old: Subject, new: Subject) -> bool:
-    """Return whether bones and marker offsets of two calibrations differ by little, relative to their uncertainty."""
-    bone_change = np.linalg.norm(new.skeleton.offsets - old.skeleton.offsets, axis=1)
+    old, new = previous.subject, updated.subject
     marker_change = np.linalg.norm(new.marker_offsets - old.marker_offsets, axis=1)
-    return bool(
-        (bone_change <= MAX_KEPT_CHANGE_SD * old.joint_sd).all() and (marker_change <= MAX_KEPT_CHANGE_SD * old.marker_sd).all()
-    )
+    is_negligible = updated.improvement <= MAX_KEPT_IMPROVEMENT and (marker_change <= MAX_KEPT_CHANGE_SD * old.marker_sd).all()
+    return previous if is_negligible else updated
 
 
 def place_moved_markers(state: CleaningState, options: CleanOptions) -> CleaningState:

@@ -122,8 +122,8 @@ def refine_subject(
     unknowns: Float[np.ndarray, " Q"] | None = None,
     *,
     times_s: Float[np.ndarray, " N"],
-) -> tuple[Subject, RefinementState]:
-    """Return `start` with the bones and marker offsets that fit the frames best, and the refined state.
+) -> tuple[Subject, RefinementState, float]:
+    """Return `start` with the bones and marker offsets that fit the frames best, the refined state, and the first state's cost.
 
     root_position, local_rotations  the first poses
     times_s                         of the frames: those near each other have similar errors
@@ -137,6 +137,7 @@ def refine_subject(
 
     unknowns = np.zeros(len(parameters.information)) if unknowns is None else unknowns
     state = fit(unknowns, root_position, local_rotations)
+    first_cost = state.cost
     curvature, damping = compute_curvature(state), INITIAL_DAMPING
     for _ in range(MAX_REFINEMENT_ROUNDS):
         step = compute_damped_step(curvature, state.gradient, damping)
@@ -152,7 +153,7 @@ def refine_subject(
             damping *= 10
             if damping > MAX_DAMPING:
                 break
-    return build_refined_subject(start, state, curvature, times_s), state
+    return build_refined_subject(start, state, curvature, times_s), state, first_cost
 
 
 def solve_and_linearise(

@@ -31,7 +31,7 @@ MIN_MARKER_TRUST = 0.25
 """Robust weight below which a marker is not used by HybrIK; a marker 5 cm from its segment has this weight."""
 HYBRIK_VARIANTS: dict[str, HybrikVariant] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybrik-naive": "naive"}
 """The HybrIK variant of each method."""
-MAX_BLOCK_FRAMES = 8192
+MAX_BLOCK_FRAMES = 4096
 """Frames that are posed at a time; a frame takes its root from its neighbours only within them, if its markers do not show it."""
 MIN_START_MARKER_SHARE = 0.5
 """Share of the markers that are visible in any frame which a frame must show to start the chain of method "previous"."""
@@ -47,9 +47,7 @@ def initialise_motion(
     method  one of INIT_METHODS
     """
     if take.frame_count > MAX_BLOCK_FRAMES and method in HYBRIK_VARIANTS:
-        blocks = np.array_split(np.arange(take.frame_count), -(-take.frame_count // MAX_BLOCK_FRAMES))
-        parts = [initialise_motion(take.replace_markers(take.markers[b]), subject, body, prior, method) for b in blocks]
-        return Motion(*(np.concatenate(fields) for fields in zip(*(vars(part).values() for part in parts), strict=True)))
+        return initialise_in_blocks(take, subject, body, prior, method)
     if method in HYBRIK_VARIANTS:
         estimate, is_held = joint_positions.estimate_joint_positions(take, subject, body), ~body.free_joints
         motion = solve_hybrik(
@@ -64,6 +62,19 @@ def initialise_motion(
         return bend_unmarked_chains(motion, subject, prior)
     motion = register_poses(subject, body.free_joints, prior, take.markers)
     return start_from_previous(motion, take.visible) if method == "previous" else motion
+
+
+def initialise_in_blocks(take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str) -> Motion:
+    """Return what `initialise_motion` returns, computed block by block: the arrays of a block are several times its poses."""
+    fields: list[np.ndarray] = []
+    for first in range(0, take.frame_count, MAX_BLOCK_FRAMES):
+        block = slice(first, first + MAX_BLOCK_FRAMES)
+        part = initialise_motion(take.replace_markers(take.markers[block]), subject, body, prior, method)
+        if not fields:
+            fields = [np.empty((take.frame_count, *field.shape[1:]), field.dtype) for field in vars(part).values()]
+        for field, values in zip(fields, vars(part).values(), strict=True):
+            field[block] = values
+    return Motion(*fields)
 
 
 def bend_unmarked_chains(motion: Motion, subject: Subject, prior: MeanPosePrior) -> Motion:

@@ -112,3 +112,16 @@ def test_next_round_goes_on_from_the_calibration_before(truth):
     for one, other in ((again, first), (again, cold)):
         assert np.abs(lengths(one.subject.skeleton) - lengths(other.subject.skeleton)).max() < 2e-3
         assert np.linalg.norm(one.subject.marker_offsets - other.subject.marker_offsets, axis=1).mean() < 2e-3
+
+
+def test_calibration_is_kept_if_samples_hardly_change_it():
+    markers = synthetic.compose_take(seed=7, seconds=8.0, rate=30.0).marker_positions
+    take = Take(markers, MARKER_SET.labels, 30.0)
+    first = calibration.fit_calibration(take, MARKER_SET, BODY, MEAN)
+    elsewhere, within, moved = markers.copy(), markers.copy(), markers.copy()
+    elsewhere[np.setdiff1d(np.arange(len(markers)), first.frames)[0], 3] = np.nan
+    within[first.frames[0], 3] = np.nan
+    moved[:, 3] += [0.0, 0.03, 0.0]
+    for changed, is_kept in ((elsewhere, True), (within, True), (moved, False)):
+        updated = calibration.update_calibration(Take(changed, MARKER_SET.labels, 30.0), MARKER_SET, BODY, MEAN, first)
+        assert (updated is first) == is_kept

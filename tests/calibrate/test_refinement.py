@@ -133,7 +133,7 @@ def test_input_poses_are_not_modified():
     posed = refinement.pose_frames(NOMINAL, BODY, MEAN, markers)
     was = [field.copy() for field in vars(posed).values()]
     poses = posed.root_position, posed.local_rotations
-    subject, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, *poses, times_s=np.arange(30.0))
+    subject, _, _ = refinement.refine_subject(NOMINAL, BODY, MEAN, markers, *poses, times_s=np.arange(30.0))
     assert subject.frame_count == 30
     for before, after in zip(was, vars(posed).values(), strict=True):
         np.testing.assert_array_equal(before, after)
