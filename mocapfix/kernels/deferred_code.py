@@ -12,6 +12,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
+from llvmlite.binding import parse_bitcode
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
@@ -23,6 +24,7 @@ ENVIRONMENT_PREFIX = "_ZN08NumbaEnv"  # of the names of Numba's variables that r
 class DeferredCodeLibrary(JITCodeLibrary):
     """The code of a compiled function and of those that it calls; machine code once an address is asked for."""
 
+    _intermediate_code = b""  # if it comes from the cache, with machine code
     _is_loaded = False  # whether the execution engine has the machine code
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -37,7 +39,32 @@ class DeferredCodeLibrary(JITCodeLibrary):
     def serialize_using_object_code(self) -> tuple:
         """Return what is cached: without machine code if there is none."""
         self._ensure_finalized()
-        return super().serialize_using_object_code() if self._is_loaded else self.serialize_using_bitcode()
+        if not self._is_loaded:
+            return self.serialize_using_bitcode()
+        name, kind, data = super().serialize_using_object_code()
+        module = self._get_module_for_linking()
+        symbols = [each.name for each in (*module.functions, *module.global_variables) if not each.is_declaration]
+        return name, kind, (*data, symbols)
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple) -> "DeferredCodeLibrary":
+        """Return the library of what is cached. The intermediate code beside machine code is read once it is needed."""
+        name, kind, data = state
+        if kind != "object":
+            return super()._unserialize(codegen, state)
+        library = codegen.create_library(name)
+        machine_code, library._intermediate_code, symbols = data
+        library.enable_object_caching()
+        library._set_compiled_object(machine_code)
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(symbols)
+        return library
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the intermediate code for a caller's library."""
+        if self._intermediate_code:
+            self._shared_module, self._intermediate_code = parse_bitcode(self._intermediate_code), b""
+        return super()._get_module_for_linking()
 
     def _optimize_final_module(self) -> None:
         """Do nothing: `finalize` calls this too early."""

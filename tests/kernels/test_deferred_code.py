@@ -55,6 +55,21 @@ def test_an_inner_kernel_becomes_machine_code_when_its_address_is_needed(kernels
     assert library._is_loaded
 
 
+def test_cached_machine_code_can_be_called_from_python_and_from_a_kernel(kernels):
+    def count_all(n):
+        return len(np.zeros(n))
+
+    first = compile_kernel(count_all)
+    assert first(4) == 4
+    cached = compile_kernel(count_all)
+    caller = compile_kernel(lambda n: cached(n) + 1)
+    assert cached(5) == 5
+    assert sum(cached.stats.cache_hits.values()) == 1
+    assert get_library(cached)._intermediate_code
+    assert caller(6) == 7
+    assert not get_library(cached)._intermediate_code
+
+
 def test_other_compiled_functions_are_not_affected(kernels):
     other = njit(lambda n: np.arange(n).sum())
     assert other(4) == kernels[1](4) == 6
