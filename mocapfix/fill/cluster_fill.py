@@ -30,6 +30,8 @@ MAX_CLUSTER_TRAINING_FRAMES = 300
 """Evenly spaced frames from which distances and deformations are learned."""
 SHAPE_RIDGE_M = 0.01
 """Ridge of the regression: deformations far below it are ignored."""
+INDEPENDENT_FRAME_S = 0.5
+"""Time after which another frame shows an independent deformation: frames in between do not make the regression more certain."""
 CROSS_VALIDATION_FOLDS = 4
 """Stretches of the take, each predicted from the others, that give the error of the regression."""
 CLUSTER_RESIDUAL_FADE_S = 0.3
@@ -129,7 +131,8 @@ def fill_gap_from_cluster(
     n, rows = len(training_frames), np.r_[training_frames, frames]
     cluster = align_cluster(markers[np.ix_(rows, cluster_markers)], weight)
     measured = transform_to_body_axes(markers[rows, marker][:, None], cluster.centre, cluster.rotation)[:, 0]
-    predicted, error = regress_positions(cluster.markers.reshape(len(rows), -1), measured[:n])
+    independent_count = len(np.unique((training_frames / (rate * INDEPENDENT_FRAME_S)).astype(int)))
+    predicted, error, inflation = regress_positions(cluster.markers.reshape(len(rows), -1), measured[:n], n / independent_count)
     residual = np.full((frames[-1] - frames[0] + 1, 3), np.nan)  # the frames beside a gap need not be consecutive
     residual[frames - frames[0]] = (measured - predicted)[n:]
     gap_frames = np.arange(first, last + 1)
@@ -147,7 +150,7 @@ def fill_gap_from_cluster(
     rows = n + np.searchsorted(frames, gap_frames)
     local = predicted[rows] + interpolated[is_gap]
     positions = np.einsum("tab,tb->ta", cluster.rotation[rows], local) + cluster.centre[rows]
-    return positions, np.sqrt(variance[is_gap] + CLUSTER_SAMPLE_NOISE_M**2)
+    return positions, np.sqrt(variance[is_gap] * inflation[rows] ** 2 + CLUSTER_SAMPLE_NOISE_M**2)
 
 
 def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray, " K"]) -> AlignedCluster:
@@ -163,21 +166,32 @@ def align_cluster(cluster: Float[np.ndarray, "T K 3"], weight: Float[np.ndarray,
 
 
 def regress_positions(
-    deformation: Float[np.ndarray, "T F"], measured: Float[np.ndarray, "N 3"]
-) -> tuple[Float[np.ndarray, "T 3"], float]:
-    """Return positions in metres predicted by a ridge regression, and its cross-validated error per axis.
+    deformation: Float[np.ndarray, "T F"], measured: Float[np.ndarray, "N 3"], frames_per_independent: float
+) -> tuple[Float[np.ndarray, "T 3"], float, Float[np.ndarray, " T"]]:
+    """Return positions in metres predicted by a ridge regression, its cross-validated error per axis, and its inflation (T,).
 
-    deformation  positions of the cluster's markers; the first N rows are those of the measured positions, which are learned
+    The error holds for deformations like those of the folds. One that differs more from what was learned has a larger variance:
+    that of the regression's coefficients, x' (X'X + ridge)^-1 x, counts in addition.
+
+    deformation             positions of the cluster's markers; the first N rows are those of the measured positions
+    frames_per_independent  number of learned frames of which one is independent of the others
     """
     n, size = len(measured), deformation.shape[1]
     mean, centre = deformation[:n].mean(0), measured.mean(0)
     x, y = deformation - mean, measured - centre
     square, moment = x[:n].T @ x[:n], x[:n].T @ y
 
-    def fit_without(fold: np.ndarray) -> np.ndarray:
+    def fit_without(fold: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the predictions and the leverages of some rows from a fit without a fold."""
         a, b = x[fold], y[fold]
-        return np.linalg.solve(square - a.T @ a + (n - len(a)) * SHAPE_RIDGE_M**2 * np.eye(size), moment - a.T @ b)
+        curvature = square - a.T @ a + (n - len(a)) * SHAPE_RIDGE_M**2 * np.eye(size)
+        solved = np.linalg.solve(curvature, np.concatenate([moment - a.T @ b, targets.T], axis=1))
+        return targets @ solved[:, :3], np.einsum("nf,fn->n", targets, solved[:, 3:])
 
     folds = np.array_split(np.arange(n), CROSS_VALIDATION_FOLDS)
-    errors = np.concatenate([y[fold] - x[fold] @ fit_without(fold) for fold in folds])
-    return centre + x @ fit_without(np.arange(0)), float(np.sqrt((errors**2).mean()))
+    validated = [fit_without(fold, x[fold]) for fold in folds]
+    errors = y - np.concatenate([predicted for predicted, _ in validated])
+    usual_leverage = float(np.mean(np.concatenate([leverage for _, leverage in validated])))
+    predicted, leverage = fit_without(np.arange(0), x)
+    variance_ratio = (1 + frames_per_independent * leverage) / (1 + frames_per_independent * usual_leverage)
+    return centre + predicted, float(np.sqrt((errors**2).mean())), np.sqrt(np.maximum(variance_ratio, 1.0))

@@ -4,7 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.cluster_fill import compute_column_percentiles, compute_distance_changes, fill_from_clusters
+from mocapfix.fill.cluster_fill import (
+    compute_column_percentiles,
+    compute_distance_changes,
+    fill_from_clusters,
+    regress_positions,
+)
 
 RATE = 100.0
 
@@ -91,3 +96,15 @@ def test_column_percentiles_equal_numpy(seed, share):
     expected = [np.nanpercentile(column, 100 * share) for column in numbers.T[:3]]
     found = compute_column_percentiles(np.sort(numbers, axis=0), share)
     np.testing.assert_allclose(found, [*expected, np.inf], atol=1e-12)
+
+
+def test_extrapolation_is_less_certain_than_interpolation():
+    rng = np.random.default_rng(0)
+    learned = rng.normal(scale=0.01, size=(300, 3))
+    deformation = np.concatenate([learned, 0.5 * learned[:5], 20 * learned[:5]])
+    measured = learned @ rng.normal(size=(3, 3)) + rng.normal(scale=0.001, size=(300, 3))
+    _, _, inflation = regress_positions(deformation, measured, 10.0)
+    assert (inflation[300:305] < 1.1).all()
+    assert (inflation[305:] > 1.9).all()
+    _, _, independent = regress_positions(deformation, measured, 1.0)  # the more frames are independent, the more is known
+    assert (independent[305:] < inflation[305:]).all()
