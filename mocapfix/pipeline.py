@@ -233,21 +233,19 @@ def calibrate_takes(
     options = options.change(**changed_options)
     if not paths:
         raise TakeError("There is no take to calibrate from; name at least one.")
-    selected: list[tuple[Take, CleaningState]] = []
-    for path in paths:
-        state = _detect_for_calibration(path, options)
-        assert state.marker_set is not None
-        columns = state.marker_set.find_columns(state.original_take.labels)
-        selected.append((state.detection.take.select(columns, state.detection.inlier_mask), state))
-    marker_sets = {state.marker_set.name: state.marker_set for _, state in selected if state.marker_set}
-    if len(marker_sets) > 1:
-        names = ", ".join(f"{state.original_take.name} ({state.marker_set.name})" for _, state in selected if state.marker_set)
+    states = [_detect_for_calibration(path, options) for path in paths]
+    marker_sets = [state.marker_set for state in states if state.marker_set]
+    if len({each.name for each in marker_sets}) > 1:
+        names = ", ".join(f"{state.original_take.name} ({state.marker_set.name})" for state in states if state.marker_set)
         raise TakeError(
             f"The takes have different marker sets: {names}; calibrate them separately, or name one with --marker-set."
         )
-    takes = [take for take, _ in selected]
+    marker_set = max(marker_sets, key=lambda each: len(each.labels))  # takes may show different parts of the body
+    takes = [
+        state.detection.take.select(marker_set.find_columns(state.original_take.labels), state.detection.inlier_mask)
+        for state in states
+    ]
     joined = takes[0].replace_markers(np.concatenate([take.markers for take in takes]))
-    (marker_set,) = marker_sets.values()
     body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
     return calibrate_subject(joined, marker_set, body, load_mean_pose_prior(mean_pose_prior, body.skeleton))
 

@@ -207,21 +207,37 @@ def add_moved_markers(
 def calibrate_body(state: CleaningState, options: CleanOptions) -> CleaningState:
     """Take the known subject, or calibrate one from the inliers of the take. Sets `subject` and `marker_columns` of the state.
 
+    The marker set of the state becomes that of the joints that the inliers show.
+
     A further round goes on from the calibration of the round before, unless labels were corrected since.
 
     Raises TakeError where the markers do not allow a calibration.
     """
-    assert state.marker_set is not None
-    epochs = state.detection.epochs
-    columns = state.marker_set.find_columns(epochs.take.labels)
+    epochs, marker_set = state.detection.epochs, find_visible_part(state)
+    columns = marker_set.find_columns(epochs.take.labels)
     subject, calibration = state.known_subject, None
+    if subject is not None and len(subject.labels) > len(marker_set.labels):
+        subject = subject.select_markers(marker_set.labels)
     if subject is None:
-        body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
+        body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
         prior = load_mean_pose_prior("mean-pose", body.skeleton)
         take = epochs.take.select(columns, epochs.split_mask(state.detection.solver_mask))
-        calibration = update_calibration(take, state.marker_set, body, prior, state.calibration)
+        previous = state.calibration if marker_set is state.marker_set else None
+        calibration = update_calibration(take, marker_set, body, prior, previous)
         subject = calibration.subject
-    return replace(state, calibration=calibration, subject=subject, extended_subject=subject, marker_columns=columns)
+    state = replace(state, marker_set=marker_set, calibration=calibration)
+    return replace(state, subject=subject, extended_subject=subject, marker_columns=columns)
+
+
+def find_visible_part(state: CleaningState) -> MarkerSet:
+    """Return the take's marker set without the markers of joints that no sample shows: labels may have no samples at all."""
+    marker_set, epochs = state.marker_set, state.detection.epochs
+    assert marker_set is not None
+    columns = marker_set.find_columns(epochs.take.labels)
+    is_visible = (columns >= 0) & epochs.split_mask(state.detection.solver_mask)[:, columns].any(0)
+    visible_labels = [label for label, is_seen in zip(marker_set.labels, is_visible, strict=True) if is_seen]
+    part = marker_set.select_shown_part(visible_labels)
+    return part if part.labels else marker_set
 
 
 def update_calibration(

@@ -8,7 +8,7 @@ more likely where the known marker sets place one.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.marker_set import MarkerSet
 
@@ -63,6 +63,11 @@ class MarkerAtlas:
         """Return the distance in metres of each offset in a joint's axes from the nearest known one on that joint."""
         known = self.offsets[self.joints == joint]
         return np.linalg.norm(offsets[:, None] - known[None], axis=-1).min(1)
+
+    def select_joints(self, is_selected: Bool[np.ndarray, " J"]) -> "MarkerAtlas":
+        """Return the positions on some of the joints."""
+        is_kept = is_selected[self.joints]
+        return MarkerAtlas(self.joints[is_kept], self.offsets[is_kept])
 
     def scale(self, size: float) -> "MarkerAtlas":
         """Return the atlas of a body `size` times as large."""

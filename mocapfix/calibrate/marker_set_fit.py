@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.calibrate import refinement
 from mocapfix.calibrate.calibration import calibrate_subject, select_candidate_frames
@@ -15,7 +16,7 @@ from mocapfix.calibrate.marker_attachment import AttachedMarkers, attach_markers
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import load_shipped_marker_sets
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
-from mocapfix.skeleton import BodyModel
+from mocapfix.skeleton import BodyModel, find_carriers, restrict_body
 from mocapfix.solve import kinematics
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -70,10 +71,16 @@ def fit_marker_set(
     log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
 
     def calibrate_and_attach(marker_set: MarkerSet) -> tuple[CalibratedFrames, AttachedMarkers, MarkerSet]:
-        fit = calibrate_on_frames(take, labels, marker_set, body, prior, frames)
+        part = restrict_body(body, set(marker_set.joints.tolist()))
+        fit = calibrate_on_frames(take, labels, marker_set, part, prior, frames)
         size = fit.subject.skeleton.total_length_m / body.skeleton.total_length_m
         attachment = attach_markers(
-            take.markers[frames], fit.joint_positions, fit.joint_rotations, atlas.scale(size), body.skeleton.names, log_odds
+            take.markers[frames],
+            fit.joint_positions,
+            fit.joint_rotations,
+            atlas.select_joints(find_posed_joints(part, body)).scale(size),
+            body.skeleton.names,
+            log_odds,
         )
         return fit, attachment, build_marker_set(attachment, labels, guess, size)
 
@@ -85,6 +92,13 @@ def fit_marker_set(
         previous = marker_set
         fit, attachment, marker_set = calibrate_and_attach(marker_set)
     return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m)
+
+
+def find_posed_joints(part: BodyModel, body: BodyModel) -> Bool[np.ndarray, " J"]:
+    """Return the joints (J,) to which markers may be attached: of a part of a body those that it shows, else all."""
+    is_posed = part.free_joints | part.shown_segments
+    is_posed[0] = part.shown_segments[0]
+    return is_posed[find_carriers(part.skeleton.parents, body.free_joints)]
 
 
 def build_marker_set(attachment: AttachedMarkers, labels: tuple[str, ...], guess: MarkerSet, size: float) -> MarkerSet:

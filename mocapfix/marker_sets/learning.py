@@ -130,6 +130,7 @@ def learn_marker_set(
     marker_set = build_learned_set(learned, guess.marker_set, name, f"Learned from {take.name}", keep_guess=keep_guess)
     if problem := marker_set.describe_missing_body(marker_set.labels):
         raise TakeError(f"{take.name}: no marker set can be learned: {problem.partition(';')[0]}.")
+    marker_set = marker_set.select_shown_part(marker_set.labels)
     reasons = learned.attachment.rejection_reasons
     excluded = {label: reason for label, reason in zip(labels, reasons, strict=True) if reason}
     return LearnedMarkerSet(
@@ -168,9 +169,15 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
     """
     visible_labels = [label if take.visible[:, m].any() else "" for m, label in enumerate(labels)]
     known = load_marker_set(like) if like else choose_marker_set(visible_labels).marker_set
+    from_words = guess_marker_set_from_words([label for label in visible_labels if label])
+    is_part = known is not None and bool(known.describe_incomplete_body(known.match_labels(visible_labels)))
+    if is_part and not like and not from_words.describe_incomplete_body(from_words.labels):
+        known = None  # the words of the labels show more: a whole body
     if known:
-        guess = relabel_marker_set(known, visible_labels)
-        if problem := known.describe_missing_body(known.match_labels(visible_labels)):
+        found = known.match_labels(visible_labels)
+        problem = known.describe_missing_body(found)
+        guess = relabel_marker_set(known if problem else known.select_shown_part(found), visible_labels)
+        if problem:
             raise TakeError(
                 f"{take.name}: {known.name} cannot be used to learn a marker set: only {len(guess.labels)} of its markers are "
                 f"present; {problem}."
@@ -178,8 +185,8 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
         has_others = len(guess.labels) < sum(map(bool, visible_labels))
         others = " The segments of the others are learned from their motion." if has_others else ""
         return InitialGuess(guess, KNOWN_LABEL_LOG_ODDS, f"{describe_marker_set_match(known, visible_labels)}{others}")
-    guess = guess_marker_set_from_words([label for label in visible_labels if label])
-    if not guess.describe_missing_body(guess.labels):
+    guess = from_words.select_shown_part(from_words.labels)
+    if guess.labels:
         description = f"{len(guess.labels)} markers were located by words in their labels, the others by their motion."
         return InitialGuess(guess, LABEL_WORD_LOG_ODDS, description)
     body = load_cmu31_body()

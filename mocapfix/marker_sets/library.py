@@ -132,7 +132,7 @@ class _MarkerSetModel(StrictModel):
 
 
 UNASSIGNED_SUBJECT = "others"
-"""the name of the take of the markers that belong to no whole body"""
+"""the name of the take of the markers that belong to no body, nor to a part of one"""
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def resolve_subject(take: Take, options: SubjectOptions) -> SubjectChoice:
     Raises TakeError where the named set or subject does not fit the take.
     """
     if take.subject_name == UNASSIGNED_SUBJECT:
-        return SubjectChoice(None, None, ("Markers that do not form a full body are cleaned without a skeleton.",))
+        return SubjectChoice(None, None, ("Markers that form neither a body nor a part of one are cleaned without a skeleton.",))
     requested = load_requested_subject(options)
     marker_set = requested.marker_set
     if marker_set is None:
