@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import SceneError
-from mocapfix.skeleton import load_cmu31_body, load_cmu31_skeleton, load_shape_components
+from mocapfix.skeleton import load_cmu31_body, load_cmu31_skeleton, load_shape_components, restrict_body
 from mocapfix.train.training_poses import mirror_joint_name
 
 BODY = load_cmu31_body()
@@ -120,3 +120,46 @@ def test_shape_components_are_symmetric_or_antisymmetric():
     mirrored = SHAPES[:, mirrored_joints] * MIRROR
     sign = np.sign((mirrored * SHAPES).sum(axis=(1, 2)))
     np.testing.assert_allclose(mirrored, sign[:, None, None] * SHAPES, atol=2e-5)
+
+
+LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
+LEG_JOINTS = {"LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"}
+PELVIS_JOINTS = {"Hips", "LHipJoint", "RHipJoint", "LowerBack", "RightUpLeg"}
+ARM_JOINTS = {"LeftArm", "LeftForeArm", "LeftHand", "LeftFingerBase", "LeftHandIndex1", "LThumb"}
+
+
+@pytest.mark.parametrize(
+    ("marked", "free", "solved"),
+    [
+        (("Hips", *LEG), {"Hips", *LEG}, PELVIS_JOINTS | LEG_JOINTS),
+        (("Hips", "LeftFoot"), {"Hips", *LEG}, PELVIS_JOINTS | LEG_JOINTS),  # the segments between them
+        (("Hips", *LEG, "LeftToeBase"), {"Hips", *LEG}, PELVIS_JOINTS | LEG_JOINTS),
+        (LEG, {"Hips", "LeftLeg", "LeftFoot"}, LEG_JOINTS),
+        (
+            ("Spine1", "LeftArm", "LeftForeArm", "LeftHand"),
+            {"Hips", "LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand"},
+            {"Spine1", "Neck", "LeftShoulder", "RightShoulder"} | ARM_JOINTS,
+        ),
+        (("Spine1", "LeftArm"), {"Hips", "LeftShoulder", "LeftArm"},
+         {"Spine1", "Neck", "LeftShoulder", "RightShoulder", "LeftArm", "LeftForeArm"}),
+    ],
+)  # fmt: skip
+def test_part_of_a_body_is_what_lies_between_its_markers(marked, free, solved):
+    part = restrict_body(BODY, [SKELETON.find_joint(name) for name in marked])
+    assert {SKELETON.names[j] for j in np.flatnonzero(part.free_joints)} == free
+    assert {SKELETON.names[j] for j in np.flatnonzero(part.solved_joints)} == solved
+
+
+def test_whole_body_keeps_its_free_joints_and_is_solved_as_far_as_it_has_markers():
+    marked = [SKELETON.find_joint(name) for name in ("Hips", "Spine1", "Head", "LeftArm", "RightForeArm", "LeftFoot", "RightLeg")]
+    part = restrict_body(BODY, marked)
+    np.testing.assert_array_equal(part.free_joints, BODY.free_joints)
+    unsolved = {SKELETON.names[j] for j in np.flatnonzero(~part.solved_joints)}
+    assert unsolved == {"LeftHand", "RightToeBase"} | {
+        side + name for side in ("Left", "Right") for name in ("FingerBase", "HandIndex1")
+    } | {"LThumb", "RThumb"}  # fmt: skip
+    assert BODY.solved_joints.all()
+
+
+def test_body_without_markers_is_not_restricted():
+    assert restrict_body(BODY, ()) is BODY

@@ -145,6 +145,8 @@ def find_correct_labels(
         predicted = fitter.predict_markers(current)
         misfit = compute_marker_misfit(current, predicted).sum(1)
         candidates = [*permutations, *find_pair_exchanges(current, predicted, is_testable[order])]
+        if not candidates:
+            break
         best = max(
             (_evaluate_permutation(current, fitter, misfit, permutation) for permutation in candidates),
             key=lambda step: step.gain,
