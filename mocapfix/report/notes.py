@@ -65,12 +65,13 @@ def describe_unobserved_joints(marker_set_take: Take, subject: Subject) -> list[
 
 
 def describe_unassigned_markers(take: Take, columns: Int[np.ndarray, " K"], fragment_donors: Collection[int] = ()) -> list[str]:
-    """Return a note on the markers that are not in the marker set.
+    """Return a note on the visible markers that are not in the marker set.
 
     columns          markers of the solved subject
     fragment_donors  markers whose samples are fragments of other markers; they are not listed
     """
-    unassigned = [label for m, label in enumerate(take.labels) if m not in columns and m not in fragment_donors]
+    is_other = take.visible.any(0) & ~np.isin(np.arange(len(take.labels)), [*columns, *fragment_donors])
+    unassigned = [take.labels[m] for m in np.flatnonzero(is_other)]
     if not unassigned:
         return []
     prefixes = {take.labels[m].rpartition(":")[0] for m in columns} - {""}
