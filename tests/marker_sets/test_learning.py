@@ -14,7 +14,7 @@ from tests.conftest import build_c3d
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU = marker_sets.load_marker_set("cmu41")
-WHOLE = synthetic.compose_take(seed=8, seconds=5.0, rate=25.0)
+WHOLE = synthetic.compose_take(seed=8, seconds=8.0, rate=25.0)
 SIDES = {"L": "Left", "R": "Right"}
 NAMES = {"KNE": "knee lat", "WRA": "wrist radius", "WRB": "wrist ulna", "HEE": "Ferse"}
 
