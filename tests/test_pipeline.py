@@ -421,25 +421,25 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     assert result.input_take.markers[undamaged].tobytes() == result.take.markers[undamaged].tobytes()
 
 
-def test_a_take_of_legs_only_is_cleaned_without_a_body(cleaned, tmp_path):
-    leg_labels = ("FWT", "BWT", "THI", "KNE", "SHN", "ANK", "HEE", "TOE")
-    legs = [m for m, label in enumerate(cleaned.truth.labels) if label[1:] in leg_labels]
-    source = tmp_path / "legs.c3d"
-    source.write_bytes(build_c3d(cleaned.truth.damaged_positions[:, legs], [cleaned.truth.labels[m] for m in legs]))
+def test_a_take_of_feet_only_is_cleaned_without_a_body(cleaned, tmp_path):
+    foot_labels = ("KNE", "ANK", "HEE", "TOE", "MT5")
+    feet = [m for m, label in enumerate(cleaned.truth.labels) if label[1:] in foot_labels]
+    source = tmp_path / "feet.c3d"
+    source.write_bytes(build_c3d(cleaned.truth.damaged_positions[:, feet], [cleaned.truth.labels[m] for m in feet]))
     result = pipeline.clean(source)
     assert result.subject is None
     first, second = result.subject_report["notes"]
     assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located; not found: ", first)
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     fill = result.subject_report["fill"]
-    assert fill["filled"] > 0.8 * fill["missing_before"] > 0
+    assert fill["filled"] > 0.5 * fill["missing_before"] > 0
     assert sum(each["last"] - each["first"] + 1 for each in fill["unfilled"]) == fill["left_empty"]
     assert all(each["reason"] for each in fill["unfilled"])
 
 
 def test_a_requested_marker_set_must_fit(brief):
-    with pytest.raises(TakeError, match=r"^brief\.c3d: plug-in-gait39 does not fit: \d+ of its \d+ markers, .*not found: "):
-        pipeline.clean(brief.path, marker_set="plug-in-gait39")
+    with pytest.raises(TakeError, match=r"^brief\.c3d: qualisys-sports does not fit: \d+ of its \d+ markers, .*not found: "):
+        pipeline.clean(brief.path, marker_set="qualisys-sports")
 
 
 def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they_are_kept(brief, subject, tmp_path):
