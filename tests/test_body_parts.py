@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import pipeline, synthetic
+from mocapfix.animation import Animation
 from mocapfix.options import OutputOptions
 from mocapfix.read.capture import read_capture
 from mocapfix.skeleton import load_cmu31_body
@@ -87,6 +88,7 @@ def test_solved_joints_are_nearly_as_accurate_as_those_of_the_whole_body(part, w
 
 def test_joints_that_no_marker_shows_have_no_position(part):
     name, result = part
+    assert result.subject is not None
     is_solved = result.subject.solved_joints
     assert is_solved[[NAMES.index(joint) for joint in SOLVED_JOINTS[name]]].all()
     assert not is_solved[[NAMES.index(joint) for joint in UNSOLVED_JOINTS[name]]].any()
@@ -115,6 +117,7 @@ def test_gaps_of_a_part_are_filled_from_its_body(part, truth):
 def test_outputs_hold_31_joints_and_say_which_are_real(truth, tmp_path):
     result = pipeline.clean(write_part(tmp_path / "legs.c3d", truth, PELVIS | LEGS))
     paths = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("npz",)))
+    assert result.subject is not None
     is_solved = result.subject.solved_joints
     with np.load(paths["npz"]) as arrays:
         np.testing.assert_array_equal(arrays["solved_joints"], is_solved)
@@ -123,13 +126,19 @@ def test_outputs_hold_31_joints_and_say_which_are_real(truth, tmp_path):
     held = [NAMES.index(name) for name in UNSOLVED_JOINTS["pelvis and legs"]]
     np.testing.assert_allclose(rotations[:, held], np.broadcast_to(rotations[:1, held], rotations[:, held].shape), atol=1e-12)
     assert np.ptp(rotations[:, NAMES.index("LeftLeg")], axis=0).max() > 0.1
-    assert len(read_capture(paths["bvh"], None).names) >= len(NAMES)
+    animation = read_capture(paths["bvh"], None)
+    assert isinstance(animation, Animation)
+    assert len(animation.names) >= len(NAMES)
     assert json.loads(paths["report.json"].read_text())["solve"]["solved_joints"][0] == "Hips"
 
 
 def test_labels_without_samples_are_no_part_of_the_body(truth, tmp_path):
     sparse = pipeline.clean(write_part(tmp_path / "empty.c3d", truth, PELVIS | LEGS, keep_empty_labels=True))
     cut = pipeline.clean(write_part(tmp_path / "cut.c3d", truth, PELVIS | LEGS))
+    assert sparse.subject is not None
+    assert cut.subject is not None
+    assert sparse.joint_position_world is not None
+    assert cut.joint_position_world is not None
     assert sparse.subject.labels == cut.subject.labels
     np.testing.assert_array_equal(sparse.subject.solved_joints, cut.subject.solved_joints)
     np.testing.assert_allclose(sparse.joint_position_world, cut.joint_position_world, atol=1e-3, equal_nan=True)
@@ -138,6 +147,7 @@ def test_labels_without_samples_are_no_part_of_the_body(truth, tmp_path):
 def test_subject_of_a_whole_body_serves_for_a_part(truth, whole, tmp_path):
     path = write_part(tmp_path / "legs.c3d", truth, PELVIS | LEGS)
     result = pipeline.clean(path, subject=whole.subject)
+    assert result.subject is not None
     assert set(result.subject.labels) == PELVIS | LEGS
     np.testing.assert_array_equal(result.subject.skeleton.offsets, whole.subject.skeleton.offsets)
     errors_mm = compute_joint_errors_mm(truth, result, SOLVED_JOINTS["pelvis and legs"])

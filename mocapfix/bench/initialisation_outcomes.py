@@ -22,7 +22,7 @@ from mocapfix.options import SolveOptions
 from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics, motion_solver
-from mocapfix.solve.pose_problem import PoseProblem, build_no_tracking
+from mocapfix.solve.pose_problem import PoseProblem, build_no_tracking, build_pose_problem
 from mocapfix.take import Take
 
 StartMethod = Callable[[InitialisationTake], Motion]
@@ -73,7 +73,7 @@ def evaluate_start(case: InitialisationTake, method: StartMethod, repeats: int) 
     runs = [start_and_solve() for _ in range(repeats)]
     start, motion, _ = runs[0]
     start_s, total_s = (median(durations[i] for _, _, durations in runs) for i in range(2))
-    problem = motion_solver.build_pose_problem(case.take, case.subject, body, prior, limits, options)
+    problem = build_pose_problem(case.take, case.subject, body, prior, limits, options)
     root, local = start.root_position.copy(), start.local_rotations.copy()
     status, iterations = problem.solve(root, local, build_no_tracking(local.shape[1]), options.robust_scales_m)
     start_motion = build_start_motion(start, root, local)

@@ -58,6 +58,8 @@ MIN_PART_DISTANCE_M = 0.2
 CLEAR_EXTENT_RATIO = 1.5
 # Smallest extent in metres of a body; a smaller set of markers shows no floor.
 MIN_BODY_EXTENT_M = 0.5
+# Number of markers below which their lowest is no evidence of a floor.
+MIN_FLOOR_MARKERS = 6
 # Number of visible markers, as a fraction of the largest, in a frame from whose lowest marker the floor is estimated.
 MIN_VISIBLE_FRACTION = 0.8
 # Range in metres of the height of the lowest markers, on a floor at the height 0.
@@ -219,6 +221,8 @@ def _score_extent(positions: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "3
 def _collect_floor_evidence(positions: Float[np.ndarray, "T M 3"]) -> list[UpAxisEvidence]:
     """Return the evidence of a floor: at the coordinate 0, at a constant coordinate, and of the height of a room."""
     count = (~np.isnan(positions[..., 0])).sum(1)
+    if count.max() < MIN_FLOOR_MARKERS:
+        return []
     positions = positions[count >= MIN_VISIBLE_FRACTION * count.max()]
     lowest = np.nanmin(positions, axis=1)
     extent = np.median(np.nanmax(positions, axis=1) - lowest, axis=0)

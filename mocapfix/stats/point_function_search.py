@@ -126,6 +126,8 @@ class _FunctionSearch:
             others = others[np.argsort(self.distance_sd_m[point, others])[:MAX_LINE_CANDIDATES]]
         before, after = (others[index] for index in np.triu_indices(len(others), 1))
         seen = np.flatnonzero(~np.isnan(self.points[:, point, 0]))
+        if len(seen) < MIN_COMMON_FRAMES:
+            return None
         screened = self.points[seen[sample_evenly(len(seen), MAX_LINE_FRAMES)]]
         first, step = screened[:, before], screened[:, after] - screened[:, before]
         own = screened[:, point, None] - first

@@ -1,5 +1,6 @@
 """Where compiled kernels are kept, and that what is out of date is neither used nor left behind."""
 
+import inspect
 import os
 import shutil
 import subprocess
@@ -51,7 +52,7 @@ def package(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(textwrap.dedent(source))
     for module in (compilation_cache, deferred_code):
-        shutil.copy(module.__file__, folder / "kernels")
+        shutil.copy(inspect.getfile(module), folder / "kernels")
     return folder
 
 
