@@ -157,7 +157,7 @@ def _select_plausible(
 
 def combine_estimates(
     estimates: Iterable[MarkerEstimate], correlation: float = ESTIMATE_CORRELATION
-) -> tuple[MarkerEstimate, Float[np.ndarray, "T M"]]:
+) -> tuple[MarkerEstimate, Float[np.ndarray, "*samples"]]:
     """Return the mean of several estimates weighted by precision, with the method of the largest weight; NaN without any.
 
     The estimates rely on the same neighbours and edges, so their errors are correlated, and the variance of the mean is larger
