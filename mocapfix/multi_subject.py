@@ -1,7 +1,7 @@
 """Several subjects in one file: split into one take for each, and their results merged again.
 
-Labels name the subject ("Jim:LFHD"). A file with one whole body, or with none, is cleaned as one take: markers that are not the
-body's (a prop, a part of another person) are filled from markers that move with them. Of a file with several whole bodies each is
+Labels name the subject ("Jim:LFHD"). A file with one body, whole or in part, or with none is cleaned as one take: markers
+that are not the body's (such as a prop) are filled from markers that move with them. Of a file with several bodies each is
 cleaned separately, and the unassigned markers are cleaned together as one more take without a body.
 """
 
@@ -37,8 +37,8 @@ def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...
     return takes
 
 
-def find_whole_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:
-    """Return the names of the subjects whose whole bodies a take shows, in the order of its labels.
+def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:
+    """Return the names of the subjects of whom a take shows the body or a part of it, in the order of its labels.
 
     Args:
         take: the take. The name is "" for labels without a subject name.
@@ -59,11 +59,11 @@ def find_whole_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[
 
 
 def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_prefix: str | None = None) -> tuple[Take, ...]:
-    """Return the takes to clean one after the other: the take itself, unless it shows several whole bodies.
+    """Return the takes to clean one after the other: the take itself, unless it shows several bodies or parts of bodies.
 
     Args:
         take: the take.
-        marker_set: as for `find_whole_bodies`.
+        marker_set: as for `find_bodies`.
         subject_prefix: the only subject to clean; all other markers are left out.
 
     Raises:
@@ -71,7 +71,7 @@ def split_subjects(take: Take, marker_set: MarkerSet | None = None, subject_pref
     """
     if subject_prefix is not None:
         return (_select_subject(take, subject_prefix.strip().removesuffix(":")),)
-    names = find_whole_bodies(take, marker_set)
+    names = find_bodies(take, marker_set)
     if len(names) < 2:
         return (take,)
     subject_of_marker = np.array(take.marker_subjects, object)

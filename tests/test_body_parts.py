@@ -54,7 +54,7 @@ def write_part(path, truth, labels, *, keep_empty_labels=False):
 
 
 def find_frames_with_arms(truth):
-    """Return the frames (T,) in which no arm is lost as a whole: then the trunk alone would have to tell of it."""
+    """Return the frames (T,) in which no arm is lost as a whole: an arm cannot be estimated from the trunk alone."""
     arms = [[truth.labels.index(f"{side}{label[1:]}") for label in LEFT_ARM - {"LSHO"}] for side in "LR"]
     return ~np.any([truth.missing_mask[:, arm].all(1) for arm in arms], axis=0)
 

@@ -49,14 +49,14 @@ def test_the_subject_is_in_the_label_or_is_the_only_one_of_the_file():
 
 def test_whole_bodies_are_subjects_and_parts_of_bodies_are_not():
     labels = build_labels("Jim", "Ann", more=(*(f"Bob:{label}" for label in FOOT), "box:1", "C7"))
-    assert multi_subject.find_whole_bodies(build_take(labels)) == ("Jim", "Ann")
-    assert multi_subject.find_whole_bodies(build_take(labels), load_marker_set("qualisys-sports")) == ()
-    assert multi_subject.find_whole_bodies(build_take(CMU41)) == ("",)
+    assert multi_subject.find_bodies(build_take(labels)) == ("Jim", "Ann")
+    assert multi_subject.find_bodies(build_take(labels), load_marker_set("qualisys-sports")) == ()
+    assert multi_subject.find_bodies(build_take(CMU41)) == ("",)
 
 
 def test_a_subject_that_is_never_visible_is_not_found():
     visible = np.arange(2 * len(CMU41)) < len(CMU41)
-    assert multi_subject.find_whole_bodies(build_take(build_labels("Jim", "Ann"), visible)) == ("Jim",)
+    assert multi_subject.find_bodies(build_take(build_labels("Jim", "Ann"), visible)) == ("Jim",)
 
 
 @pytest.mark.parametrize("labels", [CMU41, build_labels("Jim", more=("box:1", "box:2", "box:3")), ("box:1", "Jim:2")])

@@ -29,6 +29,10 @@ CLEAN_COLUMNS = (
     ("moved_mended", "displaced samples repaired", ".1%"),
     ("error_mm", "marker error, mm", ".2f"),
 )
+MotionFolderOption = Annotated[
+    Path | None,
+    tyro.conf.arg(metavar="FOLDER", help="CMU motion, of whose test subjects takes are made; by default takes are synthetic"),
+]
 BASELINE_UPDATE_RUNS = 3  # cleans of each file whose median a new baseline has
 
 
@@ -82,10 +86,7 @@ def build_experiment_table(rows: Iterable[Mapping[str, Any]]) -> Table:
 
 
 def run_bench_uncertainty(
-    data: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, of whose test subjects takes are made; by default "
-                                   "takes are synthetic")
-    ] = None,
+    data: MotionFolderOption = None,
     takes: Annotated[int, tyro.conf.arg(metavar="N", help="number of takes")] = 8,
     known_subject: Annotated[
         FlagOption, tyro.conf.arg(help="calibrate the subject from another take of the same person")
@@ -134,10 +135,7 @@ def run_bench_calibration(as_json: JsonOption = False) -> int:
 
 
 def run_bench_faults(
-    data: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help="CMU motion, of whose test subjects takes are made; by default "
-                                   "takes are synthetic")
-    ] = None,
+    data: MotionFolderOption = None,
     takes: Annotated[int, tyro.conf.arg(metavar="N", help="number of takes for each kind of fault")] = 6,
     short: Annotated[FlagOption, tyro.conf.arg(help="inject several kinds into each of a few composed takes")] = False,
     as_json: JsonOption = False,

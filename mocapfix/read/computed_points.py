@@ -2,7 +2,7 @@
 
 Joint centres, bone axes, virtual markers, centres of mass and the outputs of models are positions that no camera measured. They
 are kept in the file and are no evidence of where markers are. Points that are exact functions of markers are recognised by their
-trajectories instead (`mocapfix.read.point_functions`).
+trajectories instead (`mocapfix.stats.point_function_search`).
 """
 
 import re

@@ -168,7 +168,7 @@ def _collect_body_evidence(labels: Sequence[str], positions: Float[np.ndarray, "
         None,
     )
     if upright is not None:
-        evidence.append(UpAxisEvidence("head, pelvis and feet", UPRIGHT_SCORE * upright))
+        evidence.append(UpAxisEvidence(UPRIGHT_BASIS, UPRIGHT_SCORE * upright))
     else:
         evidence.append(UpAxisEvidence("the largest extent", _score_extent(positions)))
     left, right = _find_sides(labels)

@@ -40,7 +40,7 @@ def compute_tree_poses(
 def compute_anchor_offset(tree: KinematicTree, local_rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:
     """Return the position relative to the root, in metres, of the joint nearest to it whose motion markers show.
 
-    It is 0 for a whole body. The root of a part of a body may lie far from all markers, at the end of a lever.
+    It is 0 for a whole body. The root of a part of a body may be far from all markers, so that a small rotation displaces it far.
     """
     origin, free_below_root = np.zeros((len(local_rotations), 3)), np.flatnonzero(tree.free)[1:].tolist()
     anchor = find_common_joint(tree.parents, free_below_root) if free_below_root else 0

@@ -1,6 +1,5 @@
 """Find points that are exact functions of other points: midpoints, weighted means, and places in a frame that three points span.
 
-
 Programs compute joint centres and virtual markers from markers, to the last digit. A measured marker has noise of its own and
 moves on the skin, so no function of others gives its position to a hundredth of a millimetre. The opposite is not true of
 markers whose mutual distances are exact as well, as in takes that a program has solved: there every marker is a function of

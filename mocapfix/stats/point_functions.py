@@ -40,7 +40,7 @@ class PointFunction:
 
 
 def build_frame_axes(corners: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Return the axes, one a row, of the frame that three points span; NaN where they lie nearly on a line."""
+    """Return the axes, one a row, of the frame that three points span; NaN where they are nearly on a line."""
     first, second = corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
     normal = np.cross(first, second)
     with np.errstate(invalid="ignore", divide="ignore"):

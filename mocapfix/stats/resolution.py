@@ -9,7 +9,7 @@ FLOAT32_RESOLUTION = 2.0**-23
 MAX_SAMPLED_STEPS = 50_000
 # Quantiles of the steps that may equal the common divisor once.
 STEP_QUANTILES = (2e-4, 2e-3, 1e-2)
-# Fraction of the steps that must lie near a multiple of the divisor, and how near, as a fraction of it (by chance: one in five).
+# Fraction of the steps that must be close to a multiple of the divisor (by chance: one in five), and how close, as a part of it.
 MIN_MULTIPLE_FRACTION = 0.9
 MULTIPLE_TOLERANCE = 0.1
 

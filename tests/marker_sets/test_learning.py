@@ -41,7 +41,7 @@ def test_learned_set_cleans_the_take(tmp_path):
     expected = {rename_label(label): names[j] for label, j in zip(WHOLE.labels, WHOLE.subject.joints, strict=True)}
     found = {label: names[j] for label, j in zip(marker_set.labels, marker_set.joints, strict=True)}
     assert list(found) == list(expected)
-    # A wrist marker lies beside the joint between forearm and hand: the motion of a short take may attach it to either.
+    # A wrist marker is next to the joint between forearm and hand: the motion of a short take may attach it to either.
     wrong = {label: (found[label], expected[label]) for label in found if found[label] != expected[label]}
     assert all("wrist" in label and joints == (f"{SIDES[label[0]]}Hand", f"{SIDES[label[0]]}ForeArm")
                for label, joints in wrong.items())  # fmt: skip
