@@ -1,9 +1,9 @@
 """Links between the points of successive frames: which point continues which, where this is certain.
 
-Each open trajectory is extrapolated with a constant velocity, or with a constant acceleration once it has three samples. The cost
-of a point for a trajectory is minus twice the logarithm of a probability density with heavy tails (Student's t) about the
-extrapolated position. A trajectory and a point are linked if each is the other's best, and if every alternative (one of them alone,
-or two links exchanged) costs more by a margin. Otherwise the trajectory ends there.
+Each open trajectory is extrapolated with a constant velocity, or with a constant acceleration once it has three samples. The
+cost of a point for a trajectory is minus twice the logarithm of a probability density with heavy tails (Student's t) about the
+extrapolated position. A trajectory and a point are linked if each is the other's best, and if every alternative (one of them
+alone, or two links exchanged) costs more by a margin. Otherwise the trajectory ends there.
 """
 
 import numpy as np
@@ -195,9 +195,9 @@ def _has_rival(cost, i, best_point, best_track, open_count, point_count, margin)
         elif cost[i, other] - cost[i, j] < margin:
             return True
     for k in range(open_count):  # another trajectory, without a point of its own, continues here
-        if k != i and cost[k, j] < np.inf and (best_point[k] == j or best_track[best_point[k]] != k):
-            if cost[k, j] - cost[i, j] < margin:
-                return True
+        has_no_point = cost[k, j] < np.inf and (best_point[k] == j or best_track[best_point[k]] != k)
+        if k != i and has_no_point and cost[k, j] - cost[i, j] < margin:
+            return True
     return False
 
 
@@ -243,7 +243,7 @@ def combine_links(forward, backward):
 
 @compile_kernel
 def number_tracklets(points, previous):
-    """Return the number (T, C) of the chain of links of each point, in the order of their first frames, -1 where there is none."""
+    """Return the number (T, C) of each point's chain of links, in the order of their first frames, -1 where there is no point."""
     frame_count, column_count = previous.shape
     number, count = np.full((frame_count, column_count), -1, np.int32), 0
     for t in range(frame_count):

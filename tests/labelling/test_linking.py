@@ -70,7 +70,7 @@ def test_tracklets_end_where_two_points_part_in_one_place() -> None:
     assert set(first.tolist()).isdisjoint(last.tolist())
 
 
-def test_short_gaps_are_bridged_and_long_ones_are_not() -> None:
+def test_tracklets_continue_after_short_gaps_and_end_at_long_ones() -> None:
     t = np.arange(240) / RATE
     positions = np.stack([np.sin(3 * t), np.cos(2 * t), t], 1)[:, None]
     positions[60:66] = np.nan
