@@ -25,7 +25,7 @@ MAX_FIRST_LINK_FRAMES = 2
 LINK_GATE_M = 0.015
 LINK_GATE_M_PER_S2 = 500.0
 MAX_LINK_GATE_M = 0.15
-# A point that is seen after missing frames may be another marker that was hidden: anywhere within this distance.
+# A point that is not where a trajectory was going may be another marker that was hidden: anywhere within this distance.
 HIDDEN_MARKER_RANGE_M = 0.2
 # Degrees of freedom of the distribution of deviations.
 DEVIATION_FREEDOM = 3.0
@@ -117,7 +117,7 @@ def link_in_order(points, rate, max_lag_frames, margin, column_gain):
             if sample_count[i] == 1:
                 gate = min(MAX_LINK_GATE_M, 3 * scale)
             spread_cost = 6 * np.log(scale / LINK_NOISE_M)
-            largest_cost = np.inf if lag_frames == 1 else 6 * np.log(HIDDEN_MARKER_RANGE_M / LINK_NOISE_M) - margin
+            largest_cost = 6 * np.log(HIDDEN_MARKER_RANGE_M / LINK_NOISE_M) - margin
             for j in range(here):
                 c = columns[j]
                 square = (points[t, c, 0] - x) ** 2 + (points[t, c, 1] - y) ** 2 + (points[t, c, 2] - z) ** 2

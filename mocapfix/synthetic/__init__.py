@@ -6,6 +6,8 @@ motions          a body over those feet, making those gestures
 key_poses        smooth motion between key poses
 extreme_motions  key poses of strikes, kicks, throws and acrobatics
 extreme_takes    takes of them
+unlabelled_takes points without labels, made of takes whose labels are known
+two_people       one person placed beside another, or so that their paths cross
 synthetic_takes  a person, their motion, their markers before and after damage by gaps and spikes, and the C3D file
 """
 
