@@ -23,6 +23,8 @@ MIN_SINGLE_LIMB_MARKERS = 5
 """the number of markers on a limb with which it is a part of a body without pelvis or trunk"""
 MIN_SINGLE_SEGMENT_MARKERS = 2
 """the number of them on its upper and on its lower segment"""
+SHOULDER_JOINTS = frozenset(("LeftArm", "RightArm"))
+"""joints whose centres move with the thorax: both of them locate it"""
 ARMS, LEGS = ("left arm", "right arm"), ("left leg", "right leg")
 MAX_LISTED_NAMES = 12
 """the number of names that messages list"""
@@ -50,6 +52,7 @@ class MarkerSet:
     aliases          for each marker, its other names
     optional_labels  those of the labels that a complete set may lack
     other_names      other names of the set
+    point_sd         m: standard deviation per axis of a point of the set in one frame; 0 for markers, whose errors options state
     """
 
     name: str
@@ -62,11 +65,17 @@ class MarkerSet:
     aliases: tuple[tuple[str, ...], ...]
     optional_labels: frozenset[str] = frozenset()
     other_names: tuple[str, ...] = ()
+    point_sd: float = 0.0
 
     @property
     def required_labels(self) -> tuple[str, ...]:
         """The labels that a complete set has."""
         return tuple(label for label in self.labels if label not in self.optional_labels)
+
+    @property
+    def covers_whole_body(self) -> bool:
+        """Whether the set has markers on every section of the body."""
+        return all(self._group_labels().values())
 
     def match_labels(self, labels: Sequence[str]) -> dict[str, int]:
         """Return the index among a take's labels of each marker of this set that the take has, by the marker's name.
@@ -144,11 +153,14 @@ class MarkerSet:
     def describe_incomplete_body(self, found_labels: Collection[str]) -> str:
         """Return why the markers `found_labels` do not show a whole body, as part of a sentence; "" if they do.
 
-        A whole body has markers on hips and thorax, at least three limbs, and most of the required markers.
+        A whole body has markers on hips and thorax, at least three limbs, and most of the required markers. Keypoints at both
+        shoulders locate the thorax.
         """
         joint_names = load_cmu31_body().skeleton.names
         marked = [joint_names[j] for label, j in zip(self.labels, self.joints, strict=True) if label in found_labels]
-        missing_trunk = [part for part, joint in (("hips", "Hips"), ("thorax", "Spine1")) if joint not in marked]
+        has_shoulders = SHOULDER_JOINTS.issubset(self._find_joint_centres(found_labels))
+        is_missing = {"hips": "Hips" not in marked, "thorax": "Spine1" not in marked and not has_shoulders}
+        missing_trunk = [part for part, missing in is_missing.items() if missing]
         missing_limbs = [
             limb for limb, joints in LIMB_JOINT_NAMES.items() if sum(joint in joints for joint in marked) < MIN_MARKERS_PER_LIMB
         ]
@@ -160,6 +172,12 @@ class MarkerSet:
         else:
             return ""
         return f"{reason}; not found: {format_name_list(missing_labels)}"
+
+    def _find_joint_centres(self, found_labels: Collection[str]) -> set[str]:
+        """Return the joints at whose centres there are keypoints among `found_labels`."""
+        joint_names = load_cmu31_body().skeleton.names
+        rows = [k for k, label in enumerate(self.labels) if label in found_labels]
+        return {joint_names[self.joints[k]] for k in rows if not self.marker_offsets[k].any()}
 
     def _group_labels(self) -> dict[str, list[str]]:
         """Return the labels of the markers on each section of the body."""

@@ -14,7 +14,7 @@ from mocapfix.calibrate import refinement
 from mocapfix.calibrate.calibration import calibrate_subject, select_candidate_frames
 from mocapfix.calibrate.marker_attachment import AttachedMarkers, attach_markers, build_marker_atlas
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.library import load_shipped_marker_sets
+from mocapfix.marker_sets.library import load_whole_body_marker_sets
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, find_carriers, restrict_body
 from mocapfix.solve import kinematics
@@ -66,7 +66,7 @@ def fit_marker_set(
 
     Raises TakeError if the guess does not fit a person's size.
     """
-    frames, atlas = select_candidate_frames(take.markers), build_marker_atlas(load_shipped_marker_sets())
+    frames, atlas = select_candidate_frames(take.markers), build_marker_atlas(load_whole_body_marker_sets())
     log_odds = np.zeros((len(labels), len(body.skeleton.names)))
     log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
 

@@ -19,7 +19,7 @@ from mocapfix.calibrate.marker_attachment import MarkerAtlas, build_marker_atlas
 from mocapfix.errors import TakeError
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.library import load_shipped_marker_sets
+from mocapfix.marker_sets.library import load_whole_body_marker_sets
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.skeleton import BodyModel
@@ -95,7 +95,7 @@ def guess_from_marker_cloud(
     height = np.ptp(np.where(np.isnan(trial[..., 1]), mean_height, trial[..., 1]), axis=1)
     standing = np.argsort(height)[[round(quantile * (len(height) - 1)) for quantile in HEIGHT_QUANTILES]]
     hypotheses: list[tuple[float, np.ndarray, MarkerAtlas]] = []
-    for marker_set in load_shipped_marker_sets():
+    for marker_set in load_whole_body_marker_sets():
         atlas = build_marker_atlas((marker_set,))
         for frame in standing:
             fits = fit_bodies_to_markers(trial[frame], float(height[frame]), atlas, body, prior, limits)

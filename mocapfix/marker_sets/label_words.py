@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.marker_set import MarkerSet, fold_label
+from mocapfix.marker_sets.landmarks import MIRROR_X
 from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.skeleton import load_cmu31_body
 
@@ -23,7 +24,6 @@ MIN_INNER_WORD_LENGTH = 4
 """letters of a word that may stand anywhere in a label"""
 MIN_FIRST_WORD_LENGTH = 3
 """letters of a word that may stand at the beginning of a label; a shorter one, or one with a digit, is a label of its own"""
-MIRROR_X = np.array([-1.0, 1.0, 1.0])
 
 
 class WordLocation(NamedTuple):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from mocapfix.calibrate import subject_file
 from mocapfix.errors import TakeError
@@ -19,6 +19,7 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.files.yaml_models import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, find_by_name, read_yaml_model
 from mocapfix.marker_set import MarkerSet, fold_label, format_name_list
+from mocapfix.marker_sets.landmarks import Landmark, find_landmark
 from mocapfix.options import SubjectOptions
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.subject import Subject
@@ -32,6 +33,11 @@ MARKER_OFFSET_DECIMALS = 4
 def load_shipped_marker_sets() -> tuple[MarkerSet, ...]:
     """Return the shipped marker sets in the order of their names."""
     return tuple(_read_marker_set(path) for path in sorted((find_shipped_folder("scenes") / "marker-sets").glob("*.yaml")))
+
+
+def load_whole_body_marker_sets() -> tuple[MarkerSet, ...]:
+    """Return the shipped sets of markers on all sections of the body: neither those of legs alone nor those of keypoints."""
+    return tuple(each for each in load_shipped_marker_sets() if not each.point_sd and each.covers_whole_body)
 
 
 def load_marker_set(name_or_path: str | Path) -> MarkerSet:
@@ -81,7 +87,10 @@ def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "")
     data: dict[str, object] = {"name": marker_set.name, "title": marker_set.title}
     if marker_set.other_names:
         data["also_called"] = list(marker_set.other_names)
-    data |= {"skeleton": marker_set.skeleton, "markers": markers}
+    data["skeleton"] = marker_set.skeleton
+    if marker_set.point_sd:
+        data["point_sd"] = round(float(marker_set.point_sd), MARKER_OFFSET_DECIMALS)
+    data["markers"] = markers
     comment_lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     with replace_atomically(Path(path)) as part:
         part.write_text(comment_lines + dump_yaml(data), encoding="utf-8", newline="\n")
@@ -90,27 +99,56 @@ def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "")
 def _read_marker_set(path: Path) -> MarkerSet:
     model = read_yaml_model(_MarkerSetModel, path)
     markers = model.markers.values()
+    places = [marker.locate() for marker in markers]
     skeleton = load_cmu31_body().skeleton
     return MarkerSet(
         name=model.name,
         title=model.title,
         skeleton=model.skeleton,
         labels=tuple(model.markers),
-        joints=np.array([skeleton.find_joint(marker.joint) for marker in markers], int),
-        marker_offsets=np.array([marker.offset for marker in markers], float),
-        marker_spread=np.array([marker.spread for marker in markers], float),
+        joints=np.array([skeleton.find_joint(place.joint_name) for place in places], int),
+        marker_offsets=np.array([place.offset for place in places], float),
+        marker_spread=np.array([place.spread for place in places], float),
         aliases=tuple(marker.aliases for marker in markers),
         optional_labels=frozenset(label for label, marker in model.markers.items() if marker.optional),
         other_names=model.also_called,
+        point_sd=model.point_sd,
     )
 
 
 class _SetMarkerModel(StrictModel):
-    joint: JointName
-    offset: Vector3
-    spread: FiniteFloat = Field(gt=0)
+    landmark: str | None = None
+    joint: JointName | None = None
+    offset: Vector3 | None = None
+    spread: FiniteFloat | None = Field(default=None, gt=0)
     aliases: tuple[str, ...] = ()
     optional: bool = False
+
+    @field_validator("landmark")
+    @classmethod
+    def _check_landmark(cls, name: str | None) -> str | None:
+        if name is not None:
+            find_landmark(name)
+        return name
+
+    @model_validator(mode="after")
+    def _check_place(self) -> "_SetMarkerModel":
+        if self.landmark is not None:
+            if self.joint is not None or self.offset is not None:
+                raise ValueError("the place of a marker is either a landmark or a joint with an offset, not both")
+        elif self.joint is None or self.offset is None or self.spread is None:
+            raise ValueError("a marker needs a joint, an offset and a spread, or a landmark")
+        return self
+
+    def locate(self) -> Landmark:
+        """Return the place of the marker: that of its landmark, or its own joint, offset and spread."""
+        if self.landmark is not None:
+            landmark = find_landmark(self.landmark)
+            return landmark._replace(spread=self.spread or landmark.spread)
+        assert self.joint is not None
+        assert self.offset is not None
+        assert self.spread is not None
+        return Landmark(self.joint, np.array(self.offset, float), self.spread)
 
 
 class _MarkerSetModel(StrictModel):
@@ -118,6 +156,7 @@ class _MarkerSetModel(StrictModel):
     title: str
     also_called: tuple[str, ...] = ()
     skeleton: Literal["cmu31"]
+    point_sd: FiniteFloat = Field(default=0.0, ge=0)
     markers: dict[str, _SetMarkerModel] = Field(min_length=1)
 
     @field_validator("markers")

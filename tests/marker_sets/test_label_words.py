@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from mocapfix.marker_sets import load_marker_set, load_shipped_marker_sets
+from mocapfix.marker_sets import load_marker_set
 from mocapfix.marker_sets.label_words import guess_marker_set_from_words, locate_label
 from mocapfix.skeleton import load_cmu31_body
+from tests.marker_sets.test_shipped_sets import WHOLE_BODY_SETS
 
-EACH = pytest.mark.parametrize("marker_set", load_shipped_marker_sets(), ids=lambda each: each.name)
+EACH = pytest.mark.parametrize("marker_set", [load_marker_set(name) for name in WHOLE_BODY_SETS], ids=lambda each: each.name)
 NEAR = {"Hips": ("LeftUpLeg", "RightUpLeg"), "Spine1": ("LeftShoulder", "RightShoulder")}
 
 

@@ -14,7 +14,7 @@ from mocapfix.skeleton import load_cmu31_body
 
 
 def test_unknown_name_lists_the_shipped_sets():
-    with pytest.raises(SceneError, match=r"baseline41.*cmu41, frontwaist53, helen-hayes, .*YAML"):
+    with pytest.raises(SceneError, match=r"baseline41.*cmu41, coco133, .*, helen-hayes, .*YAML"):
         load_marker_set("baseline41")
 
 
@@ -144,6 +144,46 @@ def test_set_with_missing_markers_is_chosen(marker_set, seed):
     assert choose_marker_set([*OTHER_LABELS, *(f"Jim:{label.lower()}" for label in labels)]).marker_set is marker_set
 
 
+LEGS_OF_PLUG_IN_GAIT = ("ASI", "PSI", "THI", "KNE", "TIB", "ANK", "HEE", "TOE")
+
+
+@pytest.mark.parametrize(
+    ("endings", "name"),
+    [
+        (LEGS_OF_PLUG_IN_GAIT, "plug-in-gait39"),
+        ((*LEGS_OF_PLUG_IN_GAIT, "KNM", "MED"), "plug-in-gait39"),
+        ((*LEGS_OF_PLUG_IN_GAIT, "THAP", "THAD", "TIAP", "TIAD"), "cgm2"),
+        ((*LEGS_OF_PLUG_IN_GAIT, "THAP", "THAD", "TIAP", "TIAD", "KNM", "MED", "SMH", "FMH", "VMH"), "cgm2"),
+        (("ASIS", "PSIS", "GT", "LE", "ME", "HF", "TT", "LM", "MM", "CA", "FM", "SM", "VM"), "rizzoli"),
+        (("_IAS", "_IPS", "_FLE", "_FME", "_TTC", "_FAL", "_TAM", "_FCC", "_FM1", "_FM5", "_TH1", "_TH2", "_TH3", "_SK1", "_SK2",
+          "_SK3"), "qualisys-paf"),
+        (("IAS", "IPS", "FTC", "TH", "FLE", "FME", "FAX", "TTC", "SK", "FAL", "TAM", "FCC", "FM1", "FM2", "FM5", "DP1"),
+         "optitrack-biomech57"),
+        (("ASIS", "PSIS", "TH1", "TH2", "TH3", "TH4", "SH1", "SH2", "SH3", "SH4", "LE", "LM", "CA", "FM", "VM"), "cast"),
+        (("ASIS", "PSIS", "TH1", "TH2", "TH3", "TH4", "SK1", "SK2", "SK3", "SK4", "LK", "MK", "LA", "MA", "HEEL", "1MT", "5MT"),
+         "visual3d-coda"),
+        (("ASI", "PSI", "TH1", "TH2", "TH3", "LFC", "MFC", "TB1", "TB2", "TB3", "LMAL", "MMAL", "CAL", "TOE", "MT5"),
+         "opensim-rajagopal"),
+    ],
+)  # fmt: skip
+def test_sets_of_laboratories_with_equal_labels_are_distinguished(endings, name):
+    chosen = choose_marker_set([side + ending for ending in endings for side in "LR"]).marker_set
+    assert (chosen and chosen.name) == name
+
+
+@pytest.mark.parametrize(
+    ("median", "name"),
+    [
+        (("Hip", "Neck", "Head", "Nose"), "halpe26"),
+        (("CHip", "Neck", "Nose"), "body25"),
+    ],
+)
+def test_keypoints_of_pose2sim_choose_their_set(median, name):
+    endings = ("Hip", "Knee", "Ankle", "BigToe", "SmallToe", "Heel", "Shoulder", "Elbow", "Wrist")
+    chosen = choose_marker_set([*median, *(side + ending for ending in endings for side in "RL")]).marker_set
+    assert (chosen and chosen.name) == name
+
+
 def test_reason_counts_optional_markers_separately():
     assert choose_marker_set([*GAIT.required_labels, "LKNEin", "RKNEin"]).reason == (
         "Plug-in Gait full body 39: 39 of its 39 markers and 2 optional ones were found."
@@ -249,7 +289,7 @@ def test_reason_lists_found_and_missing_markers():
 @pytest.mark.parametrize("labels", [(), ("Racket:tip", "Racket:grip")])
 def test_unknown_labels_list_the_shipped_sets(labels):
     assert choose_marker_set(labels).marker_set is None
-    assert "cmu41, frontwaist53, helen-hayes, opensim-gait, optitrack-baseline41" in choose_marker_set(labels).reason
+    assert "body25, cast, cgm2, cmu41, coco133, coco17, davis, frontwaist53" in choose_marker_set(labels).reason
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
@@ -263,10 +303,11 @@ def test_unknown_labels_list_the_shipped_sets(labels):
         ("c3d/tennis_serve_motive.c3d", "plug-in-gait39", 39),
         ("c3d/FunctionalWalk.c3d", "plug-in-gait39", 45),
         ("c3d/hockey_whole_body.c3d", "plug-in-gait39", 39),
-        ("c3d/walking2.c3d", None, 0),
-        ("c3d/Qualisys.c3d", None, 0),
+        ("c3d/walking2.c3d", "opensim-rajagopal", 38),
+        ("c3d/Qualisys.c3d", "qualisys-paf", 55),
         ("c3d/S4-AMGait05.c3d", "plug-in-gait39", 16),
         ("c3d/JA1Gait35.c3d", None, 0),
+        ("c3d/dec_real.c3d", "visual3d-coda", 26),
         ("c3d/ADemo1_pc_integer.c3d", None, 0),
     ],
 )
