@@ -1,0 +1,112 @@
+"""A body with markers whose poses are solved in the sampled frames of a take."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.calibrate.calibration import scale_skeleton
+from mocapfix.initialise.segment_registration import register_poses
+from mocapfix.kernels.forward_kinematics import KinematicTree
+from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
+from mocapfix.kernels.terms import count_rows
+from mocapfix.marker_set import MarkerSet
+from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
+from mocapfix.skeleton import BodyModel, load_cmu31_body, restrict_body
+from mocapfix.solve import kinematics
+from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.pose_problem import (
+    MarkerAttachment,
+    PoseProblem,
+    build_joint_limit_term,
+    build_no_tracking,
+    build_pose_prior_term,
+)
+from mocapfix.subject import Subject
+
+LABELLING_LIMIT_SD_RAD = 0.1
+"""Standard deviation of joint angles beyond the joint limits."""
+
+
+@dataclass(frozen=True)
+class PosedBody:
+    """A subject with all markers of its set, and what is assumed of its poses."""
+
+    subject: Subject
+    body: BodyModel
+    prior: MeanPosePrior
+    limits: JointLimits
+
+    @cached_property
+    def tree(self) -> KinematicTree:
+        """The subject's skeleton for the kernels."""
+        return KinematicTree(self.subject.skeleton.parents, self.subject.skeleton.offsets, self.body.free_joints)
+
+    def change_subject(self, subject: Subject) -> "PosedBody":
+        """Return the same with another subject."""
+        return replace(self, subject=subject)
+
+    def register(self, markers: Float[np.ndarray, "S K 3"]) -> Poses:
+        """Return closed-form first poses from markers in metres, NaN where missing."""
+        motion = register_poses(self.subject, self.body.free_joints, self.prior, markers)
+        return motion.root_position, motion.local_rotations
+
+    def solve(
+        self,
+        poses: Poses,
+        markers: Float[np.ndarray, "S K 3"],
+        marker_sd_m: float,
+        robust_scales_m: tuple[float, ...],
+        max_iterations: int,
+    ) -> None:
+        """Move poses in place to their most likely ones given markers in metres, NaN where missing."""
+        self._build_problem(markers, marker_sd_m).solve(
+            *poses, build_no_tracking(len(self.tree.parents)), robust_scales_m, max_iterations
+        )
+
+    def compute_costs(
+        self, poses: Poses, markers: Float[np.ndarray, "S K 3"], marker_sd_m: float, robust_scale_m: float
+    ) -> Float[np.ndarray, " S"]:
+        """Return half the sum of squares of each frame in standard deviations, of markers, prior and joint limits."""
+        problem, cost = self._build_problem(markers, marker_sd_m), np.zeros(len(markers))
+        terms = problem.build_terms(build_no_tracking(len(self.tree.parents)))
+        scale2 = problem.normalise_robust_scales((robust_scale_m,))[0]
+        frames, no_codes = np.arange(len(markers)), np.zeros((len(markers), 0))
+        compute_cost_frames(self.tree, terms, frames, scale2, count_rows(terms), *poses, no_codes, cost)
+        return cost
+
+    def predict(self, poses: Poses) -> Float[np.ndarray, "S K 3"]:
+        """Return where the body carries its markers, in metres."""
+        return kinematics.predict_markers(self.subject, poses)
+
+    def _build_problem(self, markers: Float[np.ndarray, "S K 3"], marker_sd_m: float) -> PoseProblem:
+        return PoseProblem(
+            self.tree,
+            MarkerAttachment(self.subject.joints, self.subject.marker_offsets),
+            markers,
+            ~np.isnan(markers[..., 0]),
+            marker_sd_m,
+            build_pose_prior_term(self.prior),
+            build_joint_limit_term(self.limits, LABELLING_LIMIT_SD_RAD),
+        )
+
+
+def build_average_body(marker_set: MarkerSet) -> PosedBody:
+    """Return the average body with the markers of a set."""
+    body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
+    subject = Subject(
+        body.skeleton, marker_set.name, marker_set.labels, marker_set.joints, marker_set.marker_offsets, marker_set.marker_spread
+    )
+    return build_subject_body(subject, body)
+
+
+def build_subject_body(subject: Subject, body: BodyModel | None = None) -> PosedBody:
+    """Return the body of a known subject."""
+    body = subject.body_model if body is None else body
+    return PosedBody(subject, body, load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton))
+
+
+def scale_subject(subject: Subject, size: float) -> Subject:
+    """Return a subject `size` times as large."""
+    return replace(subject, skeleton=scale_skeleton(subject.skeleton, size), marker_offsets=subject.marker_offsets * size)

@@ -1,0 +1,71 @@
+"""The frames of a take in which labelling compares its points with a body."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.labelling.points import UnlabelledPoints
+
+SAMPLE_STEP_S = 0.05
+"""Step between the frames that are compared."""
+FRAMES_PER_TRACKLET = 4
+"""Frames in which each tracklet is compared at least, if it has so many."""
+
+
+@dataclass(frozen=True)
+class SampledPoints:
+    """The points of S frames of a take, in V columns that are filled from the first on.
+
+    Attributes:
+        frames: Indices of the frames, rising.
+        positions: Metres, NaN where a frame has fewer points.
+        tracklets: The tracklet of each point, -1 where there is none.
+        tracklet_count: Number of tracklets of the take, N.
+        times_s: Times of the frames.
+    """
+
+    frames: Int[np.ndarray, " S"]
+    positions: Float[np.ndarray, "S V 3"]
+    tracklets: Int[np.ndarray, "S V"]
+    tracklet_count: int
+    times_s: Float[np.ndarray, " S"]
+
+    def select_frames(self, indices: Int[np.ndarray, " N"]) -> "SampledPoints":
+        """Return some of the frames, given by their indices among the S."""
+        return SampledPoints(
+            self.frames[indices], self.positions[indices], self.tracklets[indices], self.tracklet_count, self.times_s[indices]
+        )
+
+    def arrange_markers(self, labels: Int[np.ndarray, " N"], marker_count: int) -> Float[np.ndarray, "S K 3"]:
+        """Return the positions of the markers, given the marker of each tracklet (-1 for none); NaN where not visible."""
+        markers = np.full((len(self.frames), marker_count, 3), np.nan)
+        point_labels = np.append(labels, -1)[self.tracklets]
+        rows, columns = np.nonzero(point_labels >= 0)
+        markers[rows, point_labels[rows, columns]] = self.positions[rows, columns]
+        return markers
+
+
+def sample_points(points: UnlabelledPoints) -> SampledPoints:
+    """Return the points at regular steps, and in a few more frames for short tracklets."""
+    frames = np.unique(np.r_[_select_regular_frames(points), _select_tracklet_frames(points)])
+    indices = points.tracklet_indices[frames]
+    order = np.argsort(indices < 0, axis=1, kind="stable")[:, : max(1, int((indices >= 0).sum(1).max(initial=0)))]
+    rows = np.arange(len(frames))[:, None]
+    return SampledPoints(
+        frames, points.positions[frames][rows, order], indices[rows, order], points.tracklet_count, frames / points.rate
+    )
+
+
+def _select_regular_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
+    return np.arange(0, len(points.positions), max(1, round(SAMPLE_STEP_S * points.rate)))
+
+
+def _select_tracklet_frames(points: UnlabelledPoints) -> Int[np.ndarray, " S"]:
+    """Return a few frames of each tracklet."""
+    frames, columns = np.nonzero(points.tracklet_indices >= 0)
+    order = np.argsort(points.tracklet_indices[frames, columns], kind="stable")
+    counts = np.bincount(points.tracklet_indices[frames, columns], minlength=points.tracklet_count)
+    starts = np.cumsum(counts) - counts
+    shares = (np.arange(FRAMES_PER_TRACKLET) + 0.5) / FRAMES_PER_TRACKLET
+    return frames[order[(starts[:, None] + shares * counts[:, None]).astype(int).ravel()]] if len(frames) else frames

@@ -1,0 +1,98 @@
+"""The assignment of tracklets to markers, given where a body carries its markers in the sampled frames.
+
+A tracklet has one marker throughout, and two tracklets that are visible at once have different markers. In each frame the visible
+tracklets are assigned one-to-one by their mean squared distances over all frames (Kuhn 1955). A tracklet gets the marker that it
+has in most of its frames.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.labelling.sampled_points import SampledPoints
+
+MAX_BLOCK_FRAMES_OF_DISTANCES = 512
+"""Frames whose distances between points and markers are held at a time."""
+
+
+class TrackletDistances(NamedTuple):
+    """Distances of N tracklets from K markers.
+
+    squared_m2   (N, K) mean squared distance, each at most the square of the gate; that of frames in which the marker has no
+                 position is left out. NaN if there is no other frame.
+    frame_count  (N,) frames that were compared
+    """
+
+    squared_m2: np.ndarray
+    frame_count: np.ndarray
+
+
+class TrackletLabels(NamedTuple):
+    """The marker (N,) of each tracklet, -1 for none, and the probability (N,) of this assignment."""
+
+    markers: Int[np.ndarray, " N"]
+    confidence: Float[np.ndarray, " N"]
+
+
+def measure_tracklets(sampled: SampledPoints, predicted: Float[np.ndarray, "S K 3"], gate_m: float) -> TrackletDistances:
+    """Return the distances of the tracklets from the markers, which are predicted in metres, NaN where unknown."""
+    tracklet_count, marker_count = sampled.tracklet_count, predicted.shape[1]
+    total, weight = np.zeros((tracklet_count, marker_count)), np.zeros((tracklet_count, marker_count))
+    frame_count = np.zeros(tracklet_count, int)
+    for first in range(0, len(predicted), MAX_BLOCK_FRAMES_OF_DISTANCES):
+        block = slice(first, first + MAX_BLOCK_FRAMES_OF_DISTANCES)
+        rows, columns = np.nonzero(sampled.tracklets[block] >= 0)
+        if not len(rows):
+            continue
+        tracklets = sampled.tracklets[block][rows, columns]
+        squared = ((sampled.positions[block][rows, columns][:, None] - predicted[block][rows]) ** 2).sum(-1)
+        is_known = ~np.isnan(squared)
+        squared = np.where(is_known, np.minimum(squared, gate_m**2), 0.0)
+        order = np.argsort(tracklets, kind="stable")
+        present, starts = np.unique(tracklets[order], return_index=True)
+        total[present] += np.add.reduceat(squared[order], starts)
+        weight[present] += np.add.reduceat(is_known[order].astype(float), starts)
+        frame_count += np.bincount(tracklets[is_known.any(1)], minlength=tracklet_count)
+    with np.errstate(invalid="ignore"):
+        return TrackletDistances(total / weight, frame_count)
+
+
+def assign_tracklets(sampled: SampledPoints, squared_m2: Float[np.ndarray, "N K"], max_distance_m: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+    """Return the marker of each tracklet, -1 for one that is farther than its `max_distance_m` from all markers that are free.
+
+    Args:
+        sampled: The frames, which show which tracklets are visible at once.
+        squared_m2: The costs in m2, NaN where unknown.
+        max_distance_m: The distance of each tracklet at which no label is as likely as a label.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    marker_count, none_cost = squared_m2.shape[1], max_distance_m**2
+    costs = np.where(np.isnan(squared_m2), 2 * none_cost[:, None], squared_m2)
+    votes = np.zeros((len(costs), marker_count + 1), int)
+    known: dict[bytes, tuple[np.ndarray, int]] = {}
+    for row in np.sort(sampled.tracklets, axis=1):
+        key = row.tobytes()
+        visible, count = known.get(key, (row[row >= 0], 0))
+        known[key] = visible, count + 1
+    for visible, count in known.values():
+        padded = np.repeat(none_cost[visible, None], marker_count + len(visible), axis=1)
+        padded[:, :marker_count] = costs[visible]
+        rows, columns = linear_sum_assignment(padded)
+        votes[visible[rows], np.minimum(columns, marker_count)] += count
+    winners = votes.argmax(1)
+    winners[votes.max(1) == 0] = marker_count
+    return _resolve_conflicts(list(known.values()), np.where(winners == marker_count, -1, winners), votes)
+
+
+def _resolve_conflicts(
+    visible_sets: list[tuple[np.ndarray, int]], markers: Int[np.ndarray, " N"], votes: Int[np.ndarray, "N K1"]
+) -> Int[np.ndarray, " N"]:
+    """Take the label from tracklets that share it with another one that is visible at the same time and has it more often."""
+    for visible, _ in visible_sets:
+        labelled = visible[markers[visible] >= 0]
+        order = labelled[np.argsort(-votes[labelled, markers[labelled]], kind="stable")]
+        _, first_places = np.unique(markers[order], return_index=True)
+        markers[np.delete(order, first_places)] = -1
+    return markers
