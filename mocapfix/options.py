@@ -54,6 +54,10 @@ class SubjectOptions(StageOptions):
     subject: "str | Path | Subject | None" = define_option(
         None, "--subject", "FILE", "subject file of a calibration", default_text="calibrated from the take"
     )
+    like: str | Path | None = define_option(
+        None, "--like", "TAKE", "a labelled take of the same person, by which a take without labels is labelled",
+        default_text="none",
+    )  # fmt: skip
     subject_prefix: str | None = define_option(
         None, "--subject-prefix", "NAME", 'clean this one of several subjects: "Jim" of Jim:LFHD',
         job_key="subject_prefix", default_text="every subject in turn",

@@ -21,7 +21,13 @@ from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, resolve_subject
+from mocapfix.labelling.take_labelling import label_requested_take
+from mocapfix.marker_sets.library import (
+    choose_marker_set,
+    describe_marker_set_match,
+    load_requested_subject,
+    resolve_subject,
+)
 from mocapfix.multi_subject import split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
@@ -80,6 +86,8 @@ def clean(
     if isinstance(capture, Animation):
         return clean_animation(capture, options, load_pose_model, timer)
     reject_hierarchy(capture, options.subject)
+    with timer("label"):
+        capture, options = label_capture(capture, options)
     check_fill_options(capture, options.fill)
     takes = split_known_subjects(capture, options.subject)
     reviewed_changes = read_review_files(options.review.review_files, takes)
@@ -92,6 +100,19 @@ def clean(
         state = replace(start_cleaning(take, options.subject, reviewed), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
     return results[0] if len(results) == 1 else multi_subject.merge_results(capture, tuple(results))
+
+
+def label_capture(take: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
+    """Return the take with labels if it has none, and the options with the subject of the labelled take that they name.
+
+    Raises TakeError as `label_requested_take`, or where the options name a take and another subject.
+    """
+    if options.subject.like is not None:
+        if options.subject.subject is not None or options.subject.marker_set is not None:
+            raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
+        subject = calibrate_takes([options.subject.like], CleanOptions(read=options.read))
+        options = options.change(subject=subject, like=None)
+    return label_requested_take(take, load_requested_subject(options.subject)), options
 
 
 def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
@@ -195,6 +216,7 @@ def inspect(
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]
     reject_hierarchy(capture, options.subject)
+    capture, options = label_capture(capture, options)
     reports: list[InspectionReport] = []
     for take in split_known_subjects(capture, options.subject):
         conditioner = build_prior_conditioner(load_pose_model, options.solve)
@@ -255,6 +277,7 @@ def _detect_for_calibration(path: str | Path, options: CleanOptions) -> Cleaning
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
+    capture = label_requested_take(capture, load_requested_subject(options.subject))
     take, *others = split_known_subjects(capture, options.subject)
     if others:
         names = multi_subject.format_subject_names((take, *others))

@@ -43,6 +43,9 @@ class Take:
         point_columns: Index of each marker among the points of the file; empty if the markers are the points.
         other_labels: Labels of the points that are not markers: model outputs and unlabelled points.
         unlabelled: The unlabelled trajectories as a take of their own, if there are any.
+        labelled_file: The bytes of the file with its trajectories labelled, if mocapfix labelled them; then `layout` and
+            `point_columns` are those of these bytes. None: the file has its labels itself.
+        label_confidence: The probability that the label of each sample is right, if mocapfix labelled them.
         computed_points: The positions that a program computed from markers, such as joint centres, if there are any.
         sample_sd: Predicted standard deviation (m) of the samples that mocapfix estimated, NaN for all others.
         computed: Samples that software estimated, according to the residual words of a C3D file.
@@ -64,6 +67,8 @@ class Take:
     point_columns: Int[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0, int))
     other_labels: tuple[str, ...] = ()
     unlabelled: "Take | None" = None
+    labelled_file: bytes | None = None
+    label_confidence: Float[np.ndarray, "T M"] | None = None
     computed_points: "ComputedPoints | None" = None
     sample_sd: Float[np.ndarray, "T M"] | None = None
     computed: Bool[np.ndarray, "T M"] | None = None
@@ -154,7 +159,7 @@ class Take:
 
     def extract_markers(self, marker_indices: Int[np.ndarray, " K"], subject_name: str) -> "Take":
         """Return some markers as a take of the same file. Writing it changes the samples of these markers only."""
-        names = ("sample_sd", "computed", "uncaptured", "relabelled_points")
+        names = ("sample_sd", "computed", "uncaptured", "relabelled_points", "label_confidence")
         arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
         return replace(
             self,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     CalibrateArguments = object
 else:
     CalibrateArguments = build_options_argument(
-        ("read", "subject"), without=("subject", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
+        ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
     )
 
 

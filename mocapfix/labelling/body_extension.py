@@ -60,7 +60,9 @@ class ExtendedBody:
     frames: Int[np.ndarray, " E"]
 
 
-def extend_body(sampled: SampledPoints, markers: Int[np.ndarray, " N"], body: PosedBody, marker_set: MarkerSet | None) -> ExtendedBody:
+def extend_body(
+    sampled: SampledPoints, markers: Int[np.ndarray, " N"], body: PosedBody, marker_set: MarkerSet | None
+) -> ExtendedBody:
     """Return a body with the labels that hold in several frames.
 
     Args:
@@ -85,15 +87,28 @@ def extend_body(sampled: SampledPoints, markers: Int[np.ndarray, " N"], body: Po
             body = body.change_subject(adapt_offsets(nominal, poses, positions, offset_weight))
         distances = measure_tracklets(part, body.predict(poses), EXTENSION_GATE_M)
         markers = assign_tracklets(part, distances.squared_m2, max_distance)
-    positions = part.arrange_markers(markers, count)
-    body.solve(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M[-1:], EXTENSION_ITERATIONS)
+    return ExtendedBody(body, markers, compute_body_cost(part, markers, body, nominal), frames)
+
+
+def compute_body_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"], body: PosedBody, nominal: Subject) -> float:
+    """Return the mean cost of a body in frames, with that of its marker offsets and of markers that it lacks.
+
+    Args:
+        sampled: The points in these frames.
+        markers: The marker of each tracklet.
+        body: The body with its offsets.
+        nominal: The subject with the offsets of the marker set.
+    """
+    count = len(body.subject.joints)
+    positions = sampled.arrange_markers(markers, count)
+    poses = body.register(positions)
+    body.solve(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M, EXTENSION_ITERATIONS)
     costs = body.compute_costs(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M[-1])
     spread = np.maximum(nominal.marker_spread, MIN_OFFSET_SPREAD_M)[:, None]
     offset_cost = 0.5 * float((((body.subject.marker_offsets - nominal.marker_offsets) / spread) ** 2).sum())
-    possible = np.minimum((part.tracklets >= 0).sum(1), count)
+    possible = np.minimum((sampled.tracklets >= 0).sum(1), count)
     missing = possible - (~np.isnan(positions[..., 0])).sum(1)
-    if __import__('os').environ.get('DBG'): print('   ',costs.mean(), offset_cost, missing.mean())
-    return ExtendedBody(body, markers, float((costs + MISSING_MARKER_COST * missing).mean()) + offset_cost, frames)
+    return float((costs + MISSING_MARKER_COST * missing).mean()) + offset_cost
 
 
 def select_extension_frames(sampled: SampledPoints, markers: Int[np.ndarray, " N"]) -> Int[np.ndarray, " E"]:

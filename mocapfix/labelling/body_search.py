@@ -72,7 +72,9 @@ def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[Fo
     costs = body.compute_costs(poses, markers, SEARCH_MARKER_SD_M, SEARCH_GATES_M[1])
     missing_cost = 0.5 * (SEARCH_GATES_M[1] / SEARCH_MARKER_SD_M) ** 2
     possible = min(len(positions), len(body.subject.joints))
-    totals = [float(cost + missing_cost * (possible - (each.markers >= 0).sum())) for cost, each in zip(costs, found, strict=True)]
+    totals = [
+        float(cost + missing_cost * (possible - (each.markers >= 0).sum())) for cost, each in zip(costs, found, strict=True)
+    ]
     best: dict[bytes, FoundBody] = {}
     for h in np.argsort(totals, kind="stable"):
         best.setdefault(found[h].markers.tobytes(), FoundBody(found[h].markers, totals[h]))

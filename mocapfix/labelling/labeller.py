@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from mocapfix.labelling.body_extension import ExtendedBody, extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
-from mocapfix.labelling.posed_body import PosedBody, build_average_body, build_subject_body
+from mocapfix.labelling.posed_body import build_average_body, build_subject_body
 from mocapfix.labelling.propagation import PropagatedLabels, propagate_labels
 from mocapfix.labelling.sampled_points import SampledPoints, sample_points
 from mocapfix.marker_set import MarkerSet

@@ -79,7 +79,9 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
     for number in range(MAX_PROPAGATION_ROUNDS):
         positions = sampled.arrange_markers(markers, marker_count)
         is_ready = (~np.isnan(positions[..., 0])).sum(1) >= min_count
-        is_changed = is_ready & ~(((positions == posed_positions) | (np.isnan(positions) & np.isnan(posed_positions))).all((1, 2)))
+        is_changed = is_ready & ~(
+            ((positions == posed_positions) | (np.isnan(positions) & np.isnan(posed_positions))).all((1, 2))
+        )
         is_changed |= is_ready & ~is_posed
         adapts = nominal is not None and number < MAX_OFFSET_ROUNDS
         if not is_changed.any() and not adapts:

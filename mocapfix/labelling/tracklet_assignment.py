@@ -58,7 +58,9 @@ def measure_tracklets(sampled: SampledPoints, predicted: Float[np.ndarray, "S K 
         return TrackletDistances(total / weight, frame_count)
 
 
-def assign_tracklets(sampled: SampledPoints, squared_m2: Float[np.ndarray, "N K"], max_distance_m: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+def assign_tracklets(
+    sampled: SampledPoints, squared_m2: Float[np.ndarray, "N K"], max_distance_m: Float[np.ndarray, " N"]
+) -> Int[np.ndarray, " N"]:
     """Return the marker of each tracklet, -1 for one that is farther than its `max_distance_m` from all markers that are free.
 
     Args:

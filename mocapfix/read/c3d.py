@@ -18,6 +18,7 @@ from mocapfix.read.coordinates import (
 from mocapfix.read.point_takes import add_other_points
 from mocapfix.read.point_types import (
     DeclaredPoints,
+    check_point_types,
     classify_points,
     detect_computed_samples,
     detect_uncaptured_samples,
@@ -41,7 +42,7 @@ def read_c3d(path: Path, data: bytes) -> Take:
     C3D User Guide, "The 3D Data Section".
 
     Raises:
-        ReadError: If the file is not a complete C3D with labelled markers. The message names the file and the remedy.
+        ReadError: If the file is not a complete C3D with markers. The message names the file and the remedy.
     """
     if len(data) < 2 * C3D_BLOCK_BYTES:
         raise ReadError(f"{path}: has only the first {len(data)} bytes of a C3D, without its data; copy or export it again.")
@@ -57,13 +58,12 @@ def read_c3d(path: Path, data: bytes) -> Take:
     declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
     types = classify_points(declared, visible, residual_words)
     columns = types.markers
-    if not len(columns):
-        problem = f"none of its {layout.point_count} points is a labelled marker"
-        raise ReadError(f"{path}: {problem}; label them and export it again.")
+    check_point_types(path, types)
     up_axis = get_screen_up_axis(parameters.screen_axis)
     if up_axis is None:
-        in_file = _convert_to_metres(values, visible, columns, layout)
-        up_axis = estimate_up_axis([types.labels[i] for i in columns], in_file, parameters.rate)
+        inspected = columns if len(columns) else types.unlabelled
+        in_file = _convert_to_metres(values, visible, inspected, layout)
+        up_axis = estimate_up_axis([types.labels[i] for i in inspected], in_file, parameters.rate)
     layout = replace(layout, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis.letter])
     take = Take(
         _convert_to_metres(values, visible, columns, layout),

@@ -63,8 +63,11 @@ def read_capture(path: str | Path, up_axis: str | None = None) -> Take | Animati
         ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file and the
             remedy.
     """
-    path = Path(path)
-    data = read_file_bytes(path)
+    return read_capture_bytes(Path(path), read_file_bytes(Path(path)), up_axis)
+
+
+def read_capture_bytes(path: Path, data: bytes, up_axis: str | None = None) -> Take | Animation:
+    """Read the bytes of a file as `read_capture`; the path is only the one that it reports."""
     head = extract_head(data)
     for file_format in FILE_FORMATS:
         if file_format.matches(head):

@@ -15,7 +15,7 @@ from mocapfix.files.layouts import TableLayout
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
 from mocapfix.read.file_content import TextDocument
 from mocapfix.read.point_takes import add_other_points
-from mocapfix.read.point_types import DeclaredPoints, classify_points
+from mocapfix.read.point_types import DeclaredPoints, check_point_types, classify_points
 from mocapfix.read.table_cells import (
     CELL_PADDING,
     MAX_INSPECTED_LINES,
@@ -149,16 +149,16 @@ def build_take(
         notes: Sentences about assumptions made so far.
 
     Raises:
-        ReadError: If no point is a labelled marker.
+        ReadError: If no point is a marker.
     """
     visible = find_valid_points(points_file)
     types = classify_points(DeclaredPoints(labels), visible, np.zeros(visible.shape))
     columns = types.markers
-    if not len(columns):
-        raise ReadError(f"{path}: none of its {len(labels)} trajectories is a labelled marker; label them and export it again.")
+    check_point_types(path, types)
     positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
     marker_labels = tuple(types.labels[int(i)] for i in columns)
-    up_axis = estimate_up_axis(marker_labels, positions_file[:, columns], rate, default_up_axis)
+    inspected = columns if len(columns) else types.unlabelled
+    up_axis = estimate_up_axis([types.labels[i] for i in inspected], positions_file[:, inspected], rate, default_up_axis)
     rotation = ROTATIONS_TO_Y_UP[up_axis.letter]
     take = Take(
         positions_file[:, columns] @ rotation.T,

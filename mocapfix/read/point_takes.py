@@ -39,6 +39,8 @@ def add_other_points(take: Take, types: PointTypes, convert: PointConverter) -> 
 
 def separate_computed_markers(take: Take) -> Take:
     """Return a take without the markers that are exact functions of others; they are among its computed points."""
+    if len(take.labels) < MIN_LABELLED_POINTS:
+        return take
     resolution_m, is_visible = estimate_resolution(take.markers[:MAX_RESOLUTION_FRAMES]), np.any(take.visible, axis=0)
     functions = find_point_functions(take.markers, resolution_m, is_visible, is_visible)
     found = np.array(sorted(functions), int)

@@ -3,10 +3,12 @@
 import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.errors import ReadError
 from mocapfix.files.layouts import MAX_RESIDUAL_COUNTS
 from mocapfix.read.computed_points import find_model_outputs, find_named_computed_points, strip_subject_prefix
 
@@ -97,6 +99,12 @@ def classify_points(
         np.flatnonzero(is_computed),
         notes,
     )
+
+
+def check_point_types(path: Path, types: PointTypes) -> None:
+    """Raise ReadError if a file has neither markers nor unlabelled trajectories."""
+    if not len(types.markers) and not len(types.unlabelled):
+        raise ReadError(f"{path}: none of its {len(types.labels)} points is a marker; export the marker trajectories as well.")
 
 
 def _name_numbered_points(declared: DeclaredPoints, numbered: Bool[np.ndarray, " P"]) -> tuple[tuple[str, ...], tuple[str, ...]]:

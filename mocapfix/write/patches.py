@@ -23,6 +23,7 @@ from mocapfix.write.source_file import (
     find_changed_samples,
     find_relabelled_samples,
     read_source_bytes,
+    read_take_bytes,
 )
 from mocapfix.write.text_tables import MAX_WRITTEN_DECIMALS
 
@@ -98,7 +99,7 @@ def patch_c3d(target: str | Path, before: Take, after: Take) -> list[tuple[int, 
     if not isinstance(layout, C3dLayout):
         raise WriteError(f"{before.name}: was not read from a C3D file, so there is no file to patch.")
     stop_byte = layout.data_start_byte + layout.frame_count * layout.frame_stride_bytes
-    data = read_source_bytes(Path(target), before.path, stop_byte)
+    data = read_take_bytes(Path(target), before, stop_byte)
     words, relabelled = layout.view_words(data), find_relabelled_samples(before, after)
     frames, markers = np.nonzero(find_changed_samples(before, after) & ~relabelled)
     samples, is_stored = _build_samples(layout, after, frames, markers)
@@ -130,6 +131,11 @@ def _build_samples(
     return samples, is_stored
 
 
+def encode_missing_sample(layout: C3dLayout) -> Shaped[np.ndarray, "4"]:
+    """Return the words of a missing sample as the file stores them."""
+    return _encode_samples(layout, np.array([MISSING_SAMPLE]))[0]
+
+
 def _encode_samples(layout: C3dLayout, samples: Float[np.ndarray, "n 4"]) -> Shaped[np.ndarray, "n 4"]:
     """Return the words of samples as the file stores them."""
     if layout.has_vax_floats:
@@ -159,7 +165,7 @@ def patch_table(target: str | Path, before: Take, after: Take) -> list[tuple[int
     layout = before.layout
     if not isinstance(layout, TableLayout) or not layout.has_field_per_sample:
         raise WriteError(f"{before.name}: does not have a field for every sample, so it cannot be patched.")
-    lines = bytes(read_source_bytes(Path(target), before.path)).decode(layout.encoding, "replace").split(layout.newline)
+    lines = bytes(read_take_bytes(Path(target), before)).decode(layout.encoding, "replace").split(layout.newline)
     if len(lines) <= layout.line_indices.max():
         raise build_truncated_error(before.path)
     edits, lost = _build_edits(layout, lines, before, after)

@@ -46,6 +46,12 @@ def get_file_frame(take: Take) -> FileFrame:
     return FileFrame(C3D_UNIT_NAMES[unit_m], unit_m, take.layout.rotation_y_up_file)
 
 
+def read_take_bytes(target: Path, take: Take, min_bytes: int = 0) -> bytearray:
+    """Return the bytes of the file of a take as `read_source_bytes`, with the labels that mocapfix gave them."""
+    data = read_source_bytes(target, take.path, 0 if take.labelled_file else min_bytes)
+    return data if take.labelled_file is None else bytearray(take.labelled_file)
+
+
 def read_source_bytes(target: Path, source: Path | None, min_bytes: int = 0) -> bytearray:
     """Return the bytes of the file of which `target` will be a changed copy.
 

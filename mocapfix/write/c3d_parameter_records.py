@@ -1,0 +1,107 @@
+"""The parameter section of a C3D file with other labels of the points. All other parameters keep their bytes."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from mocapfix.files.layouts import C3D_BLOCK_BYTES, SGI_PROCESSOR
+
+MAX_SERIES_NUMBER = 100  # of a parameter with an entry for each point, such as LABELS, that is continued in LABELS2 and so on
+MAX_TEXTS_PER_PARAMETER = 255  # of a parameter, and the length of a text
+DATA_BLOCK_WORD = 16  # offset in the header of the number of the first block of data
+POINT_COUNT_WORD = 2  # offset in the header of the number of points
+
+
+class ParameterRecord(NamedTuple):
+    """A group or a parameter: its name, the number of its group (negative for the group itself), and its bytes."""
+
+    name: str
+    group: int
+    name_bytes: bytes
+    content: bytes
+
+
+def replace_point_parameters(head: bytes, labels: Sequence[str], *, has_same_points: bool) -> bytes:
+    """Return the bytes before the data of a C3D file for points with other labels.
+
+    The data begin later if the parameters need more blocks than there are before the data.
+
+    Args:
+        head: The bytes from the beginning of the file to its data.
+        labels: The labels of all points.
+        has_same_points: Whether these are the points of the file, whose descriptions are then kept.
+    """
+    first, order = C3D_BLOCK_BYTES * (head[0] - 1), "<"
+    if head[first + 3] == SGI_PROCESSOR:
+        order = ">"
+    records = _read_records(head, first + 4, order)
+    point_group = next(-each.group for each in records if each.group < 0 and each.name == "POINT")
+    texts = {"LABELS": [label.encode("utf-8") or b" " for label in labels]}
+    if not has_same_points:
+        texts["DESCRIPTIONS"] = [b" "] * len(labels)
+    series = {f"{name}{number or ''}" for name in texts for number in (0, *range(2, MAX_SERIES_NUMBER))}
+    kept = [each for each in records if each.group != point_group or each.name not in {*series, "USED", "DATA_START"}]
+    size = len(_join_records(kept, order)) + len(_build_point_records(point_group, texts, 0, order)) + 4
+    block_count = -(-size // C3D_BLOCK_BYTES)
+    data_block = max(len(head) // C3D_BLOCK_BYTES, head[0] - 1 + block_count) + 1
+    built = _build_point_records(point_group, texts, data_block, order)
+    section = head[first : first + 2] + bytes([min(block_count, 255), head[first + 3]]) + _join_records(kept, order) + built
+    section = section.ljust(C3D_BLOCK_BYTES * block_count, b"\0")
+    start = bytearray(head[:first])
+    struct.pack_into(order + "H", start, POINT_COUNT_WORD, len(labels))
+    struct.pack_into(order + "H", start, DATA_BLOCK_WORD, data_block)
+    return bytes(start + section).ljust(C3D_BLOCK_BYTES * (data_block - 1), b"\0")
+
+
+def _read_records(head: bytes, at: int, order: str) -> list[ParameterRecord]:
+    records: list[ParameterRecord] = []
+    while at + 2 <= len(head) and head[at]:
+        name_length, group = struct.unpack_from("bb", head, at)
+        name_end = at + 2 + abs(name_length)
+        (offset,) = struct.unpack_from(order + "h", head, name_end)
+        content_start = name_end + 2
+        content_end = name_end + offset if offset > 0 else content_start + _measure_content(head, content_start, group, order)
+        records.append(
+            ParameterRecord(
+                head[at + 2 : name_end].decode("latin-1").upper(), group, head[at:name_end], head[content_start:content_end]
+            )
+        )
+        if offset <= 0:
+            break
+        at = content_end
+    return records
+
+
+def _measure_content(head: bytes, at: int, group: int, order: str) -> int:
+    """Return the number of bytes of the content of the last record, which gives no offset to a next one."""
+    if group < 0:
+        return 1 + head[at]
+    size = abs(struct.unpack_from("b", head, at)[0])
+    for dimension in head[at + 2 : at + 2 + head[at + 1]]:
+        size *= dimension
+    description = at + 2 + head[at + 1] + size
+    return description + 1 + head[description] - at
+
+
+def _join_records(records: Sequence[ParameterRecord], order: str) -> bytes:
+    return b"".join(each.name_bytes + struct.pack(order + "h", len(each.content) + 2) + each.content for each in records)
+
+
+def _build_point_records(group: int, texts: Mapping[str, Sequence[bytes]], data_block: int, order: str) -> bytes:
+    """Return the records of the number of points, the first block of data, and the texts of the points by parameter."""
+    records = [_build_word("USED", group, len(texts["LABELS"]), order), _build_word("DATA_START", group, data_block, order)]
+    for name, series in texts.items():
+        for number, first in enumerate(range(0, max(len(series), 1), MAX_TEXTS_PER_PARAMETER)):
+            part = series[first : first + MAX_TEXTS_PER_PARAMETER]
+            width = min(max(map(len, part), default=1), MAX_TEXTS_PER_PARAMETER)
+            content = struct.pack("bBBB", -1, 2, width, len(part)) + b"".join(text[:width].ljust(width) for text in part) + b"\0"
+            records.append(_build_record(f"{name}{number + 1 if number else ''}", group, content))
+    return _join_records(records, order) + bytes(2)
+
+
+def _build_word(name: str, group: int, value: int, order: str) -> ParameterRecord:
+    return _build_record(name, group, struct.pack("bB", 2, 0) + struct.pack(order + "H", value) + b"\0")
+
+
+def _build_record(name: str, group: int, content: bytes) -> ParameterRecord:
+    return ParameterRecord(name, group, struct.pack("bb", len(name), group) + name.encode(), content)
