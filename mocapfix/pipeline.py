@@ -21,7 +21,7 @@ from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.labelling.take_labelling import label_requested_take
+from mocapfix.labelling.requested_labels import label_take
 from mocapfix.marker_sets.library import (
     choose_marker_set,
     describe_marker_set_match,
@@ -105,14 +105,14 @@ def clean(
 def label_capture(take: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
     """Return the take with labels if it has none, and the options with the subject of the labelled take that they name.
 
-    Raises TakeError as `label_requested_take`, or where the options name a take and another subject.
+    Raises TakeError as `label_take`, or where the options name a labelled take and a marker set or a subject.
     """
     if options.subject.like is not None:
         if options.subject.subject is not None or options.subject.marker_set is not None:
             raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
         subject = calibrate_takes([options.subject.like], CleanOptions(read=options.read))
         options = options.change(subject=subject, like=None)
-    return label_requested_take(take, load_requested_subject(options.subject)), options
+    return label_take(take, load_requested_subject(options.subject)), options
 
 
 def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
@@ -277,7 +277,7 @@ def _detect_for_calibration(path: str | Path, options: CleanOptions) -> Cleaning
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
-    capture = label_requested_take(capture, load_requested_subject(options.subject))
+    capture = label_take(capture, load_requested_subject(options.subject))
     take, *others = split_known_subjects(capture, options.subject)
     if others:
         names = multi_subject.format_subject_names((take, *others))

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.calibrate import refinement
-from mocapfix.calibrate.calibration import scale_average_subject, scale_skeleton, select_candidate_frames
+from mocapfix.calibrate.body_size import scale_skeleton
+from mocapfix.calibrate.calibration import scale_average_subject, select_candidate_frames
 from mocapfix.calibrate.marker_attachment import MarkerAtlas, build_marker_atlas
 from mocapfix.errors import TakeError
 from mocapfix.kernels.forward_kinematics import KinematicTree

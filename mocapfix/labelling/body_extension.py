@@ -4,20 +4,24 @@ A body that faces backwards, or has an arm assigned to a leg, fits one frame nea
 follow the markers through a motion.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from mocapfix.calibrate.calibration import estimate_body_size_ratio
-from mocapfix.calibrate.marker_attachment import measure_marker_offsets
-from mocapfix.labelling.posed_body import PosedBody, build_average_body, scale_subject
+from mocapfix.calibrate.body_size import estimate_body_size_ratio
+from mocapfix.labelling.posed_body import (
+    FINAL_OFFSET_WEIGHT,
+    POSING_ITERATIONS,
+    POSING_MARKER_SD_M,
+    POSING_SCALES_M,
+    ExtendedBody,
+    PosedBody,
+    adapt_offsets,
+    build_average_body,
+    scale_subject,
+)
 from mocapfix.labelling.sampled_points import SampledPoints
 from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_tracklets
 from mocapfix.marker_set import MarkerSet
-from mocapfix.motion import Motion
-from mocapfix.solve import kinematics
-from mocapfix.solve.kinematics import Poses
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 
@@ -25,39 +29,16 @@ MAX_EXTENSION_FRAMES = 40
 """Frames to which a body is extended."""
 MIN_EXTENSION_MARKER_SHARE = 0.75
 """Markers that such a frame must show, as a share of those of the frame in which the body was found."""
-EXTENSION_SCALES_M = (0.2, 0.1)
-"""Robust scales of the poses."""
-EXTENSION_ITERATIONS = 8
-"""Solver iterations at each scale."""
-EXTENSION_MARKER_SD_M = 0.02
-"""Standard deviation of a marker about the body per axis."""
 EXTENSION_GATE_M = 0.15
 """Distance above which all distances of a point from a marker are equal."""
 MAX_EXTENSION_DISTANCE_M = 0.1
 """Distance at which no label is as likely as a label."""
 MISSING_MARKER_COST = 50.0
 """Cost of a marker without a point in a frame that has points without a marker, in half squares of standard deviations."""
-OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, 0.8)
-"""Weight of the measured offset of a marker after each round; that of the offset of the set is the rest."""
+OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, FINAL_OFFSET_WEIGHT)
+"""Weight of the measured offset of a marker after each round."""
 MIN_OFFSET_SPREAD_M = 0.015
 """Smallest standard deviation per axis of the offset of a person's marker from that of the set."""
-
-
-@dataclass(frozen=True)
-class ExtendedBody:
-    """A body with the labels of those tracklets that it was extended to.
-
-    Attributes:
-        body: The body with its marker offsets.
-        markers: The marker of each of the N tracklets, -1 for none.
-        cost: Its cost per frame: half the sum of squares in standard deviations.
-        frames: Indices of the sampled frames.
-    """
-
-    body: PosedBody
-    markers: Int[np.ndarray, " N"]
-    cost: float
-    frames: Int[np.ndarray, " E"]
 
 
 def extend_body(
@@ -82,7 +63,7 @@ def extend_body(
     for offset_weight in OFFSET_WEIGHTS:
         positions = part.arrange_markers(markers, count)
         poses = body.register(positions)
-        body.solve(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M, EXTENSION_ITERATIONS)
+        body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
         if marker_set is not None:
             body = body.change_subject(adapt_offsets(nominal, poses, positions, offset_weight))
         distances = measure_tracklets(part, body.predict(poses), EXTENSION_GATE_M)
@@ -102,8 +83,8 @@ def compute_body_cost(sampled: SampledPoints, markers: Int[np.ndarray, " N"], bo
     count = len(body.subject.joints)
     positions = sampled.arrange_markers(markers, count)
     poses = body.register(positions)
-    body.solve(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M, EXTENSION_ITERATIONS)
-    costs = body.compute_costs(poses, positions, EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M[-1])
+    body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
+    costs = body.compute_costs(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M[-1])
     spread = np.maximum(nominal.marker_spread, MIN_OFFSET_SPREAD_M)[:, None]
     offset_cost = 0.5 * float((((body.subject.marker_offsets - nominal.marker_offsets) / spread) ** 2).sum())
     possible = np.minimum((sampled.tracklets >= 0).sum(1), count)
@@ -116,19 +97,3 @@ def select_extension_frames(sampled: SampledPoints, markers: Int[np.ndarray, " N
     count = (np.append(markers, -1)[sampled.tracklets] >= 0).sum(1)
     enough = np.flatnonzero(count >= MIN_EXTENSION_MARKER_SHARE * count.max())
     return enough[sample_evenly(len(enough), MAX_EXTENSION_FRAMES)]
-
-
-def adapt_offsets(
-    nominal: Subject, poses: Poses, positions: Float[np.ndarray, "S K 3"], weight: float = OFFSET_WEIGHTS[-1]
-) -> Subject:
-    """Return the subject with its marker offsets moved towards where the posed body has the markers, all the way by weight 1."""
-    zeros = np.zeros(len(positions), int)
-    motion = Motion(*poses, zeros, zeros, np.zeros(0), np.zeros(0))
-    joint_positions, joint_rotations = kinematics.compute_world_poses(nominal.skeleton, motion)
-    offsets = nominal.marker_offsets.copy()
-    for k, joint in enumerate(nominal.joints):
-        own = slice(k, k + 1)
-        measured = measure_marker_offsets(positions[:, own], joint_positions[:, [joint]], joint_rotations[:, [joint]])[0][0, 0]
-        if not np.isnan(measured[0]):
-            offsets[k] += weight * (measured - offsets[k])
-    return replace(nominal, marker_offsets=offsets)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.labelling.posed_body import PosedBody, scale_subject
 from mocapfix.solve.kinematics import Poses
 
-HEADING_COUNT = 12
+TRIED_HEADING_COUNT = 12
 """Headings in which a body is placed."""
 ARM_RAISES = (0.0, 0.5, 1.0)
 """Arm positions in which a body is placed: 0 hanging, 1 as in a T-pose."""
@@ -83,9 +83,9 @@ def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[Fo
 
 def place_bodies(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> Poses:
     """Return poses (H) of a body that stands where the points are, in all headings and arm positions."""
-    headings = Rotation.from_euler("y", np.linspace(0, 2 * np.pi, HEADING_COUNT, endpoint=False)[:, None]).as_matrix()
+    headings = Rotation.from_euler("y", np.linspace(0, 2 * np.pi, TRIED_HEADING_COUNT, endpoint=False)[:, None]).as_matrix()
     raised = [raise_arms_to(body, share) for share in ARM_RAISES]
-    local_rotations = np.concatenate([np.tile(pose, (HEADING_COUNT, 1, 1, 1)) for pose in raised])
+    local_rotations = np.concatenate([np.tile(pose, (TRIED_HEADING_COUNT, 1, 1, 1)) for pose in raised])
     local_rotations[:, 0] = np.tile(headings, (len(raised), 1, 1)) @ local_rotations[:, 0]
     predicted = body.predict((np.zeros((len(local_rotations), 3)), local_rotations))
     root_position = np.median(positions, axis=0) - np.median(predicted, axis=1)

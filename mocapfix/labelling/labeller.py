@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.labelling.body_extension import ExtendedBody, extend_body
+from mocapfix.labelling.body_extension import extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
-from mocapfix.labelling.posed_body import build_average_body, build_subject_body
+from mocapfix.labelling.posed_body import ExtendedBody, build_average_body, build_subject_body
 from mocapfix.labelling.propagation import PropagatedLabels, propagate_labels
 from mocapfix.labelling.sampled_points import SampledPoints, sample_points
 from mocapfix.marker_set import MarkerSet
@@ -35,7 +35,7 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
         subject: The person, if known; with the markers of the set in this order.
     """
     sampled = sample_points(points)
-    start = find_body(sampled, marker_set, subject)
+    start = find_labelled_body(sampled, marker_set, subject)
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
     nominal = None if subject else start.body.subject
@@ -44,7 +44,7 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     return PointLabels(assign_to_tracklets(points, labels.markers, -1), assign_to_tracklets(points, confidence, 0.0))
 
 
-def find_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
+def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
     """Return the best body in a few frames of the take; None if no frame shows enough points."""
     body = build_subject_body(subject) if subject else build_average_body(marker_set)
     candidates: list[tuple[float, np.ndarray]] = []

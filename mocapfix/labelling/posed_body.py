@@ -4,14 +4,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from mocapfix.calibrate.calibration import scale_skeleton
+from mocapfix.calibrate.body_size import scale_skeleton
+from mocapfix.calibrate.marker_attachment import measure_marker_offsets
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.terms import count_rows
 from mocapfix.marker_set import MarkerSet
+from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, load_cmu31_body, restrict_body
 from mocapfix.solve import kinematics
@@ -25,6 +27,14 @@ from mocapfix.solve.pose_problem import (
 )
 from mocapfix.subject import Subject
 
+FINAL_OFFSET_WEIGHT = 0.8
+"""Weight of the measured offset of a marker; that of the offset of the set is the rest."""
+POSING_SCALES_M = (0.2, 0.1)
+"""Robust scales of the poses."""
+POSING_ITERATIONS = 8
+"""Solver iterations at each scale."""
+POSING_MARKER_SD_M = 0.02
+"""Standard deviation of a marker about the body per axis."""
 LABELLING_LIMIT_SD_RAD = 0.1
 """Standard deviation of joint angles beyond the joint limits."""
 
@@ -110,3 +120,36 @@ def build_subject_body(subject: Subject, body: BodyModel | None = None) -> Posed
 def scale_subject(subject: Subject, size: float) -> Subject:
     """Return a subject `size` times as large."""
     return replace(subject, skeleton=scale_skeleton(subject.skeleton, size), marker_offsets=subject.marker_offsets * size)
+
+
+@dataclass(frozen=True)
+class ExtendedBody:
+    """A body with the labels of those tracklets that it was extended to.
+
+    Attributes:
+        body: The body with its marker offsets.
+        markers: The marker of each of the N tracklets, -1 for none.
+        cost: Its cost per frame: half the sum of squares in standard deviations.
+        frames: Indices of the sampled frames.
+    """
+
+    body: PosedBody
+    markers: Int[np.ndarray, " N"]
+    cost: float
+    frames: Int[np.ndarray, " E"]
+
+
+def adapt_offsets(
+    nominal: Subject, poses: Poses, positions: Float[np.ndarray, "S K 3"], weight: float = FINAL_OFFSET_WEIGHT
+) -> Subject:
+    """Return the subject with its marker offsets moved towards where the posed body has the markers, all the way by weight 1."""
+    zeros = np.zeros(len(positions), int)
+    motion = Motion(*poses, zeros, zeros, np.zeros(0), np.zeros(0))
+    joint_positions, joint_rotations = kinematics.compute_world_poses(nominal.skeleton, motion)
+    offsets = nominal.marker_offsets.copy()
+    for k, joint in enumerate(nominal.joints):
+        own = slice(k, k + 1)
+        measured = measure_marker_offsets(positions[:, own], joint_positions[:, [joint]], joint_rotations[:, [joint]])[0][0, 0]
+        if not np.isnan(measured[0]):
+            offsets[k] += weight * (measured - offsets[k])
+    return replace(nominal, marker_offsets=offsets)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.labelling.body_extension import (
-    EXTENSION_ITERATIONS,
-    EXTENSION_MARKER_SD_M,
-    EXTENSION_SCALES_M,
+from mocapfix.labelling.posed_body import (
+    POSING_ITERATIONS,
+    POSING_MARKER_SD_M,
+    POSING_SCALES_M,
     ExtendedBody,
+    PosedBody,
     adapt_offsets,
 )
-from mocapfix.labelling.posed_body import PosedBody
 from mocapfix.labelling.sampled_points import SampledPoints
 from mocapfix.labelling.tracklet_assignment import TrackletDistances, assign_tracklets, measure_tracklets
 from mocapfix.stats.sequences import sample_evenly
@@ -89,7 +89,7 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
         frames = np.flatnonzero(is_changed)
         if len(frames):
             poses = body.register(positions[frames])
-            body.solve(poses, positions[frames], EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M, EXTENSION_ITERATIONS)
+            body.solve(poses, positions[frames], POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
             root[frames], local[frames] = poses
             posed_positions[frames] = positions[frames]
             is_posed |= is_changed
@@ -99,7 +99,7 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
             body = body.change_subject(adapt_offsets(nominal, (root[chosen], local[chosen]), posed_positions[chosen]))
             frames = known
             poses = root[frames], local[frames]
-            body.solve(poses, posed_positions[frames], EXTENSION_MARKER_SD_M, EXTENSION_SCALES_M[-1:], 3)
+            body.solve(poses, posed_positions[frames], POSING_MARKER_SD_M, POSING_SCALES_M[-1:], 3)
             root[frames], local[frames] = poses
         predicted[frames] = body.predict((root[frames], local[frames]))
         distances = measure_tracklets(sampled, predicted, PROPAGATION_GATE_M)

@@ -5,18 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from mocapfix.errors import TakeError
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.labelling.labeller import label_points
-from mocapfix.labelling.linking import find_tracklets
 from mocapfix.labelling.points import PointLabels
-from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.library import SubjectChoice
 from mocapfix.read.c3d_parameters import read_c3d_parameters
 from mocapfix.read.capture import read_capture_bytes
 from mocapfix.read.file_content import read_file_bytes
 from mocapfix.read.point_types import NUMBERED_POINT_NAME
-from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.labelled_files import LabelledColumns, build_labelled_c3d, build_labelled_table, plan_columns
 
@@ -45,45 +39,6 @@ def collect_unlabelled_points(take: Take) -> FilePoints | None:
     return FilePoints(
         np.concatenate([each.markers for each in parts], axis=1), np.concatenate([each.point_indices for each in parts])
     )
-
-
-def label_requested_take(take: Take, request: SubjectChoice) -> Take:
-    """Return a take with labels if its points have none, by the marker set or the subject that the user names.
-
-    Raises TakeError if no set is named for a take without any label, or no person with the markers of the set is found in it.
-    """
-    points = collect_unlabelled_points(take)
-    if points is None or (request.marker_set is None and take.labels):
-        return take
-    count = points.positions.shape[1]
-    if request.marker_set is None:
-        raise TakeError(
-            f"{take.name}: none of its {count} points has a label; name the markers with --marker-set, the person with "
-            "--subject, or a labelled take of the person with --like."
-        )
-    labelled = label_take(take, points, request.marker_set, request.subject)
-    if labelled is take:
-        raise TakeError(
-            f"{take.name}: no person with the markers of {request.marker_set.name} was found in its {count} points; "
-            "check the marker set, the unit and the up axis (--up)."
-        )
-    return labelled
-
-
-def label_take(take: Take, points: FilePoints, marker_set: MarkerSet, subject: Subject | None = None) -> Take:
-    """Return a take with the labels of a set for its unlabelled points; the same take if no body was found in it.
-
-    Args:
-        take: The take.
-        points: Its points, by `collect_unlabelled_points`.
-        marker_set: The markers of the person.
-        subject: The person, if known.
-    """
-    tracklets = find_tracklets(points.positions, take.rate)
-    labels = label_points(tracklets, marker_set, subject)
-    if not (labels.marker_indices >= 0).any():
-        return take
-    return apply_labels(take, points, labels, marker_set.labels)
 
 
 def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labels: tuple[str, ...]) -> Take:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix import marker_sets, synthetic
-from mocapfix.calibrate import calibration
+from mocapfix.calibrate import body_size, calibration
 from mocapfix.errors import TakeError
 from mocapfix.pose_prior import mean_pose
 from mocapfix.skeleton import load_cmu31_body
@@ -72,7 +72,7 @@ def test_very_small_and_large_subjects_are_calibrated(truth, factor):
 
 
 def test_scaling_changes_all_lengths():
-    half = calibration.scale_skeleton(BODY.skeleton, 0.5)
+    half = body_size.scale_skeleton(BODY.skeleton, 0.5)
     np.testing.assert_allclose(half.offsets, BODY.skeleton.offsets / 2)
     np.testing.assert_allclose(half.ends, BODY.skeleton.ends / 2)
 
