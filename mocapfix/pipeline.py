@@ -21,7 +21,7 @@ from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.labelling.requested_labels import label_take
+from mocapfix.labelling.requested_labels import label_capture, label_take
 from mocapfix.marker_sets.library import (
     choose_marker_set,
     describe_marker_set_match,
@@ -87,7 +87,7 @@ def clean(
         return clean_animation(capture, options, load_pose_model, timer)
     reject_hierarchy(capture, options.subject)
     with timer("label"):
-        capture, options = label_capture(capture, options)
+        capture, options = label_capture(capture, options, calibrate_takes)
     check_fill_options(capture, options.fill)
     takes = split_known_subjects(capture, options.subject)
     reviewed_changes = read_review_files(options.review.review_files, takes)
@@ -102,17 +102,28 @@ def clean(
     return results[0] if len(results) == 1 else multi_subject.merge_results(capture, tuple(results))
 
 
-def label_capture(take: Take, options: CleanOptions) -> tuple[Take, CleanOptions]:
-    """Return the take with labels if it has none, and the options with the subject of the labelled take that they name.
+@limit_blas_threads
+def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress: ProgressCallback | None = None) -> Take:
+    """Return a take without labels with those of a marker set, in whose `labelled_file` are the bytes of the labelled file.
 
-    Raises TakeError as `label_take`, or where the options name a labelled take and a marker set or a subject.
+    Args:
+        path: the take.
+        options: `options.read` and `options.subject`, which names a marker set, a subject or a labelled take.
+        progress: called with the name of each stage when it begins.
+
+    Raises:
+        TakeError: if the take has labels, or no person with these markers is found in it.
     """
-    if options.subject.like is not None:
-        if options.subject.subject is not None or options.subject.marker_set is not None:
-            raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
-        subject = calibrate_takes([options.subject.like], CleanOptions(read=options.read))
-        options = options.change(subject=subject, like=None)
-    return label_take(take, load_requested_subject(options.subject)), options
+    timer = StageTimer(report_progress=progress)
+    with timer("read"):
+        capture = read_capture(path, options.read.up_axis)
+    if isinstance(capture, Animation):
+        raise TakeError(f"{capture.name}: is an animation without markers; there is nothing to label.")
+    with timer("label"):
+        labelled, _ = label_capture(capture, options, calibrate_takes)
+    if labelled.labelled_file is None:
+        raise TakeError(f"{capture.name}: has labels already, or no marker set was named for its points (--marker-set).")
+    return labelled
 
 
 def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
@@ -216,7 +227,7 @@ def inspect(
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]
     reject_hierarchy(capture, options.subject)
-    capture, options = label_capture(capture, options)
+    capture, options = label_capture(capture, options, calibrate_takes)
     reports: list[InspectionReport] = []
     for take in split_known_subjects(capture, options.subject):
         conditioner = build_prior_conditioner(load_pose_model, options.solve)

@@ -27,6 +27,7 @@ from mocapfix.cli.console import (
     stdout_console,
 )
 from mocapfix.cli.inspect import run_inspect
+from mocapfix.cli.label import run_label
 from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS
 from mocapfix.cli.run import run_scene
 from mocapfix.cli.train import TRAIN_COMMANDS
@@ -121,6 +122,7 @@ def run_view(
 COMMANDS = {
     "demo": run_demo,
     "inspect": run_inspect,
+    "label": run_label,
     "calibrate": run_calibrate,
     "clean": run_clean,
     "view": run_view,

@@ -1,14 +1,16 @@
 """The labeller: the marker of each of a take's unlabelled points."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from mocapfix.labelling.body_extension import extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
+from mocapfix.labelling.label_confidence import compute_label_confidence
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
-from mocapfix.labelling.posed_body import ExtendedBody, build_average_body, build_subject_body
+from mocapfix.labelling.posed_body import ExtendedBody, build_average_body, build_subject_body, scale_subject
 from mocapfix.labelling.propagation import PropagatedLabels, propagate_labels
 from mocapfix.labelling.sampled_points import SampledPoints, sample_points
+from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_durations, measure_tracklets
 from mocapfix.marker_set import MarkerSet
 from mocapfix.subject import Subject
 
@@ -25,23 +27,58 @@ BODIES_PER_KEY_FRAME = 3
 MAX_EXTENDED_BODIES = 6
 """Best bodies of all frames that are extended to other frames."""
 
+MIN_KEPT_CONFIDENCE = 0.5
+"""Confidence below which a tracklet stays without a label."""
+
+MAX_OPTIONAL_DISTANCE_M = 0.05
+"""Distance of a tracklet from an optional marker of the set up to which it has its label."""
+MIN_OPTIONAL_DURATION_S = 2.0
+"""Duration of such a tracklet; a shorter one may be a ghost."""
+
 
 def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None) -> PointLabels:
     """Return the marker of each point.
 
     Args:
         points: Points of one person, with any number of points that are not the person's.
-        marker_set: The person's markers.
+        marker_set: The person's markers. Its optional markers are looked for once all others have their labels.
         subject: The person, if known; with the markers of the set in this order.
     """
     sampled = sample_points(points)
-    start = find_labelled_body(sampled, marker_set, subject)
+    searched = marker_set if subject else marker_set.select_markers(marker_set.required_labels)
+    start = find_labelled_body(sampled, searched, subject)
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
-    nominal = None if subject else start.body.subject
-    labels = propagate_labels(sampled, start, nominal)
-    confidence = compute_label_confidence(sampled, labels)
-    return PointLabels(assign_to_tracklets(points, labels.markers, -1), assign_to_tracklets(points, confidence, 0.0))
+    labels = propagate_labels(sampled, start, None if subject else scale_nominal_subject(start.body.subject, searched))
+    confidence = compute_label_confidence(sampled, labels.markers, labels.distances)
+    indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
+    markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
+    if len(searched.labels) < len(marker_set.labels):
+        markers = add_optional_markers(sampled, markers, marker_set, labels)
+    return PointLabels(assign_to_tracklets(points, markers, -1), assign_to_tracklets(points, confidence, 0.0))
+
+
+def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
+    """Return a subject of the size of another one with the marker offsets of the set."""
+    average = build_average_body(marker_set).subject
+    return scale_subject(average, subject.skeleton.total_length_m / average.skeleton.total_length_m)
+
+
+def add_optional_markers(
+    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, labels: PropagatedLabels
+) -> Int[np.ndarray, " N"]:
+    """Return the markers of the tracklets with optional ones for long tracklets that have none."""
+    subject = scale_nominal_subject(labels.body.subject, marker_set)
+    predicted = np.full((len(sampled.frames), len(marker_set.labels), 3), np.nan)
+    frames = np.flatnonzero(labels.is_posed)
+    poses = labels.poses[0][frames], labels.poses[1][frames]
+    predicted[frames] = labels.body.change_subject(subject).predict(poses)
+    squared = measure_tracklets(sampled, predicted, MAX_OPTIONAL_DISTANCE_M).squared_m2
+    is_optional = np.array([label in marker_set.optional_labels for label in marker_set.labels])
+    is_free = (markers < 0) & (measure_durations(sampled) >= MIN_OPTIONAL_DURATION_S)
+    squared[~is_free[:, None] | ~is_optional] = np.nan
+    found = assign_tracklets(sampled, squared, np.full(len(markers), MAX_OPTIONAL_DISTANCE_M))
+    return np.where(is_free, found, markers)
 
 
 def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
@@ -73,8 +110,3 @@ def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], fl
     order = full[np.argsort(height, kind="stable")]
     places = np.linspace(*KEY_FRAME_HEIGHT_QUANTILES, KEY_FRAME_COUNT) * (len(order) - 1)
     return np.unique(order[places.astype(int)]), float(np.quantile(height, STANDING_HEIGHT_QUANTILE))
-
-
-def compute_label_confidence(sampled: SampledPoints, labels: PropagatedLabels) -> Float[np.ndarray, " N"]:
-    """Return the probability that each tracklet's label is right."""
-    return np.where(labels.markers >= 0, 1.0, 0.5)

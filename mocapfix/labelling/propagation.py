@@ -8,7 +8,7 @@ changes. The offsets of the markers are adapted to the take on the way.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from mocapfix.labelling.posed_body import (
     POSING_ITERATIONS,
@@ -19,7 +19,8 @@ from mocapfix.labelling.posed_body import (
     adapt_offsets,
 )
 from mocapfix.labelling.sampled_points import SampledPoints
-from mocapfix.labelling.tracklet_assignment import TrackletDistances, assign_tracklets, measure_tracklets
+from mocapfix.labelling.tracklet_assignment import TrackletDistances, assign_tracklets, compute_max_distances, measure_tracklets
+from mocapfix.solve.kinematics import Poses
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 
@@ -33,10 +34,6 @@ MAX_OFFSET_ROUNDS = 6
 """Rounds in which the offsets are adapted."""
 PROPAGATION_GATE_M = 0.2
 """Distance above which all distances of a point from a marker are equal."""
-MAX_LABEL_DISTANCES_M = (0.06, 0.15)
-"""Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
-LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
-"""Durations of these tracklets."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +45,14 @@ class PropagatedLabels:
         markers: The marker of each of the N tracklets, -1 for none.
         distances: The distances of the tracklets from the markers.
         is_posed: The sampled frames in which the body has a pose.
-        predicted: Where the body carries its markers, in metres; NaN in frames without a pose.
+        poses: Root positions (S, 3) in metres and local rotations of the frames.
     """
 
     body: PosedBody
     markers: Int[np.ndarray, " N"]
     distances: TrackletDistances
     is_posed: Bool[np.ndarray, " S"]
-    predicted: Float[np.ndarray, "S K 3"]
+    poses: Poses
 
 
 def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subject | None) -> PropagatedLabels:
@@ -75,7 +72,7 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
     predicted = np.full((frame_count, marker_count, 3), np.nan)
     distances = TrackletDistances(np.full((len(markers), marker_count), np.nan), np.zeros(len(markers), int))
     min_count = MIN_POSED_MARKER_SHARE * np.median((np.append(markers, -1)[sampled.tracklets[start.frames]] >= 0).sum(1))
-    max_distance = np.interp(measure_durations(sampled), LABEL_DISTANCE_DURATIONS_S, MAX_LABEL_DISTANCES_M)
+    max_distance = compute_max_distances(sampled)
     for number in range(MAX_PROPAGATION_ROUNDS):
         positions = sampled.arrange_markers(markers, marker_count)
         is_ready = (~np.isnan(positions[..., 0])).sum(1) >= min_count
@@ -104,15 +101,4 @@ def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subje
         predicted[frames] = body.predict((root[frames], local[frames]))
         distances = measure_tracklets(sampled, predicted, PROPAGATION_GATE_M)
         markers = assign_tracklets(sampled, distances.squared_m2, max_distance)
-    return PropagatedLabels(body, markers, distances, is_posed, predicted)
-
-
-def measure_durations(sampled: SampledPoints) -> Float[np.ndarray, " N"]:
-    """Return the time in seconds from the first to the last sampled frame of each tracklet."""
-    first, last = np.full((2, sampled.tracklet_count), 0.0)
-    first += np.inf
-    rows, columns = np.nonzero(sampled.tracklets >= 0)
-    tracklets = sampled.tracklets[rows, columns]
-    np.minimum.at(first, tracklets, sampled.times_s[rows])
-    np.maximum.at(last, tracklets, sampled.times_s[rows])
-    return np.maximum(last - first, 0.0)
+    return PropagatedLabels(body, markers, distances, is_posed, (root, local))

@@ -1,11 +1,40 @@
 """Labels for a take without any, by the marker set or the person that the user names."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
 from mocapfix.errors import TakeError
+from mocapfix.labelling.label_summary import describe_labelling
 from mocapfix.labelling.labeller import label_points
 from mocapfix.labelling.linking import find_tracklets
 from mocapfix.labelling.take_labelling import apply_labels, collect_unlabelled_points
-from mocapfix.marker_sets.library import SubjectChoice
+from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject
+from mocapfix.options import CleanOptions
+from mocapfix.subject import Subject
 from mocapfix.take import Take
+
+
+def label_capture(
+    take: Take, options: CleanOptions, calibrate: Callable[[Sequence[Path], CleanOptions], Subject]
+) -> tuple[Take, CleanOptions]:
+    """Return the take with labels if it has none, and the options with the subject of the labelled take that they name.
+
+    Args:
+        take: The take.
+        options: `options.subject` names a marker set, a subject or a labelled take.
+        calibrate: Returns the subject of labelled takes.
+
+    Raises:
+        TakeError: As `label_take`, or where the options name a labelled take and a marker set or a subject.
+    """
+    requested = options.subject
+    if requested.like is not None:
+        if requested.subject is not None or requested.marker_set is not None:
+            raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
+        subject = calibrate([Path(requested.like)], CleanOptions(read=options.read))
+        options = options.change(subject=subject, like=None)
+    return label_take(take, load_requested_subject(options.subject)), options
 
 
 def label_take(take: Take, request: SubjectChoice) -> Take:
@@ -28,4 +57,5 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
             f"{take.name}: no person with the markers of {request.marker_set.name} was found in its {count} points; "
             "check the marker set, the unit and the up axis (--up)."
         )
-    return apply_labels(take, points, labels, request.marker_set.labels)
+    labelled = apply_labels(take, points, labels, request.marker_set.labels)
+    return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, request.marker_set.required_labels)))

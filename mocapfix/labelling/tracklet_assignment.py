@@ -14,6 +14,10 @@ from mocapfix.labelling.sampled_points import SampledPoints
 
 MAX_BLOCK_FRAMES_OF_DISTANCES = 512
 """Frames whose distances between points and markers are held at a time."""
+MAX_LABEL_DISTANCES_M = (0.06, 0.15)
+"""Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
+LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
+"""Durations of these tracklets."""
 
 
 class TrackletDistances(NamedTuple):
@@ -98,3 +102,18 @@ def _resolve_conflicts(
         _, first_places = np.unique(markers[order], return_index=True)
         markers[np.delete(order, first_places)] = -1
     return markers
+
+
+def compute_max_distances(sampled: SampledPoints) -> Float[np.ndarray, " N"]:
+    """Return the distance in metres from all markers at which a tracklet is as likely no marker."""
+    return np.interp(measure_durations(sampled), LABEL_DISTANCE_DURATIONS_S, MAX_LABEL_DISTANCES_M)
+
+
+def measure_durations(sampled: SampledPoints) -> Float[np.ndarray, " N"]:
+    """Return the time in seconds from the first to the last sampled frame of each tracklet."""
+    first, last = np.full(sampled.tracklet_count, np.inf), np.full(sampled.tracklet_count, -np.inf)
+    rows, columns = np.nonzero(sampled.tracklets >= 0)
+    tracklets = sampled.tracklets[rows, columns]
+    np.minimum.at(first, tracklets, sampled.times_s[rows])
+    np.maximum.at(last, tracklets, sampled.times_s[rows])
+    return np.maximum(last - first, 0.0)

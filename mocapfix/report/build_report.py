@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
+from mocapfix.labelling.label_summary import build_labelling_section
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions
 from mocapfix.report import notes, review_file
@@ -41,6 +42,8 @@ def build_take_section(take: Take, marker_set: str | None, cleaned_take: Take | 
     }
     if take.up_axis:
         section["up_axis"] = {"axis": take.up_axis.letter, "basis": take.up_axis.basis, "certain": take.up_axis.is_certain}
+    if labelling := build_labelling_section(take):
+        section["labelling"] = labelling
     if take.computed_points:
         section["computed_points"] = _build_computed_point_entries(take, cleaned_take or take)
     if take.subject_name:

@@ -4,6 +4,7 @@ from typing import NotRequired, TypedDict
 
 from mocapfix.changes import Decision
 from mocapfix.faults import FaultKind
+from mocapfix.labelling.label_summary import LabellingSection
 from mocapfix.take import ComputedEvidence
 
 
@@ -61,6 +62,7 @@ class TakeSection(TypedDict):
     marker_set: str | None
     labels: list[str]
     up_axis: NotRequired[UpAxisEntry]
+    labelling: NotRequired[LabellingSection]
     computed_points: NotRequired[list[ComputedPointEntry]]
     animation: NotRequired[bool]
 

@@ -232,7 +232,6 @@ BAD = {
     "noise with the magic byte": (b"\x02\x50" + np.random.default_rng(1).bytes(5000), "damaged"),
     "no points": (c3d_bytes(np.zeros((4, 0, 3)), ["x"]), "no points"),
     "no frames": (c3d_bytes(np.zeros((0, 3, 3)), LABELS), "no frames"),
-    "no labelled point": (c3d_bytes(STANDING, ["*1", "*2", ""]), "none of its 3 points"),
     "strange units": (c3d_bytes(STANDING, LABELS, extra={"POINT:UNITS": "furlong"}), "'furlong'; set it to one of mm, cm, m"),
     "no rate": (c3d_bytes(STANDING, LABELS, extra={"POINT:RATE": 0.0}), "POINT:RATE is 0"),
     "no scale": (c3d_bytes(STANDING, LABELS, extra={"POINT:SCALE": 0.0}), "POINT:SCALE is 0"),
@@ -372,3 +371,12 @@ def test_invalid_captures_are_refused_quickly(name, words):
     with pytest.raises(ReadError, match=words):
         capture.read_take(CAPTURES / "c3d" / name)
     assert time.perf_counter() - start < 1
+
+
+def test_file_without_labels_is_read_with_its_unlabelled_points_only(tmp_path):
+    path = tmp_path / "unlabelled.c3d"
+    path.write_bytes(c3d_bytes(STANDING, ["*1", "*2", ""]))
+    take = capture.read_capture(path)
+    assert take.labels == ()
+    assert take.markers.shape == (len(STANDING), 0, 3)
+    assert take.unlabelled.markers.shape == STANDING.shape

@@ -117,7 +117,6 @@ INVALID_FILES = {
     "no frame numbers": (trc().replace("2\t0.01000", "\t0.01000"), "line 8: does not begin with a frame number"),
     "cut off in a line": (trc()[:-30], "line 10: the file is cut off"),
     "cut off after its last line": (trc(NumFrames=9)[:-2], "line 10: the file is cut off: 9 frames are declared and 4 are there"),
-    "no labels": (trc(labels=("*1", "*2", "")), "none of its"),
 }
 
 

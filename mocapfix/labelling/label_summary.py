@@ -1,0 +1,85 @@
+"""What labelling did, for reports: the confidence of each marker's labels, and the trajectories that stay without a label."""
+
+from typing import TypedDict
+
+import numpy as np
+
+from mocapfix.stats.sequences import find_runs
+from mocapfix.take import Take
+
+CERTAIN_LABEL_CONFIDENCE = 0.95
+"""Confidence from which a label is certain."""
+MAX_LISTED_TRAJECTORIES = 8
+"""Trajectories without a label that a sentence lists."""
+
+
+class LabelledMarkerEntry(TypedDict):
+    """A marker that was labelled: its samples, their mean confidence, and the frames in which its label is uncertain."""
+
+    samples: int
+    confidence: float
+    uncertain: list[tuple[int, int, float]]
+
+
+class UnlabelledEntry(TypedDict):
+    """A trajectory without a label: its name in the file, its frames and its samples."""
+
+    label: str
+    first: int
+    last: int
+    samples: int
+
+
+class LabellingSection(TypedDict):
+    """The labels that mocapfix gave to the trajectories of a take without labels."""
+
+    markers: dict[str, LabelledMarkerEntry]
+    unlabelled: list[UnlabelledEntry]
+
+
+def build_labelling_section(take: Take) -> LabellingSection | None:
+    """Return the section on the labels of a take, None if the file has its labels itself."""
+    confidence = take.label_confidence
+    if confidence is None:
+        return None
+    markers: dict[str, LabelledMarkerEntry] = {}
+    for m in np.flatnonzero(take.visible.any(0)):
+        visible = take.visible[:, m]
+        uncertain = [
+            (take.get_frame_number(first), take.get_frame_number(last), round(float(confidence[first : last + 1, m].min()), 3))
+            for first, last in find_runs(visible & (confidence[:, m] < CERTAIN_LABEL_CONFIDENCE))
+        ]
+        mean = round(float(confidence[visible, m].mean()), 4)
+        markers[take.labels[m]] = {"samples": int(visible.sum()), "confidence": mean, "uncertain": uncertain}
+    return {"markers": markers, "unlabelled": _list_unlabelled(take)}
+
+
+def describe_labelling(take: Take, expected_labels: tuple[str, ...] = ()) -> list[str]:
+    """Return sentences on the labels that mocapfix gave, and on `expected_labels` that no trajectory got."""
+    section = build_labelling_section(take)
+    if section is None:
+        return []
+    samples = sum(entry["samples"] for entry in section["markers"].values())
+    notes = [f"Labelled by mocapfix: {samples} samples of {len(section['markers'])} markers."]
+    found = {label.rpartition(":")[2] for label in section["markers"]}
+    if absent := [label for label in expected_labels if label not in found]:
+        notes.append(f"Not found: {', '.join(absent)}.")
+    if uncertain := [label for label, entry in section["markers"].items() if entry["uncertain"]]:
+        notes.append(f"Uncertain in a part of the frames, which the report lists: {', '.join(uncertain)}.")
+    if section["unlabelled"]:
+        listed = [f"{each['label']} (frames {each['first']}-{each['last']})" for each in section["unlabelled"]]
+        more = f" and {len(listed) - MAX_LISTED_TRAJECTORIES} more" if len(listed) > MAX_LISTED_TRAJECTORIES else ""
+        notes.append(f"Left without a label: {', '.join(listed[:MAX_LISTED_TRAJECTORIES])}{more}.")
+    return notes
+
+
+def _list_unlabelled(take: Take) -> list[UnlabelledEntry]:
+    others = take.unlabelled
+    if others is None:
+        return []
+    entries: list[UnlabelledEntry] = []
+    for u in np.flatnonzero(others.visible.any(0)):
+        frames = np.flatnonzero(others.visible[:, u])
+        first, last = take.get_frame_number(frames[0]), take.get_frame_number(frames[-1])
+        entries.append({"label": others.labels[u], "first": first, "last": last, "samples": len(frames)})
+    return sorted(entries, key=lambda entry: -entry["samples"])
