@@ -82,7 +82,7 @@ def add_optional_markers(
 
 
 def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:
-    """Return the best body in a few frames of the take; None if no frame shows enough points."""
+    """Return the best body in a few frames of the take; None if the points show neither a body nor a part of one."""
     body = build_subject_body(subject) if subject else build_average_body(marker_set)
     candidates: list[tuple[float, np.ndarray]] = []
     frames, height_m = select_key_frames(sampled)
@@ -98,7 +98,9 @@ def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: S
     extended = [
         extend_body(sampled, markers, body, None if subject else marker_set) for _, markers in candidates[:MAX_EXTENDED_BODIES]
     ]
-    return min(extended, key=lambda each: each.cost, default=None)
+    best = min(extended, key=lambda each: each.cost, default=None)
+    found = {marker_set.labels[k] for k in set(best.markers.tolist()) - {-1}} if best else set[str]()
+    return best if best and not marker_set.describe_missing_body(found) else None
 
 
 def select_key_frames(sampled: SampledPoints) -> tuple[Int[np.ndarray, " F"], float]:

@@ -1,0 +1,67 @@
+"""The labeller: tracklets of synthetic takes get the labels of a set, of a subject, and ghosts none."""
+
+import numpy as np
+import pytest
+
+from mocapfix import synthetic
+from mocapfix.labelling.labeller import label_points
+from mocapfix.labelling.linking import find_tracklets
+from mocapfix.labelling.points import UnlabelledPoints
+from mocapfix.labelling.sampled_points import sample_points
+from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_tracklets
+from mocapfix.marker_sets.library import load_marker_set
+from mocapfix.synthetic.unlabelled_takes import remove_labels
+
+MARKER_SET = load_marker_set("cmu41")
+
+
+@pytest.fixture(scope="module")
+def take() -> synthetic.SyntheticTake:
+    return synthetic.compose_take(5, 12.0)
+
+
+def measure_f1(unlabelled, marker_indices) -> float:
+    is_labelled, is_marker = marker_indices >= 0, unlabelled.marker_indices >= 0
+    right = (is_labelled & (marker_indices == unlabelled.marker_indices)).sum()
+    return 2 * right / (is_labelled.sum() + is_marker.sum())
+
+
+@pytest.mark.parametrize("kind", ["tracks", "ghosts", "cloud"])
+def test_labels_of_a_set_are_found(take, kind):
+    unlabelled = remove_labels(kind, take.marker_positions, take.rate, seed=1)
+    labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET)
+    assert measure_f1(unlabelled, labels.marker_indices) > 0.998
+    assert (labels.confidence[labels.marker_indices >= 0] >= 0.5).all()
+    assert (labels.confidence <= 1).all()
+
+
+def test_labels_of_a_known_subject_are_found(take):
+    unlabelled = remove_labels("tracks", take.marker_positions, take.rate, seed=2)
+    labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET, take.subject)
+    assert measure_f1(unlabelled, labels.marker_indices) > 0.999
+
+
+def test_mirrored_body_gets_no_mirrored_labels(take):
+    """Left and right are told apart in whichever direction the person faces."""
+    turned = take.marker_positions * [-1.0, 1.0, -1.0]
+    unlabelled = remove_labels("tracks", turned, take.rate, seed=3)
+    labels = label_points(find_tracklets(unlabelled.points, take.rate), MARKER_SET)
+    assert measure_f1(unlabelled, labels.marker_indices) > 0.998
+
+
+def test_a_few_scattered_points_get_no_labels():
+    positions = np.random.default_rng(0).normal(size=(1, 6, 3)).repeat(100, 0)
+    labels = label_points(find_tracklets(positions, 100.0), MARKER_SET)
+    assert (labels.marker_indices == -1).all()
+
+
+def test_tracklets_visible_at_once_have_different_markers():
+    positions = np.zeros((10, 3, 3))
+    positions[:, 1, 0], positions[:, 2, 0] = 0.01, 1.0
+    points = UnlabelledPoints(positions, np.tile(np.arange(3), (10, 1)), 10.0)
+    sampled = sample_points(points)
+    predicted = np.zeros((len(sampled.frames), 2, 3))
+    predicted[:, 1, 0] = 0.03
+    distances = measure_tracklets(sampled, predicted, 0.2)
+    assert distances.squared_m2[1] == pytest.approx([1e-4, 4e-4])
+    assert assign_tracklets(sampled, distances.squared_m2, np.full(3, 0.1)).tolist() == [0, 1, -1]

@@ -1,0 +1,88 @@
+"""Takes without labels: labelled by name, cleaned as labelled ones are, and refused where they cannot be."""
+
+import numpy as np
+import pytest
+
+from mocapfix import pipeline, synthetic, write
+from mocapfix.errors import TakeError
+from mocapfix.options import build_clean_options
+from mocapfix.read.capture import read_capture
+from mocapfix.synthetic.unlabelled_takes import remove_labels
+from mocapfix.take import Take
+
+
+@pytest.fixture(scope="module")
+def truth() -> synthetic.SyntheticTake:
+    return synthetic.compose_take(6, 6.0)
+
+
+def write_unlabelled(folder, truth, kind, suffix="c3d"):
+    unlabelled = remove_labels(kind, truth.marker_positions, truth.rate, seed=4)
+    labels = tuple(f"*{c + 1}" for c in range(unlabelled.points.shape[1]))
+    path = folder / f"{kind}.{suffix}"
+    {"c3d": write.write_c3d, "trc": write.write_trc, "csv": write.write_csv}[suffix](
+        path, Take(unlabelled.points, labels, truth.rate)
+    )
+    return path
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("tracks", "c3d"), ("cloud", "c3d"), ("ghosts", "trc"), ("tracks", "csv")])
+def test_labelled_file_has_the_samples_under_their_labels(tmp_path, truth, kind, suffix):
+    path = write_unlabelled(tmp_path, truth, kind, suffix)
+    labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
+    target = tmp_path / f"labelled.{suffix}"
+    target.write_bytes(labelled.labelled_file)
+    take = read_capture(target)
+    assert set(take.labels) == set(truth.labels)
+    columns = [take.labels.index(label) for label in truth.labels]
+    distance = np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)
+    assert np.nanmax(distance) < 1e-4
+    assert np.isnan(distance).mean() < 0.01
+    np.testing.assert_array_equal(labelled.markers, take.markers)
+
+
+def test_only_names_change_where_each_trajectory_is_one_marker(tmp_path, truth):
+    path = tmp_path / "whole.c3d"
+    order = np.random.default_rng(0).permutation(len(truth.labels))
+    write.write_c3d(path, Take(truth.marker_positions[:, order], tuple(f"*{c}" for c in order), truth.rate))
+    labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
+    assert labelled.labels == tuple(truth.labels[m] for m in order)
+    old, new = path.read_bytes(), labelled.labelled_file
+    layout = labelled.layout
+    stop = layout.frame_count * layout.frame_stride_bytes
+    old_start = read_capture(path).layout.data_start_byte
+    assert new[layout.data_start_byte : layout.data_start_byte + stop] == old[old_start : old_start + stop]
+
+
+def test_unlabelled_take_is_cleaned_as_the_labelled_one(tmp_path, truth):
+    path = write_unlabelled(tmp_path, truth, "tracks")
+    result = pipeline.clean(path, marker_set="cmu41")
+    result.write(tmp_path / "out")
+    take = read_capture(tmp_path / "out" / "tracks.c3d")
+    columns = [take.labels.index(label) for label in truth.labels]
+    assert np.nanmax(np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)) < 0.02
+    section = result.report["take"]["labelling"]
+    assert set(section["markers"]) == set(truth.labels)
+    assert any("Labelled by mocapfix" in note for note in result.report["notes"])
+
+
+def test_take_without_labels_and_set_is_refused(tmp_path, truth):
+    path = write_unlabelled(tmp_path, truth, "tracks")
+    with pytest.raises(TakeError, match=r"none of its \d+ points has a label; name the markers with --marker-set"):
+        pipeline.clean(path)
+
+
+def test_take_with_labels_is_not_labelled_again(tmp_path, truth):
+    path = tmp_path / "labelled.c3d"
+    write.write_c3d(path, Take(truth.marker_positions, truth.labels, truth.rate))
+    with pytest.raises(TakeError, match="has labels already"):
+        pipeline.label(path, build_clean_options(marker_set="cmu41"))
+
+
+def test_labelled_take_of_the_person_gives_the_labels(tmp_path, truth):
+    labelled = tmp_path / "first.c3d"
+    write.write_c3d(labelled, Take(truth.marker_positions, truth.labels, truth.rate))
+    result = pipeline.label(write_unlabelled(tmp_path, truth, "tracks"), build_clean_options(like=labelled))
+    assert set(result.labels) == set(truth.labels)
+    with pytest.raises(TakeError, match="leave out --marker-set"):
+        pipeline.label(labelled, build_clean_options(like=labelled, marker_set="cmu41"))
