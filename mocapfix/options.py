@@ -51,6 +51,10 @@ class SubjectOptions(StageOptions):
         None, "--marker-set", "NAME|FILE", "marker set: the name of a shipped one, or a YAML file",
         job_key="marker_set", default_text="by the labels",
     )  # fmt: skip
+    known_sets_only: bool = define_option(
+        False, "--known-sets-only", "", "learn no marker set from a take that no known one fits: clean it without a skeleton",
+        job_key="known_sets_only",
+    )  # fmt: skip
     subject: "str | Path | Subject | None" = define_option(
         None, "--subject", "FILE", "subject file of a calibration", default_text="calibrated from the take"
     )

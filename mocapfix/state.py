@@ -172,6 +172,7 @@ class CleaningState:
         original_take: the take as it was read.
         detection: the faults that were found, and the take with its labels corrected.
         marker_set: the marker set of the take; None where no set fits: the take is then cleaned without a body.
+        has_learned_set: whether the marker set was learned from this take; it is withdrawn where it contradicts the take.
         known_subject: the subject from an earlier calibration; None: it is calibrated from the take.
         prior_conditioner: the trained pose prior; None: no prior is used.
         reviewed_changes: the changes of an earlier cleaning that a reviewer declined.
@@ -192,6 +193,7 @@ class CleaningState:
     original_take: Take
     detection: DetectionState
     marker_set: MarkerSet | None = None
+    has_learned_set: bool = False
     known_subject: Subject | None = None
     prior_conditioner: PriorConditioner | None = None
     reviewed_changes: tuple[ReviewedChange, ...] = ()

@@ -402,7 +402,7 @@ def test_calibration_from_no_take_is_refused():
 def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tmp_path):
     source = tmp_path / "prop.c3d"
     source.write_bytes(build_c3d(cleaned.truth.damaged_positions, [f"P{n + 1}" for n in range(41)]))
-    result = pipeline.clean(source)
+    result = pipeline.clean(source, known_sets_only=True)
     assert (result.subject, result.motion, result.joint_position_world, result.residual_m) == (None, None, None, None)
     report = result.subject_report
     assert (report["take"]["marker_set"], report["subject"], report["solve"]) == (None, None, None)
@@ -421,6 +421,19 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     assert result.input_take.markers[undamaged].tobytes() == result.take.markers[undamaged].tobytes()
 
 
+def test_a_take_with_unknown_labels_is_cleaned_with_a_set_of_its_own(cleaned, tmp_path):
+    source, order = tmp_path / "unknown.c3d", np.random.default_rng(0).permutation(41)
+    source.write_bytes(build_c3d(cleaned.truth.damaged_positions[:, order], [f"P{n + 1}" for n in range(41)]))
+    result = pipeline.clean(source)
+    assert result.subject is not None
+    true_joint = dict(zip((f"P{n + 1}" for n in range(41)), cleaned.truth.subject.joints[order], strict=True))
+    correct = [true_joint[label] == joint for label, joint in zip(result.subject.labels, result.subject.joints, strict=True)]
+    assert sum(correct) >= 38
+    assert any(note.startswith("A marker set was learned from this take: ") for note in result.subject_report["notes"])
+    undamaged = ~cleaned.truth.missing_mask[:, order] & ~cleaned.truth.spike_mask[:, order]
+    assert (result.input_take.markers[undamaged] != result.take.markers[undamaged]).any(-1).mean() < 1e-3
+
+
 def test_a_take_of_feet_only_is_cleaned_without_a_body(cleaned, tmp_path):
     foot_labels = ("KNE", "ANK", "HEE", "TOE", "MT5")
     feet = [m for m, label in enumerate(cleaned.truth.labels) if label[1:] in foot_labels]
@@ -428,9 +441,10 @@ def test_a_take_of_feet_only_is_cleaned_without_a_body(cleaned, tmp_path):
     source.write_bytes(build_c3d(cleaned.truth.damaged_positions[:, feet], [cleaned.truth.labels[m] for m in feet]))
     result = pipeline.clean(source)
     assert result.subject is None
-    first, second = result.subject_report["notes"]
+    first, second, third = result.subject_report["notes"]
     assert re.search(r"the nearest is cmu41 with \d+ of its 41 markers, but the .*thorax.* cannot be located; not found: ", first)
-    assert second == "The take was cleaned without a skeleton: there is no BVH."
+    assert second.startswith("No marker set can be learned: the words in the labels locate LKNE, ")
+    assert third == "The take was cleaned without a skeleton: there is no BVH."
     fill = result.subject_report["fill"]
     assert fill["filled"] > 0.5 * fill["missing_before"] > 0
     assert sum(each["last"] - each["first"] + 1 for each in fill["unfilled"]) == fill["left_empty"]

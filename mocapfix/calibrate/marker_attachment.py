@@ -164,5 +164,5 @@ def _explain_no_segment(residual_sd: np.ndarray, atlas_distance: float, best: in
         least = int(residual_sd.argmin())
         return f"moves by {residual_sd[least] * 1e3:.0f} mm against {joint_names[least]} and by more against every other segment"
     if atlas_distance > MAX_ATLAS_DISTANCE_M:
-        return f"is rigid with {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm from the body: it may be on a prop"
+        return f"is rigid with {joint_names[best]}, but {atlas_distance * 1e3:.0f} mm from the body: on a prop or another segment"
     return ""

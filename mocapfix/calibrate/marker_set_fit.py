@@ -18,11 +18,16 @@ from mocapfix.marker_sets.library import load_whole_body_marker_sets
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
 from mocapfix.skeleton import BodyModel, find_carriers, restrict_body
 from mocapfix.solve import kinematics
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 MAX_ATTACHMENT_ROUNDS = 5
 """Rounds of calibration and attachment."""
+MAX_LEARNING_FRAMES = 90
+"""Frames on which the person is calibrated in each round; the set is learned from more of them."""
+MAX_ATTACHMENT_FRAMES = 300
+"""Frames, evenly spread, from which markers are attached to segments."""
 ONE_TAKE_MARKER_SPREAD_M = 0.02
 """Spread of a marker offset learned from one take: other takes place the marker at least this differently."""
 
@@ -35,12 +40,14 @@ class MarkerSetFit:
     subject          the person calibrated on them
     attachment       the segments of all markers of the take, in its order
     mean_residual_m  mean distance of the markers from the body over the frames examined
+    joint_rotations  (N, J, 3, 3) world rotations of the joints in these frames
     """
 
     marker_set: MarkerSet
     subject: Subject
     attachment: AttachedMarkers
     mean_residual_m: float
+    joint_rotations: np.ndarray
 
 
 class CalibratedFrames(NamedTuple):
@@ -66,7 +73,8 @@ def fit_marker_set(
 
     Raises TakeError if the guess does not fit a person's size.
     """
-    frames, atlas = select_candidate_frames(take.markers), build_marker_atlas(load_whole_body_marker_sets())
+    atlas, frames = build_marker_atlas(load_whole_body_marker_sets()), select_candidate_frames(take.markers)
+    frames = frames[sample_evenly(len(frames), MAX_ATTACHMENT_FRAMES)]
     log_odds = np.zeros((len(labels), len(body.skeleton.names)))
     log_odds[[labels.index(label) for label in guess.labels], guess.joints] = label_log_odds
 
@@ -91,7 +99,7 @@ def fit_marker_set(
             break
         previous = marker_set
         fit, attachment, marker_set = calibrate_and_attach(marker_set)
-    return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m)
+    return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m, fit.joint_rotations)
 
 
 def find_posed_joints(part: BodyModel, body: BodyModel) -> Bool[np.ndarray, " J"]:
@@ -131,8 +139,9 @@ def calibrate_on_frames(
     """Calibrate the wearer of a marker set and pose the given frames of the take."""
     columns = np.array([labels.index(label) for label in marker_set.labels])
     selected = take.select(columns, take.visible)
-    subject = calibrate_subject(selected, marker_set, body, prior)
     markers = selected.markers[frames]
+    sparse = selected.replace_markers(markers[sample_evenly(len(frames), MAX_LEARNING_FRAMES)])
+    subject = calibrate_subject(sparse, marker_set, body, prior)
     motion = refinement.pose_frames(subject, body, prior, markers)
     joint_positions, joint_rotations = kinematics.compute_world_poses(subject.skeleton, motion)
     predicted = kinematics.compute_joint_and_marker_positions(subject, motion)[1]

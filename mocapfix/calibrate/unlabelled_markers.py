@@ -20,7 +20,7 @@ from mocapfix.calibrate.marker_attachment import MarkerAtlas, build_marker_atlas
 from mocapfix.errors import TakeError
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.marker_set import MarkerSet
-from mocapfix.marker_sets.library import load_whole_body_marker_sets
+from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.skeleton import BodyModel
@@ -36,6 +36,11 @@ from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
+FITTED_SET_NAMES = (
+    "cmu41", "frontwaist53", "production57", "plug-in-gait39", "optitrack-baseline41", "optitrack-core50", "qualisys-animation",
+    "qualisys-sports",
+)  # fmt: skip
+"""Shipped sets of whole bodies, one after the other placed in the cloud; others resemble one of them."""
 BODY_HEADING_COUNT = 16
 """Headings in which a body is placed."""
 ARM_RAISE_SHARES = (0.0, 0.5, 1.0)
@@ -48,6 +53,10 @@ HEIGHT_QUANTILES = (0.5, 0.8, 1.0)
 """Frames to which bodies are fitted, by the quantile of the cloud's height; the tallest frames have raised arms."""
 MATCHING_ROUNDS = 20
 """Rounds of assignment and solve."""
+BODY_SCREENING_ROUNDS = 6
+"""Rounds after which only the best bodies are continued."""
+CONTINUED_BODIES = 12
+"""Number of these bodies."""
 MATCHING_ITERATIONS = 5
 """Solver iterations of a round."""
 MATCHING_GATES_M = (0.4, 0.15)
@@ -96,7 +105,7 @@ def guess_from_marker_cloud(
     height = np.ptp(np.where(np.isnan(trial[..., 1]), mean_height, trial[..., 1]), axis=1)
     standing = np.argsort(height)[[round(quantile * (len(height) - 1)) for quantile in HEIGHT_QUANTILES]]
     hypotheses: list[tuple[float, np.ndarray, MarkerAtlas]] = []
-    for marker_set in load_whole_body_marker_sets():
+    for marker_set in map(load_marker_set, FITTED_SET_NAMES):
         atlas = build_marker_atlas((marker_set,))
         for frame in standing:
             fits = fit_bodies_to_markers(trial[frame], float(height[frame]), atlas, body, prior, limits)
@@ -119,22 +128,26 @@ def fit_bodies_to_markers(
     prior: MeanPosePrior,
     limits: JointLimits,
 ) -> MarkerAssignment:
-    """Return the assignment (H, M) and misfit (H,) of H bodies fitted to one frame's markers, whose height is given in metres."""
+    """Return the assignment (H, M) and misfit (H,) of the H best bodies fitted to one frame's markers of a height in metres."""
     root_position, local_rotations, subject = build_standing_bodies(markers, height, atlas, body, prior)
     tree = KinematicTree(body.skeleton.parents, subject.skeleton.offsets, body.free_joints)
     prior_term, limit_term = build_pose_prior_term(prior), build_joint_limit_term(limits, MATCHING_LIMIT_SD_RAD)
     indices, misfit = np.full((len(root_position), len(markers)), -1), np.full(len(root_position), np.inf)
-    for gate in np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS):
+    attachment, no_tracking = MarkerAttachment(subject.joints, subject.marker_offsets), build_no_tracking(len(tree.parents))
+    for solve_round, gate in enumerate(np.geomspace(*MATCHING_GATES_M, MATCHING_ROUNDS)):
+        if solve_round == BODY_SCREENING_ROUNDS:
+            best = np.sort(np.argsort(misfit, kind="stable")[:CONTINUED_BODIES])
+            root_position, local_rotations, indices, misfit = (
+                np.ascontiguousarray(each[best]) for each in (root_position, local_rotations, indices, misfit)
+            )
         predicted = _predict_markers(subject, root_position, local_rotations)
         target = np.full(predicted.shape, np.nan)
         for h, positions in enumerate(predicted):
             indices[h], misfit[h] = assign_nearest(np.linalg.norm(markers[:, None] - positions, axis=-1), float(gate))
             is_assigned = indices[h] >= 0
             target[h, indices[h, is_assigned]] = markers[is_assigned]
-        attachment = MarkerAttachment(subject.joints, subject.marker_offsets)
         visible = ~np.isnan(target[..., 0])
         problem = PoseProblem(tree, attachment, target, visible, MATCHING_MARKER_SD_M, prior_term, limit_term)
-        no_tracking = build_no_tracking(local_rotations.shape[1])
         problem.solve(root_position, local_rotations, no_tracking, (float(gate),), MATCHING_ITERATIONS)
     return MarkerAssignment(indices, misfit)
 

@@ -65,7 +65,7 @@ def run_marker_set_learn(
     """
     from mocapfix.files.output_files import check_outputs_absent
     from mocapfix.marker_sets import write_marker_set
-    from mocapfix.marker_sets.learning import learn_marker_set
+    from mocapfix.marker_sets.own_set import learn_marker_set
 
     check_outputs_absent([output_path], overwrite)
     with show_progress(take.name) as progress:

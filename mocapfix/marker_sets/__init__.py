@@ -3,7 +3,8 @@
 library      the shipped sets and those of a studio, as YAML
 matching     the set that the labels of a take fit
 label_words  the segment of a marker from the words in its label
-learning     a new set from a take
+learning     a new set from a take, from an initial guess
+own_set      the set of a take that no known set fits
 """
 
 from mocapfix.marker_sets.library import (

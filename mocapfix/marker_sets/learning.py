@@ -10,16 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mocapfix import multi_subject
+from mocapfix.calibrate.marker_set_checks import (
+    describe_contradicted_guess,
+    describe_implausible_body,
+    describe_incomplete_location,
+    find_doubtful_markers,
+    measure_learned_body,
+)
 from mocapfix.calibrate.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.calibrate.unlabelled_markers import guess_from_marker_cloud
 from mocapfix.errors import TakeError
-from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_set import MarkerSet, format_name_list
 from mocapfix.marker_sets.label_words import guess_marker_set_from_words
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_marker_set
 from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
-from mocapfix.read.capture import read_take
-from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 
@@ -29,6 +33,8 @@ LABEL_WORD_LOG_ODDS = 4.0
 """the same if the label has a known word"""
 POSITION_LOG_ODDS = 3.0
 """the same if the segment is guessed from the cloud of markers"""
+MAX_LOCATED_SHARE = 0.2
+"""share of the labels whose words locate a marker, above which a body is not located by positions"""
 MIN_SEGMENT_PROBABILITY = 0.9
 """probability of a segment below which the marker is reported as ambiguous"""
 LEARNED_MARKER_SPREAD_M = 0.02
@@ -95,50 +101,37 @@ class InitialGuess:
     description: str
 
 
-def learn_marker_set(
-    path: str | Path,
-    name: str,
-    *,
-    like: str | Path | None = None,
-    subject_prefix: str | None = None,
-    up_axis: str | None = None,
-    progress: ProgressCallback | None = None,
-) -> LearnedMarkerSet:
-    """Return the marker set of the take at `path` under a name.
-
-    like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
-    subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
-    up_axis         the up axis of the file, as for `read_take`
-    progress        called with the name of each stage as it begins
-
-    Raises ReadError, SceneError or TakeError.
-    """
-    report_stage = progress or (lambda stage: None)
-    report_stage("read")
-    take = read_take(path, up_axis)
-    if subject_prefix is not None:
-        (take,) = multi_subject.split_subjects(take, None, subject_prefix)
-    selected = select_subject_markers(take.masked(take.measured))
+def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) -> LearnedMarkerSet:
+    """Return the set that is learned from an initial guess. Raises TakeError if it is not that of a plausible body."""
     take, labels = selected.take, selected.labels
-    report_stage("guess")
-    guess = guess_marker_set(take, labels, like)
-    report_stage("learn")
     body = load_cmu31_body()
     prior = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton)
-    learned = fit_marker_set(take, labels, guess.marker_set, guess.label_log_odds, body, prior)
+    is_from_positions = guess.label_log_odds == POSITION_LOG_ODDS
+    if is_from_positions and (problem := describe_contradicted_guess(take, labels, guess.marker_set)):
+        raise TakeError(f"{take.name}: no marker set can be learned: the body located by the positions of the markers {problem}.")
+    fit = fit_marker_set(take, labels, guess.marker_set, guess.label_log_odds, body, prior)
     keep_guess = guess.label_log_odds == KNOWN_LABEL_LOG_ODDS
-    marker_set = build_learned_set(learned, guess.marker_set, name, f"Learned from {take.name}", keep_guess=keep_guess)
+    marker_set = build_learned_set(fit, guess.marker_set, name, f"Learned from {take.name}", keep_guess=keep_guess)
+    reasons = dict(zip(labels, fit.attachment.rejection_reasons, strict=True))
+    if not keep_guess:
+        reasons |= find_doubtful_markers(take, labels, fit, guess.marker_set.labels)
+        marker_set = marker_set.select_markers([label for label in marker_set.labels if not reasons[label]])
     if problem := marker_set.describe_missing_body(marker_set.labels):
         raise TakeError(f"{take.name}: no marker set can be learned: {problem.partition(';')[0]}.")
     marker_set = marker_set.select_shown_part(marker_set.labels)
-    reasons = learned.attachment.rejection_reasons
-    excluded = {label: reason for label, reason in zip(labels, reasons, strict=True) if reason}
+    if not keep_guess:
+        learned_body = measure_learned_body(take, labels, marker_set, fit, body.skeleton.total_length_m)
+        limits = load_joint_limits(body.skeleton)
+        problem = describe_incomplete_location(marker_set.joints, int(take.visible.any(0).sum())) if is_from_positions else ""
+        if problem := problem or describe_implausible_body(learned_body, limits, from_positions=is_from_positions):
+            raise TakeError(f"{take.name}: no marker set can be learned: the body {problem}.")
+    excluded = {label: reason for label, reason in reasons.items() if reason}
     return LearnedMarkerSet(
         marker_set,
         guess.description,
         {**excluded, **selected.excluded_markers},
-        find_ambiguous_markers(learned, labels),
-        learned.mean_residual_m,
+        find_ambiguous_markers(fit, labels),
+        fit.mean_residual_m,
     )
 
 
@@ -189,6 +182,11 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
     if guess.labels:
         description = f"{len(guess.labels)} markers were located by words in their labels, the others by their motion."
         return InitialGuess(guess, LABEL_WORD_LOG_ODDS, description)
+    if len(from_words.labels) >= MAX_LOCATED_SHARE * sum(map(bool, visible_labels)):
+        raise TakeError(
+            f"{take.name}: no marker set can be learned: the words in the labels locate {format_name_list(from_words.labels)}, "
+            "which show neither a body nor a part of one."
+        )
     body = load_cmu31_body()
     prior, limits = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton), load_joint_limits(body.skeleton)
     guess = guess_from_marker_cloud(take, tuple(labels), body, prior, limits)

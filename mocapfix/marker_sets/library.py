@@ -235,11 +235,13 @@ class SubjectChoice:
         subject: the subject that the options name, None if it is to be calibrated.
         marker_set: the marker set, None where no set fits: there is no body then.
         notes: sentences for the report.
+        is_learned: whether the marker set was learned from the take itself.
     """
 
     subject: Subject | None
     marker_set: MarkerSet | None
     notes: tuple[str, ...] = ()
+    is_learned: bool = False
 
 
 def load_requested_subject(options: SubjectOptions) -> SubjectChoice:

@@ -60,7 +60,7 @@ def test_held_marker_is_rejected_unless_its_label_names_the_segment():
     stick = riding("LeftHand", [0.1, 0.0, 0.5])
     found = one(stick)
     assert found.joints[0] == -1
-    assert "it may be on a prop" in found.rejection_reasons[0]
+    assert "on a prop or another segment" in found.rejection_reasons[0]
     log_odds = NOTHING.copy()
     log_odds[0, NAMES.index("LeftHand")] = 4.0
     assert NAMES[one(stick, log_odds).joints[0]] == "LeftHand"

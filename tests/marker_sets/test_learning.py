@@ -7,7 +7,7 @@ import pytest
 
 from mocapfix import marker_sets, pipeline, synthetic
 from mocapfix.errors import TakeError
-from mocapfix.marker_sets import learning
+from mocapfix.marker_sets import learning, own_set
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 from tests.conftest import build_c3d
@@ -36,7 +36,7 @@ def rename_with_words(label: str) -> str:
 def test_learned_set_cleans_the_take(tmp_path):
     labels = [f"Ann:{rename_label(label)}" for label in WHOLE.labels]
     path = write_take(tmp_path, labels)
-    learned = learning.learn_marker_set(path, "ann", like="cmu41")
+    learned = own_set.learn_marker_set(path, "ann", like="cmu41")
     names, marker_set = load_cmu31_body().skeleton.names, learned.marker_set
     expected = {rename_label(label): names[j] for label, j in zip(WHOLE.labels, WHOLE.subject.joints, strict=True)}
     found = {label: names[j] for label, j in zip(marker_set.labels, marker_set.joints, strict=True)}
@@ -64,7 +64,7 @@ def test_learned_set_cleans_the_take(tmp_path):
 def test_set_with_too_few_markers_cannot_start_learning(tmp_path):
     path = write_take(tmp_path, WHOLE.labels)
     with pytest.raises(TakeError, match=r"wave\.c3d: qualisys-sports cannot be used to learn a marker set: only 0 of its "):
-        learning.learn_marker_set(path, "mine", like="qualisys-sports")
+        own_set.learn_marker_set(path, "mine", like="qualisys-sports")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_subject_with_the_most_markers_is_selected():
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
 def test_unknown_labels_of_a_real_capture():
-    learned = learning.learn_marker_set(CAPTURES / "c3d" / "Qualisys.c3d", "laboratory")
+    learned = own_set.learn_marker_set(CAPTURES / "c3d" / "Qualisys.c3d", "laboratory")
     names, marker_set = load_cmu31_body().skeleton.names, learned.marker_set
     joint_of_label = {label: names[j] for label, j in zip(marker_set.labels, marker_set.joints, strict=True)}
     expected = {"L_FLE": "LeftUpLeg", "R_FAL": "RightLeg", "R_FCC": "RightFoot", "L_HLE": "LeftArm", "R_RSP": "RightForeArm"}

@@ -1,0 +1,101 @@
+"""A marker set of the take's own, where no known set fits: `clean` uses it, `mocapfix marker-set learn` writes it.
+
+It is used only if a plausible body explains the take. Otherwise the take is cleaned without one: no skeleton is better than a
+wrong one.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mocapfix import multi_subject
+from mocapfix.errors import TakeError
+from mocapfix.marker_set import format_name_list
+from mocapfix.marker_sets.learning import LearnedMarkerSet, fit_guessed_set, guess_marker_set, select_subject_markers
+from mocapfix.marker_sets.library import SubjectChoice
+from mocapfix.read.capture import read_take
+from mocapfix.report.stage_timer import ProgressCallback
+from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
+from mocapfix.stats.rigid_groups import find_prop_groups, measure_distance_spread
+from mocapfix.take import Take
+
+OWN_SET_NAME = "own"
+MIN_OWN_SET_MARKERS = 5
+"""Visible markers of the smallest part of a body, a single limb."""
+MAX_LISTED_GROUPS = 6
+"""Rigid groups that a note lists."""
+
+
+def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
+    """Return the choice for a take without a known set: with a set learned from the take, or without one and with the reason."""
+    known_reason = choice.notes[:1]
+    try:
+        if int(take.visible.any(0).sum()) < MIN_OWN_SET_MARKERS:
+            return choice
+        selected = select_subject_markers(take.masked(take.measured))
+        learned = fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels), OWN_SET_NAME)
+    except TakeError as error:
+        reason = str(error).removeprefix(f"{take.name}: ").partition("; name")[0].removesuffix(".")
+        reason = f"{reason[:1].upper()}{reason[1:]}."
+        return replace(choice, notes=(*known_reason, reason, *choice.notes[1:], *describe_rigid_groups(take, ())))
+    notes = (*known_reason, *describe_learned_set(learned), *describe_rigid_groups(take, learned.marker_set.labels))
+    return replace(choice, marker_set=learned.marker_set, notes=notes, is_learned=True)
+
+
+def learn_marker_set(
+    path: str | Path,
+    name: str,
+    *,
+    like: str | Path | None = None,
+    subject_prefix: str | None = None,
+    up_axis: str | None = None,
+    progress: ProgressCallback | None = None,
+) -> LearnedMarkerSet:
+    """Return the marker set of the take at `path` under a name.
+
+    like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
+    subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
+    up_axis         the up axis of the file, as for `read_take`
+    progress        called with the name of each stage as it begins
+
+    Raises ReadError, SceneError or TakeError.
+    """
+    report_stage = progress or (lambda stage: None)
+    report_stage("read")
+    take = read_take(path, up_axis)
+    if subject_prefix is not None:
+        (take,) = multi_subject.split_subjects(take, None, subject_prefix)
+    selected = select_subject_markers(take.masked(take.measured))
+    report_stage("guess")
+    guess = guess_marker_set(selected.take, selected.labels, like)
+    report_stage("learn")
+    return fit_guessed_set(selected, guess, name)
+
+
+def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
+    """Return the notes on what a learned set assumes."""
+    names, labels = load_cmu31_body().skeleton.names, learned.marker_set.labels
+    marked = {names[joint] for joint in learned.marker_set.joints}
+    sections = [section for section, joints in BODY_SECTIONS.items() if marked.intersection(joints)]
+    notes = [
+        f"A marker set was learned from this take: {learned.guess_description} {len(labels)} markers are attached to "
+        f"{format_name_list(sections)}, {learned.mean_residual_m * 1e3:.1f} mm from the body on average. "
+        "`mocapfix marker-set learn` writes it."
+    ]
+    ambiguous = [f"{label} (or on {joint})" for label, joint in learned.ambiguous_markers.items() if label in labels]
+    if ambiguous:
+        notes.append(f"The segment of these markers is ambiguous: {format_name_list(ambiguous)}.")
+    return tuple(notes)
+
+
+def describe_rigid_groups(take: Take, set_labels: Collection[str]) -> tuple[str, ...]:
+    """Return the note on the markers that are not in the set and form rigid groups of their own."""
+    is_on_body = np.array([label in set_labels for label in take.bare_labels])
+    groups = find_prop_groups(measure_distance_spread(take.markers), is_on_body)
+    if not groups:
+        return ()
+    listed = "; ".join(format_name_list([take.labels[m] for m in group.markers]) for group in groups[:MAX_LISTED_GROUPS])
+    more = f"; and {len(groups) - MAX_LISTED_GROUPS} more" if len(groups) > MAX_LISTED_GROUPS else ""
+    return (f"Rigid groups outside the skeleton, such as props: {listed}{more}.",)
