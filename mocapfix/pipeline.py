@@ -17,19 +17,13 @@ from mocapfix import multi_subject
 from mocapfix.animation import Animation
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
 from mocapfix.calibrate.calibration import calibrate_body, calibrate_subject, place_moved_markers
-from mocapfix.detect.learned_set_trial import compare_detections
+from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import label_capture, label_take
-from mocapfix.marker_sets.library import (
-    UNASSIGNED_SUBJECT,
-    choose_marker_set,
-    describe_marker_set_match,
-    load_requested_subject,
-    resolve_subject,
-)
+from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
 from mocapfix.multi_subject import split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
@@ -131,13 +125,12 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
 def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
     """Return the state in which the cleaning of one subject's take begins. Raises TakeError if the marker set does not fit it."""
     choice = resolve_subject(take, options)
-    if choice.marker_set is None and not options.known_sets_only and take.subject_name != UNASSIGNED_SUBJECT:
+    if choice.marker_set is None and not options.known_sets_only:
         from mocapfix.marker_sets.own_set import find_own_marker_set  # few takes need it
 
         choice = find_own_marker_set(take, choice)
-    accepts_fault = build_fault_filter(take, reviewed)
-    set_and_subject = (choice.marker_set, choice.is_learned, choice.subject)
-    return CleaningState(take, DetectionState(take), *set_and_subject, None, reviewed, accepts_fault, notes=choice.notes)
+    known = choice.marker_set, choice.is_learned, choice.subject
+    return CleaningState(take, DetectionState(take), *known, None, reviewed, build_fault_filter(take, reviewed), choice.notes)
 
 
 def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, options: SolveOptions) -> PriorConditioner | None:
@@ -198,32 +191,7 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
             state = detect_on_body(state, options)
         if state.detection is detection:
             break
-    return try_learned_set(first, state, options, timer) if state.has_learned_set else state
-
-
-def try_learned_set(first: CleaningState, fitted: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:
-    """Return the fitted state if its learned set contradicts hardly any sample, else one with a part of the set or without.
-
-    first  the state before any detection
-    """
-    assert first.marker_set is not None
-    with timer("detect"):
-        without_set = detect_on_trajectories(withdraw_marker_set(first), options)
-    trial = compare_detections(without_set.detection, fitted.detection, first.marker_set.find_columns(first.original_take.labels))
-    if trial.is_passed:
-        return fitted
-    kept, labels = trial.select_kept_markers(), first.marker_set.labels
-    narrowed = first.marker_set.select_markers([labels[k] for k in kept])
-    if not len(kept) or narrowed.describe_missing_body(narrowed.labels):
-        return without_set
-    return detect_and_fit(replace(first, marker_set=narrowed), options, timer)
-
-
-def withdraw_marker_set(state: CleaningState) -> CleaningState:
-    """Return the state without its learned marker set, and with the reason."""
-    notes = (*state.notes[:1], "A marker set learned from this take would reject or relabel measured samples, so it is not used.")
-    notes = (*notes, "The take was cleaned without a skeleton: there is no BVH.")
-    return replace(state, marker_set=None, has_learned_set=False, notes=notes)
+    return try_learned_set(first, state, options, timer, detect_and_fit) if state.has_learned_set else state
 
 
 def fit_body(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningState:

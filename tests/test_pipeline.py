@@ -408,7 +408,7 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     assert (report["take"]["marker_set"], report["subject"], report["solve"]) == (None, None, None)
     first, second = result.subject_report["notes"]
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
-    assert "none of them is in any set (cmu41, frontwaist53, helen-hayes, " in first
+    assert "none of them is in any set (" in first
     assert second == "The take was cleaned without a skeleton: there is no BVH."
     outputs = result.write(tmp_path / "out")
     assert set(outputs) == OUTPUT_SUFFIXES - {"bvh", "subject.yaml"}

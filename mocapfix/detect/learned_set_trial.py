@@ -10,6 +10,8 @@ from jaxtyping import Int
 
 from mocapfix.state import DetectionState
 
+FitStage = Callable[[CleaningState, CleanOptions, StageTimer], CleaningState]
+
 MAX_CONTRADICTED_SAMPLE_SHARE = 2e-4
 """Share of the samples of the set's markers that a body with a correct set may reject or relabel."""
 MIN_CONTRADICTED_SAMPLES = 6
@@ -46,6 +48,28 @@ class SetTrial:
         if left_out_count > MAX_LEFT_OUT_SHARE * len(order):
             return order[:0]
         return np.sort(order[left_out_count:])
+
+
+def try_learned_set(
+    first: CleaningState, fitted: CleaningState, options: CleanOptions, timer: StageTimer, detect_and_fit: FitStage
+) -> CleaningState:
+    """Return the fitted state if its learned set contradicts hardly any sample, else one with a part of the set or without.
+
+    first           the state before any detection
+    detect_and_fit  fits a body with a part of the set
+    """
+    assert first.marker_set is not None
+    with timer("detect"):
+        without_set = detect_on_trajectories(withdraw_marker_set(first), options)
+    columns = first.marker_set.find_columns(first.original_take.labels)
+    trial = compare_detections(without_set.detection, fitted.detection, columns)
+    if trial.is_passed:
+        return fitted
+    kept, labels = trial.select_kept_markers(), first.marker_set.labels
+    narrowed = first.marker_set.select_markers([labels[k] for k in kept])
+    if not len(kept) or narrowed.describe_missing_body(narrowed.labels):
+        return without_set
+    return detect_and_fit(replace(first, marker_set=narrowed), options, timer)
 
 
 def compare_detections(without_set: DetectionState, with_set: DetectionState, columns: Int[np.ndarray, " K"]) -> SetTrial:

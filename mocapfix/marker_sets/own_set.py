@@ -14,7 +14,7 @@ from mocapfix import multi_subject
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import format_name_list
 from mocapfix.marker_sets.learning import LearnedMarkerSet, fit_guessed_set, guess_marker_set, select_subject_markers
-from mocapfix.marker_sets.library import SubjectChoice
+from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice
 from mocapfix.read.capture import read_take
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
@@ -32,7 +32,7 @@ def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
     """Return the choice for a take without a known set: with a set learned from the take, or without one and with the reason."""
     known_reason = choice.notes[:1]
     try:
-        if int(take.visible.any(0).sum()) < MIN_OWN_SET_MARKERS:
+        if take.subject_name == UNASSIGNED_SUBJECT or int(take.visible.any(0).sum()) < MIN_OWN_SET_MARKERS:
             return choice
         selected = select_subject_markers(take.masked(take.measured))
         learned = fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels), OWN_SET_NAME)
