@@ -11,11 +11,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.changes import Change
 from mocapfix.errors import TakeError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 from mocapfix.options import SubjectOptions
+from mocapfix.repair.subject_exchanges import SubjectExchanges
+from mocapfix.report.review_file import serialize_changes
 from mocapfix.result import CleaningResult
 from mocapfix.take import ComputedPoints, Take
 
@@ -103,13 +106,15 @@ def _select_subject(take: Take, subject_prefix: str) -> Take:
     return replace(part, notes=(*part.notes, note))
 
 
-def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
+def merge_results(exchanges: SubjectExchanges, subject_results: tuple[CleaningResult, ...]) -> CleaningResult:
     """Return the result of the whole take from those of its subjects, which it holds. It has no subject or motion of its own.
 
-    Where two subjects took samples from the same unlabelled trajectory, the first one keeps them.
+    The labels that subjects exchanged are changes of the subject of the first marker of each exchange. Where two subjects took
+    samples from the same unlabelled trajectory, the first one keeps them.
     """
-    cleaned, relabelled, residual_m = take, take, np.full(take.visible.shape, np.nan)
-    faults, unfilled, donors = list[Fault](), [], list[int]()
+    take, cleaned, relabelled = exchanges.original_take, exchanges.take, exchanges.take
+    residual_m = np.full(take.visible.shape, np.nan)
+    faults, unfilled, donors = list(exchanges.faults), [], list[int]()
     for each in subject_results:
         markers = take.find_marker_indices(each.input_take)
         cleaned = _insert_part(cleaned, markers, each.take)
@@ -120,6 +125,8 @@ def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> Cl
         donors += [trajectories[donor] for donor in each.fragment_donors]
         if each.residual_m is not None:
             residual_m[:, markers] = each.residual_m
+    changes = exchanges.build_changes(cleaned)
+    subject_results = tuple(_add_changes(each, changes.get(each.input_take.subject_name, [])) for each in subject_results)
     return CleaningResult(
         input_take=take,
         relabelled_take=relabelled,
@@ -135,6 +142,14 @@ def merge_results(take: Take, subject_results: tuple[CleaningResult, ...]) -> Cl
         report={"people": {each.input_take.subject_name: each.subject_report for each in subject_results}},
         subject_results=subject_results,
     )
+
+
+def _add_changes(result: CleaningResult, changes: list[Change]) -> CleaningResult:
+    """Return the result of one subject with further changes before its own."""
+    if not changes:
+        return result
+    changes = [*changes, *result.changes]
+    return replace(result, changes=tuple(changes), report={**result.subject_report, "changes": serialize_changes(changes)})
 
 
 def _insert_part(whole: Take, marker_indices: Int[np.ndarray, " M"], part: Take) -> Take:

@@ -32,6 +32,7 @@ from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.repair.computed_points import update_computed_points
+from mocapfix.repair.subject_exchanges import correct_subject_labels
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
@@ -86,7 +87,10 @@ def clean(
         capture, options = label_capture(capture, options, calibrate_takes)
     check_fill_options(capture, options.fill)
     takes = split_known_subjects(capture, options.subject)
-    reviewed_changes = read_review_files(options.review.review_files, takes)
+    reviewed_changes = read_review_files(options.review.review_files, takes, capture.labels)
+    exchanges = correct_subject_labels(capture, takes, reviewed_changes, options)
+    if exchanges.faults:
+        takes = tuple(exchanges.add_notes(take) for take in split_known_subjects(exchanges.take, options.subject))
     results: list[CleaningResult] = []
     for take, reviewed in zip(takes, reviewed_changes, strict=True):
         if results:  # an unlabelled trajectory assigned to one subject is not available to the next
@@ -95,7 +99,7 @@ def clean(
         conditioner = build_prior_conditioner(load_pose_model, options.solve)
         state = replace(start_cleaning(take, options.subject, reviewed), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
-    return results[0] if len(results) == 1 else multi_subject.merge_results(capture, tuple(results))
+    return results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
 
 
 @limit_blas_threads
@@ -228,7 +232,11 @@ def inspect(
     reject_hierarchy(capture, options.subject)
     capture, options = label_capture(capture, options, calibrate_takes)
     reports: list[InspectionReport] = []
-    for take in split_known_subjects(capture, options.subject):
+    takes = split_known_subjects(capture, options.subject)
+    exchanges = correct_subject_labels(capture, takes, (), options)
+    if exchanges.faults:
+        takes = tuple(exchanges.add_notes(take) for take in split_known_subjects(exchanges.take, options.subject))
+    for take in takes:
         conditioner = build_prior_conditioner(load_pose_model, options.solve)
         state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
         faults = detect_and_fit(state, options, timer).detection.faults

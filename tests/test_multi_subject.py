@@ -12,8 +12,9 @@ from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.marker_sets.library import load_marker_set
-from mocapfix.options import OutputOptions
+from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.read.capture import read_take
+from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
 from mocapfix.report.review_file import read_review_files
 from mocapfix.result import CleaningResult
 from mocapfix.take import Take
@@ -142,7 +143,7 @@ def test_indices_of_subjects_become_indices_of_the_whole_take():
     fragment = Fragment("fragment", 1, 0, 3, 0.0, "", donor=2, relation="continues")
     of_jim = build_result(jim, relabelled, cleaned, (fragment,), (), (), {"j": 1})
 
-    whole = multi_subject.merge_results(take, (of_ann, of_jim))
+    whole = multi_subject.merge_results(SubjectExchanges(take, take), (of_ann, of_jim))
     assert whole.take.unlabelled is not None
     assert whole.take.sample_sd is not None
     assert [(fault.markers, getattr(fault, "donor", None)) for fault in whole.faults.items] == [((0, 2), None), ((3,), 4)]
@@ -217,6 +218,55 @@ def test_one_file_contains_the_changes_of_all_subjects_and_no_others(files, two)
     old, new = (layout.view_words(path.read_bytes()) for path in (files / "two.c3d", outputs["c3d"]))
     np.testing.assert_array_equal((old != new).any(-1), ~before.visible)
     np.testing.assert_allclose(after.markers, result.take.markers, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def exchanged(files):
+    """Return the take of two with the labels of Jim's and Ann's left foot exchanged in frames 81 to 120."""
+    take = read_take(files / "two.c3d")
+    points = take.markers.copy()
+    for label in ("LANK", "LHEE", "LTOE", "LMT5"):
+        jim, ann = (take.labels.index(f"{name}:{label}") for name in ("Jim", "Ann"))
+        points[50:90, [jim, ann]] = points[50:90, [ann, jim]]
+    path = files / "exchanged" / "two.c3d"
+    path.parent.mkdir()
+    path.write_bytes(build_c3d(points, take.labels, first=FIRST_FRAME))
+    return path
+
+
+def test_labels_that_two_subjects_exchanged_are_exchanged_back(two, exchanged, tmp_path):
+    result = pipeline.clean(exchanged)
+    outputs = result.write(tmp_path)
+    np.testing.assert_allclose(result.take.markers, two[0].take.markers, atol=1e-5)
+    np.testing.assert_allclose(read_take(outputs["c3d"]).markers, result.take.markers, atol=1e-6)
+    swaps = [fault for fault in result.faults.items if fault.kind == "swap"]
+    assert [(fault.first, fault.last) for fault in swaps] == [(50, 89)] * 4
+    jim = result.subject_results[0]
+    assert [change.samples for change in jim.changes if change.kind == "swap"] == [80] * 4
+    note = "Jim and Ann had exchanged the labels LANK, LHEE, LTOE, LMT5 in frames 81 to 120; they are exchanged back."
+    assert note in jim.subject_report["notes"]
+    assert json.loads(outputs["Jim.report.json"].read_text())["changes"][0]["markers"] == ["Jim:LANK", "Ann:LANK"]
+    assert "exchanged their labels" in outputs["Jim.report.html"].read_text()
+
+
+def test_exchanges_between_subjects_can_be_declined(exchanged, tmp_path):
+    outputs = pipeline.clean(exchanged).write(tmp_path)
+    declined = tmp_path / "declined.yaml"
+    declined.write_text(outputs["Jim.changes.yaml"].read_text().replace("decision: accept", "decision: reject"))
+    result = pipeline.clean(exchanged, review_files=(declined,))
+    assert not [fault for fault in result.faults.items if fault.kind == "swap" and fault.first == 50]
+    changes = [change for change in result.subject_results[0].changes if change.kind == "swap" and "Ann:LANK" in change.markers]
+    assert [change.decision for change in changes] == ["reject"]
+
+
+@pytest.mark.parametrize(
+    "options", [{"repair_kinds": ("gap",)}, {"keep": ("LANK", "LHEE", "LTOE", "LMT5")}, {"frames": (31, 100)}]
+)
+def test_exchanges_between_subjects_are_left_where_nothing_may_change(exchanged, options):
+    take = read_take(exchanged)
+    parts = multi_subject.split_subjects(take)
+    assert not correct_subject_labels(take, parts, (), CleanOptions().change(**options)).faults
+    assert len(correct_subject_labels(take, parts, (), CleanOptions()).faults) == 4
 
 
 def test_a_selected_subject_leaves_the_rest_of_the_file_unchanged(files, two, tmp_path):
@@ -295,7 +345,8 @@ def test_samples_that_the_file_cannot_store_are_empty_in_the_report_of_their_sub
     markers[5, 3] = 1e4  # metres; Cortex writes such values for missing markers
     sample_sd = np.where(markers[..., 0] == 1e4, 0.01, ann.take.sample_sd)
     far = replace(ann, take=ann.take.replace_markers(markers, sample_sd))
-    outputs = multi_subject.merge_results(two[0].input_take, (jim, far, others)).write(tmp_path)
+    take = two[0].input_take
+    outputs = multi_subject.merge_results(SubjectExchanges(take, take), (jim, far, others)).write(tmp_path)
     fills = {name: json.loads(outputs[f"{name}.report.json"].read_text())["fill"] for name in ("Jim", "Ann", "others")}
     assert [fill["left_empty"] for fill in fills.values()] == [0, 1, 0]
     (run,) = fills["Ann"]["unfilled"]

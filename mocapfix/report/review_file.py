@@ -171,8 +171,12 @@ def serialize_changes(changes: Sequence[Change]) -> list[ChangeEntry]:
     ]
 
 
-def read_review_files(paths: Sequence[str | Path], takes: Sequence[Take]) -> list[tuple[ReviewedChange, ...]]:
+def read_review_files(
+    paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()
+) -> list[tuple[ReviewedChange, ...]]:
     """Return the declined changes of each take, from the file on that take, if there is one.
+
+    `all_labels` are those of the file: a subject may exchange labels with another one.
 
     Raises SceneError as `read_review_file`, and if two files are on one take or a file is on none of them.
     """
@@ -189,11 +193,11 @@ def read_review_files(paths: Sequence[str | Path], takes: Sequence[Take]) -> lis
         if name in path_by_take:
             raise SceneError(f"{path}: take: {path_by_take[name]} is for {name} as well; give one of them.")
         path_by_take[name] = path
-    return [read_review_file(path_by_take[take.name], take) if take.name in path_by_take else () for take in takes]
+    return [read_review_file(path_by_take[take.name], take, all_labels) if take.name in path_by_take else () for take in takes]
 
 
-def read_review_file(path: str | Path, take: Take) -> tuple[ReviewedChange, ...]:
-    """Return the declined changes in a file written by `write_review_file`.
+def read_review_file(path: str | Path, take: Take, all_labels: Sequence[str] = ()) -> tuple[ReviewedChange, ...]:
+    """Return the declined changes in a file written by `write_review_file`. Markers of other subjects have higher indices.
 
     Raises SceneError with the file and the key if the file is invalid or is for another take.
     """
@@ -206,7 +210,8 @@ def read_review_file(path: str | Path, take: Take) -> tuple[ReviewedChange, ...]
             f"{path}: frames: the file is for frames {file.frames[0]} to {file.frames[1]}; {take.name} has {first} to {last}."
         )
     count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
-    index_by_label = {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
+    index_by_label = {label: count + index for index, label in enumerate(all_labels)}
+    index_by_label |= {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
     declined: list[ReviewedChange] = []
     for n, entry in enumerate(file.changes):
         if unknown := [label for label in entry.markers if label not in index_by_label]:
