@@ -3,12 +3,16 @@
 Labels and samples that are consistent without a skeleton should stay as they are with it. A wrong skeleton contradicts them.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Int
 
-from mocapfix.state import DetectionState
+from mocapfix.detect.loop import detect_on_trajectories
+from mocapfix.options import CleanOptions
+from mocapfix.report.stage_timer import StageTimer
+from mocapfix.state import CleaningState, DetectionState
 
 FitStage = Callable[[CleaningState, CleanOptions, StageTimer], CleaningState]
 
@@ -82,3 +86,10 @@ def compare_detections(without_set: DetectionState, with_set: DetectionState, co
     is_rejected = without_set.inlier_mask & ~with_set.inlier_mask
     is_contradicted = (is_relabelled | is_rejected)[:, columns] & (columns >= 0)
     return SetTrial(is_contradicted.sum(0), int(without_set.take.visible[:, columns[columns >= 0]].sum()))
+
+
+def withdraw_marker_set(state: CleaningState) -> CleaningState:
+    """Return the state without its learned marker set, and with the reason."""
+    notes = (*state.notes[:1], "A marker set learned from this take would reject or relabel measured samples, so it is not used.")
+    notes = (*notes, "The take was cleaned without a skeleton: there is no BVH.")
+    return replace(state, marker_set=None, has_learned_set=False, notes=notes)
