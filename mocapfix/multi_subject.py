@@ -16,9 +16,9 @@ from mocapfix.errors import TakeError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
-from mocapfix.options import SubjectOptions
-from mocapfix.repair.subject_exchanges import SubjectExchanges
-from mocapfix.report.review_file import serialize_changes
+from mocapfix.options import CleanOptions, SubjectOptions
+from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
+from mocapfix.report.review_file import ReviewedChange, read_review_files, serialize_changes
 from mocapfix.result import CleaningResult
 from mocapfix.take import ComputedPoints, Take
 
@@ -38,6 +38,21 @@ def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...
             f"{take.name}: shows {names}, but --subject describes one person; name that person with --subject-prefix."
         )
     return takes
+
+
+def split_corrected_subjects(
+    take: Take, options: CleanOptions
+) -> tuple[tuple[Take, ...], list[tuple[ReviewedChange, ...]], SubjectExchanges]:
+    """Split a take as `split_known_subjects`, with the labels that its subjects exchanged exchanged back.
+
+    Returns the takes, the changes to each that a review declined, and the exchanges. Raises as `split_known_subjects`.
+    """
+    parts = split_known_subjects(take, options.subject)
+    reviewed_changes = read_review_files(options.review.review_files, parts, take.labels)
+    exchanges = correct_subject_labels(take, parts, reviewed_changes, options)
+    if exchanges.faults:
+        parts = tuple(exchanges.add_notes(part) for part in split_known_subjects(exchanges.take, options.subject))
+    return parts, reviewed_changes, exchanges
 
 
 def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:

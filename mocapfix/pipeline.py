@@ -24,7 +24,7 @@ from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import label_capture, label_take
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
-from mocapfix.multi_subject import split_known_subjects
+from mocapfix.multi_subject import split_corrected_subjects, split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
@@ -32,11 +32,10 @@ from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.repair.computed_points import update_computed_points
-from mocapfix.repair.subject_exchanges import correct_subject_labels
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
-from mocapfix.report.review_file import ReviewedChange, build_fault_filter, read_review_files
+from mocapfix.report.review_file import ReviewedChange, build_fault_filter
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body, restrict_body
@@ -86,11 +85,7 @@ def clean(
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
     check_fill_options(capture, options.fill)
-    takes = split_known_subjects(capture, options.subject)
-    reviewed_changes = read_review_files(options.review.review_files, takes, capture.labels)
-    exchanges = correct_subject_labels(capture, takes, reviewed_changes, options)
-    if exchanges.faults:
-        takes = tuple(exchanges.add_notes(take) for take in split_known_subjects(exchanges.take, options.subject))
+    takes, reviewed_changes, exchanges = split_corrected_subjects(capture, options)
     results: list[CleaningResult] = []
     for take, reviewed in zip(takes, reviewed_changes, strict=True):
         if results:  # an unlabelled trajectory assigned to one subject is not available to the next
@@ -232,11 +227,7 @@ def inspect(
     reject_hierarchy(capture, options.subject)
     capture, options = label_capture(capture, options, calibrate_takes)
     reports: list[InspectionReport] = []
-    takes = split_known_subjects(capture, options.subject)
-    exchanges = correct_subject_labels(capture, takes, (), options)
-    if exchanges.faults:
-        takes = tuple(exchanges.add_notes(take) for take in split_known_subjects(exchanges.take, options.subject))
-    for take in takes:
+    for take in split_corrected_subjects(capture, options)[0]:
         conditioner = build_prior_conditioner(load_pose_model, options.solve)
         state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
         faults = detect_and_fit(state, options, timer).detection.faults
