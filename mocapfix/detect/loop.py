@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from mocapfix.detect.body_checks import detect_epoch_faults, find_unconfirmed_shifts
 from mocapfix.detect.fragments import detect_fragments
+from mocapfix.detect.keypoint_trajectories import detect_on_keypoints
 from mocapfix.detect.label_swaps import detect_label_swaps
 from mocapfix.detect.mislabelled import detect_mislabelled
 from mocapfix.detect.round_memory import RoundMemory
@@ -37,6 +38,8 @@ FaultFilter = Callable[[Fault], bool]
 def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> CleaningState:
     """Detect faults in the trajectories of the original take and correct its labels. Sets `detection` of the state."""
     take, label_faults = state.original_take, list[Fault]()
+    if state.marker_set and state.marker_set.point_sd:
+        return detect_on_keypoints(state, options)
     if state.marker_set:
         mislabelled = detect_mislabelled(take, state.marker_set, state.known_subject)
         label_faults = [fault for fault in mislabelled if state.accepts_fault(fault)]
@@ -65,8 +68,8 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     Returns the state with a new `detection`, or the very same state where nothing new is found.
     """
     detection, body = state.detection, state.body
-    if body is None:
-        return state
+    if body is None or (state.marker_set and state.marker_set.point_sd):
+        return state  # what would be a fault of a marker is within the errors of keypoints
     unconfirmed_shifts = (*detection.unconfirmed_shifts, *find_unconfirmed_shifts(detection, body))
     known = {_identify_fault(fault) for fault in detection.faults.items}
     new_faults = [

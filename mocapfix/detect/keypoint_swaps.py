@@ -1,0 +1,124 @@
+"""Left and right keypoints that are exchanged for some frames: detectors confuse the sides of people.
+
+Each pair of mirrored points is judged by itself, since a detector exchanges single joints as well as whole legs. In frames that
+show both, they are straight or exchanged. The cheapest sequence of these states is found exactly (Viterbi's algorithm). A step
+between two frames costs the squared distances, in variances of noise and motion, between the samples that it takes to be of one
+point; being exchanged costs a little at all times, so that the smaller part of a take is the exchanged one.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mocapfix.faults import Fault
+from mocapfix.marker_set import MarkerSet
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.stats.sequences import find_cheapest_states, find_runs
+from mocapfix.take import Take
+
+# Standard deviation per axis of the speed of a keypoint between frames.
+KEYPOINT_SPEED_SD_M_PER_S = 1.5
+# Largest cost of a step: an outlier says nothing about the sides.
+MAX_STEP_COST = 40.0
+# Cost of being exchanged in a frame: without evidence, labels are assumed to be correct.
+EXCHANGED_FRAME_COST = 0.05
+# Cost of a change between straight and exchanged.
+STATE_CHANGE_COST = 6.0
+MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored place
+
+
+def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[np.ndarray, " M"]) -> list[Fault]:
+    """Detect exchanged left and right keypoints.
+
+    Args:
+        take: The take.
+        marker_set: Its set.
+        noise_sd_m: Standard deviation per axis of the noise of each point of the take.
+    """
+    faults: list[Fault] = []
+    for left, right in find_mirrored_columns(take, marker_set):
+        sd_m = float(max(noise_sd_m[left], noise_sd_m[right], marker_set.point_sd / 2))
+        is_exchanged = find_exchanged_frames(take.markers[:, left], take.markers[:, right], sd_m, take.rate)
+        faults += [_build_swap_fault(take, left, right, first, last) for first, last in find_runs(is_exchanged)]
+    return faults
+
+
+def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, int]]:
+    """Return the columns in the take of each pair of points with mirrored places, the left one first."""
+    names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
+    place_of_column = {
+        int(column): (names[marker_set.joints[k]], marker_set.marker_offsets[k])
+        for k, column in enumerate(columns)
+        if column >= 0
+    }
+    pairs: list[tuple[int, int]] = []
+    for left, (left_joint, left_offset) in place_of_column.items():
+        for right, (right_joint, right_offset) in place_of_column.items():
+            is_pair = right_joint == left_joint.replace("Left", "Right") and _is_left(left_joint, left_offset)
+            if is_pair and np.abs(left_offset * [-1, 1, 1] - right_offset).max() <= MAX_MIRROR_MISFIT_M and left != right:
+                pairs.append((left, right))
+    return pairs
+
+
+def find_exchanged_frames(
+    left: Float[np.ndarray, "T 3"], right: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float
+) -> Bool[np.ndarray, " T"]:
+    """Return the frames in which the samples of two points are exchanged."""
+    is_exchanged = np.zeros(len(left), bool)
+    frames = np.flatnonzero(~np.isnan(left[:, 0]) & ~np.isnan(right[:, 0]))
+    if len(frames) < 2:
+        return is_exchanged
+    elapsed_s = np.diff(frames) / rate
+    variance = 2 * noise_sd_m**2 + (KEYPOINT_SPEED_SD_M_PER_S * elapsed_s) ** 2
+    a, b = left[frames], right[frames]
+
+    def compute_step_cost(after: np.ndarray, before: np.ndarray) -> Float[np.ndarray, " N"]:
+        return np.minimum(((after[1:] - before[:-1]) ** 2).sum(axis=1) / (2 * variance), MAX_STEP_COST)
+
+    same = compute_step_cost(a, a) + compute_step_cost(b, b)
+    crossed = compute_step_cost(a, b) + compute_step_cost(b, a) + STATE_CHANGE_COST
+    step_cost = np.stack([np.stack([same, crossed], axis=-1), np.stack([crossed, same], axis=-1)], axis=-1)
+    state_cost = np.zeros((len(frames), 2))
+    state_cost[:, 1] = EXCHANGED_FRAME_COST
+    is_exchanged[frames] = find_cheapest_states(step_cost, state_cost) == 1
+    return _add_single_samples(left, right, is_exchanged, noise_sd_m, rate)
+
+
+def _add_single_samples(
+    left: Float[np.ndarray, "T 3"],
+    right: Float[np.ndarray, "T 3"],
+    is_exchanged: Bool[np.ndarray, " T"],
+    sd_m: float,
+    rate: float,
+) -> Bool[np.ndarray, " T"]:
+    """Return the exchanged frames with those that show one of the two points only, where the other one is expected."""
+    swap = is_exchanged[:, None]
+    true_left, true_right = np.where(swap, right, left), np.where(swap, left, right)
+    frames, is_exchanged = np.arange(len(left)), is_exchanged.copy()
+    is_paired = ~np.isnan(left[:, 0]) & ~np.isnan(right[:, 0])
+    known = np.flatnonzero(is_paired)
+    paths = [np.stack([np.interp(frames, known, path[known, axis]) for axis in range(3)], -1) for path in (true_left, true_right)]
+    after = known[np.minimum(np.searchsorted(known, frames), len(known) - 1)]
+    before = known[np.maximum(np.searchsorted(known, frames, side="right") - 1, 0)]
+    elapsed_s = np.minimum(np.abs(after - frames), np.abs(frames - before)) / rate
+    variance = 2 * sd_m**2 + (KEYPOINT_SPEED_SD_M_PER_S * elapsed_s) ** 2
+    for own, expected, other in ((left, paths[0], paths[1]), (right, paths[1], paths[0])):
+        alone = np.flatnonzero(~is_paired & ~np.isnan(own[:, 0]))
+        gain = ((own[alone] - expected[alone]) ** 2).sum(axis=1) - ((own[alone] - other[alone]) ** 2).sum(axis=1)
+        is_exchanged[alone[gain / (2 * variance[alone]) > 2 * STATE_CHANGE_COST]] = True
+    return is_exchanged
+
+
+def _is_left(joint_name: str, offset: Float[np.ndarray, "3"]) -> bool:
+    return joint_name.startswith("Left") or (not joint_name.startswith("Right") and float(offset[0]) > 0)
+
+
+def _build_swap_fault(take: Take, left: int, right: int, first: int, last: int) -> Fault:
+    frames = slice(first, last + 1)
+    distance_m = np.linalg.norm(take.markers[frames, left] - take.markers[frames, right], axis=-1)
+    severity = float(np.nanmedian(distance_m)) if np.isfinite(distance_m).any() else float("nan")
+    count, labels = last - first + 1, take.bare_labels
+    reason = (
+        f"{labels[left]} and {labels[right]} are exchanged for {count / take.rate:.2f} s ({count} frame{'s' * (count > 1)}): "
+        "each continues the path of the other."
+    )
+    return Fault("swap", left, first, last, severity, reason, 1.0, (right,))
