@@ -203,6 +203,10 @@ class FillOptions(StageOptions):
         False, "--update-computed", "", "compute joint centres and other computed points again where their markers were changed",
         job_key="fill.update_computed",
     )  # fmt: skip
+    smooth_keypoints: bool = define_option(
+        False, "--smooth-keypoints", "", "write 3-D keypoints without their noise, as the body was fitted to them",
+        job_key="fill.smooth_keypoints",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ KEYPOINT_POWER_WINDOW_S = 1.0
 # Fewer measured samples are not smoothed.
 MIN_SMOOTHED_SAMPLES = 20
 # A gap in which the trajectory is smoothed separately on both sides.
-MAX_BRIDGED_GAP_S = 1.0
+MAX_JOINED_GAP_S = 1.0
 # Distance from the trajectory, in standard deviations per axis, beyond which a sample has less weight, and is an outlier.
 MIN_DOWNWEIGHTED_DISTANCE_SD = 3.0
 MIN_KEYPOINT_OUTLIER_SD = 5.0
@@ -76,7 +76,7 @@ def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float,
         point_sd_m: Standard deviation per axis that the marker set states.
     """
     is_known, smooth, is_outlier = ~np.isnan(path[:, 0]), path.copy(), np.zeros(len(path), bool)
-    for first, last in _find_bridged_runs(is_known, rate):
+    for first, last in _join_short_gaps(is_known, rate):
         frames = slice(first, last + 1)
         if is_known[frames].sum() >= MIN_SMOOTHED_SAMPLES:
             smooth[frames], is_outlier[frames] = _smooth_run(path[frames], is_known[frames], noise_sd_m, rate, point_sd_m)
@@ -84,11 +84,11 @@ def smooth_point(path: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float,
     return SmoothedPoint(smooth, is_outlier & is_known, noise_sd_m)
 
 
-def _find_bridged_runs(is_known: Bool[np.ndarray, " T"], rate: float) -> list[tuple[int, int]]:
+def _join_short_gaps(is_known: Bool[np.ndarray, " T"], rate: float) -> list[tuple[int, int]]:
     """Return the runs of known samples, joined across short gaps."""
     runs: list[tuple[int, int]] = []
     for first, last in find_runs(is_known):
-        if runs and first - runs[-1][1] - 1 <= MAX_BRIDGED_GAP_S * rate:
+        if runs and first - runs[-1][1] - 1 <= MAX_JOINED_GAP_S * rate:
             runs[-1] = runs[-1][0], last
         else:
             runs.append((first, last))

@@ -3,15 +3,17 @@
 Each pair of mirrored points is judged by itself, since a detector exchanges single joints as well as whole legs. In frames that
 show both, they are straight or exchanged. The cheapest sequence of these states is found exactly (Viterbi's algorithm). A step
 between two frames costs the squared distances, in variances of noise and motion, between the samples that it takes to be of one
-point; being exchanged costs a little at all times, so that the smaller part of a take is the exchanged one.
+point. A state costs the deviation of the distance to the nearest joint of the same side from its usual length: joints are judged
+from the trunk outwards, each against joints whose sides are corrected already. Being exchanged costs a little at all times, so
+that the smaller part of a take is the exchanged one.
 """
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.faults import Fault
-from mocapfix.marker_set import MarkerSet
-from mocapfix.skeleton import load_cmu31_body
+from mocapfix.marker_set import LIMB_JOINT_NAMES, MarkerSet
+from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
 from mocapfix.stats.sequences import find_cheapest_states, find_runs
 from mocapfix.take import Take
 
@@ -19,10 +21,19 @@ from mocapfix.take import Take
 KEYPOINT_SPEED_SD_M_PER_S = 1.5
 # Largest cost of a step: an outlier says nothing about the sides.
 MAX_STEP_COST = 40.0
-# Cost of being exchanged in a frame: without evidence, labels are assumed to be correct.
-EXCHANGED_FRAME_COST = 0.05
+# Cost of being exchanged for a second: without evidence, labels are assumed to be correct.
+EXCHANGED_COST_PER_S = 10.0
 # Cost of a change between straight and exchanged.
-STATE_CHANGE_COST = 6.0
+STATE_CHANGE_COST = 4.0
+# Smallest distance between the points of a pair, median over the take, in standard deviations of the noise: nearer ones, as the
+# eyes, change places within their noise.
+MIN_SEPARATION_SD = 6.0
+# Largest deviation of the distance between two joints of a side, median over the take, at which they are ends of one segment.
+MAX_SEGMENT_DEVIATION_M = 0.03
+# Standard deviation of the length of a segment between keypoints, besides their noise.
+SEGMENT_LENGTH_SD_M = 0.02
+# Largest cost of the length of a segment in a frame.
+MAX_LENGTH_COST = 8.0
 MAX_MIRROR_MISFIT_M = 1e-9  # between a point's place and its twin's mirrored place
 
 
@@ -35,15 +46,53 @@ def detect_keypoint_swaps(take: Take, marker_set: MarkerSet, noise_sd_m: Float[n
         noise_sd_m: Standard deviation per axis of the noise of each point of the take.
     """
     faults: list[Fault] = []
+    section_of_column = find_sections(take, marker_set)
+    markers, judged = take.markers.copy(), list[tuple[int, int]]()
     for left, right in find_mirrored_columns(take, marker_set):
         sd_m = float(max(noise_sd_m[left], noise_sd_m[right], marker_set.point_sd / 2))
-        is_exchanged = find_exchanged_frames(take.markers[:, left], take.markers[:, right], sd_m, take.rate)
+        separation_m = np.linalg.norm(markers[:, left] - markers[:, right], axis=-1)
+        if np.isnan(separation_m).all() or np.nanmedian(separation_m) < MIN_SEPARATION_SD * sd_m:
+            continue
+        length_cost = np.zeros(len(markers))
+        if section_of_column[left] in LIMB_JOINT_NAMES:
+            length_cost = compute_length_cost(markers, (left, right), judged, sd_m)
+        is_exchanged = find_exchanged_frames(markers[:, left], markers[:, right], sd_m, take.rate, length_cost)
         faults += [_build_swap_fault(take, left, right, first, last) for first, last in find_runs(is_exchanged)]
+        exchanged = markers[is_exchanged, left].copy()
+        markers[is_exchanged, left] = markers[is_exchanged, right]
+        markers[is_exchanged, right] = exchanged
+        if section_of_column[left] != "head":
+            judged.append((left, right))
     return faults
 
 
+def compute_length_cost(
+    markers: Float[np.ndarray, "T M 3"], pair: tuple[int, int], judged: list[tuple[int, int]], noise_sd_m: float
+) -> Float[np.ndarray, " T"]:
+    """Return the cost of the exchanged state of a pair less that of the straight one, by the lengths of segments.
+
+    judged  pairs of points whose sides are corrected already; the one at the steadiest distance is used
+    """
+    cost, least_deviation_m = np.zeros(len(markers)), MAX_SEGMENT_DEVIATION_M
+    for other in judged:
+        straight = [np.linalg.norm(markers[:, a] - markers[:, b], axis=-1) for a, b in zip(pair, other, strict=True)]
+        known = np.concatenate([each[~np.isnan(each)] for each in straight])
+        if not len(known):
+            continue
+        length = float(np.median(known))
+        deviation_m = float(np.median(np.abs(known - length)))
+        if deviation_m >= least_deviation_m:
+            continue
+        crossed = [np.linalg.norm(markers[:, a] - markers[:, b], axis=-1) for a, b in zip(pair, other[::-1], strict=True)]
+        variance = 2 * noise_sd_m**2 + SEGMENT_LENGTH_SD_M**2
+        deviations = np.stack([*crossed, *straight]) - length
+        costs = np.minimum(np.nan_to_num(deviations**2 / (2 * variance)), MAX_LENGTH_COST)
+        cost, least_deviation_m = costs[:2].sum(axis=0) - costs[2:].sum(axis=0), deviation_m
+    return cost
+
+
 def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, int]]:
-    """Return the columns in the take of each pair of points with mirrored places, the left one first."""
+    """Return the columns in the take of each pair of points with mirrored places, the left one first, from the trunk outwards."""
     names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
     place_of_column = {
         int(column): (names[marker_set.joints[k]], marker_set.marker_offsets[k])
@@ -56,13 +105,36 @@ def find_mirrored_columns(take: Take, marker_set: MarkerSet) -> list[tuple[int, 
             is_pair = right_joint == left_joint.replace("Left", "Right") and _is_left(left_joint, left_offset)
             if is_pair and np.abs(left_offset * [-1, 1, 1] - right_offset).max() <= MAX_MIRROR_MISFIT_M and left != right:
                 pairs.append((left, right))
-    return pairs
+    depths = compute_joint_depths()
+    return sorted(pairs, key=lambda pair: depths[place_of_column[pair[0]][0]])
+
+
+def find_sections(take: Take, marker_set: MarkerSet) -> dict[int, str]:
+    """Return the section of the body that carries each column of the take."""
+    names, columns = load_cmu31_body().skeleton.names, marker_set.find_columns(take.labels)
+    section_of_joint = {joint: section for section, joints in BODY_SECTIONS.items() for joint in joints}
+    return {int(column): section_of_joint[names[j]] for column, j in zip(columns, marker_set.joints, strict=True) if column >= 0}
+
+
+def compute_joint_depths() -> dict[str, int]:
+    """Return the number of segments between the root and each joint, by the joint's name."""
+    skeleton, depths = load_cmu31_body().skeleton, dict[str, int]()
+    for name, parent in zip(skeleton.names, skeleton.parents, strict=True):
+        depths[name] = depths[skeleton.names[parent]] + 1 if parent >= 0 else 0
+    return depths
 
 
 def find_exchanged_frames(
-    left: Float[np.ndarray, "T 3"], right: Float[np.ndarray, "T 3"], noise_sd_m: float, rate: float
+    left: Float[np.ndarray, "T 3"],
+    right: Float[np.ndarray, "T 3"],
+    noise_sd_m: float,
+    rate: float,
+    length_cost: Float[np.ndarray, " T"],
 ) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which the samples of two points are exchanged."""
+    """Return the frames in which the samples of two points are exchanged.
+
+    length_cost  cost of the exchanged state less that of the straight one, by what other points show
+    """
     is_exchanged = np.zeros(len(left), bool)
     frames = np.flatnonzero(~np.isnan(left[:, 0]) & ~np.isnan(right[:, 0]))
     if len(frames) < 2:
@@ -78,7 +150,7 @@ def find_exchanged_frames(
     crossed = compute_step_cost(a, b) + compute_step_cost(b, a) + STATE_CHANGE_COST
     step_cost = np.stack([np.stack([same, crossed], axis=-1), np.stack([crossed, same], axis=-1)], axis=-1)
     state_cost = np.zeros((len(frames), 2))
-    state_cost[:, 1] = EXCHANGED_FRAME_COST
+    state_cost[:, 1] = EXCHANGED_COST_PER_S / rate + length_cost[frames]
     is_exchanged[frames] = find_cheapest_states(step_cost, state_cost) == 1
     return _add_single_samples(left, right, is_exchanged, noise_sd_m, rate)
 

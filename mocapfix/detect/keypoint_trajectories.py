@@ -16,8 +16,8 @@ from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
 KEYPOINT_NOTE = (
-    "The points are keypoints, not markers. Their noise ({noise_mm:.0f} mm per axis, median over the points) was removed by "
-    "smoothing: all their samples differ from the file's."
+    "The points are keypoints, not markers: the body was fitted to their smooth paths, less {noise_mm:.0f} mm of noise per axis "
+    "(median over the points)."
 )
 
 

@@ -60,6 +60,8 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
     reverted = [fault for fault in repairable if decisions.get(id(fault)) != "accept"]
     cleaned = _revert_faults(original, detection, fill.take, reverted)
+    if options.fill.smooth_keypoints and state.marker_set and state.marker_set.point_sd:
+        cleaned = _smooth_kept_samples(cleaned, detection.take, is_editable)
     body_markers, methods = fill.body_markers, fill.methods
     declined_changes = [
         (replace(change, decision=decisions[id(fault)], samples=0, after=change.before), fault)
@@ -100,6 +102,14 @@ def _revert_faults(original: Take, detection: DetectionState, repaired: Take, fa
     without_samples = revert_samples(repaired, detection.take, revert_mask)
     without_labels = revert_samples(without_samples, relabelled, compare_samples(detection.take, relabelled))
     return replace(without_labels, unlabelled=relabelled.unlabelled)
+
+
+def _smooth_kept_samples(cleaned: Take, smoothed: Take, editable_mask: Bool[np.ndarray, "T M"]) -> Take:
+    """Return the cleaned take with the smoothed positions of the samples that are the file's own."""
+    is_kept = cleaned.measured & smoothed.visible & (cleaned.source_points == smoothed.source_points) & editable_mask
+    if cleaned.sample_sd is not None:
+        is_kept &= np.isnan(cleaned.sample_sd)
+    return replace(cleaned, markers=np.where(is_kept[..., None], smoothed.markers, cleaned.markers))
 
 
 def _is_repairable(fault: Fault) -> bool:
