@@ -21,7 +21,7 @@ from mocapfix.calibrate.marker_set_fit import MarkerSetFit, fit_marker_set
 from mocapfix.calibrate.unlabelled_markers import guess_from_marker_cloud
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import MarkerSet, format_name_list
-from mocapfix.marker_sets.label_words import guess_marker_set_from_words
+from mocapfix.marker_sets.label_words import guess_marker_set_from_words, names_object
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_marker_set
 from mocapfix.pose_prior.mean_pose import load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
@@ -136,7 +136,7 @@ def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) ->
 
 
 def select_subject_markers(take: Take) -> SubjectMarkers:
-    """Return the markers of the subject with the most of them, and those without a subject prefix."""
+    """Return the markers of the subject with the most of them and those without a prefix; none whose label names an object."""
     subject_names = take.marker_subjects
     chosen_subject = max(dict.fromkeys(subject_names), key=lambda name: (bool(name), subject_names.count(name)))
     column_of_label: dict[str, int] = {}
@@ -144,6 +144,8 @@ def select_subject_markers(take: Take) -> SubjectMarkers:
     for column, (subject_name, label) in enumerate(zip(subject_names, take.bare_labels, strict=True)):
         if subject_name not in (chosen_subject, ""):
             excluded[take.labels[column]] = f"belongs to {subject_name}, not to {chosen_subject}"
+        elif names_object(take.labels[column]):
+            excluded[take.labels[column]] = "names an object"
         elif label in column_of_label:
             excluded[take.labels[column]] = "has the same label as another marker"
         else:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.marker_sets import load_marker_set
-from mocapfix.marker_sets.label_words import guess_marker_set_from_words, locate_label
+from mocapfix.marker_sets.label_words import guess_marker_set_from_words, locate_label, names_object
 from mocapfix.skeleton import load_cmu31_body
 from tests.marker_sets.test_shipped_sets import WHOLE_BODY_SETS
 
@@ -35,6 +35,53 @@ def test_labels_of_shipped_sets_locate_their_segments(marker_set):
 def test_words_and_sides(label, joint):
     location = locate_label(label)
     assert (location and location[0]) == joint
+
+
+@pytest.mark.parametrize(
+    "label",
+    [
+        "WheelchairL",
+        "R.Wheel",
+        "Handrim_R",
+        "L.Handle",
+        "Racket:1",
+        "Bat1",
+        "Boite_gauche_ext",
+        "Footplate_L",
+        "LWheels",
+        "R.Roue",
+    ],
+)
+def test_objects_are_no_body_markers(label):
+    assert names_object(label)
+    assert locate_label(label) is None
+
+
+@pytest.mark.parametrize(
+    ("label", "joint"),
+    [
+        ("L.Medial.Knee", "LeftUpLeg"), ("Medial_Knee_L", "LeftUpLeg"), ("INNERKNEEL", "LeftUpLeg"), ("R.Calf", "RightLeg"),
+        ("LShoe", "LeftFoot"), ("L.Post.Fem.", "LeftUpLeg"), ("R.Ant.Tib.", "RightLeg"), ("L.HeadHum", "LeftArm"),
+        ("Rear", None), ("Medial", None), ("L.D5M1", None), ("Small_L", None), ("LHelmet", "Head"),
+    ],
+)  # fmt: skip
+def test_words_begin_where_a_label_or_one_of_its_words_does(label, joint):
+    assert not names_object(label)
+    location = locate_label(label)
+    assert (location and location[0]) == joint
+
+
+@pytest.mark.parametrize(
+    ("labels", "located"),
+    [
+        (("ASISr", "ASISl", "ARMl", "ARMm", "LARMm"), ("ASISr", "ASISl")),
+        (("LASI", "RASI", "LARM", "KNEL"), ("LASI", "RASI", "LARM")),
+        (("LSHO", "LELB"), ("LSHO", "LELB")),
+    ],
+    ids=["lateral and lower", "another place", "one arm"],
+)
+def test_a_letter_for_a_side_stands_where_it_does_in_pairs(labels, located):
+    assert guess_marker_set_from_words(labels).labels == located
 
 
 @pytest.mark.parametrize("word", ["KNE", "ELB", "WRA", "FWT", "TOE", "FHD"])
