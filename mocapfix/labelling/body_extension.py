@@ -29,11 +29,11 @@ MAX_EXTENSION_FRAMES = 40
 """Frames to which a body is extended."""
 MIN_EXTENSION_MARKER_SHARE = 0.75
 """Markers that such a frame must show, as a share of those of the frame in which the body was found."""
-EXTENSION_GATE_M = 0.15
+EXTENSION_GATE_M = 0.2
 """Distance above which all distances of a point from a marker are equal."""
-MAX_EXTENSION_DISTANCE_M = 0.1
-"""Distance at which no label is as likely as a label."""
-MISSING_MARKER_COST = 50.0
+MAX_EXTENSION_DISTANCES_M = (0.1, 0.1, 0.1, 0.15, 0.15)
+"""Distance in each round at which no label is as likely as a label."""
+MISSING_MARKER_COST = 120.0
 """Cost of a marker without a point in a frame that has points without a marker, in half squares of standard deviations."""
 OFFSET_WEIGHTS = (0.0, 0.2, 0.4, 0.6, FINAL_OFFSET_WEIGHT)
 """Weight of the measured offset of a marker after each round."""
@@ -59,15 +59,15 @@ def extend_body(
         average = build_average_body(marker_set)
         size = estimate_body_size_ratio(average.subject.skeleton, marker_set, part.arrange_markers(markers, count))
         body = body.change_subject(scale_subject(average.subject, size))
-    nominal, max_distance = body.subject, np.full(len(markers), MAX_EXTENSION_DISTANCE_M)
-    for offset_weight in OFFSET_WEIGHTS:
+    nominal = body.subject
+    for offset_weight, max_distance in zip(OFFSET_WEIGHTS, MAX_EXTENSION_DISTANCES_M, strict=True):
         positions = part.arrange_markers(markers, count)
         poses = body.register(positions)
         body.solve(poses, positions, POSING_MARKER_SD_M, POSING_SCALES_M, POSING_ITERATIONS)
         if marker_set is not None:
             body = body.change_subject(adapt_offsets(nominal, poses, positions, offset_weight))
         distances = measure_tracklets(part, body.predict(poses), EXTENSION_GATE_M)
-        markers = assign_tracklets(part, distances.squared_m2, max_distance)
+        markers = assign_tracklets(part, distances.squared_m2, np.full(len(markers), max_distance))
     return ExtendedBody(body, markers, compute_body_cost(part, markers, body, nominal), frames)
 
 

@@ -22,9 +22,11 @@ KEY_FRAME_HEIGHT_QUANTILES = (0.2, 1.0)
 """Range of the heights of these frames: the lowest show people who crouch or lie."""
 STANDING_HEIGHT_QUANTILE = 0.7
 """Quantile of the heights that a standing person has; the highest are those of raised arms."""
+MIN_SEARCHED_DURATION_S = 0.15
+"""Duration of the tracklets among which a body is searched for: shorter ones are often ghosts."""
 BODIES_PER_KEY_FRAME = 3
 """Bodies of each frame that are kept."""
-MAX_EXTENDED_BODIES = 6
+MAX_EXTENDED_BODIES = 8
 """Best bodies of all frames that are extended to other frames."""
 
 MIN_KEPT_CONFIDENCE = 0.5
@@ -45,8 +47,9 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
         subject: The person, if known; with the markers of the set in this order.
     """
     sampled = sample_points(points)
+    lasting = sampled.select_tracklets(measure_durations(sampled) >= MIN_SEARCHED_DURATION_S)
     searched = marker_set if subject else marker_set.select_markers(marker_set.required_labels)
-    start = find_labelled_body(sampled, searched, subject)
+    start = find_labelled_body(lasting, searched, subject)
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
     labels = propagate_labels(sampled, start, None if subject else scale_nominal_subject(start.body.subject, searched))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.labelling.points import UnlabelledPoints
 
@@ -15,7 +15,7 @@ FRAMES_PER_TRACKLET = 4
 
 @dataclass(frozen=True)
 class SampledPoints:
-    """The points of S frames of a take, in V columns that are filled from the first on.
+    """The points of S frames of a take, in V columns.
 
     Attributes:
         frames: Indices of the frames, rising.
@@ -36,6 +36,12 @@ class SampledPoints:
         return SampledPoints(
             self.frames[indices], self.positions[indices], self.tracklets[indices], self.tracklet_count, self.times_s[indices]
         )
+
+    def select_tracklets(self, is_selected: Bool[np.ndarray, " N"]) -> "SampledPoints":
+        """Return the points of some of the tracklets, which keep their indices; empty places are among those of the others."""
+        is_kept = np.append(is_selected, False)[self.tracklets]
+        positions = np.where(is_kept[..., None], self.positions, np.nan)
+        return SampledPoints(self.frames, positions, np.where(is_kept, self.tracklets, -1), self.tracklet_count, self.times_s)
 
     def arrange_markers(self, labels: Int[np.ndarray, " N"], marker_count: int) -> Float[np.ndarray, "S K 3"]:
         """Return the positions of the markers, given the marker of each tracklet (-1 for none); NaN where not visible."""
