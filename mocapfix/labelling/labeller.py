@@ -1,11 +1,13 @@
 """The labeller: the marker of each of a take's unlabelled points."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from mocapfix.labelling.body_extension import extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
 from mocapfix.labelling.label_confidence import compute_label_confidence
+from mocapfix.labelling.label_overlaps import continue_labels, label_single_points
+from mocapfix.labelling.linking import are_points_unordered
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
 from mocapfix.labelling.posed_body import ExtendedBody, build_average_body, build_subject_body, scale_subject
 from mocapfix.labelling.propagation import PropagatedLabels, propagate_labels
@@ -48,8 +50,9 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     """
     sampled = sample_points(points)
     lasting = sampled.select_tracklets(measure_durations(sampled) >= MIN_SEARCHED_DURATION_S)
-    searched = marker_set if subject else marker_set.select_markers(marker_set.required_labels)
-    start = find_labelled_body(lasting, searched, subject)
+    searched = marker_set.select_markers(marker_set.required_labels)
+    known = subject.select_markers(searched.labels) if subject else None
+    start = find_labelled_body(lasting, searched, known)
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
     labels = propagate_labels(sampled, start, None if subject else scale_nominal_subject(start.body.subject, searched))
@@ -57,8 +60,22 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
     markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
     if len(searched.labels) < len(marker_set.labels):
-        markers = add_optional_markers(sampled, markers, marker_set, labels)
-    return PointLabels(assign_to_tracklets(points, markers, -1), assign_to_tracklets(points, confidence, 0.0))
+        all_markers = subject or scale_nominal_subject(labels.body.subject, marker_set)
+        markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
+    predicted = predict_in_posed_frames(sampled, labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
+    marker_indices = label_single_points(points, sampled, predicted, markers)
+    if not are_points_unordered(points.positions):
+        marker_indices = continue_labels(points, marker_indices)
+    return PointLabels(marker_indices, assign_to_tracklets(points, confidence, 0.0))
+
+
+def predict_in_posed_frames(sampled: SampledPoints, labels: PropagatedLabels, subject: Subject) -> Float[np.ndarray, "S K 3"]:
+    """Return where the body carries the markers of a subject, in metres; NaN in frames without a pose."""
+    predicted = np.full((len(sampled.frames), len(subject.labels), 3), np.nan)
+    frames = np.flatnonzero(labels.is_posed)
+    poses = labels.poses[0][frames], labels.poses[1][frames]
+    predicted[frames] = labels.body.change_subject(subject).predict(poses)
+    return predicted
 
 
 def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
@@ -68,15 +85,11 @@ def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
 
 
 def add_optional_markers(
-    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, labels: PropagatedLabels
+    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, subject: Subject, labels: PropagatedLabels
 ) -> Int[np.ndarray, " N"]:
     """Return the markers of the tracklets with optional ones for long tracklets that have none."""
-    subject = scale_nominal_subject(labels.body.subject, marker_set)
-    predicted = np.full((len(sampled.frames), len(marker_set.labels), 3), np.nan)
-    frames = np.flatnonzero(labels.is_posed)
-    poses = labels.poses[0][frames], labels.poses[1][frames]
-    predicted[frames] = labels.body.change_subject(subject).predict(poses)
-    squared = measure_tracklets(sampled, predicted, MAX_OPTIONAL_DISTANCE_M).squared_m2
+    predicted = predict_in_posed_frames(sampled, labels, subject)
+    squared = measure_tracklets(sampled, predicted, 2 * MAX_OPTIONAL_DISTANCE_M).squared_m2
     is_optional = np.array([label in marker_set.optional_labels for label in marker_set.labels])
     is_free = (markers < 0) & (measure_durations(sampled) >= MIN_OPTIONAL_DURATION_S)
     squared[~is_free[:, None] | ~is_optional] = np.nan

@@ -14,6 +14,8 @@ from mocapfix.labelling.sampled_points import SampledPoints
 
 MAX_BLOCK_FRAMES_OF_DISTANCES = 512
 """Frames whose distances between points and markers are held at a time."""
+MAX_OVERLAP_SHARE = 0.5
+"""Share of a tracklet's frames in which another tracklet may have its label."""
 MAX_LABEL_DISTANCES_M = (0.06, 0.15)
 """Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
 LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
@@ -95,13 +97,17 @@ def assign_tracklets(
 def _resolve_conflicts(
     visible_sets: list[tuple[np.ndarray, int]], markers: Int[np.ndarray, " N"], votes: Int[np.ndarray, "N K1"]
 ) -> Int[np.ndarray, " N"]:
-    """Take the label from tracklets that share it with another one that is visible at the same time and has it more often."""
-    for visible, _ in visible_sets:
+    """Take the label from tracklets that share it in most of their frames with another one that has it more often.
+
+    In a shorter overlap one of them shows something else at its end; `label_overlaps` decides which.
+    """
+    lost = np.zeros(len(markers), int)
+    for visible, count in visible_sets:
         labelled = visible[markers[visible] >= 0]
         order = labelled[np.argsort(-votes[labelled, markers[labelled]], kind="stable")]
         _, first_places = np.unique(markers[order], return_index=True)
-        markers[np.delete(order, first_places)] = -1
-    return markers
+        lost[np.delete(order, first_places)] += count
+    return np.where(lost > MAX_OVERLAP_SHARE * votes.sum(1), -1, markers)
 
 
 def compute_max_distances(sampled: SampledPoints) -> Float[np.ndarray, " N"]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
+from mocapfix.labelling.label_overlaps import continue_labels, label_single_points
 from mocapfix.labelling.labeller import label_points
 from mocapfix.labelling.linking import find_tracklets
 from mocapfix.labelling.points import UnlabelledPoints
@@ -65,3 +66,28 @@ def test_tracklets_visible_at_once_have_different_markers():
     distances = measure_tracklets(sampled, predicted, 0.2)
     assert distances.squared_m2[1] == pytest.approx([1e-4, 4e-4])
     assert assign_tracklets(sampled, distances.squared_m2, np.full(3, 0.1)).tolist() == [0, 1, -1]
+
+
+def test_points_of_an_overlap_get_a_label_once():
+    """Two tracklets have one label; where both are visible, the one nearer to the marker keeps it."""
+    positions = np.full((40, 2, 3), np.nan)
+    positions[:25, 0] = [0.0, 0.0, 0.0]
+    positions[20:25, 0, 0] = 0.1  # what the first shows at its end is another thing
+    positions[20:, 1] = [0.005, 0.0, 0.0]
+    indices = np.where(np.isnan(positions[..., 0]), -1, [0, 1])
+    points = UnlabelledPoints(positions, indices, 40.0)
+    sampled = sample_points(points)
+    markers = label_single_points(points, sampled, np.zeros((len(sampled.frames), 1, 3)), np.array([0, 0]))
+    assert (markers[:20, 0] == 0).all()
+    assert (markers[20:25, 0] == -1).all()
+    assert (markers[20:, 1] == 0).all()
+
+
+def test_label_continues_in_its_column_across_a_leap():
+    positions = np.zeros((30, 1, 3))
+    positions[10:20, 0, 0] = 0.2
+    points = UnlabelledPoints(positions, np.repeat([0, 1, 2], 10)[:, None], 50.0)
+    labelled = np.repeat([4, -1, 4], 10)[:, None]
+    assert (continue_labels(points, labelled) == 4).all()
+    positions[10:20, 0, 0] = 0.4
+    np.testing.assert_array_equal(continue_labels(points, labelled), labelled)

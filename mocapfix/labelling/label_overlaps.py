@@ -1,0 +1,81 @@
+"""Labels of single points: of tracklets that share a label for a while, and of pieces between labelled tracklets."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.labelling.points import UnlabelledPoints, assign_to_tracklets
+from mocapfix.labelling.sampled_points import SampledPoints
+from mocapfix.stats.sequences import find_runs
+
+MAX_CONTINUED_GAP_S = 0.05
+"""Time between a labelled tracklet and a piece without a label in the same column that continues it."""
+MAX_CONTINUED_STEP_M = 0.25
+"""Distance between their ends; that of a fast hand between two frames at 50 Hz."""
+
+
+def label_single_points(
+    points: UnlabelledPoints, sampled: SampledPoints, predicted: Float[np.ndarray, "S K 3"], markers: Int[np.ndarray, " N"]
+) -> Int[np.ndarray, "T C"]:
+    """Return the marker of each point, no marker twice in a frame.
+
+    Args:
+        points: The points.
+        sampled: Those of the sampled frames.
+        predicted: Where the body carries its markers in these frames, in metres, NaN where unknown.
+        markers: The marker of each tracklet, -1 for none.
+    """
+    marker_indices = assign_to_tracklets(points, markers, -1)
+    for marker in np.unique(markers[markers >= 0]):
+        is_own = marker_indices == marker
+        for first, last in find_runs(is_own.sum(1) > 1):
+            _keep_nearest(points, sampled, predicted[:, marker], marker_indices[first : last + 1], (int(marker), first, last))
+    return marker_indices
+
+
+def _keep_nearest(
+    points: UnlabelledPoints,
+    sampled: SampledPoints,
+    path: Float[np.ndarray, "S 3"],
+    marker_indices: Int[np.ndarray, "F C"],
+    place: tuple[int, int, int],
+) -> None:
+    """Take a label, in the frames from first to last, from all tracklets that have it but the nearest to its marker."""
+    marker, first, last = place
+    tracklets = np.where(marker_indices == marker, points.tracklet_indices[first : last + 1], -1)
+    candidates = np.unique(tracklets[tracklets >= 0])
+    nearest = np.argsort(np.abs(sampled.frames - (first + last) / 2), kind="stable")[:1]
+    frames = np.union1d(np.flatnonzero((sampled.frames >= first) & (sampled.frames <= last)), nearest)
+    distances: list[float] = []
+    for candidate in candidates:
+        is_candidate = sampled.tracklets[frames] == candidate
+        distance = np.linalg.norm(sampled.positions[frames] - path[frames, None], axis=-1)[is_candidate]
+        distances.append(float(distance.mean()) if len(distance) and not np.isnan(distance).all() else np.inf)
+    kept = candidates[int(np.argmin(distances))]
+    marker_indices[(tracklets >= 0) & (tracklets != kept)] = -1
+
+
+def continue_labels(points: UnlabelledPoints, marker_indices: Int[np.ndarray, "T C"]) -> Int[np.ndarray, "T C"]:
+    """Return the labels with those of pieces in the same column before or after a labelled one, if the label is free there.
+
+    A column shows the same marker on both sides of a leap that is no larger than a fast hand makes.
+    """
+    continued, max_gap = marker_indices.copy(), max(1, round(MAX_CONTINUED_GAP_S * points.rate))
+    has_point = points.tracklet_indices >= 0
+    for column in np.flatnonzero(((marker_indices < 0) & has_point).any(0) & (marker_indices >= 0).any(0)):
+        for first, last in find_runs((marker_indices[:, column] < 0) & has_point[:, column]):
+            sides = [
+                (int(continued[t, column]), edge, t)
+                for edge, steps in (
+                    (first, range(first - 1, first - 1 - max_gap, -1)),
+                    (last, range(last + 1, last + 1 + max_gap)),
+                )
+                for t in steps
+                if 0 <= t < len(continued) and continued[t, column] >= 0
+            ]
+            for marker, edge, t in sides:
+                step = np.linalg.norm(points.positions[edge, column] - points.positions[t, column])
+                is_free = not (continued[first : last + 1] == marker).any()
+                if is_free and step < MAX_CONTINUED_STEP_M * abs(t - edge):
+                    continued[first : last + 1, column] = marker
+                    break
+    return continued
