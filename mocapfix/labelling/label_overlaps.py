@@ -63,15 +63,11 @@ def continue_labels(points: UnlabelledPoints, marker_indices: Int[np.ndarray, "T
     has_point = points.tracklet_indices >= 0
     for column in np.flatnonzero(((marker_indices < 0) & has_point).any(0) & (marker_indices >= 0).any(0)):
         for first, last in find_runs((marker_indices[:, column] < 0) & has_point[:, column]):
-            sides = [
-                (int(continued[t, column]), edge, t)
-                for edge, steps in (
-                    (first, range(first - 1, first - 1 - max_gap, -1)),
-                    (last, range(last + 1, last + 1 + max_gap)),
-                )
-                for t in steps
-                if 0 <= t < len(continued) and continued[t, column] >= 0
-            ]
+            neighbours = (
+                next((t for t in range(first - 1, max(first - 1 - max_gap, -1), -1) if continued[t, column] >= 0), -1),
+                next((t for t in range(last + 1, min(last + 1 + max_gap, len(continued))) if continued[t, column] >= 0), -1),
+            )
+            sides = [(int(continued[t, column]), edge, t) for t, edge in zip(neighbours, (first, last), strict=True) if t >= 0]
             for marker, edge, t in sides:
                 step = np.linalg.norm(points.positions[edge, column] - points.positions[t, column])
                 is_free = not (continued[first : last + 1] == marker).any()
