@@ -152,7 +152,7 @@ def find_exchanged_frames(
     state_cost = np.zeros((len(frames), 2))
     state_cost[:, 1] = EXCHANGED_COST_PER_S / rate + length_cost[frames]
     is_exchanged[frames] = find_cheapest_states(step_cost, state_cost) == 1
-    return _add_single_samples(left, right, is_exchanged, noise_sd_m, rate)
+    return _add_single_samples(left, right, is_exchanged, noise_sd_m, rate, length_cost)
 
 
 def _add_single_samples(
@@ -161,6 +161,7 @@ def _add_single_samples(
     is_exchanged: Bool[np.ndarray, " T"],
     sd_m: float,
     rate: float,
+    length_cost: Float[np.ndarray, " T"],
 ) -> Bool[np.ndarray, " T"]:
     """Return the exchanged frames with those that show one of the two points only, where the other one is expected."""
     swap = is_exchanged[:, None]
@@ -176,7 +177,7 @@ def _add_single_samples(
     for own, expected, other in ((left, paths[0], paths[1]), (right, paths[1], paths[0])):
         alone = np.flatnonzero(~is_paired & ~np.isnan(own[:, 0]))
         gain = ((own[alone] - expected[alone]) ** 2).sum(axis=1) - ((own[alone] - other[alone]) ** 2).sum(axis=1)
-        is_exchanged[alone[gain / (2 * variance[alone]) > 2 * STATE_CHANGE_COST]] = True
+        is_exchanged[alone[gain / (2 * variance[alone]) - length_cost[alone] > 2 * STATE_CHANGE_COST]] = True
     return is_exchanged
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError, TakeError
-from mocapfix.read import amc, bvh, c3d, motive, nexus, plain_csv, qualisys, trc
+from mocapfix.read import amc, bvh, c3d, keypoint_json, motive, nexus, plain_csv, qualisys, trc
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, rotate_to_up_axis
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text, read_file_bytes
 from mocapfix.take import Take
@@ -43,6 +43,7 @@ FILE_FORMATS = (
     FileFormat("Nexus CSV", nexus.is_nexus_csv, nexus.read_nexus_csv),
     FileFormat("Qualisys TSV", qualisys.is_qualisys_tsv, qualisys.read_qualisys_tsv),
     FileFormat("plain CSV", plain_csv.is_plain_csv, plain_csv.read_plain_csv),
+    FileFormat("JSON of 3-D keypoints", keypoint_json.is_keypoint_json, keypoint_json.read_keypoint_json),
     FileFormat("BVH", bvh.is_bvh, bvh.read_bvh),
     FileFormat("ASF/AMC", amc.is_asf_or_amc, amc.read_amc_motion),
 )

@@ -101,9 +101,9 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
 
 
 def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
-    """Return the suffixes of the cleaned copy: that of the input, and for an AMC that of its skeleton."""
+    """Return the suffixes of the cleaned copy: that of the input, for AMC that of its skeleton too, for JSON that of a table."""
     suffix = (source_path.suffix[1:].lower() if source_path else "") or "c3d"
-    return ("amc", "asf") if suffix == "amc" else (suffix,)
+    return {"amc": ("amc", "asf"), "json": ("csv",)}.get(suffix, (suffix,))
 
 
 def build_rig_format(rig: Rig) -> OutputFormat:
@@ -259,7 +259,9 @@ def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> li
     reason = "the joints could not be identified" if is_animation else "the take has no body"
     notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
     if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
-        notes.append(f"{take.name} lists only visible markers, so the cleaned markers are written as a plain table.")
+        is_json = take.path is not None and take.path.suffix.lower() == ".json"
+        kind = "is JSON" if is_json else "lists only visible markers"
+        notes.append(f"{take.name} {kind}, so the cleaned markers are written as a plain table.")
     output_rate = options.output_rate_hz
     if has_body and output_rate and output_rate != take.rate:
         is_subset = is_frame_subset(take.rate, output_rate)

@@ -277,7 +277,7 @@ def test_missing_file_folder_and_other_formats_are_errors(mocapfix, cleaned, tmp
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--marker-set", "cleveland"], "cleveland: no such marker set; name one of cmu41, frontwaist53, helen-hayes, "),
+        (["--marker-set", "cleveland"], "cleveland: no such marker set; name one of body25, cast, cgm2, cmu41, "),
         (["--marker-set", "helen-hayes"], "brief.c3d: helen-hayes does not fit: "),
         (["--prior", "dancing"], "There is no trained prior 'dancing'; choose one of: "),
         (["--prior", "mean-pose"], "There is no trained prior 'mean-pose'; choose one of: "),
