@@ -10,6 +10,7 @@ not matter once the tracklets are known.
      ▼
     UnlabelledPoints            points, tracklet_indices (T, C), rate
      │  labeller                label_points: bodies are fitted to key frames, and labels are assigned outwards from them
+     │  several_people          label_people: each of several people is found, then labelled among the points of that person
      ▼
     PointLabels                 marker_indices (T, C): index of each point's marker in the marker set, -1 for none
                                 confidence (T, C): probability of this label

@@ -8,6 +8,7 @@ from mocapfix.errors import TakeError
 from mocapfix.labelling.label_summary import describe_labelling
 from mocapfix.labelling.labeller import label_points
 from mocapfix.labelling.linking import find_tracklets
+from mocapfix.labelling.several_people import label_people, separate_people
 from mocapfix.labelling.take_labelling import apply_labels, collect_unlabelled_points
 from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject
 from mocapfix.options import CleanOptions
@@ -51,11 +52,15 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
             f"{take.name}: none of its {count} points has a label; name the markers with --marker-set, the person with "
             "--subject, or a labelled take of the person with --like."
         )
-    labels = label_points(find_tracklets(points.positions, take.rate), request.marker_set, request.subject)
+    tracklets = find_tracklets(points.positions, take.rate)
+    if request.subject is None:
+        labels = label_people(tracklets, request.marker_set, label_points)
+    else:
+        labels = label_points(tracklets, request.marker_set, request.subject)
     if not (labels.marker_indices >= 0).any():
         raise TakeError(
             f"{take.name}: no person with the markers of {request.marker_set.name} was found in its {count} points; "
             "check the marker set, the unit and the up axis (--up)."
         )
-    labelled = apply_labels(take, points, labels, request.marker_set.labels)
+    labelled = apply_labels(take, points, *separate_people(labels, request.marker_set.labels))
     return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, request.marker_set.required_labels)))
