@@ -8,6 +8,7 @@ import tyro
 from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
+from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
 from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_usage_error, show_progress, stdout_console
@@ -279,6 +280,7 @@ BENCH_COMMANDS = {
     "calibration": run_bench_calibration,
     "stress": run_bench_stress,
     "faults": run_bench_faults,
+    "labels": run_bench_labels,
     "files": run_bench_files,
     "animations": run_bench_animations,
     "hybrik": run_bench_hybrik,
