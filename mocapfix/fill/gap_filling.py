@@ -9,7 +9,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
-from mocapfix.fill.marker_estimates import FillMethod, MarkerEstimate, build_marker_estimate, estimate_missing_samples
+from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
+from mocapfix.fill.gap_estimates import estimate_without_body
+from mocapfix.fill.marker_estimates import estimate_missing_samples
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
 from mocapfix.stats.sequences import find_runs
@@ -71,8 +73,10 @@ def fill_take(
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
-    body_estimate = estimate_from_body(take, is_inlier, body) if body else None
-    markers, sd, method = estimate_missing_samples(take, is_inlier, body_estimate)
+    if body:
+        markers, sd, method = estimate_missing_samples(take, is_inlier, estimate_from_body(take, is_inlier, body))
+    else:
+        markers, sd, method = estimate_without_body(take.markers, is_inlier, take.rate)
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))

@@ -1,15 +1,15 @@
 """Estimates of missing samples from all methods, and their combination by precision."""
 
 from collections.abc import Iterable, Iterator
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int8
-from scipy.ndimage import maximum_filter1d
+from jaxtyping import Bool, Float
 
 from mocapfix.fill.cluster_fill import fill_from_clusters
+from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
 from mocapfix.fill.gaussian_process_fill import fill_from_gaussian_process
+from mocapfix.fill.marker_speeds import find_impossible_speeds, measure_fastest_speed
 from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
@@ -26,65 +26,6 @@ MAX_SPLINE_GAP_S = 0.5
 """Duration of the longest gap that is filled by splines."""
 SETTLED_SPLINE_SD_M = 0.001
 """Standard deviation of a spline below which its samples are used as known ones by the clusters."""
-MAX_SPEED_RATIO = 3.0
-"""Speed of an estimate, relative to the fastest visible motion, above which it is rejected."""
-SPEED_PERCENTILE = 99.9
-"""Percentile of the speeds of visible markers that counts as the fastest visible motion."""
-MIN_SPEED_LIMIT_M_S = 2.0
-"""Smallest value of this fastest speed, for takes with little motion."""
-SPEED_MARGIN_S = 0.25
-"""Time around an impossible speed in which estimates are rejected."""
-
-
-class FillMethod(IntEnum):
-    """How a sample was filled."""
-
-    SPLINE = 0
-    CLUSTER = 1
-    BODY = 2
-    GAUSSIAN_PROCESS = 3
-
-    @property
-    def description(self) -> str:
-        """The source of the sample, as a phrase for reports."""
-        return _FILL_METHOD_DESCRIPTIONS[self]
-
-
-_FILL_METHOD_DESCRIPTIONS = {
-    FillMethod.SPLINE: "a spline through its own trajectory",
-    FillMethod.CLUSTER: "the markers that move with it",
-    FillMethod.BODY: "the solved body",
-    FillMethod.GAUSSIAN_PROCESS: "all markers, in frames with a similar body state",
-}
-
-
-class MarkerEstimate(NamedTuple):
-    """Estimates of samples: positions in metres, standard deviations per axis, NaN for none, and FillMethods.
-
-    They are those of a take (T, M), or those of its missing samples only (N,).
-    """
-
-    position: Float[np.ndarray, "*samples 3"]
-    sd: Float[np.ndarray, "*samples"]
-    method: Int8[np.ndarray, "*samples"]
-
-    def select(self, is_missing: Bool[np.ndarray, "T M"]) -> "MarkerEstimate":
-        """Return the estimates of the missing samples of a take."""
-        return MarkerEstimate(*(values[is_missing] for values in self))
-
-    def expand(self, is_missing: Bool[np.ndarray, "T M"]) -> "MarkerEstimate":
-        """Return the estimates of a take from those of its missing samples."""
-        position, sd = np.full((*is_missing.shape, 3), np.nan), np.full(is_missing.shape, np.nan)
-        method = np.zeros(is_missing.shape, np.int8)
-        position[is_missing], sd[is_missing], method[is_missing] = self
-        return MarkerEstimate(position, sd, method)
-
-
-def build_marker_estimate(
-    position: Float[np.ndarray, "*samples 3"], sd: Float[np.ndarray, "*samples"], method: FillMethod
-) -> MarkerEstimate:
-    """Return an estimate from one method."""
-    return MarkerEstimate(position, sd, np.full(sd.shape, method, np.int8))
 
 
 def estimate_missing_samples(
@@ -206,38 +147,3 @@ def compute_gap_inflation(is_inlier: Bool[np.ndarray, "T M"]) -> Float[np.ndarra
         for first, last in find_runs(~is_inlier[:, m]):
             factor[first : last + 1, m] = 1 + 2 * (last - first + 1) / visible_count
     return factor
-
-
-def measure_fastest_speed(markers: Float[np.ndarray, "T M 3"], rate: float) -> float | None:
-    """Return the speed in m/s of the fastest visible motion; None if no marker is visible in two frames in a row.
-
-    markers  in metres, NaN if not visible or an outlier
-    rate     frame rate in Hz
-    """
-    speeds = [np.linalg.norm(np.diff(markers[:, m], axis=0), axis=-1) for m in range(markers.shape[1])]
-    visible = np.concatenate([speed[~np.isnan(speed)] for speed in speeds]) * rate
-    return float(np.percentile(visible, SPEED_PERCENTILE)) if len(visible) else None
-
-
-def find_impossible_speeds(
-    path: Float[np.ndarray, "T M 3"], is_inlier: Bool[np.ndarray, "T M"], rate: float, fastest_speed: float | None
-) -> Bool[np.ndarray, "T M"]:
-    """Find samples of gaps near a time at which the marker would be MAX_SPEED_RATIO times as fast as any visible one.
-
-    A cluster of few visible or collinear markers can flip between two frames, which no standard deviation shows.
-
-    path           positions in metres with the gaps filled
-    is_inlier      the samples that are visible
-    rate           frame rate in Hz
-    fastest_speed  of the visible motion in m/s; None if there is none, and no speed is impossible
-    """
-    is_impossible = np.zeros_like(is_inlier)
-    if fastest_speed is None:
-        return is_impossible
-    frames, markers = np.nonzero(~(is_inlier[1:] & is_inlier[:-1]))  # of the steps into, within and out of gaps
-    speed = np.nan_to_num(np.linalg.norm(path[frames + 1, markers] - path[frames, markers], axis=-1)) * rate
-    is_fast = speed > MAX_SPEED_RATIO * max(fastest_speed, MIN_SPEED_LIMIT_M_S)
-    if not is_fast.any():
-        return is_impossible
-    is_impossible[frames[is_fast], markers[is_fast]] = is_impossible[frames[is_fast] + 1, markers[is_fast]] = True
-    return maximum_filter1d(is_impossible, 2 * round(SPEED_MARGIN_S * rate) + 1, axis=0) & ~is_inlier

@@ -78,10 +78,16 @@ def group_gap_patterns(
 
 
 def build_hermite_map(
-    gap_frames: int, before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"]
-) -> Float[np.ndarray, "gap BA"]:
-    """Return the map from samples before and after a gap, as distances from its edge samples, to those in the gap."""
-    s = np.arange(1, gap_frames + 1)[:, None] / (gap_frames + 1)
+    gap_frames: int,
+    before: Int[np.ndarray, " B"],
+    after: Int[np.ndarray, " A"],
+    points: Int[np.ndarray, " P"] | None = None,
+) -> Float[np.ndarray, "P BA"]:
+    """Return the map from samples before and after a gap, as distances from its edge samples, to those in the gap.
+
+    points  offsets in the gap, from its first frame; None for all of its frames
+    """
+    s = ((np.arange(gap_frames) if points is None else points) + 1)[:, None] / (gap_frames + 1)
 
     def map_edge(distances: np.ndarray, s: np.ndarray) -> np.ndarray:
         position, velocity = fit_edge_parabola(tuple(distances.tolist()))

@@ -70,6 +70,22 @@ def interpolate_residual(
     return InterpolatedResidual(mean, variance, power)
 
 
+def build_residual_map(
+    known_s: Float[np.ndarray, " N"],
+    wanted_s: Float[np.ndarray, " P"],
+    *,
+    time_scale_s: float,
+    roughness: float,
+    noise_ratio: float,
+) -> Float[np.ndarray, "P N"]:
+    """Return the linear map from a residual's known samples to its expectation at other times, in seconds.
+
+    noise_ratio  variance of a sample's noise relative to the power of the process
+    """
+    among = compute_residual_correlation(known_s[:, None] - known_s, time_scale_s, roughness) + noise_ratio * np.eye(len(known_s))
+    return np.linalg.solve(among, compute_residual_correlation(known_s[:, None] - wanted_s, time_scale_s, roughness)).T
+
+
 def estimate_roughness(
     residual: Float[np.ndarray, "T 3"], rate: float, time_scale_s: float, noise_sd: float, power: float
 ) -> float:

@@ -1,7 +1,9 @@
 """Rigid alignment of point clouds over a take: cross-covariances, rotations, and generalised Procrustes alignment."""
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels.rigid_registration import compute_cross_covariance_frames, fit_rotation_frames, transform_point_frames
@@ -60,38 +62,54 @@ def compute_shortest_rotation(before: Float[np.ndarray, "3"], after: Float[np.nd
     return Rotation.align_vectors(after[None], before[None])[0].as_matrix()
 
 
+class CommonShape(NamedTuple):
+    """The mean positions (M, 3) of markers in axes fixed to all of them, in metres, and their variances per axis (M,)."""
+
+    positions: np.ndarray
+    variance: np.ndarray
+
+    def select(self, markers: Int[np.ndarray, " K"]) -> "CommonShape":
+        """Return the shape of some of the markers."""
+        return CommonShape(self.positions[markers], self.variance[markers])
+
+
+def fit_common_shape(markers: Float[np.ndarray, "T M 3"]) -> CommonShape:
+    """Return the common shape of markers in metres, NaN where missing; a marker that no frame shows is NaN.
+
+    No skeleton is used. Each marker is weighted by the inverse of its variance about the common shape, so the trunk dominates
+    (Theobald & Wuttke 2006, PNAS 103, the maximum-likelihood form of Procrustes alignment).
+    """
+    is_visible = ~np.isnan(markers[..., 0])
+    if not is_visible.any():
+        return CommonShape(np.full(markers.shape[1:], np.nan), np.ones(markers.shape[1]))
+    positions = markers[np.argmax(is_visible.sum(1))]
+    shape = CommonShape(positions - np.nanmean(positions, 0), np.ones(markers.shape[1]))
+    for _ in range(ALIGNMENT_ROUNDS - 1):
+        rotation, origin, is_aligned = align_to_shape(markers, is_visible, shape)
+        if not is_aligned.any():
+            break
+        positions, variance = compute_common_shape(markers, is_visible & is_aligned[:, None], rotation, origin)
+        shape = CommonShape(positions - np.nanmean(positions, 0), variance)
+    return shape
+
+
 def align_to_common_shape(
     markers: Float[np.ndarray, "T M 3"],
 ) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
     """Return world rotation and origin of axes fixed to the markers' common shape, and whether a frame determines them.
 
-    Markers are in metres, NaN where missing; a frame needs three or more. No skeleton is used. Each marker is weighted by the
-    inverse of its variance about the common shape, so the trunk dominates (Theobald & Wuttke 2006, PNAS 103, the
-    maximum-likelihood form of Procrustes alignment).
+    Markers are in metres, NaN where missing; a frame needs three or more.
     """
-    is_visible = ~np.isnan(markers[..., 0])
-    shape, variance = markers[np.argmax(is_visible.sum(1))], np.ones(markers.shape[1])
-    shape = shape - np.nanmean(shape, 0)
-    rotation, origin, is_aligned = _align_to_shape(markers, is_visible, shape, variance)
-    for _ in range(ALIGNMENT_ROUNDS - 1):
-        if not is_aligned.any():
-            break
-        shape, variance = compute_common_shape(markers, is_visible & is_aligned[:, None], rotation, origin)
-        shape -= np.nanmean(shape, 0)
-        rotation, origin, is_aligned = _align_to_shape(markers, is_visible, shape, variance)
-    return rotation, origin, is_aligned
+    return align_to_shape(markers, ~np.isnan(markers[..., 0]), fit_common_shape(markers))
 
 
-def _align_to_shape(
-    markers: Float[np.ndarray, "T M 3"],
-    is_visible: Bool[np.ndarray, "T M"],
-    shape: Float[np.ndarray, "M 3"],
-    variance: Float[np.ndarray, " M"],
+def align_to_shape(
+    markers: Float[np.ndarray, "T M 3"], is_visible: Bool[np.ndarray, "T M"], shape: CommonShape
 ) -> tuple[Float[np.ndarray, "T 3 3"], Float[np.ndarray, "T 3"], Bool[np.ndarray, " T"]]:
     """Return rotations and origins that align a shape with the markers, and whether a frame has enough markers."""
-    weight = is_visible * ~np.isnan(shape[:, 0]) / (MIN_MARKER_SD_M**2 + variance)
+    weight = is_visible * ~np.isnan(shape.positions[:, 0]) / (MIN_MARKER_SD_M**2 + shape.variance)
     is_aligned = (weight > 0).sum(1) >= MIN_ALIGNMENT_MARKERS
-    cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape), weight)
+    cross, mean_markers, mean_shape = compute_cross_covariance(markers, np.nan_to_num(shape.positions), weight)
     rotation = fit_rotations(cross)
     return rotation, mean_markers - np.einsum("tab,tb->ta", rotation, mean_shape), is_aligned
 

@@ -6,16 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.marker_estimates import (
     ESTIMATE_CORRELATION,
     PREDICTED_SPREAD_DOF,
-    FillMethod,
-    build_marker_estimate,
     combine_estimates,
     estimate_missing_samples,
-    find_impossible_speeds,
-    measure_fastest_speed,
 )
+from mocapfix.fill.marker_speeds import find_impossible_speeds, measure_fastest_speed
 from mocapfix.read import capture
 from mocapfix.take import Take
 

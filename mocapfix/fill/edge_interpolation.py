@@ -1,0 +1,120 @@
+"""Interpolation between the edges of a gap: straight, damped or cubic, in the world or in axes that move with other markers.
+
+Each method is a linear map from the samples beside the gap to positions in it, so that it can be applied to many hidden stretches
+at once. A marker at rest is interpolated exactly in the world, one on a rigid body exactly in the axes of that body.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MovingAxes
+from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, build_hermite_map, fit_edge_parabola
+
+DAMPED_VELOCITY_S = 0.12
+"""Time in which the velocity at an edge decays, in the damped method."""
+WORLD_ERROR_RATIO = 0.155
+"""Expected error of the straight method in the world, relative to the path of the marker's varying velocity in a gap of 1 s."""
+WORLD_ERROR_GROWTH = 1.1
+"""Power of the gap's duration with which this error grows."""
+CLUSTER_ERROR_RATIO = 1.2
+"""Expected error of the straight method in moving axes, relative to the marker's variation in them."""
+CLUSTER_ERROR_TIME_S = 0.5
+"""Duration of a gap for which it holds; the error grows with the square root of the duration."""
+MAX_CLUSTER_ERROR_GROWTH = 2.0
+"""Largest growth of this error with the duration."""
+DAMPED_ERROR_RATIO = 1.1
+"""Expected error of the damped method, relative to the straight one."""
+DAMPED_ERROR_TIME_S = 5.0
+"""Duration of a gap in which this ratio is larger by one, in moving axes."""
+EDGE_SAMPLE_NOISE_M = 0.0005
+"""Noise of a sample, which a method that extrapolates velocities amplifies."""
+CUBIC_ERROR_TIME_S = 1.0
+"""Duration of a gap in which the expected error of the cubic method is twice that of the straight one."""
+ONE_EDGE_ERROR_RATIO = 2.0
+"""Expected error in a gap with one edge, relative to a gap with two."""
+MIN_EXPECTED_SD_M = 0.0003
+"""Smallest expected standard deviation in the middle of a gap."""
+WORLD_SATURATION_S = 0.8
+"""Duration above which errors in the world no longer grow with it, where stretches shorter than the gap are scaled."""
+CLUSTER_SATURATION_S = 0.4
+"""The same for errors in moving axes."""
+ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
+"""Powers of the duration, until then, with which the errors of the straight, damped and cubic methods grow."""
+
+
+def build_edge_maps(
+    before: Int[np.ndarray, " B"], after: Int[np.ndarray, " A"], length: int, points: Int[np.ndarray, " P"], rate: float
+) -> list[Float[np.ndarray, "P BA"]]:
+    """Return the straight, the damped and, with enough samples at both edges, the cubic map to some points in a gap.
+
+    before, after, points  offsets in frames from the first frame of the gap, which is `length` frames long
+    """
+    distances = [-1 - before[::-1], after - length]  # of the samples from their edge, nearest first
+    columns = [np.arange(len(before))[::-1], len(before) + np.arange(len(after))]
+    steps = [points + 1.0, length - points * 1.0]
+    share = steps[0] / (length + 1)
+    weights = [1 - share, share] if len(before) and len(after) else [np.ones(len(points))] * 2
+    straight, damped = np.zeros((2, len(points), len(before) + len(after)))
+    reach = rate * DAMPED_VELOCITY_S
+    for side in (0, 1):
+        if not len(distances[side]):
+            continue
+        straight[:, columns[side][0]] += weights[side]
+        damped[:, columns[side][0]] += weights[side]
+        if len(distances[side]) >= MIN_EDGE_SAMPLES:
+            _, velocity = fit_edge_parabola(tuple(distances[side].tolist()))
+            travel = reach * (1 - np.exp(-steps[side] / reach))
+            damped[:, columns[side]] += (weights[side] * travel)[:, None] * velocity
+    maps = [straight, damped]
+    if min(len(before), len(after)) >= MIN_EDGE_SAMPLES:
+        maps.append(build_hermite_map(length, distances[0], distances[1], points)[:, np.r_[columns[0], columns[1]]])
+    return maps
+
+
+def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluster_sd_m: float | None) -> Float[np.ndarray, " S"]:
+    """Return the expected standard deviation per axis of the straight method at the points of a gap.
+
+    speed_m_s     variation of the marker's velocity in the world
+    cluster_sd_m  variation of its position in moving axes; None in the world
+    """
+    gap_s, share = window.length / rate, (window.points + 1) / (window.length + 1)
+    if cluster_sd_m is None:
+        middle_sd = WORLD_ERROR_RATIO * speed_m_s * gap_s**WORLD_ERROR_GROWTH
+    else:
+        middle_sd = CLUSTER_ERROR_RATIO * cluster_sd_m * min(np.sqrt(gap_s / CLUSTER_ERROR_TIME_S), MAX_CLUSTER_ERROR_GROWTH)
+    middle_sd = max(middle_sd, MIN_EXPECTED_SD_M)
+    if len(window.before) and len(window.after):
+        return middle_sd * 2 * np.sqrt(share * (1 - share))
+    return middle_sd * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)
+
+
+def estimate_from_edges(
+    path: Float[np.ndarray, "T 3"], axes: MovingAxes | None, window: GapWindow, rate: float, speed_m_s: float
+) -> list[GapEstimate]:
+    """Return the estimates of all methods in some axes, or in the world where `axes` is None.
+
+    path       in metres in the world, NaN if not visible
+    speed_m_s  variation of the marker's velocity in the world
+    """
+    local = axes.transform_from_world(path) if axes else path
+    w = window
+    frames, hidden_frames = w.gap_frames, w.hidden_frames
+    cluster_sd = float(np.sqrt(np.nanmean((local - np.nanmean(local, axis=0)) ** 2))) if axes else None
+    expected_sd = compute_expected_sd(w, rate, speed_m_s, cluster_sd)
+    gap_s = w.length / rate
+    factors = (1.0, DAMPED_ERROR_RATIO + (gap_s / DAMPED_ERROR_TIME_S if axes else 0.0), 1 + gap_s / CUBIC_ERROR_TIME_S)
+    saturation = rate * (CLUSTER_SATURATION_S if axes else WORLD_SATURATION_S)
+    growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
+    gap_maps = build_edge_maps(w.before, w.after, w.length, np.arange(w.length), rate)
+    hidden_maps = build_edge_maps(w.before, w.hidden_after, w.hidden_length, w.hidden_points, rate)
+    context, hidden_context, hidden = local[w.context_frames], local[w.hidden_context_frames], local[hidden_frames]
+    estimates: list[GapEstimate] = []
+    for gap_map, hidden_map, factor, power in zip(gap_maps, hidden_maps, factors, ERROR_GROWTH_POWERS, strict=False):
+        position, error = gap_map @ context, (hidden_map @ hidden_context - hidden) * growth**power
+        if axes:
+            position = np.einsum("tab,tb->ta", axes.rotation[frames], position) + axes.origin[frames]
+            error = np.einsum("ksab,ksb->ksa", axes.rotation[hidden_frames], error)
+        method = FillMethod.CLUSTER if axes else FillMethod.SPLINE
+        noise = EDGE_SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
+        estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd * factor, noise)))
+    return estimates

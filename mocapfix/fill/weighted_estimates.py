@@ -1,0 +1,113 @@
+"""The weights of several estimates of one gap: from their errors in hidden stretches, and from what is expected of each.
+
+Errors of estimates are correlated, and the weights with the smallest expected error follow from their covariance (Bates & Granger
+1969, "The combination of forecasts"). Few stretches show little of it: variances and correlations are then shrunk to the expected
+ones, variances by their logarithms, since errors of one method in different gaps differ by factors.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int8
+
+from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow
+
+MIN_ESTIMATE_SD_M = 0.0003
+"""Smallest standard deviation of an estimate."""
+EXPECTED_WEIGHT = 2.0
+"""Number of independent hidden stretches that the expected covariance is worth."""
+FIRST_STRETCH_DISCOUNT = 0.5
+"""Number of stretches that are subtracted: a single one shows little."""
+EXPECTED_CORRELATION = 0.5
+"""Expected correlation of the errors of two estimates of one sample."""
+COVARIANCE_RIDGE = 1e-3
+"""Relative increase of the variances, so that equal estimates share their weight."""
+
+
+class CombinedEstimate(NamedTuple):
+    """The combined estimates of a marker in one gap: positions, standard deviations per axis, and the main methods."""
+
+    position: Float[np.ndarray, "n 3"]
+    sd: Float[np.ndarray, " n"]
+    method: Int8[np.ndarray, " n"]
+
+
+def combine_gap_estimates(
+    estimates: Sequence[GapEstimate], window: GapWindow, similarity: Float[np.ndarray, " K"]
+) -> CombinedEstimate:
+    """Return the combination of estimates with the smallest expected error at each point of the gap.
+
+    similarity  of each hidden stretch to the gap, 0 to 1
+    """
+    error = np.stack([e.error for e in estimates])
+    covariance = compute_error_covariances(error, similarity)
+    expected_sd = np.stack([e.expected_sd for e in estimates], axis=1)
+    known_share = (~np.isnan(error[..., 0])).mean(2) @ similarity / max(len(similarity), 1)
+    count = np.maximum(window.count_independent_stretches() * known_share - FIRST_STRETCH_DISCOUNT, 0.0)
+    count *= window.hidden_length / window.length
+    shrunk = shrink_covariances(covariance, expected_sd, count / (count + EXPECTED_WEIGHT))
+    weights, variance = (np.array(values) for values in zip(*(compute_weights(each) for each in shrunk), strict=True))
+    frames = np.arange(window.length)
+    by_frame = np.stack([np.interp(frames, window.points, column) for column in weights.T])
+    position = np.einsum("en,ena->na", by_frame, np.stack([e.position for e in estimates]))
+    sd = np.interp(frames, window.points, np.sqrt(variance))
+    methods = np.array([e.method for e in estimates])
+    by_method = np.stack([by_frame[methods == method].sum(0) for method in FillMethod])
+    return CombinedEstimate(position, sd, np.array(list(FillMethod), np.int8)[by_method.argmax(0)])
+
+
+def compute_error_covariances(
+    error: Float[np.ndarray, "E K S 3"], similarity: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "S E E"]:
+    """Return the second moments (m2 per axis) of the errors of E estimates at the points of a gap; NaN where unknown.
+
+    Stretches are weighted by their similarity to the gap. Neighbouring points and the mirrored point are averaged.
+    """
+    estimates, _, points, _ = error.shape
+    is_known = ~np.isnan(error[..., 0])
+    moment, count = np.zeros((2, points, estimates, estimates))
+    for s in range(points):
+        known = is_known[:, :, s] * np.sqrt(similarity)
+        flat = (np.nan_to_num(error[:, :, s]) * np.sqrt(similarity)[:, None]).reshape(estimates, -1)
+        moment[s], count[s] = flat @ flat.T / 3, known @ known.T
+    moment, count = moment + moment[::-1], count + count[::-1]
+    if points > 2:
+        moment[1:-1], count[1:-1] = (x[1:-1] + 0.5 * (x[:-2] + x[2:]) for x in (moment, count))
+    return np.divide(moment, count, out=np.full(moment.shape, np.nan), where=count > 0)
+
+
+def shrink_covariances(
+    covariance: Float[np.ndarray, "S E E"], expected_sd: Float[np.ndarray, "S E"], trust: Float[np.ndarray, " E"]
+) -> Float[np.ndarray, "S E E"]:
+    """Return covariances between the measured ones, with a weight for each estimate (0 to 1), and the expected ones."""
+    variance = np.einsum("see->se", covariance)
+    is_known = ~np.isnan(variance)
+    measured_sd = np.sqrt(np.where(is_known, variance, 1.0))
+    log_sd = [np.log(np.maximum(sd, MIN_ESTIMATE_SD_M)) for sd in (measured_sd, expected_sd)]
+    sd = np.exp(np.where(is_known, trust * log_sd[0] + (1 - trust) * log_sd[1], log_sd[1]))
+    scale = np.maximum(measured_sd, MIN_ESTIMATE_SD_M / 10)
+    correlation = np.clip(covariance / scale[:, :, None] / scale[:, None], -1, 1)
+    correlation = np.where(np.isnan(correlation), EXPECTED_CORRELATION, correlation)
+    shared_trust = np.sqrt(trust[:, None] * trust)
+    correlation = shared_trust * correlation + (1 - shared_trust) * EXPECTED_CORRELATION
+    diagonal = np.arange(sd.shape[1])
+    correlation[:, diagonal, diagonal] = 1 + COVARIANCE_RIDGE
+    return correlation * sd[:, :, None] * sd[:, None]
+
+
+def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndarray, " E"], float]:
+    """Return weights that are not negative, sum to one and give a small expected error, and the variance of that error.
+
+    Estimates with negative weights are left out in turn.
+    """
+    active = np.arange(len(covariance))
+    while True:
+        solved = np.linalg.solve(covariance[np.ix_(active, active)], np.ones(len(active)))
+        if (solved > 0).all():
+            break
+        kept = active[solved > 0]
+        active = kept if len(kept) else active[[np.argmin(np.diag(covariance)[active])]]
+    weights = np.zeros(len(covariance))
+    weights[active] = solved / solved.sum()
+    return weights, float(weights @ covariance @ weights)

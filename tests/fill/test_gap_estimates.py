@@ -1,0 +1,99 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from mocapfix.fill.gap_estimates import estimate_without_body
+from mocapfix.read import capture
+from mocapfix.take import Take
+
+CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures" / "cmu" / "06_01.c3d"
+RATE = 100.0
+
+
+def prop(frames=400):
+    t = np.arange(frames) / RATE
+    turn = Rotation.from_rotvec(np.stack([np.sin(2 * t), np.cos(t), 0.8 * t], 1)).as_matrix()
+    places = np.random.default_rng(0).normal(scale=0.2, size=(6, 3))
+    markers = np.einsum("tab,mb->tma", turn, places) + np.stack([t, 1 + 0 * t, 0 * t], 1)[:, None]
+    return Take(markers, tuple("ABCDEF"), RATE)
+
+
+def estimate_take(take, is_inlier):
+    return estimate_without_body(take.markers, is_inlier, take.rate)
+
+
+@given(first=st.integers(0, 300), length=st.integers(1, 99), bad=st.floats(-2, 2))
+def test_only_outliers_are_estimated(first, length, bad):
+    truth = prop()
+    markers = truth.markers.copy()
+    gap = slice(first, first + length)
+    markers[gap, 3] += bad
+    is_inlier = np.ones(markers.shape[:2], bool)
+    is_inlier[gap, 3] = False
+    filled, deviation, _ = estimate_take(truth.replace_markers(markers), is_inlier)
+    assert np.abs(filled - truth.markers)[gap, 3].max() < 0.005
+    assert np.isnan(filled[is_inlier]).all()
+    assert (~np.isnan(deviation) == ~is_inlier).all()
+
+
+def test_rarely_visible_marker_is_not_estimated():
+    truth = prop()
+    is_inlier = truth.visible.copy()
+    is_inlier[15:, 0] = False
+    filled, _, _ = estimate_take(truth, is_inlier)
+    assert np.isnan(filled[~is_inlier]).all()
+
+
+@pytest.mark.parametrize("markers", [1, 2, 3])
+def test_marker_without_neighbours_is_filled_from_its_trajectory(markers):
+    """Uncertainly, and the more so the longer the gap is."""
+    truth = prop()
+    truth = Take(truth.markers[:, :markers], truth.labels[:markers], RATE)
+    is_inlier = truth.visible.copy()
+    is_inlier[100:130, 0] = is_inlier[200:300, 0] = False
+    filled, deviation, _ = estimate_take(truth, is_inlier)
+    error = np.abs(filled - truth.markers)[:, 0].max(1)
+    assert error[100:130].max() < 0.05
+    assert (error[200:300] < 4 * deviation[200:300, 0]).all()
+    assert deviation[250, 0] > deviation[115, 0]
+
+
+def test_marker_at_rest_stays_where_it_is():
+    """A foot that stands before and after a gap, of a person who moves."""
+    t = np.arange(600) / RATE
+    rng = np.random.default_rng(0)
+    body = rng.normal(scale=0.3, size=(1, 8, 3)) + 0.3 * np.sin(2 * t + rng.normal(size=(8, 3, 1)) * 2).transpose(2, 0, 1)
+    step = np.clip((t % 2 - 1.4) / 0.6, 0, 1)  # the foot stands for 1.4 s of every 2
+    foot = np.stack([t // 2 + step**2 * (3 - 2 * step), 0.1 * np.sin(np.pi * step), 0 * t], 1)
+    truth = Take(np.concatenate([body, foot[:, None]], 1), tuple("ABCDEFGHI"), RATE)
+    is_inlier = truth.visible.copy()
+    is_inlier[220:320, 8] = False
+    filled, deviation, _ = estimate_take(truth, is_inlier)
+    assert np.linalg.norm(filled - truth.markers, axis=-1)[220:320, 8].max() < 0.01
+    assert deviation[220:320, 8].max() < 0.05
+
+
+def test_no_inliers_give_no_estimate():
+    truth = prop()
+    filled, deviation, _ = estimate_take(truth, np.zeros_like(truth.visible))
+    assert np.isnan(filled).all()
+    assert np.isnan(deviation).all()
+
+
+@pytest.mark.skipif(not CAPTURE.exists(), reason="needs a capture of CMU's")
+def test_real_hand_gap_is_filled_better_than_linearly():
+    truth = capture.read_take(CAPTURE)
+    hand, gap = truth.bare_labels.index("RFIN"), slice(200, 320)
+    is_inlier = truth.visible.copy()
+    assert is_inlier[gap, hand].all()
+    is_inlier[gap, hand] = False
+    filled, deviation, _ = estimate_take(truth, is_inlier)
+    step = np.linspace(0, 1, 122)[1:-1, None]
+    line = (1 - step) * truth.markers[199, hand] + step * truth.markers[320, hand]
+    error = np.linalg.norm(filled[gap, hand] - truth.markers[gap, hand], axis=1)
+    assert error.mean() < 0.3 * np.linalg.norm(line - truth.markers[gap, hand], axis=1).mean()
+    assert (error < 3 * np.sqrt(3) * deviation[gap, hand]).mean() > 0.9
