@@ -39,7 +39,7 @@ RESTING_FRAME_WEIGHT = 0.1
 """Weight of a frame at rest in this selection, relative to a frame with average motion."""
 DISTANCE_PERCENTILES = (0.05, 0.95)
 """Quantiles of a distance, between which it varies."""
-QUANTILE_RANGE_SD = 3.29
+DISTANCE_RANGE_SD = 3.29
 """Their difference for a normal distribution, in standard deviations."""
 HIDDEN_FOLDS = 4
 """Groups of hidden stretches, each predicted by a regression without it, and stretches of the take that give its error."""
@@ -75,7 +75,7 @@ def measure_distance_changes(markers: Float[np.ndarray, "T M 3"]) -> Float[np.nd
         low, high = (compute_column_percentiles(distance, share) for share in DISTANCE_PERCENTILES)
         is_known = np.isfinite(high) & ((~np.isnan(distance)).sum(0) >= min(MIN_DISTANCE_FRAMES, len(sampled)))
         others = enough[:n][is_known]
-        change[i, others] = change[others, i] = (high[is_known] - low[is_known]) / QUANTILE_RANGE_SD
+        change[i, others] = change[others, i] = (high[is_known] - low[is_known]) / DISTANCE_RANGE_SD
     return change
 
 
