@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import SceneError
+from mocapfix.keypoints.keypoint_file import load_detector
 from mocapfix.marker_sets import load_marker_set
 from mocapfix.marker_sets.landmarks import find_landmark, load_landmarks
 from mocapfix.skeleton import load_cmu31_body
@@ -113,3 +114,14 @@ def test_landmark_of_a_studio_set_takes_its_own_spread(tmp_path):
     marker_set = load_marker_set(path)
     np.testing.assert_array_equal(marker_set.marker_spread, [0.04, find_landmark("sacrum").spread])
     assert marker_set.point_sd == 0.02
+
+
+@pytest.mark.parametrize(("detector_name", "set_name"), [("openpose", "body25"), ("coco", "coco17")])
+def test_keypoints_in_images_and_in_space_have_the_same_places(detector_name, set_name):
+    detector = load_detector(detector_name, load_cmu31_body().skeleton)
+    marker_set = load_marker_set(set_name)
+    assert set(detector.labels) == set(marker_set.labels)
+    for label, joint, offset in zip(detector.labels, detector.joints, detector.offsets, strict=True):
+        k = marker_set.labels.index(label)
+        assert marker_set.joints[k] == joint, label
+        np.testing.assert_array_equal(marker_set.marker_offsets[k], offset, label)
