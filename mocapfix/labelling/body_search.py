@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.labelling.posed_body import PosedBody, scale_subject
+from mocapfix.labelling.tracklet_assignment import assign_points
 from mocapfix.solve.kinematics import Poses
 
 TRIED_HEADING_COUNT = 12
@@ -29,8 +30,6 @@ SEARCH_ITERATIONS = 4
 """Solver iterations in a round."""
 SEARCH_MARKER_SD_M = 0.04
 """Standard deviation of a person's markers about those of the average body."""
-FOUND_GATE_SHARE = 0.95
-"""Share of the gate below which a marker counts as found."""
 
 
 class FoundBody(NamedTuple):
@@ -38,20 +37,6 @@ class FoundBody(NamedTuple):
 
     markers: Int[np.ndarray, " V"]
     cost: float
-
-
-def assign_points(squared_distance: Float[np.ndarray, "V K"], gate_m: float) -> tuple[Int[np.ndarray, " V"], float]:
-    """Assign points one-to-one to markers; points and markers farther apart than the gate stay alone, and count with it.
-
-    Returns the marker of each point, -1 for none, and the mean squared distance over the markers or points, whichever are fewer.
-    """
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
-    capped = np.minimum(squared_distance, gate_m**2)
-    rows, columns = linear_sum_assignment(capped)
-    indices, is_near = np.full(len(capped), -1), capped[rows, columns] < FOUND_GATE_SHARE * gate_m**2
-    indices[rows[is_near]] = columns[is_near]
-    return indices, float(capped[rows, columns].mean()) if len(rows) else 0.0
 
 
 def search_body(positions: Float[np.ndarray, "V 3"], body: PosedBody) -> list[FoundBody]:

@@ -7,10 +7,11 @@ from mocapfix.labelling.body_extension import extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
 from mocapfix.labelling.label_confidence import compute_label_confidence
 from mocapfix.labelling.label_overlaps import continue_labels, label_single_points
+from mocapfix.labelling.limb_search import MIN_LOST_MARKERS, find_limb_frame, search_limb
 from mocapfix.labelling.linking import are_points_unordered
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
-from mocapfix.labelling.posed_body import ExtendedBody, build_average_body, build_subject_body, scale_subject
-from mocapfix.labelling.propagation import PropagatedLabels, propagate_labels
+from mocapfix.labelling.posed_body import ExtendedBody, PropagatedLabels, build_average_body, build_subject_body, scale_subject
+from mocapfix.labelling.propagation import propagate_labels
 from mocapfix.labelling.sampled_points import SampledPoints, sample_points
 from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_durations, measure_tracklets
 from mocapfix.marker_set import MarkerSet
@@ -34,6 +35,10 @@ MAX_EXTENDED_BODIES = 8
 MIN_KEPT_CONFIDENCE = 0.5
 """Confidence below which a tracklet stays without a label."""
 
+MIN_LOST_TRACKLET_S = 0.4
+"""Duration of an unlabelled tracklet that may be a lost marker; shorter ones are often ghosts."""
+MAX_LIMB_SEARCHES = 6
+"""Frames in which limbs are searched for."""
 MAX_OPTIONAL_DISTANCE_M = 0.05
 """Distance of a tracklet from an optional marker of the set up to which it has its label."""
 MIN_OPTIONAL_DURATION_S = 2.0
@@ -56,6 +61,7 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
     labels = propagate_labels(sampled, start, None if subject else scale_nominal_subject(start.body.subject, searched))
+    labels = recover_limbs(sampled, labels)
     confidence = compute_label_confidence(sampled, labels.markers, labels.distances)
     indices = np.array([marker_set.labels.index(label) for label in searched.labels] + [-1])
     markers = indices[np.where(confidence >= MIN_KEPT_CONFIDENCE, labels.markers, -1)]
@@ -67,6 +73,24 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     if not are_points_unordered(points.positions):
         marker_indices = continue_labels(points, marker_indices)
     return PointLabels(marker_indices, assign_to_tracklets(points, confidence, 0.0))
+
+
+def recover_limbs(sampled: SampledPoints, labels: PropagatedLabels) -> PropagatedLabels:
+    """Return the labels with those of limbs whose trajectories all broke at once."""
+    is_candidate = measure_durations(sampled) >= MIN_LOST_TRACKLET_S
+    for _ in range(MAX_LIMB_SEARCHES):
+        frame = find_limb_frame(sampled, labels, is_candidate & (labels.markers < 0))
+        if frame < 0:
+            break
+        markers = search_limb(sampled, labels, frame, is_candidate)
+        is_new = (markers >= 0) & (labels.markers < 0)
+        if is_new.sum() >= MIN_LOST_MARKERS:
+            start = ExtendedBody(labels.body, markers, 0.0, np.flatnonzero(labels.is_posed))
+            recovered = propagate_labels(sampled, start, None)
+            if (recovered.markers >= 0).sum() > (labels.markers >= 0).sum():
+                labels = recovered
+        is_candidate[sampled.tracklets[frame][sampled.tracklets[frame] >= 0]] = False
+    return labels
 
 
 def predict_in_posed_frames(sampled: SampledPoints, labels: PropagatedLabels, subject: Subject) -> Float[np.ndarray, "S K 3"]:

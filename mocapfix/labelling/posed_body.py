@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.calibrate.body_size import scale_skeleton
 from mocapfix.calibrate.marker_attachment import measure_marker_offsets
@@ -12,6 +12,7 @@ from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import compute_cost_frames
 from mocapfix.kernels.terms import count_rows
+from mocapfix.labelling.tracklet_assignment import TrackletDistances
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
@@ -137,6 +138,25 @@ class ExtendedBody:
     markers: Int[np.ndarray, " N"]
     cost: float
     frames: Int[np.ndarray, " E"]
+
+
+@dataclass(frozen=True)
+class PropagatedLabels:
+    """The labels of all tracklets.
+
+    Attributes:
+        body: The body with the offsets of this take.
+        markers: The marker of each of the N tracklets, -1 for none.
+        distances: The distances of the tracklets from the markers.
+        is_posed: The sampled frames in which the body has a pose.
+        poses: Root positions (S, 3) in metres and local rotations of the frames.
+    """
+
+    body: PosedBody
+    markers: Int[np.ndarray, " N"]
+    distances: TrackletDistances
+    is_posed: Bool[np.ndarray, " S"]
+    poses: Poses
 
 
 def adapt_offsets(

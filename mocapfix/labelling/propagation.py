@@ -5,22 +5,18 @@ Tracklets that begin or end in such frames get their labels, by which the body c
 changes. The offsets of the markers are adapted to the take on the way.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Int
 
 from mocapfix.labelling.posed_body import (
     POSING_ITERATIONS,
     POSING_MARKER_SD_M,
     POSING_SCALES_M,
     ExtendedBody,
-    PosedBody,
+    PropagatedLabels,
     adapt_offsets,
 )
 from mocapfix.labelling.sampled_points import SampledPoints
 from mocapfix.labelling.tracklet_assignment import TrackletDistances, assign_tracklets, compute_max_distances, measure_tracklets
-from mocapfix.solve.kinematics import Poses
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.subject import Subject
 
@@ -34,25 +30,6 @@ MAX_OFFSET_ROUNDS = 6
 """Rounds in which the offsets are adapted."""
 PROPAGATION_GATE_M = 0.2
 """Distance above which all distances of a point from a marker are equal."""
-
-
-@dataclass(frozen=True)
-class PropagatedLabels:
-    """The labels of all tracklets.
-
-    Attributes:
-        body: The body with the offsets of this take.
-        markers: The marker of each of the N tracklets, -1 for none.
-        distances: The distances of the tracklets from the markers.
-        is_posed: The sampled frames in which the body has a pose.
-        poses: Root positions (S, 3) in metres and local rotations of the frames.
-    """
-
-    body: PosedBody
-    markers: Int[np.ndarray, " N"]
-    distances: TrackletDistances
-    is_posed: Bool[np.ndarray, " S"]
-    poses: Poses
 
 
 def propagate_labels(sampled: SampledPoints, start: ExtendedBody, nominal: Subject | None) -> PropagatedLabels:

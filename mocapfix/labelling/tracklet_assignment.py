@@ -16,6 +16,8 @@ MAX_BLOCK_FRAMES_OF_DISTANCES = 512
 """Frames whose distances between points and markers are held at a time."""
 MAX_OVERLAP_SHARE = 0.5
 """Share of a tracklet's frames in which another tracklet may have its label."""
+FOUND_GATE_SHARE = 0.95
+"""Share of the gate below which a marker counts as found."""
 MAX_LABEL_DISTANCES_M = (0.06, 0.15)
 """Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
 LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
@@ -39,6 +41,20 @@ class TrackletLabels(NamedTuple):
 
     markers: Int[np.ndarray, " N"]
     confidence: Float[np.ndarray, " N"]
+
+
+def assign_points(squared_distance: Float[np.ndarray, "V K"], gate_m: float) -> tuple[Int[np.ndarray, " V"], float]:
+    """Assign points one-to-one to markers; points and markers farther apart than the gate stay alone, and count with it.
+
+    Returns the marker of each point, -1 for none, and the mean squared distance over the markers or points, whichever are fewer.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    capped = np.minimum(squared_distance, gate_m**2)
+    rows, columns = linear_sum_assignment(capped)
+    indices, is_near = np.full(len(capped), -1), capped[rows, columns] < FOUND_GATE_SHARE * gate_m**2
+    indices[rows[is_near]] = columns[is_near]
+    return indices, float(capped[rows, columns].mean()) if len(rows) else 0.0
 
 
 def measure_tracklets(sampled: SampledPoints, predicted: Float[np.ndarray, "S K 3"], gate_m: float) -> TrackletDistances:

@@ -5,8 +5,9 @@ import pytest
 
 from mocapfix import pipeline, synthetic, write
 from mocapfix.errors import TakeError
+from mocapfix.files.layouts import C3dLayout
 from mocapfix.options import build_clean_options
-from mocapfix.read.capture import read_capture
+from mocapfix.read.capture import read_take
 from mocapfix.synthetic.unlabelled_takes import remove_labels
 from mocapfix.take import Take
 
@@ -30,9 +31,10 @@ def write_unlabelled(folder, truth, kind, suffix="c3d"):
 def test_labelled_file_has_the_samples_under_their_labels(tmp_path, truth, kind, suffix):
     path = write_unlabelled(tmp_path, truth, kind, suffix)
     labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
+    assert labelled.labelled_file is not None
     target = tmp_path / f"labelled.{suffix}"
     target.write_bytes(labelled.labelled_file)
-    take = read_capture(target)
+    take = read_take(target)
     assert set(take.labels) == set(truth.labels)
     columns = [take.labels.index(label) for label in truth.labels]
     distance = np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)
@@ -48,9 +50,12 @@ def test_only_names_change_where_each_trajectory_is_one_marker(tmp_path, truth):
     labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
     assert labelled.labels == tuple(truth.labels[m] for m in order)
     old, new = path.read_bytes(), labelled.labelled_file
-    layout = labelled.layout
+    layout, old_layout = labelled.layout, read_take(path).layout
+    assert isinstance(layout, C3dLayout)
+    assert isinstance(old_layout, C3dLayout)
+    assert new is not None
     stop = layout.frame_count * layout.frame_stride_bytes
-    old_start = read_capture(path).layout.data_start_byte
+    old_start = old_layout.data_start_byte
     assert new[layout.data_start_byte : layout.data_start_byte + stop] == old[old_start : old_start + stop]
 
 
@@ -58,7 +63,7 @@ def test_unlabelled_take_is_cleaned_as_the_labelled_one(tmp_path, truth):
     path = write_unlabelled(tmp_path, truth, "tracks")
     result = pipeline.clean(path, marker_set="cmu41")
     result.write(tmp_path / "out")
-    take = read_capture(tmp_path / "out" / "tracks.c3d")
+    take = read_take(tmp_path / "out" / "tracks.c3d")
     columns = [take.labels.index(label) for label in truth.labels]
     assert np.nanmax(np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)) < 0.02
     section = result.report["take"]["labelling"]
