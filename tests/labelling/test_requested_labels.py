@@ -1,5 +1,7 @@
 """Takes without labels: labelled by name, cleaned as labelled ones are, and refused where they cannot be."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -66,9 +68,10 @@ def test_unlabelled_take_is_cleaned_as_the_labelled_one(tmp_path, truth):
     take = read_take(tmp_path / "out" / "tracks.c3d")
     columns = [take.labels.index(label) for label in truth.labels]
     assert np.nanmax(np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)) < 0.02
-    section = result.report["take"]["labelling"]
+    report: Any = result.report
+    section = report["take"]["labelling"]
     assert set(section["markers"]) == set(truth.labels)
-    assert any("Labelled by mocapfix" in note for note in result.report["notes"])
+    assert any("Labelled by mocapfix" in note for note in report["notes"])
 
 
 def test_take_without_labels_and_set_is_refused(tmp_path, truth):
