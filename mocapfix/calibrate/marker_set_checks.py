@@ -46,8 +46,12 @@ MIN_DISTANCE_MOTION_M = 0.008
 """Median variation of the distances between markers on distant segments; less is too little motion to learn from."""
 MAX_BEND_VIOLATION_RAD = 0.35
 """Angle beyond its limits at which a knee or an elbow bends the wrong way."""
-MAX_BEND_VIOLATION_SHARE = 0.2
-"""Share of the frames in which it may."""
+MAX_TURN_VIOLATION_RAD = 0.05
+"""Angle beyond its limits at which a foot or an upper arm is turned: the wrong way round, they are further beyond."""
+MAX_VIOLATION_SHARE = 0.2
+"""Share of the frames in which they may be."""
+MIN_JUDGED_MARKERS = 2
+"""Markers of a segment whose joint is judged: one marker leaves its rotation open."""
 MAX_NAMED_MARKER_SD_M = 0.02
 """Motion per axis of a marker against its segment above which it is left out, though its label or position names the segment."""
 MAX_UNNAMED_MARKER_SD_M = 0.012
@@ -64,6 +68,8 @@ MIN_PAIRED_LIMB_SEGMENTS = 8
 """Number of its ten limb segments that have two markers or more; each has at least one."""
 HINGE_JOINT_NAMES = ("LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")
 """Knees and elbows, which bend in one direction only."""
+TURNED_JOINT_NAMES = ("LeftFoot", "RightFoot", "LeftArm", "RightArm")
+"""Ankles and shoulders, which a body that faces backwards would have to turn round."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +111,8 @@ def describe_implausible_body(learned: LearnedBody, limits: JointLimits, *, from
     )
     if contradiction:
         return contradiction
-    if name := find_backward_hinge(learned.marker_set.joints, learned.joint_rotations, limits):
-        return f"would bend {name} in the wrong direction"
+    if name := find_impossible_joint(learned.marker_set.joints, learned.joint_rotations, limits):
+        return f"would turn {name} in an impossible way"
     return ""
 
 
@@ -194,19 +200,26 @@ def measure_position_spread(markers: Float[np.ndarray, "T M 3"]) -> Float[np.nda
     return np.sqrt((centred**2).sum((0, 2)) / count[:, 0])
 
 
-def find_backward_hinge(joints: Int[np.ndarray, " K"], joint_rotations: Float[np.ndarray, "N J 3 3"], limits: JointLimits) -> str:
-    """Return the name of a knee or an elbow that bends beyond its limits, "" if none does. Only those with markers are judged."""
+def find_impossible_joint(
+    joints: Int[np.ndarray, " K"], joint_rotations: Float[np.ndarray, "N J 3 3"], limits: JointLimits
+) -> str:
+    """Return the name of a joint that is beyond its limits in many frames, "" if none is.
+
+    Knees and elbows are judged about the axis about which they bend. Of a body that faces backwards, or has its sides exchanged,
+    the feet and the upper arms are turned about any axis. Only joints with two markers or more are judged.
+    """
     skeleton = load_cmu31_body().skeleton
-    for name in HINGE_JOINT_NAMES:
-        joint = skeleton.find_joint(name)
-        parent = int(skeleton.parents[joint])
-        if joint not in joints or parent not in joints:
+    for joint, name in enumerate(skeleton.names):
+        is_hinge = name in HINGE_JOINT_NAMES
+        if not (is_hinge or name in TURNED_JOINT_NAMES) or (joints == joint).sum() < MIN_JUDGED_MARKERS:
             continue
+        parent = int(skeleton.parents[joint])
         local = np.einsum("nba,nbc->nac", joint_rotations[:, parent], joint_rotations[:, joint])
-        bend = Rotation.from_matrix(local @ limits.mean_rotations[joint].T).as_rotvec()
+        turn = Rotation.from_matrix(local @ limits.mean_rotations[joint].T).as_rotvec()
+        beyond = np.maximum(limits.lower_rad[joint] - turn, turn - limits.upper_rad[joint])
         axis = int((limits.upper_rad[joint] - limits.lower_rad[joint]).argmax())  # about which it bends
-        beyond = np.maximum(limits.lower_rad[joint, axis] - bend[:, axis], bend[:, axis] - limits.upper_rad[joint, axis])
-        if (beyond > MAX_BEND_VIOLATION_RAD).mean() > MAX_BEND_VIOLATION_SHARE:
+        excess, max_excess = (beyond[:, axis], MAX_BEND_VIOLATION_RAD) if is_hinge else (beyond.max(1), MAX_TURN_VIOLATION_RAD)
+        if (excess > max_excess).mean() > MAX_VIOLATION_SHARE:
             return name
     return ""
 
@@ -230,6 +243,21 @@ def measure_learned_body(
         measure_distance_spread(markers),
         measure_position_spread(markers),
     )
+
+
+def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", guess: MarkerSet) -> str:
+    """Return why the motion contradicts the words of the labels, "" if it does not.
+
+    Words may name a neighbouring segment, such as the thigh for a marker on the knee.
+    """
+    attached = np.array([fit.attachment.joints[labels.index(label)] for label in guess.labels])
+    is_attached = attached >= 0
+    pairs = zip(guess.joints[is_attached].tolist(), attached[is_attached].tolist(), strict=True)
+    is_moved = np.array([count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs], bool)
+    if not len(is_moved) or is_moved.mean() <= MAX_CONTRADICTED_SHARE:
+        return ""
+    names = [label for label, is_kept in zip(guess.labels, is_attached, strict=True) if is_kept]
+    return f"would have {names[int(is_moved.argmax())]} on another segment than its label says"
 
 
 def find_doubtful_markers(

@@ -12,6 +12,7 @@ import numpy as np
 
 from mocapfix.calibrate.marker_set_checks import (
     describe_contradicted_guess,
+    describe_contradicted_words,
     describe_implausible_body,
     describe_incomplete_location,
     find_doubtful_markers,
@@ -122,7 +123,11 @@ def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) ->
     if not keep_guess:
         learned_body = measure_learned_body(take, labels, marker_set, fit, body.skeleton.total_length_m)
         limits = load_joint_limits(body.skeleton)
-        problem = describe_incomplete_location(marker_set.joints, int(take.visible.any(0).sum())) if is_from_positions else ""
+        problem = (
+            describe_incomplete_location(marker_set.joints, int(take.visible.any(0).sum()))
+            if is_from_positions
+            else describe_contradicted_words(labels, fit, guess.marker_set)
+        )
         if problem := problem or describe_implausible_body(learned_body, limits, from_positions=is_from_positions):
             raise TakeError(f"{take.name}: no marker set can be learned: the body {problem}.")
     excluded = {label: reason for label, reason in reasons.items() if reason}

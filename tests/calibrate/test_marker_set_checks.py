@@ -10,8 +10,8 @@ from mocapfix.calibrate.marker_set_checks import (
     count_segments_between,
     describe_implausible_body,
     describe_incomplete_location,
-    find_backward_hinge,
     find_contradicted_markers,
+    find_impossible_joint,
     measure_position_spread,
 )
 from mocapfix.marker_sets import load_marker_set
@@ -78,12 +78,18 @@ def test_segments_between_two_joints_are_counted():
 
 
 def test_a_knee_that_bends_forwards_is_found(learned):
-    assert find_backward_hinge(CMU.joints, learned.joint_rotations, LIMITS) == ""
+    assert find_impossible_joint(CMU.joints, learned.joint_rotations, LIMITS) == ""
     turned = learned.joint_rotations.copy()
     thigh, shank = joint("LeftUpLeg"), joint("LeftLeg")
     bend = np.array([[1, 0, 0], [0, np.cos(-1.5), -np.sin(-1.5)], [0, np.sin(-1.5), np.cos(-1.5)]])
     turned[:, shank] = turned[:, thigh] @ bend @ LIMITS.mean_rotations[shank]
-    assert find_backward_hinge(CMU.joints, turned, LIMITS) == "LeftLeg"
+    assert find_impossible_joint(CMU.joints, turned, LIMITS) == "LeftLeg"
+
+
+def test_a_foot_that_is_turned_round_is_found(learned):
+    turned, foot = learned.joint_rotations.copy(), joint("RightFoot")
+    turned[:, foot] = turned[:, joint("RightLeg")] @ np.diag([-1.0, 1.0, -1.0]) @ LIMITS.mean_rotations[foot]
+    assert find_impossible_joint(CMU.joints, turned, LIMITS) == "RightFoot"
 
 
 def test_a_body_located_by_positions_needs_all_its_segments():

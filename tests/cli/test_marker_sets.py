@@ -38,7 +38,7 @@ def test_learn_writes_a_set_and_does_not_overwrite(mocapfix, wave, tmp_path):
     output = " ".join(out.split())
     assert status == 0
     assert "41 markers" in output
-    assert "not included: Floor moves by" in output
+    assert "not included: Floor names an object" in output
     learned = marker_sets.load_marker_set(path)
     assert (learned.name, len(learned.labels), "Floor" in learned.labels) == ("mine", 41, False)
     assert {"LUPA!", "RSHN!"} <= set(learned.labels)

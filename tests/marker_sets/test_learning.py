@@ -89,9 +89,9 @@ def test_unknown_labels_need_many_markers():
 
 
 def test_subject_with_the_most_markers_is_selected():
-    labels = ("Ann:A", "Ann:B", "Ann:A", "Bob:A", "stick")
+    labels = ("Ann:A", "Ann:B", "Ann:A", "Bob:A", "extra")
     selected = learning.select_subject_markers(Take(np.zeros((3, 5, 3)), labels, 100.0))
-    assert (selected.labels, selected.take.markers.shape) == (("A", "B", "stick"), (3, 3, 3))
+    assert (selected.labels, selected.take.markers.shape) == (("A", "B", "extra"), (3, 3, 3))
     excluded = {"Ann:A": "has the same label as another marker", "Bob:A": "belongs to Bob, not to Ann"}
     assert selected.excluded_markers == excluded
 
