@@ -44,7 +44,7 @@ def test_learn_writes_a_set_and_does_not_overwrite(mocapfix, wave, tmp_path):
     assert {"LUPA!", "RSHN!"} <= set(learned.labels)
     text = path.read_text()
     assert text.startswith("# Learned from wave.c3d. ")
-    assert "# Not included: Floor moves by" in text
+    assert "# Not included: Floor names an object" in text
     status, _, err = mocapfix("marker-set", "learn", wave, "-o", path)
     assert (status, "already exists" in " ".join(err.split())) == (1, True)
     assert path.read_text() == text
