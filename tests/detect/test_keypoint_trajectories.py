@@ -82,7 +82,7 @@ def test_body_of_pose2sim_keypoints(projected, tmp_path, is_smoothed):
         assert is_own[is_kept].mean() > 0.999
     assert np.isnan(cleaned_error).mean() < 0.01
     assert np.nanmax(cleaned_error[projected.exchanged & ~projected.missing]) < 0.15
-    assert any("keypoints, not markers" in note for note in result.report["notes"])
+    assert any("keypoints, not markers" in note for note in result.subject_report["notes"])
 
 
 def test_exchanged_sides_are_found(projected):

@@ -130,6 +130,7 @@ def test_errors_of_hidden_stretches_are_like_those_of_the_gap():
     window = choose_hidden_stretches(~np.isnan(damaged[:, 10, 0]), 300, 359, RATE)
     others = np.full(truth.shape, np.nan)
     estimates = MarkerProcesses(damaged, others, others[..., 0], RATE).estimate_gap(window, np.arange(10, 14))
+    assert estimates is not None
     actual = np.sqrt(np.mean([(e.position - truth[300:360, m]) ** 2 for m, e in enumerate(estimates, start=10)]))
     hidden = np.sqrt(np.nanmean([e.error**2 for e in estimates]))
     assert 0.2 < actual / hidden < 2

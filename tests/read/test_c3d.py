@@ -376,7 +376,8 @@ def test_invalid_captures_are_refused_quickly(name, words):
 def test_file_without_labels_is_read_with_its_unlabelled_points_only(tmp_path):
     path = tmp_path / "unlabelled.c3d"
     path.write_bytes(c3d_bytes(STANDING, ["*1", "*2", ""]))
-    take = capture.read_capture(path)
+    take = capture.read_take(path)
     assert take.labels == ()
     assert take.markers.shape == (len(STANDING), 0, 3)
+    assert take.unlabelled is not None
     assert take.unlabelled.markers.shape == STANDING.shape

@@ -70,7 +70,7 @@ def moved(brief) -> tuple[CleaningState, StageTimer, int]:
     take = whole.replace_markers(markers)
     shift = MarkerShift("moved", marker, 60, 119, 0.05, "", settled_frame=60)
     detection, options = DetectionState(take, sample_faults=Faults((shift,))), CleanOptions()
-    state = CleaningState(take, detection, build_subject_marker_set(subject), subject)
+    state = CleaningState(take, detection, build_subject_marker_set(subject), known_subject=subject)
     timer = StageTimer()
     state = calibration.calibrate_body(state, options)
     state = pipeline.initialise_and_solve(state, options, timer)
