@@ -11,7 +11,7 @@ from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
 from mocapfix.fill.gap_estimates import estimate_without_body
-from mocapfix.fill.marker_estimates import estimate_missing_samples
+from mocapfix.fill.marker_estimates import combine_with_partial_body, estimate_missing_samples
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
 from mocapfix.stats.sequences import find_runs
@@ -41,7 +41,8 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     detection, body = state.detection, state.body
     take, inliers, epochs = detection.take, detection.inlier_mask, detection.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
-    filled = fill_take(epochs.take, epochs.split_mask(inliers), gap_durations_s, body, options.fill)
+    is_partial = body is not None and (state.has_learned_set or not body.subject.solved_joints.all())
+    filled = fill_take(epochs.take, epochs.split_mask(inliers), gap_durations_s, body, options.fill, is_partial_body=is_partial)
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detection.donor_markers)] = True
     is_kept |= inliers  # while a marker slides between two places its samples belong to no epoch
@@ -61,6 +62,8 @@ def fill_take(
     gap_durations_s: Float[np.ndarray, "T M"],
     body: BodyFit | None,
     options: FillOptions,
+    *,
+    is_partial_body: bool = False,
 ) -> FilledTake:
     """Fill or empty every sample that is not an inlier.
 
@@ -70,13 +73,18 @@ def fill_take(
         gap_durations_s: the duration of the gap of each sample, as `compute_gap_durations` returns it for the whole take.
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
+        is_partial_body: whether the body has unsolved joints, or a marker set that was learned from this take.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
-    if body:
-        markers, sd, method = estimate_missing_samples(take, is_inlier, estimate_from_body(take, is_inlier, body))
+    body_estimate = estimate_from_body(take, is_inlier, body) if body else None
+    if body_estimate is not None and not is_partial_body:
+        markers, sd, method = estimate_missing_samples(take, is_inlier, body_estimate)
     else:
-        markers, sd, method = estimate_without_body(take.markers, is_inlier, take.rate)
+        estimate = estimate_without_body(take.markers, is_inlier, take.rate)
+        if body_estimate is not None:
+            estimate = combine_with_partial_body(estimate, body_estimate, ~is_inlier)
+        markers, sd, method = estimate
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))

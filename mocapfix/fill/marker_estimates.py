@@ -26,6 +26,22 @@ MAX_SPLINE_GAP_S = 0.5
 """Duration of the longest gap that is filled by splines."""
 SETTLED_SPLINE_SD_M = 0.001
 """Standard deviation of a spline below which its samples are used as known ones by the clusters."""
+PARTIAL_BODY_SD_RATIO = 2.0
+"""Ratio of errors to predicted standard deviations where a body has few markers, or a set that was learned from the take."""
+
+
+def combine_with_partial_body(
+    estimate: MarkerEstimate, body_estimate: MarkerEstimate, is_missing: Bool[np.ndarray, "T M"]
+) -> MarkerEstimate:
+    """Return the combination of the estimates without a body and those from a body that few markers determine.
+
+    estimate       the estimate without a body, as `estimate_without_body` returns it
+    body_estimate  the estimate from the solved body
+    is_missing     samples that are estimated
+    """
+    widened = body_estimate._replace(sd=body_estimate.sd * PARTIAL_BODY_SD_RATIO)
+    combined, ratio = combine_estimates([estimate.select(is_missing), widened.select(is_missing)])
+    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_COMBINED_SD_M)).expand(is_missing)
 
 
 def estimate_missing_samples(

@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.marker_estimates import (
     ESTIMATE_CORRELATION,
+    PARTIAL_BODY_SD_RATIO,
     PREDICTED_SPREAD_DOF,
     combine_estimates,
+    combine_with_partial_body,
     estimate_missing_samples,
 )
 from mocapfix.fill.marker_speeds import find_impossible_speeds, measure_fastest_speed
@@ -130,3 +132,18 @@ def test_impossible_speeds_are_found():
     mask = find_impossible_speeds(path, is_inlier, 100.0, measure_fastest_speed(path[:, 1:], 100.0))
     assert mask[40:87, 0].all()
     assert mask.sum() == 47
+
+
+def test_partial_body_weighs_less_than_it_predicts_and_fills_what_nothing_else_does():
+    is_missing = np.array([[True, True, True, False]])
+
+    def of_samples(places, sds, method):
+        return build_marker_estimate(np.repeat(np.array([places])[..., None], 3, -1), np.array([sds]), method)
+
+    without = of_samples([0.0, np.nan, 0.03, np.nan], [0.02, np.nan, 0.02, np.nan], FillMethod.CLUSTER)
+    body = of_samples([0.05, 0.07, np.nan, np.nan], [0.02, 0.01, np.nan, np.nan], FillMethod.BODY)
+    combined = combine_with_partial_body(without, body, is_missing)
+    np.testing.assert_allclose(combined.position[0, :3, 0], [0.05 / (1 + PARTIAL_BODY_SD_RATIO**2), 0.07, 0.03])
+    np.testing.assert_allclose(combined.sd[0, 1:3], [0.01 * PARTIAL_BODY_SD_RATIO, 0.02])
+    np.testing.assert_array_equal(combined.method[0, :3], [FillMethod.CLUSTER, FillMethod.BODY, FillMethod.CLUSTER])
+    assert np.isnan(combined.sd[0, 3])
