@@ -406,7 +406,8 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     assert (result.subject, result.motion, result.joint_position_world, result.residual_m) == (None, None, None, None)
     report = result.subject_report
     assert (report["take"]["marker_set"], report["subject"], report["solve"]) == (None, None, None)
-    first, second = result.subject_report["notes"]
+    first, second, third = result.subject_report["notes"]
+    assert "filled samples are unreliable" in third
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
     assert "none of them is in any set (" in first
     assert second == "The take was cleaned without a skeleton: there is no BVH."
@@ -480,7 +481,7 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
 def test_progress_is_reported_in_the_order_of_the_stages(brief):
     stages = []
     pipeline.clean(brief.path, progress=stages.append)
-    assert stages == ["read", "detect", "calibrate", "initialise", "solve", "detect", "solve", "fill"]
+    assert stages == ["read", "label", "detect", "calibrate", "initialise", "solve", "detect", "solve", "fill"]
 
 
 def test_an_unknown_initialisation_method_is_an_error_before_the_file_is_read():
