@@ -103,7 +103,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
 
     Args:
         path: the take.
-        options: `options.read` and `options.subject`, which names a marker set, a subject or a labelled take.
+        options: `options.read` and `options.subject`, which may name a marker set, a subject or a labelled take.
         progress: called with the name of each stage when it begins.
 
     Raises:
@@ -117,7 +117,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     with timer("label"):
         labelled, _ = label_capture(capture, options, calibrate_takes)
     if labelled.labelled_file is None:
-        raise TakeError(f"{capture.name}: has labels already, or no marker set was named for its points (--marker-set).")
+        raise TakeError(f"{capture.name}: has labels already, or no marker set fits its numbered points; name it (--marker-set).")
     return labelled
 
 

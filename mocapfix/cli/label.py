@@ -25,9 +25,9 @@ def run_label(
 ) -> int:
     """Label a take whose trajectories have no labels, or whose points are not yet trajectories.
 
-    Name the markers with --marker-set, the person with --subject, or a labelled take of the same person with --like. The
-    output is the input with the names of the markers; trajectories of the same marker are joined in one column. Nothing else
-    is changed.
+    Name the markers with --marker-set, the person with --subject, or a labelled take of the same person with --like; otherwise
+    the shipped marker set that fits the points clearly is assumed. The output is the input with the names of the markers;
+    trajectories of the same marker are joined in one column. Nothing else is changed.
     """
     from mocapfix import pipeline
     from mocapfix.files.output_files import check_outputs_absent, replace_atomically

@@ -9,6 +9,7 @@ not matter once the tracklets are known.
      │                          link_points: the points of a frame are in no order, and are linked from frame to frame
      ▼
     UnlabelledPoints            points, tracklet_indices (T, C), rate
+     │  set_comparison          assume_marker_set: the shipped set that fits, where none is named
      │  labeller                label_points: bodies are fitted to key frames, and labels are assigned outwards from them
      │  several_people          label_people: each of several people is found, then labelled among the points of that person
      ▼

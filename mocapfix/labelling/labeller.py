@@ -1,7 +1,7 @@
 """The labeller: the marker of each of a take's unlabelled points."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from mocapfix.labelling.body_extension import extend_body
 from mocapfix.labelling.body_search import fit_height, search_body
@@ -9,11 +9,19 @@ from mocapfix.labelling.label_confidence import compute_label_confidence
 from mocapfix.labelling.label_overlaps import continue_labels, label_single_points
 from mocapfix.labelling.limb_search import MIN_LOST_MARKERS, find_limb_frame, search_limb
 from mocapfix.labelling.linking import are_points_unordered
+from mocapfix.labelling.optional_markers import add_optional_markers
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints, assign_to_tracklets
-from mocapfix.labelling.posed_body import ExtendedBody, PropagatedLabels, build_average_body, build_subject_body, scale_subject
+from mocapfix.labelling.posed_body import (
+    ExtendedBody,
+    PropagatedLabels,
+    build_average_body,
+    build_subject_body,
+    predict_in_posed_frames,
+    scale_nominal_subject,
+)
 from mocapfix.labelling.propagation import propagate_labels
 from mocapfix.labelling.sampled_points import SampledPoints, sample_points
-from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_durations, measure_tracklets
+from mocapfix.labelling.tracklet_assignment import measure_durations, select_lasting_tracklets
 from mocapfix.marker_set import MarkerSet
 from mocapfix.subject import Subject
 
@@ -25,8 +33,6 @@ KEY_FRAME_HEIGHT_QUANTILES = (0.2, 1.0)
 """Range of the heights of these frames: the lowest show people who crouch or lie."""
 STANDING_HEIGHT_QUANTILE = 0.7
 """Quantile of the heights that a standing person has; the highest are those of raised arms."""
-MIN_SEARCHED_DURATION_S = 0.15
-"""Duration of the tracklets among which a body is searched for: shorter ones are often ghosts."""
 BODIES_PER_KEY_FRAME = 3
 """Bodies of each frame that are kept."""
 MAX_EXTENDED_BODIES = 8
@@ -39,10 +45,6 @@ MIN_LOST_TRACKLET_S = 0.4
 """Duration of an unlabelled tracklet that may be a lost marker; shorter ones are often ghosts."""
 MAX_LIMB_SEARCHES = 6
 """Frames in which limbs are searched for."""
-MAX_OPTIONAL_DISTANCE_M = 0.05
-"""Distance of a tracklet from an optional marker of the set up to which it has its label."""
-MIN_OPTIONAL_DURATION_S = 2.0
-"""Duration of such a tracklet; a shorter one may be a ghost."""
 
 
 def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subject | None = None) -> PointLabels:
@@ -54,10 +56,9 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
         subject: The person, if known; with the markers of the set in this order.
     """
     sampled = sample_points(points)
-    lasting = sampled.select_tracklets(measure_durations(sampled) >= MIN_SEARCHED_DURATION_S)
     searched = marker_set.select_markers(marker_set.required_labels)
     known = subject.select_markers(searched.labels) if subject else None
-    start = find_labelled_body(lasting, searched, known)
+    start = find_labelled_body(select_lasting_tracklets(sampled), searched, known)
     if start is None:
         return PointLabels(np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape))
     labels = propagate_labels(sampled, start, None if subject else scale_nominal_subject(start.body.subject, searched))
@@ -68,7 +69,7 @@ def label_points(points: UnlabelledPoints, marker_set: MarkerSet, subject: Subje
     if len(searched.labels) < len(marker_set.labels):
         all_markers = subject or scale_nominal_subject(labels.body.subject, marker_set)
         markers = add_optional_markers(sampled, markers, marker_set, all_markers, labels)
-    predicted = predict_in_posed_frames(sampled, labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
+    predicted = predict_in_posed_frames(labels, subject or scale_nominal_subject(labels.body.subject, marker_set))
     marker_indices = label_single_points(points, sampled, predicted, markers)
     if not are_points_unordered(points.positions):
         marker_indices = continue_labels(points, marker_indices)
@@ -91,34 +92,6 @@ def recover_limbs(sampled: SampledPoints, labels: PropagatedLabels) -> Propagate
                 labels = recovered
         is_candidate[sampled.tracklets[frame][sampled.tracklets[frame] >= 0]] = False
     return labels
-
-
-def predict_in_posed_frames(sampled: SampledPoints, labels: PropagatedLabels, subject: Subject) -> Float[np.ndarray, "S K 3"]:
-    """Return where the body carries the markers of a subject, in metres; NaN in frames without a pose."""
-    predicted = np.full((len(sampled.frames), len(subject.labels), 3), np.nan)
-    frames = np.flatnonzero(labels.is_posed)
-    poses = labels.poses[0][frames], labels.poses[1][frames]
-    predicted[frames] = labels.body.change_subject(subject).predict(poses)
-    return predicted
-
-
-def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
-    """Return a subject of the size of another one with the marker offsets of the set."""
-    average = build_average_body(marker_set).subject
-    return scale_subject(average, subject.skeleton.total_length_m / average.skeleton.total_length_m)
-
-
-def add_optional_markers(
-    sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_set: MarkerSet, subject: Subject, labels: PropagatedLabels
-) -> Int[np.ndarray, " N"]:
-    """Return the markers of the tracklets with optional ones for long tracklets that have none."""
-    predicted = predict_in_posed_frames(sampled, labels, subject)
-    squared = measure_tracklets(sampled, predicted, 2 * MAX_OPTIONAL_DISTANCE_M).squared_m2
-    is_optional = np.array([label in marker_set.optional_labels for label in marker_set.labels])
-    is_free = (markers < 0) & (measure_durations(sampled) >= MIN_OPTIONAL_DURATION_S)
-    squared[~is_free[:, None] | ~is_optional] = np.nan
-    found = assign_tracklets(sampled, squared, np.full(len(markers), MAX_OPTIONAL_DISTANCE_M))
-    return np.where(is_free, found, markers)
 
 
 def find_labelled_body(sampled: SampledPoints, marker_set: MarkerSet, subject: Subject | None) -> ExtendedBody | None:

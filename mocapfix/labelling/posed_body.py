@@ -173,3 +173,18 @@ def adapt_offsets(
         if not np.isnan(measured[0]):
             offsets[k] += weight * (measured - offsets[k])
     return replace(nominal, marker_offsets=offsets)
+
+
+def predict_in_posed_frames(labels: PropagatedLabels, subject: Subject) -> Float[np.ndarray, "S K 3"]:
+    """Return where the body carries the markers of a subject, in metres; NaN in frames without a pose."""
+    predicted = np.full((len(labels.is_posed), len(subject.labels), 3), np.nan)
+    frames = np.flatnonzero(labels.is_posed)
+    poses = labels.poses[0][frames], labels.poses[1][frames]
+    predicted[frames] = labels.body.change_subject(subject).predict(poses)
+    return predicted
+
+
+def scale_nominal_subject(subject: Subject, marker_set: MarkerSet) -> Subject:
+    """Return a subject of the size of another one with the marker offsets of the set."""
+    average = build_average_body(marker_set).subject
+    return scale_subject(average, subject.skeleton.total_length_m / average.skeleton.total_length_m)

@@ -1,19 +1,25 @@
-"""Labels for a take without any, by the marker set or the person that the user names."""
+"""Labels for a take without any, by the marker set or the person that the user names, or by the shipped set that fits clearly."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from mocapfix.errors import TakeError
-from mocapfix.labelling.label_summary import describe_labelling
-from mocapfix.labelling.labeller import label_points
+from mocapfix.labelling.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
+from mocapfix.labelling.labeller import find_labelled_body, label_points
 from mocapfix.labelling.linking import find_tracklets
+from mocapfix.labelling.points import PointLabels, UnlabelledPoints
+from mocapfix.labelling.set_comparison import assume_marker_set
 from mocapfix.labelling.several_people import label_people, separate_people
-from mocapfix.labelling.take_labelling import apply_labels, collect_unlabelled_points
-from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject
+from mocapfix.labelling.take_labelling import FilePoints, apply_labels, collect_unlabelled_points
+from mocapfix.marker_set import MarkerSet
+from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject, load_shipped_marker_sets
 from mocapfix.options import CleanOptions
 from mocapfix.subject import Subject
 from mocapfix.take import Take
+
+MIN_CERTAIN_SHARE = 0.9
+"""Share of the points that must get certain labels of a set that the user did not name."""
 
 
 def label_capture(
@@ -39,20 +45,26 @@ def label_capture(
 
 
 def label_take(take: Take, request: SubjectChoice) -> Take:
-    """Return a take with labels if its points have none, by the marker set or the subject that the user names.
+    """Return a take with labels if its points have none.
 
-    Raises TakeError if no set is named for a take without any label, or no person with the markers of the set is found in it.
+    They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
+    does, a take whose points have numbers is returned as it is.
+
+    Raises TakeError if no set is named and none fits a take without any label, or no person with the markers of the set is found.
     """
     points = collect_unlabelled_points(take)
-    if points is None or (request.marker_set is None and take.labels):
+    if points is None:
         return take
     count = points.positions.shape[1]
-    if request.marker_set is None:
-        raise TakeError(
-            f"{take.name}: none of its {count} points has a label; name the markers with --marker-set, the person with "
-            "--subject, or a labelled take of the person with --like."
-        )
     tracklets = find_tracklets(points.positions, take.rate)
+    if request.marker_set is None:
+        labelled, reason = label_by_assumed_set(take, points, tracklets)
+        if labelled is None and not take.labels:
+            raise TakeError(
+                f"{take.name}: none of its {count} points has a label; name the markers with --marker-set, the person with "
+                f"--subject, or a labelled take of the person with --like. {reason}"
+            )
+        return labelled or replace(take, notes=(*take.notes, reason))
     if request.subject is None:
         labels = label_people(tracklets, request.marker_set, label_points)
     else:
@@ -62,5 +74,27 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
             f"{take.name}: no person with the markers of {request.marker_set.name} was found in its {count} points; "
             "check the marker set, the unit and the up axis (--up)."
         )
-    labelled = apply_labels(take, points, *separate_people(labels, request.marker_set.labels))
-    return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, request.marker_set.required_labels)))
+    return _apply_labels_of_set(take, points, labels, request.marker_set)
+
+
+def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPoints) -> tuple[Take | None, str]:
+    """Return the take with the labels of the shipped set that fits its points clearly, None if there is none, and the reason."""
+    candidates = [each for each in load_shipped_marker_sets() if not each.point_sd]
+    marker_set, reason = assume_marker_set(tracklets, candidates, find_labelled_body)
+    if marker_set is None:
+        return None, reason
+    labels = label_points(tracklets, marker_set)
+    is_certain = (labels.marker_indices >= 0) & (labels.confidence >= CERTAIN_LABEL_CONFIDENCE)
+    share = float(is_certain.sum() / max(1, (tracklets.tracklet_indices >= 0).sum()))
+    if share < MIN_CERTAIN_SHARE:
+        return (
+            None,
+            f"The nearest shipped marker set is {marker_set.name}, but only {share:.0%} of the points get certain labels.",
+        )
+    labelled = _apply_labels_of_set(take, points, labels, marker_set)
+    return replace(labelled, notes=(reason, *labelled.notes)), reason
+
+
+def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, marker_set: MarkerSet) -> Take:
+    labelled = apply_labels(take, points, *separate_people(labels, marker_set.labels))
+    return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, marker_set.required_labels)))

@@ -22,6 +22,8 @@ MAX_LABEL_DISTANCES_M = (0.06, 0.15)
 """Distance at which no label is as likely as a label, for a short and for a long tracklet: most ghosts are short."""
 LABEL_DISTANCE_DURATIONS_S = (0.5, 4.0)
 """Durations of these tracklets."""
+MIN_SEARCHED_DURATION_S = 0.15
+"""Duration of the tracklets among which a body is searched for: shorter ones are often ghosts."""
 
 
 class TrackletDistances(NamedTuple):
@@ -139,3 +141,8 @@ def measure_durations(sampled: SampledPoints) -> Float[np.ndarray, " N"]:
     np.minimum.at(first, tracklets, sampled.times_s[rows])
     np.maximum.at(last, tracklets, sampled.times_s[rows])
     return np.maximum(last - first, 0.0)
+
+
+def select_lasting_tracklets(sampled: SampledPoints) -> SampledPoints:
+    """Return the points of the tracklets among which a body is searched for."""
+    return sampled.select_tracklets(measure_durations(sampled) >= MIN_SEARCHED_DURATION_S)

@@ -74,9 +74,16 @@ def test_unlabelled_take_is_cleaned_as_the_labelled_one(tmp_path, truth):
     assert any("Labelled by mocapfix" in note for note in report["notes"])
 
 
-def test_take_without_labels_and_set_is_refused(tmp_path, truth):
-    path = write_unlabelled(tmp_path, truth, "tracks")
-    with pytest.raises(TakeError, match=r"none of its \d+ points has a label; name the markers with --marker-set"):
+def test_set_that_fits_clearly_is_assumed(tmp_path, truth):
+    labelled = pipeline.label(write_unlabelled(tmp_path, truth, "tracks"))
+    assert set(labelled.labels) == set(truth.labels)
+    assert "The marker set cmu41 was assumed" in labelled.notes[0]
+
+
+def test_take_without_labels_that_fits_no_set_is_refused(tmp_path, truth):
+    path = tmp_path / "arms.c3d"
+    write.write_c3d(path, Take(truth.marker_positions[:, :22], tuple(f"*{c}" for c in range(22)), truth.rate))
+    with pytest.raises(TakeError, match=r"none of its 22 points has a label; name the markers with --marker-set.* fit"):
         pipeline.clean(path)
 
 
