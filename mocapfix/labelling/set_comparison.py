@@ -103,8 +103,11 @@ def assume_marker_set(points: UnlabelledPoints, marker_sets: Sequence[MarkerSet]
     most = max(each.labelled_share for each in near)
     best = next(each for each in near if each.labelled_share >= most - EQUAL_LABELLED_SHARE)
     name, share = best.marker_set.name, f"{best.labelled_share:.0%} of the points"
-    if best.labelled_share < MIN_LABELLED_SHARE or best.evidence_per_point < MIN_EVIDENCE_PER_POINT:
-        return SetAssumption(None, f"The nearest shipped marker set is {name}, but it does not fit: {share} would get labels.")
+    nearest = f"The nearest shipped marker set is {name}, but it does not fit:"
+    if best.labelled_share < MIN_LABELLED_SHARE:
+        return SetAssumption(None, f"{nearest} only {share} would get labels.")
+    if best.evidence_per_point < MIN_EVIDENCE_PER_POINT:
+        return SetAssumption(None, f"{nearest} the points are too far from its places on the body.")
     others = [(each, compute_agreement(best, each)) for each in near if each is not best]
     if differing := [other.marker_set.name for other, agreement in others if agreement < MIN_AGREEING_SHARE]:
         return SetAssumption(None, f"Several shipped marker sets fit with different labels: {', '.join([name, *differing])}.")
