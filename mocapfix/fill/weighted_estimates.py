@@ -99,7 +99,8 @@ def shrink_covariances(
 def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndarray, " E"], float]:
     """Return weights that are not negative, sum to one and give a small expected error, and the variance of that error.
 
-    Estimates with negative weights are left out in turn.
+    Estimates with negative weights are left out in turn. This can leave out a good one, and a covariance from few stretches
+    need not be positive definite. So where the best estimate alone is expected to have the smaller error, it has all the weight.
     """
     active = np.arange(len(covariance))
     while True:
@@ -110,4 +111,7 @@ def compute_weights(covariance: Float[np.ndarray, "E E"]) -> tuple[Float[np.ndar
         active = kept if len(kept) else active[[np.argmin(np.diag(covariance)[active])]]
     weights = np.zeros(len(covariance))
     weights[active] = solved / solved.sum()
-    return weights, float(weights @ covariance @ weights)
+    variance, best = float(weights @ covariance @ weights), int(np.argmin(np.diag(covariance)))
+    if variance <= covariance[best, best]:
+        return weights, variance
+    return np.eye(len(covariance))[best], float(covariance[best, best])

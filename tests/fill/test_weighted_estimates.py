@@ -64,7 +64,15 @@ def test_weights_are_positive_and_no_worse_than_any_single_estimate(size, seed):
     weights, variance = compute_weights(covariance)
     assert (weights >= 0).all()
     np.testing.assert_allclose(weights.sum(), 1)
-    assert variance <= np.diag(covariance).max() * (1 + 1e-9)
+    assert variance <= np.diag(covariance).min() * (1 + 1e-9)
+
+
+def test_best_estimate_is_kept_where_measured_correlations_contradict_each_other():
+    sd = np.array([1.0, 2.0, 3.0])
+    correlation = np.array([[1.0, 0.0, 0.8], [0.0, 1.0, 0.9], [0.8, 0.9, 1.0]])  # not positive definite
+    weights, variance = compute_weights(correlation * sd[:, None] * sd)
+    np.testing.assert_array_equal(weights, [1, 0, 0])
+    assert variance == 1.0
 
 
 def test_two_independent_estimates_are_weighted_by_precision():
