@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mocapfix.errors import MocapfixError
     from mocapfix.options import CleanOptions, build_clean_options
-    from mocapfix.pipeline import calibrate_takes, clean, inspect
+    from mocapfix.pipeline import calibrate_takes, clean, inspect, label
     from mocapfix.result import CleaningResult
     from mocapfix.take import Take
 
@@ -26,6 +26,7 @@ __all__ = [
     "calibrate_takes",
     "clean",
     "inspect",
+    "label",
 ]
 
 MODULE_OF_NAME = {
@@ -37,6 +38,7 @@ MODULE_OF_NAME = {
     "calibrate_takes": "pipeline",
     "clean": "pipeline",
     "inspect": "pipeline",
+    "label": "pipeline",
 }
 
 

@@ -43,7 +43,7 @@ class SmoothedPoint(NamedTuple):
 
     Attributes:
         path: Positions (T, 3) in metres, NaN where the point was not measured.
-        is_outlier: Samples (T,) that lie far from the trajectory.
+        is_outlier: Samples (T,) at a large distance from the trajectory.
         noise_sd_m: Standard deviation of the noise per axis.
     """
 

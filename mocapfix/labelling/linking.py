@@ -22,7 +22,7 @@ LINK_MARGIN = 6.0
 COLUMN_GAIN = 10.0
 # Number of pairs of frames, evenly spread, from which it is decided whether points are in order.
 MAX_ORDER_FRAMES = 200
-# In points in no order, a larger share of the points lies nearer to another column's next point than to that of their own.
+# In points in no order, a larger share of the points is closer to another column's next point than to that of their own.
 MIN_UNORDERED_SHARE = 0.5
 
 

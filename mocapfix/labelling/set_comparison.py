@@ -1,7 +1,7 @@
 """The choice of a marker set for points without labels: the shipped sets of about as many markers are compared.
 
 A body with the markers of each candidate is found in a few frames, as for labelling. What is compared is the logarithm of the
-probability of the points: a point with a label lies near the place of its marker on the average body, within the spread of the
+probability of the points: a point with a label is close to the place of its marker on the average body, within the spread of the
 set; any other point lies anywhere on the body. The body must follow its markers in these frames with a common pose. Markers
 without points, and points without markers, are rare.
 """
