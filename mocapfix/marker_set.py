@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -53,6 +53,7 @@ class MarkerSet:
     optional_labels  those of the labels that a complete set may lack
     other_names      other names of the set
     point_sd         m: standard deviation per axis of a point of the set in one frame; 0 for markers, whose errors options state
+    props            labels of the markers on each prop, by its name; they are not on the body
     """
 
     name: str
@@ -66,6 +67,7 @@ class MarkerSet:
     optional_labels: frozenset[str] = frozenset()
     other_names: tuple[str, ...] = ()
     point_sd: float = 0.0
+    props: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
     @property
     def required_labels(self) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
 from mocapfix.report.review_file import ReviewedChange
 from mocapfix.solve.frame_windows import FrameChanges
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.rigid_groups import RigidGroup
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -184,6 +185,7 @@ class CleaningState:
         initial_motion: the poses from which the solver starts. None once it has.
         frame_changes: the frames that the solver has to solve. None once it has.
         body: the solved body.
+        rigid_groups: groups of markers that are not on the body, such as props, as columns of `detection.epochs`.
         fill: the proposed fill.
         cleaned_take: the result.
         changes: every change, with its decision.
@@ -206,6 +208,7 @@ class CleaningState:
     initial_motion: Motion | None = None
     frame_changes: FrameChanges | None = None
     body: BodyFit | None = None
+    rigid_groups: tuple[RigidGroup, ...] = ()
     fill: FillProposal | None = None
     cleaned_take: Take | None = None
     changes: tuple[Change, ...] = ()

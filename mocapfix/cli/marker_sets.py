@@ -77,6 +77,8 @@ def run_marker_set_learn(
     print_line(f"[bold]{escape(str(output_path))}[/]: {marker_count} markers, mean residual {residual_mm:.1f} mm.")
     print_line(f"  {escape(learned.guess_description)}")
     _print_segments(learned.marker_set)
+    for name, labels in learned.marker_set.props.items():
+        print_line(f"  prop: {escape(name)}, {escape(', '.join(labels))}.")
     for label, joint_name in learned.ambiguous_markers.items():
         print_line(f"  ambiguous: {escape(label)} may be attached to {joint_name} instead.")
     for label, reason in learned.excluded_markers.items():

@@ -14,6 +14,7 @@ class FillMethod(IntEnum):
     CLUSTER = 1
     BODY = 2
     GAUSSIAN_PROCESS = 3
+    RIGID_GROUP = 4
 
     @property
     def description(self) -> str:
@@ -26,6 +27,7 @@ _FILL_METHOD_DESCRIPTIONS = {
     FillMethod.CLUSTER: "the markers that move with it",
     FillMethod.BODY: "the solved body",
     FillMethod.GAUSSIAN_PROCESS: "all markers, in frames with a similar body state",
+    FillMethod.RIGID_GROUP: "the rigid group to which it belongs",
 }
 
 

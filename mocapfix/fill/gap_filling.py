@@ -1,5 +1,6 @@
 """The fill: every missing or faulty sample gets its most precise estimate, or stays empty with a reason."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,8 +13,10 @@ from mocapfix.fill import body_fill
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
 from mocapfix.fill.gap_estimates import estimate_without_body
 from mocapfix.fill.marker_estimates import combine_with_partial_body, estimate_missing_samples
+from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
+from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
 
@@ -41,8 +44,17 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     detection, body = state.detection, state.body
     take, inliers, epochs = detection.take, detection.inlier_mask, detection.epochs
     gap_durations_s = compute_gap_durations(inliers, take.rate)[:, epochs.column_marker]
+    groups = find_rigid_groups_outside(state)
     is_partial = body is not None and (state.has_learned_set or not body.subject.solved_joints.all())
-    filled = fill_take(epochs.take, epochs.split_mask(inliers), gap_durations_s, body, options.fill, is_partial_body=is_partial)
+    filled = fill_take(
+        epochs.take,
+        epochs.split_mask(inliers),
+        gap_durations_s,
+        body,
+        options.fill,
+        is_partial_body=is_partial,
+        rigid_groups=groups,
+    )
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detection.donor_markers)] = True
     is_kept |= inliers  # while a marker slides between two places its samples belong to no epoch
@@ -53,7 +65,23 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
     descriptions = np.array([*(method.description for method in FillMethod), ""], object)
     methods = np.where(is_kept, "", epochs.merge_columns(descriptions[filled.method]))
     body_markers = body.expand_to_take(epochs) if body else None
-    return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers))
+    return replace(state, fill=FillProposal(proposed, reasons, methods, body_markers), rigid_groups=groups)
+
+
+def find_rigid_groups_outside(state: CleaningState) -> tuple[RigidGroup, ...]:
+    """Return the rigid groups of markers that the body does not carry, as columns of the take's epochs."""
+    epochs, body, marker_set = state.detection.epochs, state.body, state.marker_set
+    is_on_body = np.zeros(len(epochs.column_marker), bool)
+    if body is not None:
+        is_on_body[body.marker_columns[body.marker_columns >= 0]] = True
+    is_on_body |= np.isin(epochs.column_marker, [*state.detection.donor_markers, *epochs.column_marker[is_on_body]])
+    if (~is_on_body).sum() < MIN_GROUP_MARKERS:
+        return ()
+    from mocapfix.marker_sets.props import find_props  # few takes need it
+
+    return find_props(
+        epochs.take.masked(epochs.split_mask(state.detection.inlier_mask)), is_on_body, marker_set.props if marker_set else {}
+    )
 
 
 def fill_take(
@@ -64,6 +92,7 @@ def fill_take(
     options: FillOptions,
     *,
     is_partial_body: bool = False,
+    rigid_groups: Sequence[RigidGroup] = (),
 ) -> FilledTake:
     """Fill or empty every sample that is not an inlier.
 
@@ -74,17 +103,21 @@ def fill_take(
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
         is_partial_body: whether the body has unsolved joints, or a marker set that was learned from this take.
+        rigid_groups: groups of the take's markers that are rigid and not on the body.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
     body_estimate = estimate_from_body(take, is_inlier, body) if body else None
     if body_estimate is not None and not is_partial_body:
-        markers, sd, method = estimate_missing_samples(take, is_inlier, body_estimate)
+        estimate = estimate_missing_samples(take, is_inlier, body_estimate)
     else:
         estimate = estimate_without_body(take.markers, is_inlier, take.rate)
         if body_estimate is not None:
             estimate = combine_with_partial_body(estimate, body_estimate, ~is_inlier)
-        markers, sd, method = estimate
+    if rigid_groups:
+        in_groups = estimate_from_rigid_groups(np.where(is_inlier[..., None], take.markers, np.nan), rigid_groups)
+        estimate = prefer_rigid_groups(estimate, in_groups, ~is_inlier)
+    markers, sd, method = estimate
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))

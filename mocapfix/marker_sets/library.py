@@ -22,6 +22,7 @@ from mocapfix.marker_set import MarkerSet, fold_label, format_name_list
 from mocapfix.marker_sets.landmarks import Landmark, find_landmark
 from mocapfix.options import SubjectOptions
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -91,6 +92,8 @@ def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "")
     if marker_set.point_sd:
         data["point_sd"] = round(float(marker_set.point_sd), MARKER_OFFSET_DECIMALS)
     data["markers"] = markers
+    if marker_set.props:
+        data["props"] = {name: list(labels) for name, labels in marker_set.props.items()}
     comment_lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     with replace_atomically(Path(path)) as part:
         part.write_text(comment_lines + dump_yaml(data), encoding="utf-8", newline="\n")
@@ -113,6 +116,7 @@ def _read_marker_set(path: Path) -> MarkerSet:
         optional_labels=frozenset(label for label, marker in model.markers.items() if marker.optional),
         other_names=model.also_called,
         point_sd=model.point_sd,
+        props=model.props,
     )
 
 
@@ -158,6 +162,7 @@ class _MarkerSetModel(StrictModel):
     skeleton: Literal["cmu31"]
     point_sd: FiniteFloat = Field(default=0.0, ge=0)
     markers: dict[str, _SetMarkerModel] = Field(min_length=1)
+    props: dict[str, tuple[str, ...]] = Field(default_factory=dict[str, tuple[str, ...]])
 
     @field_validator("markers")
     @classmethod
@@ -168,6 +173,16 @@ class _MarkerSetModel(StrictModel):
         if empty := [label for label in markers if not fold_label(label)]:
             raise ValueError(f"{format_name_list(empty)} has neither letters nor digits")
         return markers
+
+    @model_validator(mode="after")
+    def _check_props(self) -> "_MarkerSetModel":
+        names = Counter(fold_label(label) for labels in self.props.values() for label in labels)
+        names.update({fold_label(name) for label, marker in self.markers.items() for name in (label, *marker.aliases)})
+        if repeated := [name for name, count in names.items() if count > 1]:
+            raise ValueError(f"props: {format_name_list(repeated)} is on more than one prop, or also on the body")
+        if small := [name for name, labels in self.props.items() if len(labels) < MIN_GROUP_MARKERS]:
+            raise ValueError(f"props: {format_name_list(small)} has fewer than {MIN_GROUP_MARKERS} markers")
+        return self
 
 
 UNASSIGNED_SUBJECT = "others"

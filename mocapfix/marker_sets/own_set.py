@@ -4,7 +4,6 @@ It is used only if a plausible body explains the take. Otherwise the take is cle
 wrong one.
 """
 
-from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,17 +14,15 @@ from mocapfix.errors import TakeError
 from mocapfix.marker_set import format_name_list
 from mocapfix.marker_sets.learning import LearnedMarkerSet, fit_guessed_set, guess_marker_set, select_subject_markers
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice
+from mocapfix.marker_sets.props import find_props
 from mocapfix.read.capture import read_take
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import BODY_SECTIONS, load_cmu31_body
-from mocapfix.stats.rigid_groups import find_prop_groups, measure_distance_spread
 from mocapfix.take import Take
 
 OWN_SET_NAME = "own"
 MIN_OWN_SET_MARKERS = 5
 """Visible markers of the smallest part of a body, a single limb."""
-MAX_LISTED_GROUPS = 6
-"""Rigid groups that a note lists."""
 
 
 def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
@@ -36,11 +33,12 @@ def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
             return choice
         selected = select_subject_markers(take.masked(take.measured))
         learned = fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels), OWN_SET_NAME)
+        learned = add_props(learned, take)
     except TakeError as error:
         reason = str(error).removeprefix(f"{take.name}: ").partition("; name")[0].removesuffix(".")
         reason = f"{reason[:1].upper()}{reason[1:]}."
-        return replace(choice, notes=(*known_reason, reason, *choice.notes[1:], *describe_rigid_groups(take, ())))
-    notes = (*known_reason, *describe_learned_set(learned), *describe_rigid_groups(take, learned.marker_set.labels))
+        return replace(choice, notes=(*known_reason, reason, *choice.notes[1:]))
+    notes = (*known_reason, *describe_learned_set(learned))
     return replace(choice, marker_set=learned.marker_set, notes=notes, is_learned=True)
 
 
@@ -71,7 +69,15 @@ def learn_marker_set(
     report_stage("guess")
     guess = guess_marker_set(selected.take, selected.labels, like)
     report_stage("learn")
-    return fit_guessed_set(selected, guess, name)
+    return add_props(fit_guessed_set(selected, guess, name), take)
+
+
+def add_props(learned: LearnedMarkerSet, take: Take) -> LearnedMarkerSet:
+    """Return a learned set with the rigid groups of the take's other markers as props."""
+    is_on_body = np.isin(take.bare_labels, learned.marker_set.labels)
+    groups = find_props(take.masked(take.measured), is_on_body, {})
+    props = {group.name: tuple(take.bare_labels[m] for m in group.markers) for group in groups}
+    return replace(learned, marker_set=replace(learned.marker_set, props=props))
 
 
 def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
@@ -88,14 +94,3 @@ def describe_learned_set(learned: LearnedMarkerSet) -> tuple[str, ...]:
     if ambiguous:
         notes.append(f"The segment of these markers is ambiguous: {format_name_list(ambiguous)}.")
     return tuple(notes)
-
-
-def describe_rigid_groups(take: Take, set_labels: Collection[str]) -> tuple[str, ...]:
-    """Return the note on the markers that are not in the set and form rigid groups of their own."""
-    is_on_body = np.array([label in set_labels for label in take.bare_labels])
-    groups = find_prop_groups(measure_distance_spread(take.markers), is_on_body)
-    if not groups:
-        return ()
-    listed = "; ".join(format_name_list([take.labels[m] for m in group.markers]) for group in groups[:MAX_LISTED_GROUPS])
-    more = f"; and {len(groups) - MAX_LISTED_GROUPS} more" if len(groups) > MAX_LISTED_GROUPS else ""
-    return (f"Rigid groups outside the skeleton, such as props: {listed}{more}.",)

@@ -19,6 +19,7 @@ from mocapfix.report.report import (
     FillSection,
     InspectionReport,
     Report,
+    RigidGroupEntry,
     SolveSection,
     SubjectSection,
     TakeSection,
@@ -218,7 +219,8 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             lost_parts=lost_parts,
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
-    return {
+    rigid_groups = _build_rigid_group_entries(state)
+    report: Report = {
         "take": build_take_section(take, state.marker_set.name if state.marker_set else None, state.cleaned_take),
         "faults": build_fault_entries(take, detection.faults),
         "changes": review_file.serialize_changes(state.changes),
@@ -232,6 +234,22 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             *notes.describe_computed_points(state.cleaned_take),
             *state.notes,
             *body_notes,
+            *notes.describe_rigid_groups(rigid_groups, has_body=body is not None),
             *notes.describe_uncertain_fills(state.cleaned_take),
         ],
     }
+    if rigid_groups:
+        report["rigid_groups"] = rigid_groups
+    return report
+
+
+def _build_rigid_group_entries(state: CleaningState) -> list[RigidGroupEntry]:
+    labels, marker_of_column = state.original_take.labels, state.detection.epochs.column_marker
+    return [
+        {
+            "name": group.name,
+            "markers": [labels[m] for m in dict.fromkeys(marker_of_column[list(group.markers)].tolist())],
+            "spread_mm": round(group.spread_m * 1e3, 2),
+        }
+        for group in state.rigid_groups
+    ]

@@ -1,6 +1,6 @@
 """Notes of a report: sentences on unobserved joints, unassigned markers, large residuals, lost limbs and uncertain fills."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
 from mocapfix.marker_set import format_name_list
 from mocapfix.repair import MarkerEpochs
+from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, join_words
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
 from mocapfix.state import BodyFit, DetectionState
@@ -23,6 +24,7 @@ MISLABELLED_MARKER_DISTANCE_M = 0.06  # from the body; a marker farther away in 
 MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
 MAX_LISTED_RANGES = 12  # frame ranges in one sentence
 MAX_LISTED_LABELS = 12  # labels in one sentence
+MAX_LISTED_GROUPS = 6  # rigid groups in one sentence
 
 
 def build_body_notes(
@@ -202,6 +204,16 @@ def describe_computed_points(take: Take) -> list[str]:
     updated = int(computed.updated_counts.sum())
     outcome = f"{updated:,} of their samples were computed from the cleaned markers" if updated else "they are unchanged"
     return [f"{what} computed from markers and no evidence of where markers are ({listed}): {outcome}."]
+
+
+def describe_rigid_groups(groups: Sequence[RigidGroupEntry], *, has_body: bool) -> list[str]:
+    """Return a note on the rigid groups of markers that are not on the body; no note without any."""
+    if not groups:
+        return []
+    listed = [f"{group['name']} ({format_name_list(group['markers'])})" for group in groups[:MAX_LISTED_GROUPS]]
+    more = f" and {len(groups) - MAX_LISTED_GROUPS} more" if len(groups) > MAX_LISTED_GROUPS else ""
+    what = "Rigid groups outside the skeleton, such as props" if has_body else "Rigid groups, such as props or the head"
+    return [f"{what}, were filled as such: {'; '.join(listed)}{more}."]
 
 
 def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERMS) -> list[str]:

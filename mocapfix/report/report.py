@@ -43,6 +43,17 @@ class UpAxisEntry(TypedDict):
     certain: bool
 
 
+class RigidGroupEntry(TypedDict):
+    """A group of markers outside the solved body that keep their distances, such as a prop.
+
+    spread_mm  largest variation of a distance between two of them, as a standard deviation
+    """
+
+    name: str
+    markers: list[str]
+    spread_mm: float
+
+
 class TakeSection(TypedDict):
     """The input file.
 
@@ -191,10 +202,11 @@ class InspectionReport(TypedDict):
 class Report(TypedDict):
     """Report of a cleaned take.
 
-    subject  None without a body
-    solve    None without a body
-    seconds  time by stage, and "total"
-    notes    sentences on what else needs attention
+    subject       None without a body
+    solve         None without a body
+    rigid_groups  props; without a body also segments that are rigid, if there are any
+    seconds       time by stage, and "total"
+    notes         sentences on what else needs attention
     """
 
     take: TakeSection
@@ -203,6 +215,7 @@ class Report(TypedDict):
     subject: SubjectSection | None
     solve: SolveSection | None
     fill: FillSection
+    rigid_groups: NotRequired[list[RigidGroupEntry]]
     seconds: dict[str, float]
     notes: list[str]
 

@@ -30,11 +30,13 @@ class RigidGroup:
     markers   indices of the markers, rising
     spread_m  largest variation of a distance within the group, as a standard deviation
     motion_m  median variation of the distances from the group to the other markers; NaN if there are none
+    name      the name of the group in reports
     """
 
     markers: tuple[int, ...]
     spread_m: float
     motion_m: float
+    name: str = ""
 
 
 def measure_distance_spread(markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "M M"]:
@@ -75,17 +77,18 @@ def group_rigid_markers(
         members[a] += members.pop(b)
         linkage[a] = linkage[:, a] = np.maximum(linkage[a], linkage[b])
         linkage[b], linkage[:, b], linkage[a, a] = np.inf, np.inf, np.inf
-    groups = [_describe_group(sorted(group), distance_spread) for group in members.values() if len(group) >= MIN_GROUP_MARKERS]
+    groups = [measure_group(sorted(group), distance_spread) for group in members.values() if len(group) >= MIN_GROUP_MARKERS]
     moving = [group for group in groups if not group.motion_m < MIN_GROUP_MOTION_M]
     return tuple(sorted(moving, key=lambda group: -len(group.markers)))
 
 
-def _describe_group(markers: list[int], distance_spread: np.ndarray) -> RigidGroup:
+def measure_group(markers: list[int], distance_spread: Float[np.ndarray, "M M"], name: str = "") -> RigidGroup:
+    """Return two or more markers as a group, with its measures; the spread is infinite where two are rarely visible together."""
     others = np.setdiff1d(np.arange(len(distance_spread)), markers)
     within = distance_spread[markers][:, markers][np.triu_indices(len(markers), 1)]
     outside = distance_spread[markers][:, others]
     known = outside[np.isfinite(outside)]
-    return RigidGroup(tuple(markers), float(within.max()), float(np.median(known)) if len(known) else float("nan"))
+    return RigidGroup(tuple(markers), float(within.max()), float(np.median(known)) if len(known) else float("nan"), name)
 
 
 def find_prop_groups(distance_spread: Float[np.ndarray, "M M"], is_on_body: Bool[np.ndarray, " M"]) -> tuple[RigidGroup, ...]:
