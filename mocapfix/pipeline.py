@@ -22,7 +22,7 @@ from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
-from mocapfix.labelling.requested_labels import label_capture, label_take
+from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
 from mocapfix.multi_subject import split_corrected_subjects, split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
@@ -107,7 +107,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
         progress: called with the name of each stage when it begins.
 
     Raises:
-        TakeError: if the take has labels, or no person with these markers is found in it.
+        TakeError: if the take has labels with a meaning, or no person with these markers is found in it.
     """
     timer = StageTimer(report_progress=progress)
     with timer("read"):
@@ -117,7 +117,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     with timer("label"):
         labelled, _ = label_capture(capture, options, calibrate_takes)
     if labelled.labelled_file is None:
-        raise TakeError(f"{capture.name}: has labels already, or no marker set fits its numbered points; name it (--marker-set).")
+        raise TakeError(describe_missing_labels(capture, labelled))
     return labelled
 
 

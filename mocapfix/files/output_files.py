@@ -39,7 +39,7 @@ def check_outputs_absent(outputs: Iterable[Path], overwrite: bool) -> None:
     """Raise WriteError for the first output that exists, unless `overwrite` is true."""
     existing = [path for path in outputs if path.exists()]
     if existing and not overwrite:
-        raise WriteError(f"{existing[0]}: already exists; give --overwrite to replace it, or choose another folder.")
+        raise WriteError(f"{existing[0]}: already exists; give --overwrite to replace it, or choose another name or folder.")
 
 
 def make_output_folder(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from typing import TypedDict
 
 import numpy as np
+from jaxtyping import Bool
 
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
@@ -43,7 +44,7 @@ def build_labelling_section(take: Take) -> LabellingSection | None:
     if confidence is None:
         return None
     markers: dict[str, LabelledMarkerEntry] = {}
-    for m in np.flatnonzero(take.visible.any(0)):
+    for m in np.flatnonzero(_find_labelled_markers(take)):
         visible = take.visible[:, m]
         uncertain = [
             (take.get_frame_number(first), take.get_frame_number(last), round(float(confidence[first : last + 1, m].min()), 3))
@@ -74,12 +75,19 @@ def describe_labelling(take: Take, expected_labels: tuple[str, ...] = ()) -> lis
 
 
 def _list_unlabelled(take: Take) -> list[UnlabelledEntry]:
-    others = take.unlabelled
-    if others is None:
-        return []
+    """Return the trajectories without a label, and those that keep a label without a meaning."""
     entries: list[UnlabelledEntry] = []
-    for u in np.flatnonzero(others.visible.any(0)):
-        frames = np.flatnonzero(others.visible[:, u])
-        first, last = take.get_frame_number(frames[0]), take.get_frame_number(frames[-1])
-        entries.append({"label": others.labels[u], "first": first, "last": last, "samples": len(frames)})
+    parts = [(take, take.visible.any(0) & ~_find_labelled_markers(take))]
+    parts += [(take.unlabelled, take.unlabelled.visible.any(0))] if take.unlabelled else []
+    for part, is_listed in parts:
+        for u in np.flatnonzero(is_listed):
+            frames = np.flatnonzero(part.visible[:, u])
+            first, last = take.get_frame_number(frames[0]), take.get_frame_number(frames[-1])
+            entries.append({"label": part.labels[u], "first": first, "last": last, "samples": len(frames)})
     return sorted(entries, key=lambda entry: -entry["samples"])
+
+
+def _find_labelled_markers(take: Take) -> Bool[np.ndarray, " M"]:
+    """Return which markers of a take have labels that mocapfix gave."""
+    assert take.label_confidence is not None
+    return np.any(take.visible & ~np.isnan(take.label_confidence), axis=0)

@@ -1,18 +1,24 @@
-"""Labels for a take without any, by the marker set or the person that the user names, or by the shipped set that fits clearly."""
+"""Labels for a take that has none with a meaning, by the named marker set or person, or by the shipped set that fits clearly."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from mocapfix.errors import TakeError
+from mocapfix.labelling.arbitrary_labels import are_labels_arbitrary
 from mocapfix.labelling.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
 from mocapfix.labelling.labeller import find_labelled_body, label_points
-from mocapfix.labelling.linking import find_tracklets
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.labelling.set_comparison import assume_marker_set
 from mocapfix.labelling.several_people import label_people, separate_people
-from mocapfix.labelling.take_labelling import FilePoints, apply_labels, collect_unlabelled_points
-from mocapfix.marker_set import MarkerSet
+from mocapfix.labelling.take_labelling import (
+    FilePoints,
+    apply_labels,
+    collect_labelled_points,
+    collect_unlabelled_points,
+    find_file_tracklets,
+)
+from mocapfix.marker_set import MarkerSet, format_name_list
 from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject, load_shipped_marker_sets
 from mocapfix.options import CleanOptions
 from mocapfix.subject import Subject
@@ -20,6 +26,8 @@ from mocapfix.take import Take
 
 MIN_CERTAIN_SHARE = 0.9
 """Share of the points that must get certain labels of a set that the user did not name."""
+MAX_LISTED_ARBITRARY_LABELS = 3
+"""Labels without a meaning that a sentence lists."""
 
 
 def label_capture(
@@ -45,18 +53,21 @@ def label_capture(
 
 
 def label_take(take: Take, request: SubjectChoice) -> Take:
-    """Return a take with labels if its points have none.
+    """Return a take with labels if its points have none, or none with a meaning.
 
     They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
-    does, a take whose points have numbers is returned as it is.
+    does, a take whose points have numbers is returned as it is. Labels without a meaning are replaced only by those of a set or
+    a subject that the user names.
 
     Raises TakeError if no set is named and none fits a take without any label, or no person with the markers of the set is found.
     """
     points = collect_unlabelled_points(take)
     if points is None:
-        return take
+        if request.marker_set is None or not are_labels_arbitrary(take.labels, request.marker_set):
+            return take
+        points = collect_labelled_points(take)
     count = points.positions.shape[1]
-    tracklets = find_tracklets(points.positions, take.rate)
+    tracklets = find_file_tracklets(points, take.rate)
     if request.marker_set is None:
         labelled, reason = label_by_assumed_set(take, points, tracklets)
         if labelled is None and not take.labels:
@@ -97,4 +108,21 @@ def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPo
 
 def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, marker_set: MarkerSet) -> Take:
     labelled = apply_labels(take, points, *separate_people(labels, marker_set.labels))
-    return replace(labelled, notes=(*labelled.notes, *describe_labelling(labelled, marker_set.required_labels)))
+    notes = list(describe_labelling(labelled, marker_set.required_labels))
+    if points.replaced_labels:
+        names = format_name_list(points.replaced_labels, MAX_LISTED_ARBITRARY_LABELS)
+        notes.insert(
+            0, f"The labels {names} mean nothing in {marker_set.name}: the trajectories were labelled by their positions."
+        )
+    return replace(labelled, notes=(*labelled.notes, *notes))
+
+
+def describe_missing_labels(take: Take, result: Take) -> str:
+    """Return why `label_take` gave a take no labels and returned it as `result`."""
+    if collect_unlabelled_points(take) is not None:
+        return f"{take.name}: {result.notes[-1]} Name the markers with --marker-set, the person with --subject, or --like."
+    names = format_name_list(take.labels, MAX_LISTED_ARBITRARY_LABELS)
+    return (
+        f"{take.name}: has labels already ({names}); `mocapfix clean` finds those that are wrong. Labels that mean nothing, such "
+        "as M01, are replaced if --marker-set, --subject or --like names the markers."
+    )

@@ -1,4 +1,4 @@
-"""The labels of a take whose trajectories have none: the points of its file, labelled and read again."""
+"""The labels of a take whose trajectories have none, or none with a meaning: the points of its file, labelled and read again."""
 
 from dataclasses import dataclass, replace
 
@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.labelling.points import PointLabels
+from mocapfix.labelling.linking import are_points_unordered, find_tracklets
+from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.read.c3d_parameters import read_c3d_parameters
 from mocapfix.read.capture import read_capture_bytes
 from mocapfix.read.file_content import read_file_bytes
@@ -17,15 +18,17 @@ from mocapfix.write.labelled_files import LabelledColumns, build_labelled_c3d, b
 
 @dataclass(frozen=True)
 class FilePoints:
-    """The points of a take that have no labels.
+    """The points of a take that have no labels, or labels without a meaning.
 
     Attributes:
         positions: Metres, Y up, NaN where missing.
         columns: Their indices among the points of the file.
+        replaced_labels: The labels without a meaning; empty if the points have none.
     """
 
     positions: Float[np.ndarray, "T C 3"]
     columns: Int[np.ndarray, " C"]
+    replaced_labels: tuple[str, ...] = ()
 
 
 def collect_unlabelled_points(take: Take) -> FilePoints | None:
@@ -41,6 +44,21 @@ def collect_unlabelled_points(take: Take) -> FilePoints | None:
     )
 
 
+def collect_labelled_points(take: Take) -> FilePoints:
+    """Return the points of a take whose labels have no meaning."""
+    return FilePoints(take.markers, take.point_indices, take.labels)
+
+
+def find_file_tracklets(points: FilePoints, rate: float) -> UnlabelledPoints:
+    """Divide the points of a take into tracklets; a trajectory with a label is one."""
+    if not points.replaced_labels or are_points_unordered(points.positions):
+        return find_tracklets(points.positions, rate)
+    visible = ~np.isnan(points.positions[..., 0])
+    first = np.where(visible.any(0), visible.argmax(0), len(visible))
+    number = np.argsort(np.argsort(first, kind="stable"), kind="stable")
+    return UnlabelledPoints(points.positions, np.where(visible, number, -1), rate)
+
+
 def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labels: tuple[str, ...]) -> Take:
     """Return the take as it is read from its file with labels."""
     is_visible = ~np.isnan(points.positions[..., 0])
@@ -49,11 +67,11 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
     if isinstance(take.layout, C3dLayout):
         data = build_labelled_c3d(take, columns)
     else:
-        data = build_labelled_table(take, gather_positions(points, columns), columns.labels)
+        data = build_labelled_table(take, gather_positions(take, columns), columns.labels)
     assert take.path is not None
     labelled = read_capture_bytes(take.path, data, take.up_axis.letter if take.up_axis else None)
     assert isinstance(labelled, Take)
-    confidence = gather_confidence(points, point_labels.confidence, columns)[:, labelled.point_indices]
+    confidence = gather_confidence(points, point_labels, columns)[:, labelled.point_indices]
     return replace(labelled, labelled_file=data, label_confidence=confidence, up_axis=take.up_axis)
 
 
@@ -63,7 +81,7 @@ def list_point_names(take: Take) -> list[str]:
         assert take.path is not None
         names = list(read_c3d_parameters(read_file_bytes(take.path)).labels)[: take.layout.point_count]
         return names + [""] * (take.layout.point_count - len(names))
-    parts = [each for each in (take, take.unlabelled, take.computed_points and take.computed_points.take) if each is not None]
+    parts = _list_parts(take)
     names = [""] * (1 + max(int(each.point_indices.max(initial=0)) for each in parts))
     for part in parts:
         for point, label in zip(part.point_indices.tolist(), part.labels, strict=True):
@@ -71,19 +89,28 @@ def list_point_names(take: Take) -> list[str]:
     return names
 
 
-def gather_positions(points: FilePoints, columns: LabelledColumns) -> Float[np.ndarray, "T P 3"]:
+def gather_positions(take: Take, columns: LabelledColumns) -> Float[np.ndarray, "T P 3"]:
     """Return the positions in metres in the columns of a labelled file."""
-    return np.stack([_gather(points, points.positions[..., axis], columns) for axis in range(3)], axis=-1)
+    parts = _list_parts(take)
+    positions = np.concatenate([part.markers for part in parts], axis=1)
+    points = np.concatenate([part.point_indices for part in parts])
+    return np.stack([_gather(points, positions[..., axis], columns) for axis in range(3)], axis=-1)
 
 
-def gather_confidence(points: FilePoints, confidence: Float[np.ndarray, "T C"], columns: LabelledColumns) -> np.ndarray:
-    """Return the confidence (T, P) in the columns of a labelled file."""
-    return _gather(points, confidence, columns)
+def gather_confidence(points: FilePoints, labels: PointLabels, columns: LabelledColumns) -> Float[np.ndarray, "T P"]:
+    """Return the confidence of the labels in the columns of a labelled file, NaN for points that got none."""
+    return _gather(points.columns, np.where(labels.marker_indices >= 0, labels.confidence, np.nan), columns)
 
 
-def _gather(points: FilePoints, values: Float[np.ndarray, "T C"], columns: LabelledColumns) -> Float[np.ndarray, "T P"]:
-    place = np.full(int(max(columns.source_points.max(), points.columns.max())) + 2, -1)
-    place[points.columns] = np.arange(len(points.columns))
+def _list_parts(take: Take) -> list[Take]:
+    """Return the points of a take: its markers, its unlabelled trajectories and its computed points."""
+    return [each for each in (take, take.unlabelled, take.computed_points and take.computed_points.take) if each is not None]
+
+
+def _gather(points: Int[np.ndarray, " C"], values: Float[np.ndarray, "T C"], columns: LabelledColumns) -> np.ndarray:
+    """Return values (T, P) in the columns of a labelled file, given those of some points of the file by their indices."""
+    place = np.full(int(max(columns.source_points.max(), points.max())) + 2, -1)
+    place[points] = np.arange(len(points))
     sources = place[columns.source_points]
     is_known: Bool[np.ndarray, "T P"] = (sources >= 0) & (columns.source_points >= 0)
     return np.where(is_known, np.take_along_axis(values, np.maximum(sources, 0), axis=1), np.nan)

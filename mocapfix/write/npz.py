@@ -17,9 +17,11 @@ Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joint
     markers (F, M, 3)    cleaned markers, NaN where missing
     marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
     marker_rate     frames per second of the markers, always that of the take
+    label_confidence (F, M)  of a take that mocapfix labelled: the probability that the label of a sample is right, NaN for
+                    samples that were not in the file
 
-A take without a body has no names, parents, offsets, ends, root, rotations, joints, joint_sd, solved_joints,
-status and status_texts.
+A take whose file has labels has no label_confidence. A take without a body has no names, parents, offsets, ends, root,
+rotations, joints, joint_sd, solved_joints, status and status_texts.
 """
 
 from pathlib import Path
@@ -69,6 +71,8 @@ def write_npz(
         "marker_sd": np.full(take.visible.shape, np.nan) if take.sample_sd is None else take.sample_sd,
         "marker_rate": np.array(float(take.rate)),
     }
+    if take.label_confidence is not None:
+        arrays["label_confidence"] = take.label_confidence
     if skeleton is not None and motion is not None:
         arrays |= _build_body_arrays(skeleton, motion, solved_joints)
     with replace_atomically(Path(target)) as part, part.open("wb") as file:

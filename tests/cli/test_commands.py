@@ -104,7 +104,7 @@ def test_calibrate_then_clean_with_that_subject(mocapfix, brief, tmp_path):
     assert (tmp_path / "out" / "brief.subject.yaml").read_text() == subject.read_text()
     status, _, err = mocapfix("calibrate", brief.path, "-o", subject)
     assert status == 1
-    assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another folder."
+    assert flat(err) == f"{subject}: already exists; give --overwrite to replace it, or choose another name or folder."
 
 
 def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_path):
@@ -118,7 +118,7 @@ def test_clean_writes_beside_the_take_and_prints_a_summary(mocapfix, brief, tmp_
     assert "clean again with --changes" in flat(out)
     status, _, err = mocapfix("clean", take, "--subject", brief.subject)
     assert status == 1
-    assert "walk.1.c3d: already exists; give --overwrite to replace it, or choose another folder." in err
+    assert "walk.1.c3d: already exists; give --overwrite to replace it, or choose another name or folder." in err
     assert mocapfix("clean", take, "--subject", brief.subject, "--overwrite")[0] == 0
 
 

@@ -8,7 +8,7 @@ import pytest
 from mocapfix import pipeline, synthetic, write
 from mocapfix.errors import TakeError
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.options import build_clean_options
+from mocapfix.options import OutputOptions, build_clean_options
 from mocapfix.read.capture import read_take
 from mocapfix.synthetic.unlabelled_takes import remove_labels
 from mocapfix.take import Take
@@ -64,7 +64,10 @@ def test_only_names_change_where_each_trajectory_is_one_marker(tmp_path, truth):
 def test_unlabelled_take_is_cleaned_as_the_labelled_one(tmp_path, truth):
     path = write_unlabelled(tmp_path, truth, "tracks")
     result = pipeline.clean(path, marker_set="cmu41")
-    result.write(tmp_path / "out")
+    result.write(tmp_path / "out", options=OutputOptions(extra_formats=("npz",)))
+    confidence = np.load(tmp_path / "out" / "tracks.npz")["label_confidence"]
+    np.testing.assert_array_equal(np.isnan(confidence), ~result.input_take.visible)
+    assert np.nanmin(confidence) > 0.95
     take = read_take(tmp_path / "out" / "tracks.c3d")
     columns = [take.labels.index(label) for label in truth.labels]
     assert np.nanmax(np.linalg.norm(take.markers[:, columns] - truth.marker_positions, axis=-1)) < 0.02
@@ -90,8 +93,38 @@ def test_take_without_labels_that_fits_no_set_is_refused(tmp_path, truth):
 def test_take_with_labels_is_not_labelled_again(tmp_path, truth):
     path = tmp_path / "labelled.c3d"
     write.write_c3d(path, Take(truth.marker_positions, truth.labels, truth.rate))
-    with pytest.raises(TakeError, match="has labels already"):
+    with pytest.raises(TakeError, match=r"has labels already \(.*\); `mocapfix clean` finds those that are wrong"):
         pipeline.label(path, build_clean_options(marker_set="cmu41"))
+
+
+def test_labels_without_a_meaning_are_replaced_by_those_of_the_named_set(tmp_path, truth):
+    path = tmp_path / "numbered.c3d"
+    order = np.random.default_rng(1).permutation(len(truth.labels))
+    labels = tuple(f"M{n:02d}" for n in range(len(order)))
+    markers = truth.marker_positions[:, order].copy()
+    markers[100:300, :5] = np.nan
+    write.write_c3d(path, Take(markers, labels, truth.rate))
+    labelled = pipeline.label(path, build_clean_options(marker_set="cmu41"))
+    assert labelled.labels == tuple(truth.labels[m] for m in order)
+    assert "mean nothing in cmu41" in labelled.notes[0]
+    with pytest.raises(TakeError, match="has labels already"):
+        pipeline.label(path)
+
+
+def test_labels_with_a_meaning_are_kept_and_the_named_set_is_refused(tmp_path, truth):
+    path = tmp_path / "other.c3d"
+    labels = tuple(f"{side} {place} {n}" for n in range(7) for place in ("Knee", "Ankle", "Elbow") for side in ("Left", "Right"))
+    write.write_c3d(path, Take(truth.marker_positions, labels[:41], truth.rate))
+    with pytest.raises(TakeError, match="cmu41 does not fit"):
+        pipeline.clean(path, marker_set="cmu41")
+
+
+def test_numbered_points_without_a_set_state_the_cause(tmp_path, truth):
+    path = tmp_path / "numbered.c3d"
+    write.write_c3d(path, Take(truth.marker_positions[:, :22], tuple(str(c) for c in range(22)), truth.rate))
+    with pytest.raises(TakeError, match=r"marker set .*fit.* Name the markers with --marker-set") as error:
+        pipeline.label(path)
+    assert "has labels" not in str(error.value)
 
 
 def test_labelled_take_of_the_person_gives_the_labels(tmp_path, truth):
