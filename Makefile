@@ -2,18 +2,21 @@
 
 PYTHON ?= python3
 VENV := .venv
-PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
+# --no-compile: Python compiles the few modules that are imported when they are
+PIP_INSTALL := $(VENV)/bin/python -m pip install --no-compile --constraint constraints.txt
 
-.PHONY: demo test bench docs blender lint clean
+.PHONY: demo test bench docs install blender lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
 
-# Every test once, in two processes, each with one thread for linear algebra: with two each, threads wait for one another.
+# Every test once, in two processes, each with one thread for linear algebra: with two each, threads wait for one another. The
+# kernels are compiled before: each process of tests would compile most of them itself.
 # Annotated types and array shapes are checked in the folders where every test passes with them. These tests take twice as long.
 CHECKED_TESTS := $(addprefix tests/,files fill jobs marker_sets pose_prior repair stats synthetic)
 PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV)/bin/python -m pytest --numprocesses 2
 test: $(VENV)/installed-dev
+	$(VENV)/bin/python -m mocapfix.kernels.precompilation
 	$(PYTEST) $(addprefix --ignore=,$(CHECKED_TESTS))
 	MOCAPFIX_CHECK_TYPES=1 $(PYTEST) $(CHECKED_TESTS)
 
@@ -22,8 +25,10 @@ bench: $(VENV)/installed-dev
 	$(VENV)/bin/mocapfix bench baseline
 
 # The documentation as a site, in site/index.html. Any warning is an error.
-docs: $(VENV)/installed-docs
+docs: $(VENV)/installed-dev
 	$(VENV)/bin/mkdocs build --strict --quiet
+
+install: $(VENV)/installed-dev
 
 # Blender as a Python module, for tests/blender. It has its own environment, since it needs Python 3.11 and its own version of NumPy.
 blender: .blender/installed
@@ -37,19 +42,17 @@ clean:
 	rm -rf $(VENV) .blender dist site .pytest_cache .ruff_cache .hypothesis
 	find mocapfix tests -name __pycache__ -prune -exec rm -rf {} +
 
-# These files are stamps: a second call installs nothing unless the requirements have changed.
+# These files are stamps: a second call installs nothing unless the requirements have changed. All tools for development are
+# installed at once: another call of pip takes ten seconds to look at what is there.
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) --editable .
 	touch $@
 
-$(VENV)/installed-dev: $(VENV)/installed
-	$(PIP_INSTALL) --editable ".[dev]"
-	touch $@
-
-$(VENV)/installed-docs: $(VENV)/installed
-	$(PIP_INSTALL) --editable ".[docs]"
-	touch $@
+$(VENV)/installed-dev: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --editable ".[dev,docs]"
+	touch $(VENV)/installed $@
 
 .blender/installed: Makefile
 	$(PYTHON) -m venv .blender

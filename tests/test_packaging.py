@@ -1,6 +1,7 @@
 """The installed package: built from the sdist, installed outside the checkout, run in another folder."""
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -10,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from mocapfix.kernels.compilation_cache import find_cache_folder
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -35,13 +38,16 @@ def scripts(built: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
     """Return the scripts folder of a new environment that contains the wheel and the libraries of the running environment.
 
     The libraries come from a .pth file. Python does not process .pth files in the folders that it names, so that an editable
-    install of the checkout is not imported.
+    install of the checkout is not imported. The checkout's compiled kernels are those of the wheel's sources too: compiling
+    them again would take most of the test's time.
     """
     base = tmp_path_factory.mktemp("environment")
     venv.create(base, symlinks=os.name != "nt")
     paths = sysconfig.get_paths("venv", vars={name: str(base) for name in ("base", "platbase", "installed_base")})
     run_command(sys.executable, "-m", "pip", "--python", base, "install", "--no-deps", "--no-index", built[1], folder=base)
     (Path(paths["purelib"]) / "libraries.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    if find_cache_folder().exists():
+        shutil.copytree(find_cache_folder(), Path(paths["purelib"]) / "mocapfix" / "kernels" / "__pycache__", dirs_exist_ok=True)
     return Path(paths["scripts"])
 
 

@@ -3,6 +3,7 @@
 Numba compiles one function at a time in a process. `kernel_signatures.json` lists the kernels and the types of their arguments,
 each with the kernels that it calls, so that each is compiled once, after those that it calls, by whichever process is free.
 Numba's cache carries them from one process to another. A kernel or a type that is not in the list is compiled when it is used.
+`python -m mocapfix.kernels.precompilation` compiles them without cleaning anything.
 `docs/generate_kernel_signatures.py` writes the list.
 """
 
@@ -140,3 +141,7 @@ def serve_compilation() -> None:
             compile_signature(signatures[int(line)])
         answers.write(line)
         answers.flush()
+
+
+if __name__ == "__main__" and not is_precompiled():
+    precompile_kernels(lambda done, total: None)
