@@ -4,8 +4,10 @@ Each method is a linear map from the samples beside the gap to positions in it, 
 at once. A marker at rest is interpolated exactly in the world, one on a rigid body exactly in the axes of that body.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MovingAxes
 from mocapfix.fill.spline_fill import MIN_EDGE_SAMPLES, build_hermite_map, fit_edge_parabola
@@ -30,6 +32,12 @@ EDGE_SAMPLE_NOISE_M = 0.0005
 """Noise of a sample, which a method that extrapolates velocities amplifies."""
 CUBIC_ERROR_TIME_S = 1.0
 """Duration of a gap in which the expected error of the cubic method is twice that of the straight one."""
+WORLD_RATIO_POWER = 0.6
+"""Power with which the neighbours' errors in the gap determine the expected error in the world."""
+LIMB_RATIO_POWER = 0.4
+"""The same for the straight method in moving axes, where a limb is lost."""
+LIMB_METHOD_POWER = 0.5
+"""The same for the errors of the other methods there, relative to the straight one."""
 ONE_EDGE_ERROR_RATIO = 2.0
 """Expected error in a gap with one edge, relative to a gap with two."""
 MIN_EXPECTED_SD_M = 0.0003
@@ -40,6 +48,30 @@ CLUSTER_SATURATION_S = 0.4
 """The same for errors in moving axes."""
 ERROR_GROWTH_POWERS = (1.0, 1.2, 2.0)
 """Powers of the duration, until then, with which the errors of the straight, damped and cubic methods grow."""
+
+
+class MethodRatios(NamedTuple):
+    """Errors of the methods for neighbours in the same gap, relative to the error expected of the straight method.
+
+    log_ratio        (K,) their logarithms, on average
+    neighbour_count  number of neighbours
+    """
+
+    log_ratio: np.ndarray
+    neighbour_count: int
+
+    def adjust_factors(self, factors: Float[np.ndarray, " K"], *, is_world: bool) -> Float[np.ndarray, " K"]:
+        """Return factors on the expected error of the straight method, from those that are usual.
+
+        is_world  whether the axes are those of the world, or move with other markers while a limb is lost
+        """
+        straight = self.log_ratio[0]
+        if is_world:
+            shown = WORLD_RATIO_POWER * self.log_ratio
+        else:
+            shown = LIMB_RATIO_POWER * straight + LIMB_METHOD_POWER * (self.log_ratio - straight)
+        share = self.neighbour_count / (self.neighbour_count + 1)
+        return np.exp(share * shown + (1 - share) * np.log(factors))
 
 
 def build_edge_maps(
@@ -88,33 +120,60 @@ def compute_expected_sd(window: GapWindow, rate: float, speed_m_s: float, cluste
     return middle_sd * ONE_EDGE_ERROR_RATIO * np.sqrt(share if len(window.before) else 1 - share)
 
 
+def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rate: float) -> float:
+    """Return the factor, at least one, by which a marker varies more in a gap than while it is visible, relative to others.
+
+    A marker that is visible for a shorter time than the gap shows less of its motion. Each visible frame shows the time until the
+    next one, up to CLUSTER_SATURATION_S.
+    """
+    steps_s = np.diff(np.flatnonzero(is_shown)) / rate
+    shown_s = 1 / rate + float(np.minimum(steps_s, CLUSTER_SATURATION_S).sum())
+    shown, hidden = (duration_s / (CLUSTER_SATURATION_S + duration_s) for duration_s in (shown_s, gap_s))
+    return max(hidden / shown, 1.0)
+
+
 def estimate_from_edges(
-    path: Float[np.ndarray, "T 3"], axes: MovingAxes | None, window: GapWindow, rate: float, speed_m_s: float
+    path: Float[np.ndarray, "T 3"],
+    axes: MovingAxes | None,
+    window: GapWindow,
+    rate: float,
+    speed_m_s: float,
+    ratios: MethodRatios | None = None,
+    axes_number: int = 0,
 ) -> list[GapEstimate]:
     """Return the estimates of all methods in some axes, or in the world where `axes` is None.
 
-    path       in metres in the world, NaN if not visible
-    speed_m_s  variation of the marker's velocity in the world
+    path         in metres in the world, NaN if not visible
+    speed_m_s    variation of the marker's velocity in the world
+    ratios       errors for neighbours in this gap; None if they show nothing of the motion in these axes
+    axes_number  by which the axes differ from others
     """
     local = axes.transform_from_world(path) if axes else path
     w = window
     frames, hidden_frames = w.gap_frames, w.hidden_frames
-    cluster_sd = float(np.sqrt(np.nanmean((local - np.nanmean(local, axis=0)) ** 2))) if axes else None
+    cluster_sd = None
+    if axes:
+        shown_sd = float(np.sqrt(np.nanmean((local - np.nanmean(local, axis=0)) ** 2)))
+        cluster_sd = shown_sd * compute_variation_growth(~np.isnan(path[:, 0]), w.length / rate, rate)
     expected_sd = compute_expected_sd(w, rate, speed_m_s, cluster_sd)
     gap_s = w.length / rate
-    factors = (1.0, DAMPED_ERROR_RATIO + (gap_s / DAMPED_ERROR_TIME_S if axes else 0.0), 1 + gap_s / CUBIC_ERROR_TIME_S)
+    damped_factor = DAMPED_ERROR_RATIO + (gap_s / DAMPED_ERROR_TIME_S if axes else 0.0)
+    factors = np.array([1.0, damped_factor, 1 + gap_s / CUBIC_ERROR_TIME_S])
     saturation = rate * (CLUSTER_SATURATION_S if axes else WORLD_SATURATION_S)
     growth = w.length / w.hidden_length * (saturation + w.hidden_length) / (saturation + w.length)
     gap_maps = build_edge_maps(w.before, w.after, w.length, np.arange(w.length), rate)
+    factors = factors[: len(gap_maps)]
+    if ratios is not None:
+        factors = ratios.adjust_factors(factors, is_world=axes is None)
     hidden_maps = build_edge_maps(w.before, w.hidden_after, w.hidden_length, w.hidden_points, rate)
     context, hidden_context, hidden = local[w.context_frames], local[w.hidden_context_frames], local[hidden_frames]
     estimates: list[GapEstimate] = []
-    for gap_map, hidden_map, factor, power in zip(gap_maps, hidden_maps, factors, ERROR_GROWTH_POWERS, strict=False):
+    for gap_map, hidden_map, factor, power in zip(gap_maps, hidden_maps, factors.tolist(), ERROR_GROWTH_POWERS, strict=False):
         position, error = gap_map @ context, (hidden_map @ hidden_context - hidden) * growth**power
         if axes:
             position = np.einsum("tab,tb->ta", axes.rotation[frames], position) + axes.origin[frames]
             error = np.einsum("ksab,ksb->ksa", axes.rotation[hidden_frames], error)
         method = FillMethod.CLUSTER if axes else FillMethod.SPLINE
         noise = EDGE_SAMPLE_NOISE_M * np.linalg.norm(gap_map[w.points], axis=1)
-        estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd * factor, noise)))
+        estimates.append(GapEstimate(method, position, error, np.hypot(expected_sd * factor, noise), axes_number))
     return estimates

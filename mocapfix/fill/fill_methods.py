@@ -137,9 +137,11 @@ class GapEstimate(NamedTuple):
     position     (n, 3) m in the world
     error        (K, S, 3) m in the world, in the hidden stretches of the gap's window; NaN where unknown
     expected_sd  (S,) m per axis, of the error at the points of the window, expected without looking at hidden stretches
+    axes_number  of the axes in which it was made; estimates in the same axes have similar errors. None: in none of its own
     """
 
     method: FillMethod
     position: np.ndarray
     error: np.ndarray
     expected_sd: np.ndarray
+    axes_number: int | None = None

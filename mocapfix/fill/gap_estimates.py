@@ -20,11 +20,13 @@ from mocapfix.fill.hidden_stretches import choose_hidden_stretches
 from mocapfix.fill.marker_processes import MarkerProcesses
 from mocapfix.fill.marker_speeds import SpeedLimit, measure_speed_limit, measure_velocity_variation
 from mocapfix.fill.neighbour_clusters import (
+    MIN_KEPT_FRAME_SHARE,
     build_cluster_axes,
     estimate_by_regression,
     measure_distance_changes,
     select_regression_cluster,
 )
+from mocapfix.fill.neighbour_errors import NeighbourErrors, measure_neighbour_errors
 from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_gap_estimates
 from mocapfix.stats.sequences import group_gaps, sample_evenly
@@ -74,6 +76,7 @@ class Neighbourhood:
 
     def __init__(self, markers: np.ndarray, settled: MarkerEstimate, rate: float, limit: SpeedLimit) -> None:
         self.rate, self.limit, self.is_visible = rate, limit, ~np.isnan(markers[..., 0])
+        self.is_common = self.is_visible.mean(0) > MIN_VISIBLE_SHARE
         self.change_m = measure_distance_changes(markers)
         self.velocity_sd = measure_velocity_variation(markers, rate)
         is_settled = ~np.isnan(settled.sd)
@@ -92,33 +95,41 @@ class Neighbourhood:
         used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
         frames = np.unique(np.concatenate(used))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        others = self._build_axes_of_others(lost_markers, is_neighbour, frames)
-        return [self._estimate_marker(marker, w, is_neighbour, frames, others) for marker in lost_markers.tolist()]
+        is_limb = int((self.is_common & ~known[w.gap_frames[len(w.gap_frames) // 2]]).sum()) >= MIN_LIMB_MARKERS
+        others = self._build_axes_of_others(lost_markers, is_neighbour, frames) if is_limb else None
+        errors = measure_neighbour_errors(self.markers, w, self.rate, self.velocity_sd) if len(w.context_frames) else None
+        shared = _GapSurroundings(w, frames, is_neighbour, others, errors, is_limb)
+        return [self._estimate_marker(marker, shared) for marker in lost_markers.tolist()]
 
-    def _estimate_marker(
-        self, marker: int, window: GapWindow, is_neighbour: np.ndarray, frames: np.ndarray, others: MovingAxes | None
-    ) -> list[GapEstimate]:
+    def _estimate_marker(self, marker: int, shared: "_GapSurroundings") -> list[GapEstimate]:
         """Return the estimates of one marker."""
-        path, change = self.markers[:, marker], self.change_m[marker]
+        window, change = shared.window, self.change_m[marker]
         order = np.argsort(change, kind="stable")
-        order = order[is_neighbour[order] & np.isfinite(change[order])]
-        estimates: list[GapEstimate] = []
-        if len(window.context_frames):
-            axes: list[MovingAxes | None] = [None, others] if others else [None]
-            for size in CLUSTER_SIZES:
-                cluster = order[:size]
-                if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(order) > CLUSTER_SIZES[0]):
-                    built = build_cluster_axes(self.markers, cluster, change[cluster], frames)
-                    axes += [built] if built else []
-            edges = self.compare_edges(marker, window)
-            speed = edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), window.length / self.rate)
-            for each in axes:
-                estimates += estimate_from_edges(path, each, window, self.rate, speed)
+        order = order[shared.is_neighbour[order] & np.isfinite(change[order])]
+        estimates = self._estimate_from_edges(marker, order, shared) if len(window.context_frames) else []
         cluster = select_regression_cluster(~np.isnan(self.markers[..., 0]), marker, order[change[order] < MAX_DISTANCE_CHANGE_M])
         if len(cluster) >= MIN_CLUSTER_MARKERS:
             regressed = estimate_by_regression(self.markers, marker, cluster, change[cluster], window, self.rate)
             estimates += [regressed] if regressed else []
         return [each for each in estimates if self.is_plausible(each, marker, window)]
+
+    def _estimate_from_edges(self, marker: int, neighbours: np.ndarray, shared: "_GapSurroundings") -> list[GapEstimate]:
+        """Return the interpolations of one marker, in the world and in axes of its neighbours, the steadiest first."""
+        change, window = self.change_m[marker], shared.window
+        axes: list[MovingAxes | None] = [None, shared.axes_of_others] if shared.axes_of_others else [None]
+        for size in CLUSTER_SIZES:
+            cluster = neighbours[:size]
+            if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(neighbours) > CLUSTER_SIZES[0]):
+                built = build_cluster_axes(self.markers, cluster, change[cluster], shared.frames)
+                axes += [built] if built else []
+        edges = self.compare_edges(marker, window)
+        speed = edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), window.length / self.rate)
+        ratios = shared.errors.compute_ratios(neighbours) if shared.errors else None
+        estimates: list[GapEstimate] = []
+        for number, each in enumerate(axes):
+            used_ratios = ratios if each is None or shared.is_limb else None
+            estimates += estimate_from_edges(self.markers[:, marker], each, window, self.rate, speed, used_ratios, number)
+        return estimates
 
     def compare_edges(self, marker: int, window: GapWindow) -> EdgeMotion:
         """Return how fast a marker is beside a gap, and how similar the hidden stretches are."""
@@ -132,9 +143,9 @@ class Neighbourhood:
         return not np.isnan(estimate.position).any() and not self.limit.is_exceeded(path, self.rate)
 
     def _build_axes_of_others(self, lost_markers: np.ndarray, is_neighbour: np.ndarray, frames: np.ndarray) -> MovingAxes | None:
-        """Return axes fixed to all neighbours of a lost limb; None if few markers are lost, or few are left."""
+        """Return axes fixed to all neighbours of a lost limb; None if few markers are left."""
         cluster = np.setdiff1d(np.flatnonzero(is_neighbour), lost_markers)
-        if len(lost_markers) < MIN_LIMB_MARKERS or len(cluster) <= CLUSTER_SIZES[-1]:
+        if len(cluster) <= CLUSTER_SIZES[-1]:
             return None
         change = np.median(self.change_m[np.ix_(cluster, cluster)], axis=1)
         return build_cluster_axes(self.markers, cluster, np.where(np.isfinite(change), change, 1.0), frames)
@@ -145,6 +156,24 @@ class Neighbourhood:
             samples = window.gap_frames, marker
             if (estimated.sd[samples] <= MAX_KNOWN_SD_M).all():
                 self.markers[samples] = estimated.position[samples]
+
+
+class _GapSurroundings(NamedTuple):
+    """What the markers lost throughout one gap have in common.
+
+    frames          in which they are compared with their neighbours
+    is_neighbour    (M,) the markers that are known throughout
+    axes_of_others  axes fixed to all of these; None if few are left
+    errors          of the neighbours in the gap; None if nothing is visible beside it
+    is_limb         whether several markers are lost together
+    """
+
+    window: GapWindow
+    frames: np.ndarray
+    is_neighbour: np.ndarray
+    axes_of_others: MovingAxes | None
+    errors: NeighbourErrors | None
+    is_limb: bool
 
 
 def estimate_gaps(
@@ -180,10 +209,30 @@ def _store(
 
 
 def _iterate_gaps(is_missing: np.ndarray, is_visible: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-    """Yield the first and last frame of each gap and the markers it has, the shortest first; no marker that is rarely visible."""
-    gaps = group_gaps(is_missing & (is_visible.mean(0) > MIN_VISIBLE_SHARE))
+    """Yield the first and last frame of each gap and the markers it has, the shortest first.
+
+    Markers that are visible together come together. A marker that is rarely visible has no gaps at the beginning and end.
+    """
+    gaps, is_common = group_gaps(is_missing & is_visible.any(0)), is_visible.mean(0) > MIN_VISIBLE_SHARE
     for (first, last), lost in sorted(gaps.items(), key=lambda gap: (gap[0][1] - gap[0][0], gap[0])):
-        yield first, last, lost
+        is_inside = first > 0 and last < len(is_missing) - 1
+        remaining = lost if is_inside else lost[is_common[lost]]
+        while len(remaining):
+            together = _select_visible_together(is_visible, remaining)
+            yield first, last, together
+            remaining = np.setdiff1d(remaining, together)
+
+
+def _select_visible_together(is_visible: np.ndarray, markers: np.ndarray) -> np.ndarray:
+    """Return the marker that is visible most often and those that leave enough of the frames in which it is."""
+    by_frequency = markers[np.argsort(-is_visible[:, markers].sum(0), kind="stable")]
+    shared, together = is_visible[:, by_frequency[0]].copy(), [int(by_frequency[0])]
+    for marker in by_frequency[1:].tolist():
+        both = shared & is_visible[:, marker]
+        if both.sum() >= MIN_KEPT_FRAME_SHARE * shared.sum():
+            shared = both
+            together.append(marker)
+    return np.sort(together)
 
 
 def add_processes(

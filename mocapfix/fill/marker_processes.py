@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.fill.edge_interpolation import compute_variation_growth
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow
 from mocapfix.fill.gaussian_process_fill import (
     MAX_INPUT_SD_M,
@@ -29,8 +30,6 @@ MAX_HIDDEN_PROCESS_STRETCHES = 8
 """Hidden stretches in which the errors of a process are measured."""
 MAX_EDGE_TRAINING_FRAMES = 6
 """Frames beside each of them on which the process is trained."""
-MAX_PROCESS_INFLATION = 3.0
-"""Largest factor by which standard deviations are increased for gaps that are long relative to what was learned."""
 MAX_HELD_OUT_SHARE = 0.7
 """Share of the training frames above which a hidden stretch leaves too few."""
 
@@ -124,7 +123,7 @@ class MarkerProcesses:
             np.einsum("tab,tmb->tma", axes.rotation[frames], predicted.reshape(len(frames), -1, 3)) + axes.origin[frames, None]
         )
         power = np.fmax(process.cross_validate_gaps(len(frames) / self.rate), process.signal_power).reshape(-1, 3).mean(1)
-        novelty = min(1 + 2 * w.length / max(int(is_usable.sum()), 1), MAX_PROCESS_INFLATION)
+        novelty = compute_variation_growth(is_usable, w.length / self.rate, self.rate)
         sd = np.sqrt(relative_variance[:, None] * power + PROCESS_SAMPLE_NOISE_M**2) * novelty
         error = np.full((len(w.starts), len(w.points), len(lost_markers), 3), np.nan)
         if len(frames) == w.length:

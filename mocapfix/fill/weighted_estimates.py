@@ -19,8 +19,10 @@ EXPECTED_WEIGHT = 2.0
 """Number of independent hidden stretches that the expected covariance is worth."""
 FIRST_STRETCH_DISCOUNT = 0.5
 """Number of stretches that are subtracted: a single one shows little."""
-EXPECTED_CORRELATION = 0.5
+EXPECTED_CORRELATION = 0.45
 """Expected correlation of the errors of two estimates of one sample."""
+SAME_AXES_CORRELATION = 0.75
+"""The same where both were made in the same axes."""
 COVARIANCE_RIDGE = 1e-3
 """Relative increase of the variances, so that equal estimates share their weight."""
 
@@ -46,7 +48,8 @@ def combine_gap_estimates(
     known_share = (~np.isnan(error[..., 0])).mean(2) @ similarity / max(len(similarity), 1)
     count = np.maximum(window.count_independent_stretches() * known_share - FIRST_STRETCH_DISCOUNT, 0.0)
     count *= window.hidden_length / window.length
-    shrunk = shrink_covariances(covariance, expected_sd, count / (count + EXPECTED_WEIGHT))
+    correlation = build_expected_correlation([e.axes_number for e in estimates])
+    shrunk = shrink_covariances(covariance, expected_sd, correlation, count / (count + EXPECTED_WEIGHT))
     weights, variance = (np.array(values) for values in zip(*(compute_weights(each) for each in shrunk), strict=True))
     frames = np.arange(window.length)
     by_frame = np.stack([np.interp(frames, window.points, column) for column in weights.T])
@@ -55,6 +58,12 @@ def combine_gap_estimates(
     methods = np.array([e.method for e in estimates])
     by_method = np.stack([by_frame[methods == method].sum(0) for method in FillMethod])
     return CombinedEstimate(position, sd, np.array(list(FillMethod), np.int8)[by_method.argmax(0)])
+
+
+def build_expected_correlation(axes_numbers: Sequence[int | None]) -> Float[np.ndarray, "E E"]:
+    """Return the expected correlations of the errors of estimates in axes with these numbers."""
+    is_same = np.array([[a is not None and a == b for b in axes_numbers] for a in axes_numbers])
+    return np.where(is_same, SAME_AXES_CORRELATION, EXPECTED_CORRELATION)
 
 
 def compute_error_covariances(
@@ -78,7 +87,10 @@ def compute_error_covariances(
 
 
 def shrink_covariances(
-    covariance: Float[np.ndarray, "S E E"], expected_sd: Float[np.ndarray, "S E"], trust: Float[np.ndarray, " E"]
+    covariance: Float[np.ndarray, "S E E"],
+    expected_sd: Float[np.ndarray, "S E"],
+    expected_correlation: Float[np.ndarray, "E E"],
+    trust: Float[np.ndarray, " E"],
 ) -> Float[np.ndarray, "S E E"]:
     """Return covariances between the measured ones, with a weight for each estimate (0 to 1), and the expected ones."""
     variance = np.einsum("see->se", covariance)
@@ -88,9 +100,9 @@ def shrink_covariances(
     sd = np.exp(np.where(is_known, trust * log_sd[0] + (1 - trust) * log_sd[1], log_sd[1]))
     scale = np.maximum(measured_sd, MIN_ESTIMATE_SD_M / 10)
     correlation = np.clip(covariance / scale[:, :, None] / scale[:, None], -1, 1)
-    correlation = np.where(np.isnan(correlation), EXPECTED_CORRELATION, correlation)
+    correlation = np.where(np.isnan(correlation), expected_correlation, correlation)
     shared_trust = np.sqrt(trust[:, None] * trust)
-    correlation = shared_trust * correlation + (1 - shared_trust) * EXPECTED_CORRELATION
+    correlation = shared_trust * correlation + (1 - shared_trust) * expected_correlation
     diagonal = np.arange(sd.shape[1])
     correlation[:, diagonal, diagonal] = 1 + COVARIANCE_RIDGE
     return correlation * sd[:, :, None] * sd[:, None]

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate
 from mocapfix.fill.hidden_stretches import choose_hidden_stretches
 from mocapfix.fill.weighted_estimates import (
+    build_expected_correlation,
     combine_gap_estimates,
     compute_error_covariances,
     compute_weights,
@@ -83,7 +84,7 @@ def test_two_independent_estimates_are_weighted_by_precision():
 
 @pytest.mark.parametrize("trust", [0.0, 0.5, 1.0])
 def test_variances_are_shrunk_by_their_logarithms(trust):
-    shrunk = shrink_covariances(np.array([[[1e-4]]]), np.array([[0.1]]), np.array([trust]))
+    shrunk = shrink_covariances(np.array([[[1e-4]]]), np.array([[0.1]]), np.eye(1), np.array([trust]))
     np.testing.assert_allclose(np.sqrt(shrunk[0, 0, 0]), 0.01**trust * 0.1 ** (1 - trust), rtol=1e-3)
 
 
@@ -93,3 +94,9 @@ def test_covariances_are_those_of_the_errors():
     np.testing.assert_allclose(covariance.mean(0), [[1, 1], [1, 2]], atol=0.05)
     unknown = compute_error_covariances(np.full((1, 4, 3, 3), np.nan), np.ones(4))
     assert np.isnan(unknown).all()
+
+
+def test_estimates_in_the_same_axes_have_similar_errors():
+    expected = build_expected_correlation([0, 0, 1, None, None])
+    assert expected[0, 1] == expected[1, 0] > expected[0, 2]
+    assert expected[3, 4] == expected[0, 2]

@@ -1,0 +1,65 @@
+"""How well visible markers are interpolated in a gap of another one."""
+
+import numpy as np
+import pytest
+
+from mocapfix.fill.edge_interpolation import MethodRatios, compute_variation_growth, estimate_from_edges
+from mocapfix.fill.hidden_stretches import choose_hidden_stretches
+from mocapfix.fill.marker_speeds import measure_velocity_variation
+from mocapfix.fill.neighbour_errors import measure_neighbour_errors
+
+RATE = 100.0
+GAP = slice(200, 260)
+
+
+def build_markers(smooth: float) -> np.ndarray:
+    """Return five markers on one path, the first lost for a while: a parabola, and noise from one frame to the next."""
+    t = np.arange(400) / RATE
+    path = np.stack([2 * (t - 2) ** 2, 0 * t, 0 * t], 1)
+    noise = np.random.default_rng(0).normal(0, 1 - smooth, (400, 3))
+    markers = path[:, None] * smooth + noise[:, None] + np.arange(5)[:, None]
+    markers[GAP, 0] = np.nan
+    return markers
+
+
+def measure(markers: np.ndarray):
+    window = choose_hidden_stretches(~np.isnan(markers[:, 0, 0]), GAP.start, GAP.stop - 1, RATE)
+    return window, measure_neighbour_errors(markers, window, RATE, measure_velocity_variation(markers, RATE))
+
+
+def test_velocities_at_the_edges_help_where_they_help_the_neighbours():
+    _, smooth = measure(build_markers(1.0))
+    straight, _, cubic = smooth.log_ratio[:, 1:].mean(1)
+    assert cubic < straight - 1
+    _, rough = measure(build_markers(0.0))
+    straight, _, cubic = rough.log_ratio[:, 1:].mean(1)
+    assert cubic > straight + 1
+
+
+def test_lost_markers_show_nothing():
+    _, errors = measure(build_markers(1.0))
+    assert errors.compute_ratios(np.array([0])) is None
+    ratios = errors.compute_ratios(np.array([0, 1, 2]))
+    assert ratios is not None
+    assert ratios.neighbour_count == 2
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])
+def test_expected_errors_follow_those_of_the_neighbours(ratio):
+    markers = build_markers(1.0)
+    window, _ = measure(markers)
+    ratios = MethodRatios(np.log([ratio, 1.0, 1.0]), 1000)
+    usual = estimate_from_edges(markers[:, 0], None, window, RATE, 1.0)
+    shown = estimate_from_edges(markers[:, 0], None, window, RATE, 1.0, ratios)
+    changes = [float(np.mean(s.expected_sd / u.expected_sd)) for s, u in zip(shown[:1], usual[:1], strict=True)]
+    np.testing.assert_allclose(changes, ratio**0.6, rtol=0.02)
+    assert all((s.position == u.position).all() for s, u in zip(shown, usual, strict=True))
+
+
+def test_marker_that_is_seldom_visible_varies_more_in_a_gap():
+    is_shown = np.zeros(1000, bool)
+    is_shown[100:110] = True
+    briefly = compute_variation_growth(is_shown, 1.0, RATE)
+    is_shown[600:610] = True
+    assert 1 < compute_variation_growth(is_shown, 1.0, RATE) < briefly
+    assert compute_variation_growth(np.ones(1000, bool), 1.0, RATE) == 1
