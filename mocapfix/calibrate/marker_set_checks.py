@@ -260,6 +260,13 @@ def describe_contradicted_words(labels: Sequence[str], fit: "MarkerSetFit", gues
     return f"would have {names[int(is_moved.argmax())]} on another segment than its label says"
 
 
+def is_contradicted_by_words(guess: MarkerSet, from_words: MarkerSet) -> bool:
+    """Return whether words name a segment that is no neighbour of the guessed one for any of the markers."""
+    guessed = dict(zip(guess.labels, guess.joints.tolist(), strict=True))
+    pairs = [(guessed[label], joint) for label, joint in zip(from_words.labels, from_words.joints.tolist(), strict=True)]
+    return any(count_segments_between(np.array(pair))[0, 1] > 1 for pair in pairs)
+
+
 def find_doubtful_markers(
     take: Take, labels: Sequence[str], fit: "MarkerSetFit", named_labels: Collection[str]
 ) -> dict[str, str]:

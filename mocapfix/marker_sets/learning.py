@@ -1,7 +1,7 @@
 """Learn a studio's marker set from a take: the segment of each marker and its offset.
 
 Learning starts from a guess at some of the markers: those of a known set that are among the labels, else those whose labels have
-known words, else those that the cloud of markers locates on a body. How the markers move then decides about all of them.
+known words, else those on limbs that rigid groups form, or those that the cloud of markers locates on a body. How the markers move then decides about all of them.
 """
 
 from collections.abc import Sequence
@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mocapfix.calibrate.grouped_markers import guess_from_rigid_groups
 from mocapfix.calibrate.marker_set_checks import (
     describe_contradicted_guess,
     describe_contradicted_words,
     describe_implausible_body,
     describe_incomplete_location,
     find_doubtful_markers,
+    is_contradicted_by_words,
     measure_learned_body,
 )
 from mocapfix.calibrate.marker_set_fit import MarkerSetFit, fit_marker_set
@@ -32,8 +34,12 @@ KNOWN_LABEL_LOG_ODDS = 10.0
 """log odds that the segment of a marker is correct if its label is one of a known set"""
 LABEL_WORD_LOG_ODDS = 4.0
 """the same if the label has a known word"""
+GROUP_LOG_ODDS = 6.0
+"""the same if the marker is in a rigid group whose joints show its segment"""
 POSITION_LOG_ODDS = 3.0
 """the same if the segment is guessed from the cloud of markers"""
+MIN_GROUPED_SHARE = 0.6
+"""share of the visible markers on limbs that rigid groups form, from which no whole body is searched for"""
 MAX_LOCATED_SHARE = 0.2
 """share of the labels whose words locate a marker, above which a body is not located by positions"""
 MIN_SEGMENT_PROBABILITY = 0.9
@@ -100,6 +106,29 @@ class InitialGuess:
     marker_set: MarkerSet
     label_log_odds: float
     description: str
+
+
+def learn_from_markers(selected: SubjectMarkers, name: str, like: str | Path | None = None) -> LearnedMarkerSet:
+    """Return the set that is learned from a subject's markers, from the most certain guess or from their rigid groups.
+
+    Raises TakeError as `guess_marker_set` and `fit_guessed_set`.
+    """
+    try:
+        return fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels, like), name)
+    except TakeError:
+        guess = None if like else guess_from_groups(selected.take, selected.labels)
+        if guess is None:
+            raise
+    return fit_guessed_set(selected, guess, name)
+
+
+def guess_from_groups(take: Take, labels: Sequence[str]) -> InitialGuess | None:
+    """Return the guess from rigid groups and their joints; None if they form no limb, or words in the labels contradict them."""
+    guess = guess_from_rigid_groups(take, tuple(labels), load_cmu31_body().skeleton)
+    if guess is None or is_contradicted_by_words(guess, guess_marker_set_from_words(guess.labels)):
+        return None
+    description = f"{len(guess.labels)} markers were located by the joints between their rigid groups, others by their motion. Check the result."
+    return InitialGuess(guess, GROUP_LOG_ODDS, description)
 
 
 def fit_guessed_set(selected: SubjectMarkers, guess: InitialGuess, name: str) -> LearnedMarkerSet:
@@ -194,6 +223,9 @@ def guess_marker_set(take: Take, labels: Sequence[str], like: str | Path | None 
             f"{take.name}: no marker set can be learned: the words in the labels locate {format_name_list(from_words.labels)}, "
             "which show neither a body nor a part of one."
         )
+    grouped = None if like else guess_from_groups(take, labels)
+    if grouped and len(grouped.marker_set.labels) >= MIN_GROUPED_SHARE * sum(map(bool, visible_labels)):
+        return grouped
     body = load_cmu31_body()
     prior, limits = load_mean_pose_prior(MEAN_POSE_PRIOR_NAME, body.skeleton), load_joint_limits(body.skeleton)
     guess = guess_from_marker_cloud(take, tuple(labels), body, prior, limits)

@@ -12,7 +12,7 @@ import numpy as np
 from mocapfix import multi_subject
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import format_name_list
-from mocapfix.marker_sets.learning import LearnedMarkerSet, fit_guessed_set, guess_marker_set, select_subject_markers
+from mocapfix.marker_sets.learning import LearnedMarkerSet, learn_from_markers, select_subject_markers
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice
 from mocapfix.marker_sets.props import find_props
 from mocapfix.read.capture import read_take
@@ -32,8 +32,7 @@ def find_own_marker_set(take: Take, choice: SubjectChoice) -> SubjectChoice:
         if take.subject_name == UNASSIGNED_SUBJECT or int(take.visible.any(0).sum()) < MIN_OWN_SET_MARKERS:
             return choice
         selected = select_subject_markers(take.masked(take.measured))
-        learned = fit_guessed_set(selected, guess_marker_set(selected.take, selected.labels), OWN_SET_NAME)
-        learned = add_props(learned, take)
+        learned = add_props(learn_from_markers(selected, OWN_SET_NAME), take)
     except TakeError as error:
         reason = str(error).removeprefix(f"{take.name}: ").partition("; name")[0].removesuffix(".")
         reason = f"{reason[:1].upper()}{reason[1:]}."
@@ -66,10 +65,8 @@ def learn_marker_set(
     if subject_prefix is not None:
         (take,) = multi_subject.split_subjects(take, None, subject_prefix)
     selected = select_subject_markers(take.masked(take.measured))
-    report_stage("guess")
-    guess = guess_marker_set(selected.take, selected.labels, like)
     report_stage("learn")
-    return add_props(fit_guessed_set(selected, guess, name), take)
+    return add_props(learn_from_markers(selected, name, like), take)
 
 
 def add_props(learned: LearnedMarkerSet, take: Take) -> LearnedMarkerSet:
