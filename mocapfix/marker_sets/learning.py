@@ -1,7 +1,8 @@
 """Learn a studio's marker set from a take: the segment of each marker and its offset.
 
 Learning starts from a guess at some of the markers: those of a known set that are among the labels, else those whose labels have
-known words, else those on limbs that rigid groups form, or those that the cloud of markers locates on a body. How the markers move then decides about all of them.
+known words, else those on legs that rigid groups form, or those that the cloud of markers locates on a body. How the markers
+move then decides about all of them.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ GROUP_LOG_ODDS = 6.0
 POSITION_LOG_ODDS = 3.0
 """the same if the segment is guessed from the cloud of markers"""
 MIN_GROUPED_SHARE = 0.6
-"""share of the visible markers on limbs that rigid groups form, from which no whole body is searched for"""
+"""share of the visible markers on legs that rigid groups form, from which no whole body is searched for"""
 MAX_LOCATED_SHARE = 0.2
 """share of the labels whose words locate a marker, above which a body is not located by positions"""
 MIN_SEGMENT_PROBABILITY = 0.9
@@ -123,11 +124,12 @@ def learn_from_markers(selected: SubjectMarkers, name: str, like: str | Path | N
 
 
 def guess_from_groups(take: Take, labels: Sequence[str]) -> InitialGuess | None:
-    """Return the guess from rigid groups and their joints; None if they form no limb, or words in the labels contradict them."""
+    """Return the guess from rigid groups and their joints; None if they form no leg, or words in the labels contradict them."""
     guess = guess_from_rigid_groups(take, tuple(labels), load_cmu31_body().skeleton)
     if guess is None or is_contradicted_by_words(guess, guess_marker_set_from_words(guess.labels)):
         return None
-    description = f"{len(guess.labels)} markers were located by the joints between their rigid groups, others by their motion. Check the result."
+    count = len(guess.labels)
+    description = f"{count} markers were located by the joints between their rigid groups, others by motion. Check the result."
     return InitialGuess(guess, GROUP_LOG_ODDS, description)
 
 

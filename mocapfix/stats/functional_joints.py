@@ -63,11 +63,11 @@ class FunctionalJoint(NamedTuple):
 
 
 def build_moving_group(markers: Float[np.ndarray, "N M 3"], columns: tuple[int, ...]) -> MovingGroup:
-    """Return the poses of some markers, in metres, that keep their distances."""
-    selected = markers[:, list(columns)]
-    rotation, origin, is_known = align_to_common_shape(selected)
-    local = np.einsum("tba,tkb->tka", rotation[is_known], selected[is_known] - origin[is_known, None])
-    return MovingGroup(columns, rotation, origin, np.nanmean(local, axis=0), is_known)
+    """Return the poses of some markers, in metres, that keep their distances; without those that no such frame shows."""
+    rotation, origin, is_known = align_to_common_shape(markers[:, list(columns)])
+    shown = [m for m in columns if not np.isnan(markers[is_known, m, 0]).all()]
+    local = np.einsum("tba,tkb->tka", rotation[is_known], markers[is_known][:, shown] - origin[is_known, None])
+    return MovingGroup(tuple(shown), rotation, origin, np.nanmean(local, axis=0), is_known)
 
 
 def estimate_functional_joint(first: MovingGroup, second: MovingGroup) -> FunctionalJoint | None:

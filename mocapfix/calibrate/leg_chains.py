@@ -1,0 +1,228 @@
+"""Legs among rigid groups of markers: chains of groups with functional joints between them that move like a leg.
+
+Nothing is known of the labels. A chain of pelvis, thigh, shank and foot is a leg if the lengths between its joints, their order
+in height, and the direction in which the knee bends are those of a leg. Left and right follow from this direction, which must
+agree with that of the foot. Where two groups fit the same place of a chain, there is no leg.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise, permutations
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.stats.functional_joints import FunctionalJoint, MovingGroup, estimate_functional_joint
+
+MAX_JOINT_RESIDUAL_M = 0.025
+"""Root mean square distance between the two places of a joint."""
+MIN_JOINT_RANGE_RAD = 0.08
+"""Root mean square angle by which two groups must turn against each other; groups on one segment turn less."""
+MIN_COMPETING_RATIO = 2.0
+"""Ratio of residuals below which another group at the same joint competes for its place."""
+MAX_SAME_JOINT_DISTANCE_M = 0.12
+"""Distance between joints on one group below which they are the same."""
+MIN_ORDER_DISTANCE_M = 0.08
+"""Difference of the distances from the knee by which the foot is farther than the shank."""
+MIN_BONE_LENGTH_M, MAX_BONE_LENGTH_M = 0.28, 0.56
+"""Length of a thigh or a shank of people from about 1.3 m to 2.1 m in height; functional joints are some centimetres off."""
+MIN_LEG_LENGTH_M = 0.62
+"""Length of both together; an arm has less."""
+MIN_BEND_RAD = 0.26
+"""Angle of the knee from which a frame shows the direction in which it bends."""
+MIN_BENT_SHARE = 0.1
+"""Share of the frames that must show it."""
+MIN_BEND_AGREEMENT = 0.7
+"""Length of the mean direction of bending; 1 if it is the same in all frames."""
+MIN_SIDE_AGREEMENT = 0.5
+"""Cosine between two directions to the left, from different evidence, that agree."""
+MIN_THIGH_COSINE = 0.6
+"""Mean cosine between thigh and vertical; less does not show which end is the upper one."""
+MIN_LEG_REACH = 0.5
+"""Mean height of the hip above the ankle, relative to the length of the leg; a runner bends the knees."""
+MIN_SIDE_DISTANCE_M = 0.03
+"""Distance of a hip from the middle of the group on the pelvis, to its side."""
+MAX_HIP_OFFSET_M = 0.35
+"""Distance of a hip from the middle of the group on the pelvis."""
+MAX_PELVIS_HEIGHT_M = 0.2
+"""Height of the middle of the group on the pelvis above the hips; that of the thorax is higher."""
+MIN_HIP_DISTANCE_M, MAX_HIP_DISTANCE_M = 0.08, 0.35
+"""Distance between the hips."""
+MAX_BONE_DISTANCE_M = 0.2
+"""Distance of a marker from the bone of its segment; wands are this long."""
+MAX_ANKLE_HEIGHT_M = 0.3
+"""Height of the ankle above the lowest marker of the take, in the tenth of the frames in which it is lowest."""
+LOW_FRAME_QUANTILE = 0.1
+"""These frames, as a quantile of the height."""
+
+
+@dataclass(frozen=True)
+class LegChain:
+    """A leg.
+
+    groups          indices of the groups on pelvis, thigh, shank and foot
+    places          (3, 2, 3) m: hip, knee and ankle, each in the axes of the two groups that it joins
+    bend_axes       (2, 3) the direction to the left about which the knee bends, in the axes of thigh and shank
+    left            (3,) the direction to the person's left in the axes of the pelvis
+    is_left         whether it is the left leg
+    hip_residual_m  residual of the hip
+    """
+
+    groups: tuple[int, int, int, int]
+    places: Float[np.ndarray, "3 2 3"]
+    bend_axes: Float[np.ndarray, "2 3"]
+    left: Float[np.ndarray, "3"]
+    is_left: bool
+    hip_residual_m: float
+
+
+class JointGraph:
+    """The functional joints between all groups of a take."""
+
+    def __init__(self, groups: Sequence[MovingGroup]) -> None:
+        self.groups = groups
+        self._joints: dict[tuple[int, int], FunctionalJoint] = {}
+        for a, b in combinations(range(len(groups)), 2):
+            joint = estimate_functional_joint(groups[a], groups[b])
+            if joint and joint.residual_m <= MAX_JOINT_RESIDUAL_M and joint.range_rad >= MIN_JOINT_RANGE_RAD:
+                self._joints[a, b] = joint
+                self._joints[b, a] = joint._replace(places=joint.places[::-1])
+
+    def has_joint(self, first: int, second: int) -> bool:
+        """Return whether two groups have a joint."""
+        return (first, second) in self._joints
+
+    def get_joint(self, first: int, second: int) -> FunctionalJoint:
+        """Return the joint between two groups, with the place in the first one first."""
+        return self._joints[first, second]
+
+    def list_neighbours(self, group: int) -> list[int]:
+        """Return the groups that have a joint with a group."""
+        return [b for a, b in self._joints if a == group]
+
+
+def find_legs(groups: Sequence[MovingGroup], floor_m: float) -> list[LegChain]:
+    """Return one leg, or the left and the right one of one person among rigid groups; none where it is uncertain which they are.
+
+    floor_m  height of the lowest marker of the take
+    """
+    graph = JointGraph(groups)
+    chains = [
+        _complete_chain(graph, (pelvis, thigh, shank), floor_m)
+        for pelvis, thigh, shank in permutations(range(len(groups)), 3)
+        if graph.has_joint(pelvis, thigh) and graph.has_joint(thigh, shank)
+    ]
+    return _select_pair(groups, [chain for chain in chains if chain])
+
+
+def _complete_chain(graph: JointGraph, chain: tuple[int, int, int], floor_m: float) -> LegChain | None:
+    """Return the leg that a chain of three groups and the best of the groups at its end form; None if it is no leg."""
+    shank = chain[2]
+    feet = [group for group in graph.list_neighbours(shank) if group not in chain]
+    found = [leg for foot in feet if (leg := _build_leg(graph, (*chain, foot), floor_m))]
+    return min(found, key=lambda leg: graph.get_joint(shank, leg.groups[3]).residual_m, default=None)
+
+
+def _build_leg(graph: JointGraph, chain: tuple[int, int, int, int], floor_m: float) -> LegChain | None:
+    """Return the leg that a chain of four groups forms, None if it is no leg."""
+    pelvis, thigh, shank, foot = (graph.groups[group] for group in chain)
+    joints = [graph.get_joint(a, b) for a, b in pairwise(chain)]
+    places = np.stack([joint.places for joint in joints])
+    lengths = [float(np.linalg.norm(places[k, 1] - places[k + 1, 0])) for k in range(2)]
+    is_known = pelvis.is_known & thigh.is_known & shank.is_known & foot.is_known
+    has_lengths = all(MIN_BONE_LENGTH_M <= length <= MAX_BONE_LENGTH_M for length in lengths) and sum(lengths) >= MIN_LEG_LENGTH_M
+    is_scattered = _is_scattered(thigh, places[0, 1], places[1, 0]) or _is_scattered(shank, places[1, 1], places[2, 0])
+    if not has_lengths or is_scattered or not is_known.any() or _has_competitor(graph, chain, places):
+        return None
+    hip, knee = thigh.move(places[0, 1])[is_known], thigh.move(places[1, 0])[is_known]
+    ankle = shank.move(places[2, 0])[is_known]
+    bones = (knee - hip) / lengths[0], (ankle - knee) / lengths[1]
+    is_upright = -bones[0][:, 1].mean() >= MIN_THIGH_COSINE and (hip - ankle)[:, 1].mean() >= MIN_LEG_REACH * sum(lengths)
+    if not is_upright or np.quantile(ankle[:, 1], LOW_FRAME_QUANTILE) - floor_m > MAX_ANKLE_HEIGHT_M:
+        return None
+    bend = np.cross(*bones)  # to the left, since knees bend backwards
+    is_bent = np.linalg.norm(bend, axis=1) >= np.sin(MIN_BEND_RAD)
+    if is_bent.mean() < MIN_BENT_SHARE:
+        return None
+    axes = [_average_direction(group.rotation[is_known][is_bent], bend[is_bent]) for group in (pelvis, thigh, shank)]
+    toe = foot.move(_find_toe(foot, places[2, 1]))[is_known]
+    across_foot = _average_direction(pelvis.rotation[is_known], np.cross([0.0, 1.0, 0.0], toe - ankle))
+    if min(np.linalg.norm(axes[1]), np.linalg.norm(axes[2])) < MIN_BEND_AGREEMENT:
+        return None
+    if _normalise(axes[0]) @ _normalise(across_foot) < MIN_SIDE_AGREEMENT:
+        return None
+    left, hip_offset = _normalise(_normalise(axes[0]) + _normalise(across_foot)), places[0, 0] - pelvis.centroid
+    height = float((pelvis.move(pelvis.centroid)[is_known] - hip)[:, 1].mean())
+    if abs(hip_offset @ left) < MIN_SIDE_DISTANCE_M or np.linalg.norm(hip_offset) > MAX_HIP_OFFSET_M:
+        return None
+    if not 0 <= height <= MAX_PELVIS_HEIGHT_M:
+        return None
+    bend_axes = np.stack([_normalise(axis) for axis in axes[1:]])
+    return LegChain(chain, places, bend_axes, left, bool(hip_offset @ left > 0), joints[0].residual_m)
+
+
+def _is_scattered(group: MovingGroup, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> bool:
+    """Return whether a marker of a group is too far from the bone from `start` to `end` to be on its segment."""
+    share = np.clip((group.places - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+    return bool((np.linalg.norm(group.places - start - share[:, None] * (end - start), axis=1) > MAX_BONE_DISTANCE_M).any())
+
+
+def _find_toe(foot: MovingGroup, ankle: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the place of the marker of a foot that is farthest from its ankle."""
+    return foot.places[int(np.linalg.norm(foot.places - ankle, axis=1).argmax())]
+
+
+def _has_competitor(graph: JointGraph, chain: tuple[int, int, int, int], places: Float[np.ndarray, "3 2 3"]) -> bool:
+    """Return whether another group fits the place of the thigh about as well, or the foot that of the shank.
+
+    Another group is a possible thigh if it has the same joint with the shank, or joints with both shank and pelvis. Where thigh
+    and foot have a joint too, the foot must be farther from the knee.
+    """
+    pelvis, thigh, shank, foot = chain
+    max_residual = MIN_COMPETING_RATIO * graph.get_joint(thigh, shank).residual_m
+    if graph.has_joint(thigh, foot) and graph.get_joint(thigh, foot).residual_m < max_residual:
+        knee = graph.groups[thigh].move(places[1, 0])
+        near, far = (
+            np.nanmean(np.linalg.norm(group.move(group.centroid) - knee, axis=1))
+            for group in (graph.groups[shank], graph.groups[foot])
+        )
+        if not far - near >= MIN_ORDER_DISTANCE_M:
+            return True
+    for other in set(graph.list_neighbours(shank)) - set(chain):
+        joint = graph.get_joint(shank, other)
+        is_near = bool(np.linalg.norm(joint.places[0] - places[1, 1]) < MAX_SAME_JOINT_DISTANCE_M)
+        if (is_near or graph.has_joint(pelvis, other)) and joint.residual_m < max_residual:
+            return True
+    return False
+
+
+def _select_pair(groups: Sequence[MovingGroup], chains: list[LegChain]) -> list[LegChain]:
+    """Return one leg, or a left and a right one on the same pelvis; none if more chains are possible."""
+    chains = [chain for chain in chains if not any(_has_better_pelvis(groups, other, chain) for other in chains)]
+    if len(chains) != 2:
+        return chains if len(chains) == 1 else []
+    one, other = chains
+    if one.groups[0] != other.groups[0] or one.is_left == other.is_left or set(one.groups[1:]) & set(other.groups[1:]):
+        return []
+    distance = float(np.linalg.norm(one.places[0, 0] - other.places[0, 0]))
+    is_possible = MIN_HIP_DISTANCE_M <= distance <= MAX_HIP_DISTANCE_M
+    return chains if is_possible and one.left @ other.left >= MIN_SIDE_AGREEMENT else []
+
+
+def _has_better_pelvis(groups: Sequence[MovingGroup], one: LegChain, other: LegChain) -> bool:
+    """Return whether the first of two chains has the same leg on another group that is nearer and has a more precise hip."""
+    if one.groups[1:3] != other.groups[1:3] or one.groups[0] == other.groups[0]:
+        return False
+    near, far = (np.linalg.norm(chain.places[0, 0] - groups[chain.groups[0]].centroid) for chain in (one, other))
+    return bool(near < far) and one.hip_residual_m < other.hip_residual_m
+
+
+def _average_direction(rotation: Float[np.ndarray, "N 3 3"], direction: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+    """Return the mean of world directions in moving axes; its length is 1 if they are all the same."""
+    length = np.linalg.norm(direction, axis=1)
+    unit = direction[length > 0] / length[length > 0, None]
+    return np.einsum("tba,tb->ta", rotation[length > 0], unit).mean(0)
+
+
+def _normalise(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)
