@@ -1,5 +1,6 @@
 """Learning a marker set: the initial guess, the choice of a subject, and cleaning with the learned set."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from mocapfix import marker_sets, pipeline, synthetic
 from mocapfix.errors import TakeError
 from mocapfix.marker_sets import learning, own_set
+from mocapfix.read.capture import read_take
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 from tests.conftest import build_c3d
@@ -15,6 +17,7 @@ from tests.conftest import build_c3d
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "data" / "captures"
 CMU = marker_sets.load_marker_set("cmu41")
 WHOLE = synthetic.compose_take(seed=8, seconds=8.0, rate=25.0)
+SKELETON = load_cmu31_body().skeleton
 SIDES = {"L": "Left", "R": "Right"}
 NAMES = {"KNE": "knee lat", "WRA": "wrist radius", "WRB": "wrist ulna", "HEE": "Ferse"}
 
@@ -105,3 +108,29 @@ def test_unknown_labels_of_a_real_capture():
     expected |= {"L_HM2": "LeftHand", "R_HDF": "Head", "SXS": "Spine1", "R_IPS": "Hips", "L_WAND2": "LeftLeg"}
     assert {label: joint_of_label[label] for label in expected} == expected
     assert (len(marker_set.labels), learned.mean_residual_m < 0.005) == (55, True)
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
+def test_clusters_whose_labels_are_numbers_are_found_on_the_legs():
+    take = read_take(CAPTURES / "c3d" / "dec_real.c3d")
+    order = np.random.default_rng(0).permutation(len(take.labels))
+    numbered = replace(take.select(order, take.visible[:, order]), labels=tuple(f"M{k}" for k in range(len(order))))
+    learned = learning.learn_from_markers(learning.select_subject_markers(numbered), "own")
+    segments = {"TH": "UpLeg", "SK": "Leg", "FT": "Foot", "PV": "Hips"}
+    true_labels = [take.labels[column] for column in order]
+    found = zip(learned.marker_set.labels, learned.marker_set.joints, strict=True)
+    joint_of_label = {true_labels[int(label[1:])]: SKELETON.names[joint] for label, joint in found}
+    expected = {label: segments[label[1:3]] for label in true_labels if label[1:3] in segments}
+    sides = {label: SIDES[label[0]] if joint != "Hips" else "" for label, joint in expected.items()}
+    assert joint_of_label == {label: sides[label] + joint for label, joint in expected.items()}
+    assert learned.mean_residual_m < 0.005
+
+
+def test_props_are_written_to_the_learned_set(tmp_path):
+    box = WHOLE.joint_positions[:, [SKELETON.find_joint("RightHand")]]
+    moved = box + 0.3 * np.sin(np.arange(len(box)) / 9)[:, None, None] + [[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
+    labels = [*map(rename_label, WHOLE.labels), *(f"Box{k}" for k in range(4))]
+    path = tmp_path / "wave.c3d"
+    path.write_bytes(build_c3d(np.concatenate([WHOLE.damaged_positions, moved], axis=1), labels, rate=WHOLE.rate))
+    learned = own_set.learn_marker_set(path, "ann", like="cmu41")
+    assert learned.marker_set.props == {"Box": ("Box0", "Box1", "Box2", "Box3")}
