@@ -62,8 +62,9 @@ class CalibrationParameters:
     marker_offsets  (K, 3) m: marker offsets at the start
     free_joints     (J,) joints that turn
     deformations    change of the offsets with each of the P coefficients
-    information     (Q, Q) inverse covariance of the unknowns about 0, as the fit assumes it
+    information     (Q, Q) inverse covariance of the unknowns about those expected, as the fit assumes it
     variance_ratio  (Q,) actual variance of people over that which the fit assumes: 1 unless the fit holds an unknown firmly
+    expected        (Q,) the most likely values before the take is seen: 0 unless landmarks predict joints
     """
 
     offsets: Float[np.ndarray, "J 3"]
@@ -72,6 +73,7 @@ class CalibrationParameters:
     deformations: ShapeDeformations
     information: Float[np.ndarray, "Q Q"]
     variance_ratio: Float[np.ndarray, " Q"]
+    expected: Float[np.ndarray, " Q"]
 
     @property
     def gradient_covariance(self) -> Float[np.ndarray, "Q Q"]:
@@ -117,7 +119,8 @@ def build_calibration_parameters(start: Subject, body: BodyModel, prior: MeanPos
         PEOPLE_LEAN_SD_RAD / FIRM_BONE_LEAN_SD_RAD
     ) ** 2
     deformations = ShapeDeformations(joint_deformations, marker_deformations)
-    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information, variance_ratio)
+    expected = np.zeros(len(information))
+    return CalibrationParameters(offsets, marker_offsets, body.free_joints, deformations, information, variance_ratio, expected)
 
 
 def list_bones(skeleton: Skeleton) -> Float[np.ndarray, "B J 3"]:

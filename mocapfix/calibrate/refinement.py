@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.calibrate.calibration_uncertainty import compute_response_sd, compute_shared_covariance, estimate_residual_sd
+from mocapfix.calibrate.hip_regression import add_hip_regression
 from mocapfix.calibrate.parameters import CalibratedBody, CalibrationParameters, build_calibration_parameters
 from mocapfix.calibrate.shared_responses import (
     SharedResponses,
@@ -129,7 +130,7 @@ def refine_subject(
     times_s                         of the frames: those near each other have similar errors
     unknowns                        the first values of the calibration parameters, by default 0
     """
-    parameters = build_calibration_parameters(start, body, prior)
+    parameters = add_hip_regression(build_calibration_parameters(start, body, prior), start, body.skeleton)
 
     def fit(unknowns: np.ndarray, root_position: np.ndarray, local_rotations: np.ndarray) -> RefinementState:
         problem = build_calibration_problem(start, body, prior, markers, parameters.compute_body(unknowns))
@@ -177,9 +178,10 @@ def linearise_frames(
     local_rotations: np.ndarray,
 ) -> RefinementState:
     """Return the state at given poses, without solving them."""
-    frames, prior_gradient = np.arange(len(root_position)), parameters.information @ unknowns
+    frames, deviation = np.arange(len(root_position)), unknowns - parameters.expected
+    prior_gradient = parameters.information @ deviation
     responses = respond_in_frames(parameters, problem, root_position, local_rotations, frames, only_errors=True)
-    cost = float(responses.cost.sum() + 0.5 * unknowns @ prior_gradient)
+    cost = float(responses.cost.sum() + 0.5 * deviation @ prior_gradient)
     gradient = reduce_shared_gradient(responses) + prior_gradient
     return RefinementState(parameters, unknowns, problem, root_position, local_rotations, cost, gradient)
 
