@@ -1,6 +1,7 @@
 """A synthetic take of three seconds with one fault of every kind that a reviewer decides on."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -91,12 +92,18 @@ def map_labels_to_points(take: Take) -> dict[str, int]:
     return points | (dict(zip(unlabelled.labels, unlabelled.point_columns.tolist(), strict=True)) if unlabelled else {})
 
 
+@cache
+def read_unchanged_take(path: Path, modified_ns: int):
+    """Read a take, once for each time at which its file was modified: many tests compare with the same file."""
+    return capture.read_take(path)
+
+
 def find_changed_runs(path: Path, other_path: Path) -> set[tuple[str, int, int]]:
     """Return the runs of samples in which any bit differs: label, first and last frame index.
 
     All other bytes of the two files must be the same.
     """
-    take, other_take = capture.read_take(path), capture.read_take(other_path)
+    take, other_take = (read_unchanged_take(each, each.stat().st_mtime_ns) for each in (path, other_path))
     data, other_data = bytearray(path.read_bytes()), bytearray(other_path.read_bytes())
     words, other_words = view_sample_words(take, data), view_sample_words(take, other_data)
     is_changed = (words.view("u4") != other_words.view("u4")).any(-1)
