@@ -69,6 +69,7 @@ def packages() -> set[str]:
     return {name.rpartition(".")[0] for name in modules()} - {""}
 
 
+@cache
 def functions() -> list[tuple[str, ast.FunctionDef]]:
     return [
         (f"{name}.{node.name}", node)

@@ -79,9 +79,10 @@ class PoseProblem:
 
     @cached_property
     def point_term(self) -> PointTerm:
-        """The markers as a term."""
-        measured = np.where(self.solver_mask[..., None], self.marker_positions, 0.0)
-        return PointTerm(self.attachment.joints, self.attachment.offsets, measured, self.solver_mask / self.marker_sd**2)
+        """The markers as a term. Arrays in another order of memory would be other types and compile the solver again."""
+        measured = np.ascontiguousarray(np.where(self.solver_mask[..., None], self.marker_positions, 0.0))
+        weight = np.ascontiguousarray(self.solver_mask / self.marker_sd**2)
+        return PointTerm(self.attachment.joints, self.attachment.offsets, measured, weight)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
         """Return the problem of some frames. The prior is the same for all frames."""

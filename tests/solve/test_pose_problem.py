@@ -59,6 +59,16 @@ def test_exact_markers_recover_poses_and_the_compiled_solver_is_cached():
     assert list(find_module_folder("mocapfix.kernels.levenberg_marquardt").glob("*.solve_frames-*.nbi"))
 
 
+def test_selected_markers_have_the_types_of_the_compiled_solver():
+    body, *_ = problem()
+    order = np.arange(4 * JOINTS)[::-1]
+    selected = replace(body, marker_positions=body.marker_positions[:, order], solver_mask=body.solver_mask[:, order])
+    assert not selected.marker_positions.flags.c_contiguous
+    assert selected.point_term.measured.flags.c_contiguous
+    assert selected.point_term.weight.flags.c_contiguous
+    np.testing.assert_array_equal(selected.point_term.measured, body.marker_positions[:, order])
+
+
 def test_masked_markers_are_ignored():
     body, root, local = problem()
     deaf = replace(
