@@ -111,7 +111,7 @@ def test_unknown_labels_of_a_real_capture():
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="no captures beside the repository")
-def test_clusters_whose_labels_are_numbers_are_found_on_the_legs():
+def test_clusters_with_numbers_as_labels_are_found_on_the_legs():
     take = read_take(CAPTURES / "c3d" / "dec_real.c3d")
     order = np.random.default_rng(0).permutation(len(take.labels))
     numbered = replace(take.select(order, take.visible[:, order]), labels=tuple(f"M{k}" for k in range(len(order))))
