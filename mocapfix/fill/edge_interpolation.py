@@ -153,7 +153,8 @@ def estimate_from_edges(
     frames, hidden_frames = w.gap_frames, w.hidden_frames
     cluster_sd = None
     if axes:
-        shown_sd = float(np.sqrt(np.nanmean((local - np.nanmean(local, axis=0)) ** 2)))
+        shown = local[~np.isnan(local[:, 0])]
+        shown_sd = float(np.sqrt(((shown - shown.mean(0)) ** 2).mean()))
         cluster_sd = shown_sd * compute_variation_growth(~np.isnan(path[:, 0]), w.length / rate, rate)
     expected_sd = compute_expected_sd(w, rate, speed_m_s, cluster_sd)
     gap_s = w.length / rate

@@ -127,7 +127,10 @@ class MovingAxes(NamedTuple):
 
     def transform_from_world(self, path: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
         """Return a path in these axes."""
-        return np.einsum("tba,tb->ta", self.rotation, path - self.origin)
+        local = np.full(path.shape, np.nan)
+        known = np.flatnonzero(~np.isnan(self.origin[:, 0]) & ~np.isnan(path[:, 0]))
+        local[known] = np.einsum("tba,tb->ta", self.rotation[known], path[known] - self.origin[known])
+        return local
 
 
 class GapEstimate(NamedTuple):

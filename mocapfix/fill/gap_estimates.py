@@ -81,15 +81,16 @@ class Neighbourhood:
         self.velocity_sd = measure_velocity_variation(markers, rate)
         is_settled = ~np.isnan(settled.sd)
         self.markers = np.where(is_settled[..., None], settled.position, markers)
+        self.is_known = ~np.isnan(self.markers[..., 0])
 
     def open_window(self, first: int, last: int, lost_markers: np.ndarray) -> GapWindow:
         """Return the window of a gap of some markers."""
-        is_shown = np.all(~np.isnan(self.markers[:, lost_markers, 0]), axis=1)
+        is_shown: np.ndarray = np.all(self.is_known[:, lost_markers], axis=1)
         return choose_hidden_stretches(is_shown, first, last, self.rate)
 
     def estimate_gap(self, window: GapWindow, lost_markers: np.ndarray) -> list[list[GapEstimate]]:
         """Return the estimates of each marker that is lost throughout a gap."""
-        w, known = window, ~np.isnan(self.markers[..., 0])
+        w, known = window, self.is_known
         shown = np.flatnonzero(known[:, lost_markers].all(1))
         shown = shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)] if len(shown) else shown
         used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
@@ -107,7 +108,7 @@ class Neighbourhood:
         order = np.argsort(change, kind="stable")
         order = order[shared.is_neighbour[order] & np.isfinite(change[order])]
         estimates = self._estimate_from_edges(marker, order, shared) if len(window.context_frames) else []
-        cluster = select_regression_cluster(~np.isnan(self.markers[..., 0]), marker, order[change[order] < MAX_DISTANCE_CHANGE_M])
+        cluster = select_regression_cluster(self.is_known, marker, order[change[order] < MAX_DISTANCE_CHANGE_M])
         if len(cluster) >= MIN_CLUSTER_MARKERS:
             regressed = estimate_by_regression(self.markers, marker, cluster, change[cluster], window, self.rate)
             estimates += [regressed] if regressed else []
@@ -156,6 +157,7 @@ class Neighbourhood:
             samples = window.gap_frames, marker
             if (estimated.sd[samples] <= MAX_KNOWN_SD_M).all():
                 self.markers[samples] = estimated.position[samples]
+                self.is_known[samples] = True
 
 
 class _GapSurroundings(NamedTuple):

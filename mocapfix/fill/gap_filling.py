@@ -11,14 +11,26 @@ from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
 from mocapfix.fill import body_fill
 from mocapfix.fill.fill_methods import FillMethod, MarkerEstimate, build_marker_estimate
-from mocapfix.fill.gap_estimates import estimate_without_body
-from mocapfix.fill.marker_estimates import combine_with_partial_body, estimate_missing_samples
+from mocapfix.fill.gap_estimates import estimate_gaps, estimate_without_body
+from mocapfix.fill.marker_estimates import (
+    MIN_COMBINED_SD_M,
+    combine_estimates,
+    combine_with_partial_body,
+    compute_gap_inflation,
+    estimate_missing_samples,
+)
+from mocapfix.fill.marker_speeds import measure_speed_limit
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
 from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS, RigidGroup
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
+
+MAX_SETTLED_GAP_SD_M = 0.002
+"""Standard deviation of the estimates over the whole take up to which a gap is not estimated by itself; it holds throughout."""
+MAX_GAP_ESTIMATE_SD_M = 0.03
+"""Standard deviation anywhere in a gap above which its own estimate is not used where there is another."""
 
 
 class FilledTake(NamedTuple):
@@ -110,6 +122,7 @@ def fill_take(
     body_estimate = estimate_from_body(take, is_inlier, body) if body else None
     if body_estimate is not None and not is_partial_body:
         estimate = estimate_missing_samples(take, is_inlier, body_estimate)
+        estimate = join_gap_estimates(estimate, np.where(is_inlier[..., None], take.markers, np.nan), take.rate)
     else:
         estimate = estimate_without_body(take.markers, is_inlier, take.rate)
         if body_estimate is not None:
@@ -123,6 +136,41 @@ def fill_take(
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))
     return FilledTake(after, list_unfilled_runs(after, take, is_editable, reasons), np.where(is_filled, method, -1))
+
+
+def join_gap_estimates(estimate: MarkerEstimate, markers: Float[np.ndarray, "T M 3"], rate: float) -> MarkerEstimate:
+    """Return the estimates, in the gaps that they leave uncertain combined with those that hidden stretches weight for each gap.
+
+    Those of a gap are uncertain where the take shows no stretch that long. The body is then known better.
+
+    estimate  from all methods over the whole take
+    markers   in metres, NaN if not visible or an outlier
+    rate      frame rate in Hz
+    """
+    is_missing = np.isnan(markers[..., 0])
+    is_settled = find_gaps_below(estimate.sd, is_missing, MAX_SETTLED_GAP_SD_M)
+    if is_settled[is_missing].all():
+        return estimate
+    settled_sd = np.where(is_settled, estimate.sd, np.nan)
+    settled = estimate._replace(position=np.where(is_settled[..., None], estimate.position, np.nan), sd=settled_sd)
+    in_gaps, _, _ = estimate_gaps(markers, settled, rate, measure_speed_limit(markers, rate))
+    sd = in_gaps.sd * compute_gap_inflation(~is_missing)
+    is_precise = find_gaps_below(in_gaps.sd, is_missing & ~is_settled, MAX_GAP_ESTIMATE_SD_M)
+    is_used = ~is_settled & (is_precise | np.isnan(estimate.sd))
+    in_gaps = in_gaps._replace(sd=np.where(is_used, sd, np.nan))
+    combined, ratio = combine_estimates([estimate.select(is_missing), in_gaps.select(is_missing)])
+    return combined._replace(sd=np.maximum(combined.sd * ratio, MIN_COMBINED_SD_M)).expand(is_missing)
+
+
+def find_gaps_below(
+    sd: Float[np.ndarray, "T M"], is_missing: Bool[np.ndarray, "T M"], max_sd_m: float
+) -> Bool[np.ndarray, "T M"]:
+    """Return the samples of the gaps in which a standard deviation is at most `max_sd_m` throughout."""
+    is_below = is_missing & (sd <= max_sd_m)
+    for m in np.flatnonzero((is_missing & ~is_below).any(0)):
+        for first, last in find_runs(is_missing[:, m]):
+            is_below[first : last + 1, m] &= is_below[first : last + 1, m].all()
+    return is_below
 
 
 def estimate_from_body(take: Take, is_inlier: Bool[np.ndarray, "T M"], body: BodyFit) -> MarkerEstimate:
