@@ -243,13 +243,14 @@ class _FunctionSearch:
         is_known = ~(np.any(np.isnan(target), axis=-1) | np.any(np.isnan(basis), axis=(-1, -2)))
         target, basis = np.where(is_known[..., None], target, 0.0), np.where(is_known[..., None, None], basis, 0.0)
         count = basis.shape[-1]
+        rows = basis.reshape(len(basis), -1, count)
         weight = np.ones(is_known.shape)
         coefficients, misfit = np.zeros((len(target), count)), np.zeros(is_known.shape)
         for _ in range(rounds):
-            weighted = basis * weight[..., None, None]
-            normal = np.einsum("ntxu,ntxv->nuv", weighted, basis) + self.limit_m**2 * np.eye(count)
-            coefficients = np.linalg.solve(normal, np.einsum("ntxu,ntx->nu", weighted, target)[..., None])[..., 0]
-            misfit = np.linalg.norm(target - np.einsum("ntxu,nu->ntx", basis, coefficients), axis=-1)
+            weighted = (basis * weight[..., None, None]).reshape(rows.shape).swapaxes(1, 2)
+            normal = weighted @ rows + self.limit_m**2 * np.eye(count)
+            coefficients = np.linalg.solve(normal, weighted @ target.reshape(len(target), -1, 1))[..., 0]
+            misfit = np.linalg.norm(target - (rows @ coefficients[..., None]).reshape(target.shape), axis=-1)
             weight = self.limit_m / np.maximum(misfit, self.limit_m)
         return _Fit(coefficients, np.where(is_known, misfit, np.nan))
 
