@@ -11,6 +11,7 @@ not matter once the tracklets are known.
     UnlabelledPoints            points, tracklet_indices (T, C), rate
      │  set_comparison          assume_marker_set: the shipped set that fits, where none is named
      │  labeller                label_points: bodies are fitted to key frames, and labels are assigned outwards from them
+     │  reference_labeller      label_points_like: by a labelled take whose markers are in no known set
      │  several_people          label_people: each of several people is found, then labelled among the points of that person
      ▼
     PointLabels                 marker_indices (T, C): index of each point's marker in the marker set, -1 for none

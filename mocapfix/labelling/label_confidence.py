@@ -13,6 +13,11 @@ INDEPENDENT_TIME_S = 0.5
 MAX_INDEPENDENT_DISTANCES = 5.0
 """Largest number of distances of one tracklet that count."""
 
+GHOST_ODDS = (8.0, 1.0)
+"""How many times more often than its likelihood states a tracklet is no marker: a short and a long one. Most ghosts are short."""
+GHOST_DURATIONS_S = (0.0, 0.1)
+"""Durations of these tracklets."""
+
 
 def compute_label_confidence(
     sampled: SampledPoints, markers: Int[np.ndarray, " N"], distances: TrackletDistances
@@ -35,7 +40,10 @@ def compute_label_confidence(
     alternatives = np.column_stack([change, np.where(has_label, none_cost - own_cost, 0.0)])
     count = np.clip(1 + measure_durations(sampled) / INDEPENDENT_TIME_S, 1, MAX_INDEPENDENT_DISTANCES)
     exponent = -0.5 * np.maximum(alternatives, 0.0) * count[:, None] / LABEL_DISTANCE_SD_M**2
-    return np.where(distances.frame_count > 0, 1 / np.exp(exponent).sum(1), 0.0)
+    likelihood = np.exp(exponent)
+    odds = np.interp(measure_durations(sampled), GHOST_DURATIONS_S, GHOST_ODDS)
+    likelihood[:, -1] *= np.where(has_label, odds, 1.0)  # that it is no marker
+    return np.where(distances.frame_count > 0, 1 / likelihood.sum(1), 0.0)
 
 
 def _find_holders(sampled: SampledPoints, markers: Int[np.ndarray, " N"], marker_count: int) -> Int[np.ndarray, "N K"]:

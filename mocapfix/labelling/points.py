@@ -41,11 +41,14 @@ class PointLabels:
         marker_indices: Index among the labels of the marker set, -1 for a point without a label.
         confidence: Probability that the label, or that no label, is right; 0 where there is no point.
         subject_indices: Of several persons, to whom each point belongs, -1 for none; empty if there is one person.
+        evidence_per_marker: Logarithm of how much more probable a labelled point is at its marker than anywhere on the body;
+            infinite for the markers of a known person.
     """
 
     marker_indices: Int[np.ndarray, "T C"]
     confidence: Float[np.ndarray, "T C"]
     subject_indices: Int[np.ndarray, "S C"] = field(default_factory=lambda: np.zeros((0, 0), int))
+    evidence_per_marker: float = np.inf
 
 
 def assign_to_tracklets(points: UnlabelledPoints, values: np.ndarray, missing: float) -> np.ndarray:

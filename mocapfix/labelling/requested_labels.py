@@ -4,12 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from mocapfix.animation import Animation
 from mocapfix.errors import TakeError
 from mocapfix.labelling.arbitrary_labels import are_labels_arbitrary
 from mocapfix.labelling.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
 from mocapfix.labelling.labeller import find_labelled_body, label_points
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
-from mocapfix.labelling.set_comparison import assume_marker_set
+from mocapfix.labelling.reference_labeller import label_points_like
+from mocapfix.labelling.reference_markers import build_reference_markers
+from mocapfix.labelling.set_comparison import assume_marker_set, describe_better_set
 from mocapfix.labelling.several_people import label_people, separate_people
 from mocapfix.labelling.take_labelling import (
     FilePoints,
@@ -19,13 +24,22 @@ from mocapfix.labelling.take_labelling import (
     find_file_tracklets,
 )
 from mocapfix.marker_set import MarkerSet, format_name_list
-from mocapfix.marker_sets.library import SubjectChoice, load_requested_subject, load_shipped_marker_sets
+from mocapfix.marker_sets.library import SubjectChoice, choose_marker_set, load_requested_subject, load_shipped_marker_sets
 from mocapfix.options import CleanOptions
+from mocapfix.read.capture import read_capture
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
 MIN_CERTAIN_SHARE = 0.9
 """Share of the points that must get certain labels of a set that the user did not name."""
+MIN_NAMED_SET_EVIDENCE = 0.5
+"""Evidence per marker below which the points show no person with the markers of a named set; that of right sets is 1.8 to 3.7."""
+MAX_COMMON_LABEL_SHARE = 0.1
+"""Share of the labels of a take up to which labels that another take has as well are a coincidence."""
+MIN_REFERENCE_SHARE = 0.1
+"""Share of the frames in which a labelled take shows the markers that are looked for."""
+MIN_FOUND_MARKER_SHARE = 0.5
+"""Share of these markers that must be found."""
 MAX_LISTED_ARBITRARY_LABELS = 3
 """Labels without a meaning that a sentence lists."""
 
@@ -47,6 +61,9 @@ def label_capture(
     if requested.like is not None:
         if requested.subject is not None or requested.marker_set is not None:
             raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
+        labelled = label_take_like(take, Path(requested.like), options.read.up_axis)
+        if labelled is not None:
+            return labelled, options.change(like=None)
         subject = calibrate([Path(requested.like)], CleanOptions(read=options.read))
         options = options.change(subject=subject, like=None)
     return label_take(take, load_requested_subject(options.subject)), options
@@ -80,18 +97,51 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
         labels = label_people(tracklets, request.marker_set, label_points)
     else:
         labels = label_points(tracklets, request.marker_set, request.subject)
-    if not (labels.marker_indices >= 0).any():
+    if not (labels.marker_indices >= 0).any() or labels.evidence_per_marker < MIN_NAMED_SET_EVIDENCE:
         raise TakeError(
             f"{take.name}: no person with the markers of {request.marker_set.name} was found in its {count} points; "
             "check the marker set, the unit and the up axis (--up)."
         )
-    return _apply_labels_of_set(take, points, labels, request.marker_set)
+    labelled = _apply_labels_of_set(take, points, labels, request.marker_set)
+    if request.subject is None and not labels.subject_indices.size:
+        candidates = _load_candidates()
+        if warning := describe_better_set(tracklets, labels, request.marker_set, candidates, find_labelled_body):
+            return replace(labelled, notes=(warning, *labelled.notes))
+    return labelled
+
+
+def label_take_like(take: Take, path: Path, up_axis: str | None) -> Take | None:
+    """Return a take without labels with those of a labelled take of the same person whose markers are in no shipped set.
+
+    Returns None where the take has labels that may be those of the other one, or where a shipped set fits that.
+    """
+    other = read_capture(path, up_axis)
+    if isinstance(other, Animation) or collect_unlabelled_points(other) or choose_marker_set(other.labels).marker_set:
+        return None
+    points = collect_unlabelled_points(take)
+    if points is None:
+        if len(set(take.labels).intersection(other.labels)) > MAX_COMMON_LABEL_SHARE * len(take.labels):
+            return None
+        points = collect_labelled_points(take)
+    shown = np.flatnonzero((other.visible & other.measured).mean(0) >= MIN_REFERENCE_SHARE)
+    labels = tuple(other.labels[m] for m in shown)
+    reference = build_reference_markers(other.masked(other.measured).markers[:, shown], labels)
+    found = label_points_like(find_file_tracklets(points, take.rate), reference)
+    count = len(np.unique(found.marker_indices[found.marker_indices >= 0]))
+    if count < MIN_FOUND_MARKER_SHARE * len(labels):
+        raise TakeError(
+            f"{take.name}: only {count} of the {len(labels)} markers of {other.name} were found in its points; "
+            "check that both takes show the same person with the same markers."
+        )
+    labelled = apply_labels(take, points, found, labels)
+    bare_labels = tuple(label.rpartition(":")[2] for label in labels)
+    note = f"No shipped marker set fits {other.name}: the points were labelled by the distances of its markers."
+    return replace(labelled, notes=(*labelled.notes, note, *describe_labelling(labelled, bare_labels)))
 
 
 def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPoints) -> tuple[Take | None, str]:
     """Return the take with the labels of the shipped set that fits its points clearly, None if there is none, and the reason."""
-    candidates = [each for each in load_shipped_marker_sets() if not each.point_sd]
-    marker_set, reason = assume_marker_set(tracklets, candidates, find_labelled_body)
+    marker_set, reason = assume_marker_set(tracklets, _load_candidates(), find_labelled_body)
     if marker_set is None:
         return None, reason
     labels = label_points(tracklets, marker_set)
@@ -104,6 +154,11 @@ def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPo
         )
     labelled = _apply_labels_of_set(take, points, labels, marker_set)
     return replace(labelled, notes=(reason, *labelled.notes)), reason
+
+
+def _load_candidates() -> list[MarkerSet]:
+    """Return the shipped sets of markers, without those of keypoints."""
+    return [each for each in load_shipped_marker_sets() if not each.point_sd]
 
 
 def _apply_labels_of_set(take: Take, points: FilePoints, labels: PointLabels, marker_set: MarkerSet) -> Take:

@@ -44,13 +44,14 @@ def label_people(points: UnlabelledPoints, marker_set: MarkerSet, label_person: 
         return people[0]
     persons = assign_to_people(points, [labels.marker_indices >= 0 for labels in people])
     markers, confidence = np.full(points.tracklet_indices.shape, -1), np.zeros(points.tracklet_indices.shape)
-    subjects = np.full(points.tracklet_indices.shape, -1)
+    subjects, evidence = np.full(points.tracklet_indices.shape, -1), np.inf
     for n in range(len(people)):
         is_own = persons == n
         labels = label_person(points.select_points(is_own), marker_set)
         markers[is_own], confidence[is_own] = labels.marker_indices[is_own], labels.confidence[is_own]
         subjects[is_own & (labels.marker_indices >= 0)] = n
-    return PointLabels(markers, confidence, subjects)
+        evidence = min(evidence, labels.evidence_per_marker)
+    return PointLabels(markers, confidence, subjects, evidence)
 
 
 def separate_people(labels: PointLabels, marker_labels: tuple[str, ...]) -> tuple[PointLabels, tuple[str, ...]]:
@@ -59,7 +60,8 @@ def separate_people(labels: PointLabels, marker_labels: tuple[str, ...]) -> tupl
         return labels, marker_labels
     count = int(labels.subject_indices.max()) + 1
     indices = np.where(labels.marker_indices >= 0, labels.subject_indices * len(marker_labels) + labels.marker_indices, -1)
-    return PointLabels(indices, labels.confidence), tuple(f"P{n + 1}:{label}" for n in range(count) for label in marker_labels)
+    single = PointLabels(indices, labels.confidence, evidence_per_marker=labels.evidence_per_marker)
+    return single, tuple(f"P{n + 1}:{label}" for n in range(count) for label in marker_labels)
 
 
 def assign_to_people(points: UnlabelledPoints, masks: list[Bool[np.ndarray, "T C"]]) -> Int[np.ndarray, "T C"]:

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
+from mocapfix.labelling.label_confidence import compute_label_confidence
 from mocapfix.labelling.label_overlaps import continue_labels, label_single_points
 from mocapfix.labelling.labeller import label_points
 from mocapfix.labelling.linking import find_tracklets
 from mocapfix.labelling.points import UnlabelledPoints
-from mocapfix.labelling.sampled_points import sample_points
-from mocapfix.labelling.tracklet_assignment import assign_tracklets, measure_tracklets
+from mocapfix.labelling.sampled_points import SampledPoints, sample_points
+from mocapfix.labelling.tracklet_assignment import TrackletDistances, assign_tracklets, measure_tracklets
 from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.synthetic.unlabelled_takes import remove_labels
 
@@ -91,3 +92,24 @@ def test_label_continues_in_its_column_across_a_leap():
     assert (continue_labels(points, labelled) == 4).all()
     positions[10:20, 0, 0] = 0.4
     np.testing.assert_array_equal(continue_labels(points, labelled), labelled)
+
+
+def test_wrist_and_hand_exchanged_from_the_beginning_are_corrected():
+    """Before the labels were reconsidered, three markers of the left hand had each other's labels throughout this take."""
+    take = synthetic.compose_take(21, 10.0, 120.0, asymmetric=True)
+    visible_markers = np.where(take.missing_mask[..., None], np.nan, take.marker_positions)
+    unlabelled = remove_labels("ghosts", visible_markers, take.rate, seed=1)
+    found = label_points(find_tracklets(unlabelled.points, take.rate), load_marker_set("cmu41")).marker_indices
+    assert (found == unlabelled.marker_indices)[unlabelled.marker_indices >= 0].all()
+
+
+def test_a_single_point_is_less_certain_than_a_trajectory():
+    """Both are 3 cm from the marker; most single points that far from it are ghosts."""
+    times, positions = np.arange(40) * 0.05, np.zeros((40, 2, 3))
+    tracklets = np.where(np.arange(40)[:, None] == [[5, 0]], [[1, 0]], -1)
+    tracklets[:, 1] = 0
+    sampled = SampledPoints(np.arange(40), positions, tracklets, 2, times)
+    distances = TrackletDistances(np.array([[0.03**2, 1.0], [1.0, 0.03**2]]), np.array([40, 1]))
+    confidence = compute_label_confidence(sampled, np.array([0, 1]), distances)
+    assert confidence[0] > 0.99
+    assert 0.2 < confidence[1] < 0.9

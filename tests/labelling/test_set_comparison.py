@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from mocapfix import synthetic
-from mocapfix.labelling.labeller import find_labelled_body
+from mocapfix.labelling.labeller import find_labelled_body, label_points
 from mocapfix.labelling.linking import find_tracklets
-from mocapfix.labelling.set_comparison import SetComparison, assume_marker_set, compute_agreement
+from mocapfix.labelling.set_comparison import (
+    SetComparison,
+    assume_marker_set,
+    compute_agreement,
+    compute_place_agreement,
+    describe_better_set,
+)
 from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.synthetic.unlabelled_takes import remove_labels
 
@@ -50,3 +56,15 @@ def test_agreement_compares_names_of_markers():
     markers = [np.array([each.labels.index(pair[n]) if pair[n] else -1 for pair in pairs]) for n, each in enumerate((one, other))]
     agreement = compute_agreement(SetComparison(one, markers[0], counts, 0.0), SetComparison(other, markers[1], counts, 0.0))
     assert agreement == pytest.approx(40 / 60)
+    places = compute_place_agreement(SetComparison(one, markers[0], counts, 0.0), SetComparison(other, markers[1], counts, 0.0))
+    assert places == 1.0
+
+
+def test_a_set_that_fits_clearly_better_than_the_named_one_is_stated(take):
+    points, right = find_points(take.marker_positions, take.rate), load_marker_set("cmu41")
+    wrong = load_marker_set("optitrack-baseline41")
+    warning = describe_better_set(points, label_points(points, wrong), wrong, MARKER_SETS, find_labelled_body)
+    assert warning.startswith("The points fit cmu41 clearly better than optitrack-baseline41")
+    labels = label_points(points, right)
+    assert labels.evidence_per_marker > 2.2
+    assert not describe_better_set(points, labels, right, MARKER_SETS, find_labelled_body)
