@@ -16,6 +16,8 @@ from mocapfix.stats.functional_joints import FunctionalJoint, MovingGroup, estim
 
 MAX_JOINT_RESIDUAL_M = 0.025
 """Root mean square distance between the two places of a joint."""
+MAX_KNEE_RESIDUAL_RATIO = 2.5
+"""Residual of the knee relative to the larger one of hip and ankle; between a thigh and the other leg's shank it is larger."""
 MIN_JOINT_RANGE_RAD = 0.08
 """Root mean square angle by which two groups must turn against each other; groups on one segment turn less."""
 MIN_COMPETING_RATIO = 2.0
@@ -40,8 +42,10 @@ MIN_THIGH_COSINE = 0.6
 """Mean cosine between thigh and vertical; less does not show which end is the upper one."""
 MIN_LEG_REACH = 0.5
 """Mean height of the hip above the ankle, relative to the length of the leg; a runner bends the knees."""
-MIN_SIDE_DISTANCE_M = 0.03
+MIN_SIDE_DISTANCE_M, MAX_SIDE_DISTANCE_M = 0.03, 0.16
 """Distance of a hip from the middle of the group on the pelvis, to its side."""
+MIN_SINGLE_SIDE_DISTANCE_M = 0.05
+"""The same where only one leg is found: nothing else shows which one it is."""
 MAX_HIP_OFFSET_M = 0.35
 """Distance of a hip from the middle of the group on the pelvis."""
 MAX_PELVIS_HEIGHT_M = 0.2
@@ -131,8 +135,10 @@ def _build_leg(graph: JointGraph, chain: tuple[int, int, int, int], floor_m: flo
     lengths = [float(np.linalg.norm(places[k, 1] - places[k + 1, 0])) for k in range(2)]
     is_known = pelvis.is_known & thigh.is_known & shank.is_known & foot.is_known
     has_lengths = all(MIN_BONE_LENGTH_M <= length <= MAX_BONE_LENGTH_M for length in lengths) and sum(lengths) >= MIN_LEG_LENGTH_M
-    is_scattered = _is_scattered(thigh, places[0, 1], places[1, 0]) or _is_scattered(shank, places[1, 1], places[2, 0])
-    if not has_lengths or is_scattered or not is_known.any() or _has_competitor(graph, chain, places):
+    is_implausible = _is_scattered(thigh, places[0, 1], places[1, 0]) or _is_scattered(shank, places[1, 1], places[2, 0])
+    other_residual_m = max(joints[0].residual_m, joints[2].residual_m)
+    is_implausible |= joints[1].residual_m > MAX_KNEE_RESIDUAL_RATIO * other_residual_m
+    if not has_lengths or is_implausible or not is_known.any() or _has_competitor(graph, chain, places):
         return None
     hip, knee = thigh.move(places[0, 1])[is_known], thigh.move(places[1, 0])[is_known]
     ankle = shank.move(places[2, 0])[is_known]
@@ -153,9 +159,12 @@ def _build_leg(graph: JointGraph, chain: tuple[int, int, int, int], floor_m: flo
         return None
     left, hip_offset = _normalise(_normalise(axes[0]) + _normalise(across_foot)), places[0, 0] - pelvis.centroid
     height = float((pelvis.move(pelvis.centroid)[is_known] - hip)[:, 1].mean())
-    if abs(hip_offset @ left) < MIN_SIDE_DISTANCE_M or np.linalg.norm(hip_offset) > MAX_HIP_OFFSET_M:
+    if not MIN_SIDE_DISTANCE_M <= abs(hip_offset @ left) <= MAX_SIDE_DISTANCE_M or np.linalg.norm(hip_offset) > MAX_HIP_OFFSET_M:
         return None
-    if not 0 <= height <= MAX_PELVIS_HEIGHT_M:
+    middle, across = pelvis.move(pelvis.centroid), pelvis.rotation @ left
+    centroids = np.stack([group.move(group.centroid) for group in (thigh, shank, foot)])
+    sides = np.einsum("gta,ta->gt", centroids - middle, across)[:, is_known].mean(1)
+    if not 0 <= height <= MAX_PELVIS_HEIGHT_M or (sides * (hip_offset @ left) < 0).any():
         return None
     bend_axes = np.stack([_normalise(axis) for axis in axes[1:]])
     return LegChain(chain, places, bend_axes, left, bool(hip_offset @ left > 0), joints[0].residual_m)
@@ -199,8 +208,11 @@ def _has_competitor(graph: JointGraph, chain: tuple[int, int, int, int], places:
 def _select_pair(groups: Sequence[MovingGroup], chains: list[LegChain]) -> list[LegChain]:
     """Return one leg, or a left and a right one on the same pelvis; none if more chains are possible."""
     chains = [chain for chain in chains if not any(_has_better_pelvis(groups, other, chain) for other in chains)]
+    if len(chains) == 1:
+        hip_offset = chains[0].places[0, 0] - groups[chains[0].groups[0]].centroid
+        return chains if abs(hip_offset @ chains[0].left) >= MIN_SINGLE_SIDE_DISTANCE_M else []
     if len(chains) != 2:
-        return chains if len(chains) == 1 else []
+        return []
     one, other = chains
     if one.groups[0] != other.groups[0] or one.is_left == other.is_left or set(one.groups[1:]) & set(other.groups[1:]):
         return []
