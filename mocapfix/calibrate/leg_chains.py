@@ -209,8 +209,7 @@ def _select_pair(groups: Sequence[MovingGroup], chains: list[LegChain]) -> list[
     """Return one leg, or a left and a right one on the same pelvis; none if more chains are possible."""
     chains = [chain for chain in chains if not any(_has_better_pelvis(groups, other, chain) for other in chains)]
     if len(chains) == 1:
-        hip_offset = chains[0].places[0, 0] - groups[chains[0].groups[0]].centroid
-        return chains if abs(hip_offset @ chains[0].left) >= MIN_SINGLE_SIDE_DISTANCE_M else []
+        return chains if _is_single_leg(groups, chains[0]) else []
     if len(chains) != 2:
         return []
     one, other = chains
@@ -219,6 +218,16 @@ def _select_pair(groups: Sequence[MovingGroup], chains: list[LegChain]) -> list[
     distance = float(np.linalg.norm(one.places[0, 0] - other.places[0, 0]))
     is_possible = MIN_HIP_DISTANCE_M <= distance <= MAX_HIP_DISTANCE_M
     return chains if is_possible and one.left @ other.left >= MIN_SIDE_AGREEMENT else []
+
+
+def _is_single_leg(groups: Sequence[MovingGroup], leg: LegChain) -> bool:
+    """Return whether a leg is clearly on one side and no other group is below its hip: of two legs, both must be found."""
+    pelvis = groups[leg.groups[0]]
+    heights = [float(group.move(group.centroid)[group.is_known, 1].mean()) for group in groups]
+    hip_height = float(pelvis.move(leg.places[0, 0])[pelvis.is_known, 1].mean())
+    has_others = any(height < hip_height for g, height in enumerate(heights) if g not in leg.groups)
+    side = float((leg.places[0, 0] - pelvis.centroid) @ leg.left)
+    return not has_others and abs(side) >= MIN_SINGLE_SIDE_DISTANCE_M
 
 
 def _has_better_pelvis(groups: Sequence[MovingGroup], one: LegChain, other: LegChain) -> bool:
