@@ -38,6 +38,8 @@ LIMB_RATIO_POWER = 0.4
 """The same for the straight method in moving axes, where a limb is lost."""
 LIMB_METHOD_POWER = 0.5
 """The same for the errors of the other methods there, relative to the straight one."""
+ACTIVITY_POWER = 0.5
+"""Power with which the motion relative to neighbours grows with their own."""
 ONE_EDGE_ERROR_RATIO = 2.0
 """Expected error in a gap with one edge, relative to a gap with two."""
 MIN_EXPECTED_SD_M = 0.0003
@@ -65,11 +67,8 @@ class MethodRatios(NamedTuple):
 
         is_world  whether the axes are those of the world, or move with other markers while a limb is lost
         """
-        straight = self.log_ratio[0]
-        if is_world:
-            shown = WORLD_RATIO_POWER * self.log_ratio
-        else:
-            shown = LIMB_RATIO_POWER * straight + LIMB_METHOD_POWER * (self.log_ratio - straight)
+        straight, each = self.log_ratio[0], self.log_ratio[: len(factors)]
+        shown = WORLD_RATIO_POWER * each if is_world else LIMB_RATIO_POWER * straight + LIMB_METHOD_POWER * (each - straight)
         share = self.neighbour_count / (self.neighbour_count + 1)
         return np.exp(share * shown + (1 - share) * np.log(factors))
 
@@ -132,14 +131,23 @@ def compute_variation_growth(is_shown: Bool[np.ndarray, " T"], gap_s: float, rat
     return max(hidden / shown, 1.0)
 
 
+def keep_known_context(window: GapWindow, is_known: Bool[np.ndarray, " T"]) -> GapWindow:
+    """Return a window with those of the samples beside its gap that are known: markers that define axes can be missing there."""
+    w = window
+    is_before, is_after = is_known[w.first + w.before], is_known[w.first + w.after]
+    return w._replace(before=w.before[is_before], after=w.after[is_after], hidden_after=w.hidden_after[is_after])
+
+
 def estimate_from_edges(
     path: Float[np.ndarray, "T 3"],
     axes: MovingAxes | None,
     window: GapWindow,
     rate: float,
     speed_m_s: float,
+    *,
     ratios: MethodRatios | None = None,
     axes_number: int = 0,
+    activity: float = 1.0,
 ) -> list[GapEstimate]:
     """Return the estimates of all methods in some axes, or in the world where `axes` is None.
 
@@ -147,16 +155,19 @@ def estimate_from_edges(
     speed_m_s    variation of the marker's velocity in the world
     ratios       errors for neighbours in this gap; None if they show nothing of the motion in these axes
     axes_number  by which the axes differ from others
+    activity     how many times as fast the neighbours are in the gap as while the marker is visible
     """
     local = axes.transform_from_world(path) if axes else path
-    w = window
+    w = keep_known_context(window, ~np.isnan(local[:, 0]))
+    if not len(w.context_frames):
+        return []
     frames, hidden_frames = w.gap_frames, w.hidden_frames
     cluster_sd = None
     if axes:
         shown = local[~np.isnan(local[:, 0])]
         shown_sd = float(np.sqrt(((shown - shown.mean(0)) ** 2).mean()))
-        cluster_sd = shown_sd * compute_variation_growth(~np.isnan(path[:, 0]), w.length / rate, rate)
-    expected_sd = compute_expected_sd(w, rate, speed_m_s, cluster_sd)
+        cluster_sd = shown_sd * activity**ACTIVITY_POWER * compute_variation_growth(~np.isnan(path[:, 0]), w.length / rate, rate)
+    expected_sd = compute_expected_sd(w, rate, speed_m_s * activity, cluster_sd)
     gap_s = w.length / rate
     damped_factor = DAMPED_ERROR_RATIO + (gap_s / DAMPED_ERROR_TIME_S if axes else 0.0)
     factors = np.array([1.0, damped_factor, 1 + gap_s / CUBIC_ERROR_TIME_S])

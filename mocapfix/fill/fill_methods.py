@@ -148,3 +148,7 @@ class GapEstimate(NamedTuple):
     error: np.ndarray
     expected_sd: np.ndarray
     axes_number: int | None = None
+
+    def grow(self, factor: float) -> "GapEstimate":
+        """Return the estimate with a larger expected error."""
+        return self._replace(expected_sd=self.expected_sd * factor)

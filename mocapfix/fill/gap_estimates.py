@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M, MIN_CLUSTER_MARKERS
-from mocapfix.fill.edge_interpolation import estimate_from_edges
+from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, estimate_from_edges
 from mocapfix.fill.edge_motion import EdgeMotion, compare_edge_motion
 from mocapfix.fill.fill_methods import FillMethod, GapEstimate, GapWindow, MarkerEstimate, MovingAxes, build_marker_estimate
 from mocapfix.fill.gaussian_process_fill import MAX_SETTLED_SD_M, MIN_VISIBLE_SHARE
@@ -26,7 +26,7 @@ from mocapfix.fill.neighbour_clusters import (
     measure_distance_changes,
     select_regression_cluster,
 )
-from mocapfix.fill.neighbour_errors import NeighbourErrors, measure_neighbour_errors
+from mocapfix.fill.neighbour_errors import NeighbourActivity, NeighbourErrors, measure_neighbour_errors
 from mocapfix.fill.spline_fill import fill_with_splines
 from mocapfix.fill.weighted_estimates import combine_gap_estimates
 from mocapfix.stats.sequences import group_gaps, sample_evenly
@@ -64,11 +64,16 @@ def estimate_without_body(markers: Float[np.ndarray, "T M 3"], is_inlier: Bool[n
 
 
 class EstimatedGap(NamedTuple):
-    """A gap, the markers that are lost throughout it, and the estimates of each."""
+    """A gap, the markers that are lost throughout it, and for each its estimates and the activity of its neighbours.
+
+    is_limb  for each whether it is one of several lost markers of a limb
+    """
 
     window: GapWindow
     lost_markers: np.ndarray
     estimates: list[list[GapEstimate]]
+    activities: list[float]
+    is_limb: list[bool]
 
 
 class Neighbourhood:
@@ -79,6 +84,7 @@ class Neighbourhood:
         self.is_common = self.is_visible.mean(0) > MIN_VISIBLE_SHARE
         self.change_m = measure_distance_changes(markers)
         self.velocity_sd = measure_velocity_variation(markers, rate)
+        self.activity = NeighbourActivity(markers, rate)
         is_settled = ~np.isnan(settled.sd)
         self.markers = np.where(is_settled[..., None], settled.position, markers)
         self.is_known = ~np.isnan(self.markers[..., 0])
@@ -88,48 +94,70 @@ class Neighbourhood:
         is_shown: np.ndarray = np.all(self.is_known[:, lost_markers], axis=1)
         return choose_hidden_stretches(is_shown, first, last, self.rate)
 
-    def estimate_gap(self, window: GapWindow, lost_markers: np.ndarray) -> list[list[GapEstimate]]:
-        """Return the estimates of each marker that is lost throughout a gap."""
+    def estimate_gap(self, window: GapWindow, lost_markers: np.ndarray) -> EstimatedGap:
+        """Return the estimates of the markers that are lost throughout a gap."""
         w, known = window, self.is_known
         shown = np.flatnonzero(known[:, lost_markers].all(1))
         shown = shown[sample_evenly(len(shown), MAX_VARIATION_FRAMES)] if len(shown) else shown
         used = (shown, w.gap_frames, w.context_frames, w.hidden_frames.ravel(), w.hidden_context_frames.ravel())
         frames = np.unique(np.concatenate(used))
         is_neighbour = np.all(known[max(w.first - 1, 0) : w.first + w.length + 1], axis=0)
-        is_limb = int((self.is_common & ~known[w.gap_frames[len(w.gap_frames) // 2]]).sum()) >= MIN_LIMB_MARKERS
-        others = self._build_axes_of_others(lost_markers, is_neighbour, frames) if is_limb else None
+        is_lost = self.is_common & ~known[w.first + w.length // 2]
+        is_limb = [self._is_in_lost_limb(marker, is_lost) for marker in lost_markers.tolist()]
+        others = self._build_axes_of_others(lost_markers, is_neighbour, frames) if any(is_limb) else None
         errors = measure_neighbour_errors(self.markers, w, self.rate, self.velocity_sd) if len(w.context_frames) else None
-        shared = _GapSurroundings(w, frames, is_neighbour, others, errors, is_limb)
-        return [self._estimate_marker(marker, shared) for marker in lost_markers.tolist()]
+        gap = EstimatedGap(w, lost_markers, [], [], is_limb)
+        for marker, in_limb in zip(lost_markers.tolist(), is_limb, strict=True):
+            order = self._order_neighbours(marker, is_neighbour)
+            gap.activities.append(self.activity.compare(marker, w, order))
+            surroundings = _MarkerSurroundings(w, frames, order, gap.activities[-1], others if in_limb else None, errors, in_limb)
+            gap.estimates.append(self._estimate_marker(marker, surroundings))
+        return gap
 
-    def _estimate_marker(self, marker: int, shared: "_GapSurroundings") -> list[GapEstimate]:
+    def _is_in_lost_limb(self, marker: int, is_lost: np.ndarray) -> bool:
+        """Return whether a lost marker is one of several on the same limb."""
+        steadiest = np.argsort(np.where(self.is_common, self.change_m[marker], np.inf), kind="stable")[: CLUSTER_SIZES[0]]
+        return 1 + int(is_lost[steadiest].sum()) >= MIN_LIMB_MARKERS
+
+    def _order_neighbours(self, marker: int, is_neighbour: np.ndarray) -> np.ndarray:
+        """Return the neighbours of a marker, those with the most constant distance first."""
+        order = np.argsort(self.change_m[marker], kind="stable")
+        return order[is_neighbour[order] & np.isfinite(self.change_m[marker, order])]
+
+    def _estimate_marker(self, marker: int, surroundings: "_MarkerSurroundings") -> list[GapEstimate]:
         """Return the estimates of one marker."""
-        window, change = shared.window, self.change_m[marker]
-        order = np.argsort(change, kind="stable")
-        order = order[shared.is_neighbour[order] & np.isfinite(change[order])]
-        estimates = self._estimate_from_edges(marker, order, shared) if len(window.context_frames) else []
+        window, order, change = surroundings.window, surroundings.neighbours, self.change_m[marker]
+        estimates = self._estimate_from_edges(marker, surroundings) if len(window.context_frames) else []
         cluster = select_regression_cluster(self.is_known, marker, order[change[order] < MAX_DISTANCE_CHANGE_M])
         if len(cluster) >= MIN_CLUSTER_MARKERS:
             regressed = estimate_by_regression(self.markers, marker, cluster, change[cluster], window, self.rate)
-            estimates += [regressed] if regressed else []
+            estimates += [regressed.grow(surroundings.activity**ACTIVITY_POWER)] if regressed else []
         return [each for each in estimates if self.is_plausible(each, marker, window)]
 
-    def _estimate_from_edges(self, marker: int, neighbours: np.ndarray, shared: "_GapSurroundings") -> list[GapEstimate]:
-        """Return the interpolations of one marker, in the world and in axes of its neighbours, the steadiest first."""
-        change, window = self.change_m[marker], shared.window
-        axes: list[MovingAxes | None] = [None, shared.axes_of_others] if shared.axes_of_others else [None]
+    def _estimate_from_edges(self, marker: int, surroundings: "_MarkerSurroundings") -> list[GapEstimate]:
+        """Return the interpolations of one marker, in the world and in axes of its neighbours."""
+        window, frames, neighbours, activity, others, errors, is_limb = surroundings
+        change, axes = self.change_m[marker], list[MovingAxes | None]([None, others] if others else [None])
         for size in CLUSTER_SIZES:
             cluster = neighbours[:size]
             if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(neighbours) > CLUSTER_SIZES[0]):
-                built = build_cluster_axes(self.markers, cluster, change[cluster], shared.frames)
+                built = build_cluster_axes(self.markers, cluster, change[cluster], frames)
                 axes += [built] if built else []
         edges = self.compare_edges(marker, window)
         speed = edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), window.length / self.rate)
-        ratios = shared.errors.compute_ratios(neighbours) if shared.errors else None
+        ratios = errors.compute_ratios(neighbours) if errors else None
         estimates: list[GapEstimate] = []
         for number, each in enumerate(axes):
-            used_ratios = ratios if each is None or shared.is_limb else None
-            estimates += estimate_from_edges(self.markers[:, marker], each, window, self.rate, speed, used_ratios, number)
+            estimates += estimate_from_edges(
+                self.markers[:, marker],
+                each,
+                window,
+                self.rate,
+                speed,
+                ratios=ratios if each is None or is_limb else None,
+                axes_number=number,
+                activity=activity,
+            )
         return estimates
 
     def compare_edges(self, marker: int, window: GapWindow) -> EdgeMotion:
@@ -160,19 +188,21 @@ class Neighbourhood:
                 self.is_known[samples] = True
 
 
-class _GapSurroundings(NamedTuple):
-    """What the markers lost throughout one gap have in common.
+class _MarkerSurroundings(NamedTuple):
+    """What is known around a marker that is lost throughout a gap.
 
-    frames          in which they are compared with their neighbours
-    is_neighbour    (M,) the markers that are known throughout
-    axes_of_others  axes fixed to all of these; None if few are left
+    frames          in which it is compared with its neighbours
+    neighbours      markers that are known throughout, those with the most constant distance first
+    activity        how many times as fast they are in the gap as while the marker is visible
+    axes_of_others  axes fixed to all of them; None if few are left, or no limb is lost
     errors          of the neighbours in the gap; None if nothing is visible beside it
-    is_limb         whether several markers are lost together
+    is_limb         whether the marker is one of several lost markers of a limb
     """
 
     window: GapWindow
     frames: np.ndarray
-    is_neighbour: np.ndarray
+    neighbours: np.ndarray
+    activity: float
     axes_of_others: MovingAxes | None
     errors: NeighbourErrors | None
     is_limb: bool
@@ -191,14 +221,13 @@ def estimate_gaps(
     neighbourhood = Neighbourhood(markers, settled, rate, limit)
     result = MarkerEstimate(*(values.copy() for values in settled))
     estimated: list[EstimatedGap] = []
-    for first, last, lost in _iterate_gaps(np.isnan(neighbourhood.markers[..., 0]), neighbourhood.is_visible):
+    for first, last, lost in iterate_gaps(np.isnan(neighbourhood.markers[..., 0]), neighbourhood.is_visible):
         window = neighbourhood.open_window(first, last, lost)
-        estimates = neighbourhood.estimate_gap(window, lost)
-        for marker, each in zip(lost.tolist(), estimates, strict=True):
+        estimated.append(neighbourhood.estimate_gap(window, lost))
+        for marker, each in zip(lost.tolist(), estimated[-1].estimates, strict=True):
             if each:
                 _store(result, marker, window, each, neighbourhood.compare_edges(marker, window).similarity)
         neighbourhood.remember(result, window, lost)
-        estimated.append(EstimatedGap(window, lost, estimates))
     return result, estimated, neighbourhood
 
 
@@ -210,7 +239,7 @@ def _store(
     result.position[samples], result.sd[samples], result.method[samples] = combine_gap_estimates(estimates, window, similarity)
 
 
-def _iterate_gaps(is_missing: np.ndarray, is_visible: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+def iterate_gaps(is_missing: np.ndarray, is_visible: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
     """Yield the first and last frame of each gap and the markers it has, the shortest first.
 
     Markers that are visible together come together. A marker that is rarely visible has no gaps at the beginning and end.
@@ -250,11 +279,12 @@ def add_processes(
         return result
     processes = MarkerProcesses(visible_markers, result.position, result.sd, neighbourhood.rate)
     result = MarkerEstimate(*(values.copy() for values in result))
-    for (window, lost, estimates), rows in uncertain:
+    for (window, lost, estimates, activities, is_limb), rows in uncertain:
         predicted = processes.estimate_gap(window, lost[rows]) if len(rows) else None
         for row, process in zip(rows.tolist(), predicted or [], strict=False):
-            marker = int(lost[row])
+            marker, growth = int(lost[row]), 1.0 if is_limb[row] else activities[row] ** ACTIVITY_POWER
             if neighbourhood.is_plausible(process, marker, window):
+                grown = process.grow(growth)
                 similarity = neighbourhood.compare_edges(marker, window).similarity
-                _store(result, marker, window, [*estimates[row], process], similarity)
+                _store(result, marker, window, [*estimates[row], grown], similarity)
     return result

@@ -43,7 +43,7 @@ def measure_speed_limit(markers: Float[np.ndarray, "T M 3"], rate: float) -> Spe
 
 
 def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float) -> Float[np.ndarray, " M"]:
-    """Return the standard deviation of each marker's velocity in m/s; that of all for markers without any.
+    """Return the standard deviation of each marker's velocity in m/s; near that of all for markers that show little of it.
 
     Velocities are those over VELOCITY_LAG_S, in which noise is small.
     """
@@ -54,7 +54,8 @@ def measure_velocity_variation(markers: Float[np.ndarray, "T M 3"], rate: float)
     for m in np.flatnonzero(count):
         square[m] = np.nanvar(step[:, m], axis=0).sum()
     typical = square[count > 0].mean() if (count > 0).any() else 0.0
-    return np.sqrt(np.where(count > 0, square, typical)) * rate / lag
+    typical_share = np.exp(-count / lag)
+    return np.sqrt(typical_share * typical + (1 - typical_share) * square) * rate / lag
 
 
 def measure_fastest_speed(markers: Float[np.ndarray, "T M 3"], rate: float) -> float | None:

@@ -37,6 +37,8 @@ MAX_EXAMINED_FRAMES = 600
 """Evenly spaced frames among which those with different configurations are selected."""
 RESTING_FRAME_WEIGHT = 0.1
 """Weight of a frame at rest in this selection, relative to a frame with average motion."""
+UNKNOWN_CHANGE_RATIO = 0.1
+"""Expected variation of a distance, relative to it, where too few frames show it."""
 DISTANCE_PERCENTILES = (0.05, 0.95)
 """Quantiles of a distance, between which it varies."""
 DISTANCE_RANGE_SD = 3.29
@@ -76,7 +78,20 @@ def measure_distance_changes(markers: Float[np.ndarray, "T M 3"]) -> Float[np.nd
         is_known = np.isfinite(high) & ((~np.isnan(distance)).sum(0) >= min(MIN_DISTANCE_FRAMES, len(sampled)))
         others = enough[:n][is_known]
         change[i, others] = change[others, i] = (high[is_known] - low[is_known]) / DISTANCE_RANGE_SD
+    for i in np.flatnonzero(~np.isfinite(change).any(1) & ~np.isnan(markers[..., 0]).all(0)):
+        change[i] = guess_distance_changes(markers, int(i))
     return change
+
+
+def guess_distance_changes(markers: Float[np.ndarray, "T M 3"], marker: int) -> Float[np.ndarray, " M"]:
+    """Return the expected variation of the distances of a marker that is seldom visible: near markers are the steadiest."""
+    visible = np.flatnonzero(~np.isnan(markers[:, marker, 0]))
+    sampled = markers[visible[sample_evenly(len(visible), MIN_DISTANCE_FRAMES)]]
+    distance = np.linalg.norm(sampled - sampled[:, [marker]], axis=-1)
+    count = (~np.isnan(distance)).sum(0)
+    mean = np.divide(np.nansum(distance, axis=0), count, out=np.full(len(count), np.inf), where=count > 0)
+    mean[marker] = np.inf
+    return UNKNOWN_CHANGE_RATIO * mean
 
 
 def build_cluster_axes(

@@ -15,8 +15,67 @@ from mocapfix.fill.fill_methods import GapWindow
 
 MAX_RATIO_NEIGHBOURS = 8
 """Number of neighbours, the steadiest first, whose errors are compared with the expected ones."""
-COMPARED_ERROR_MARGIN_M = 0.003
+COMPARED_ERROR_MARGIN_M = 0.001
 """Length that is added to both errors: smaller ones count as equal."""
+
+
+VELOCITY_SPAN_S = 0.1
+"""Time over which speeds are measured."""
+MIN_COMPARED_SPEED_M_S = 0.02
+"""Speed below which neighbours count as equally at rest."""
+MIN_COMPARED_STEPS = 5
+"""Steps in which a neighbour must be visible while the marker is."""
+MIN_KNOWN_GAP_SHARE = 0.8
+"""Share of a gap in which a neighbour must be visible."""
+MAX_ACTIVITY_RATIO = 30.0
+"""Largest ratio of the neighbours' speeds."""
+
+
+class NeighbourActivity:
+    """The speeds of all markers, which show whether a marker is visible mainly while the person rests.
+
+    markers  in metres, NaN if not visible
+    rate     frame rate in Hz
+    """
+
+    def __init__(self, markers: Float[np.ndarray, "T M 3"], rate: float) -> None:
+        self.lag = min(max(1, round(VELOCITY_SPAN_S * rate)), max(1, len(markers) - 1))
+        square = (((markers[self.lag :] - markers[: -self.lag]) * (rate / self.lag)) ** 2).sum(-1)
+        self.is_known, self.square = ~np.isnan(square), np.nan_to_num(square)
+        self.is_visible = ~np.isnan(markers[self.lag // 2 :, :, 0][: len(square)])
+        self._square_with_marker: dict[int, np.ndarray] = {}
+
+    def compare(self, marker: int, window: GapWindow, neighbours: Int[np.ndarray, " N"]) -> float:
+        """Return how many times as fast neighbours are in a gap as while the marker is visible, at least one.
+
+        neighbours  the steadiest first
+        """
+        if not len(self.square):
+            return 1.0
+        first = min(max(0, window.first - self.lag // 2), len(self.square) - 1)
+        steps = slice(first, max(first + 1, window.first + window.length - self.lag // 2))
+        in_gap = self._average(neighbours, self.square[steps][:, neighbours], self.is_known[steps][:, neighbours])
+        with_marker = self._compute_squares_with(marker)[neighbours]
+        both = np.stack([in_gap, with_marker])[:, ~np.isnan(in_gap + with_marker)][:, :MAX_RATIO_NEIGHBOURS]
+        if not both.size:
+            return 1.0
+        difference = np.diff(np.log(both + MIN_COMPARED_SPEED_M_S**2), axis=0).mean()
+        return float(np.exp(np.clip(-difference / 2, 0, np.log(MAX_ACTIVITY_RATIO))))
+
+    @staticmethod
+    def _average(neighbours: np.ndarray, square: np.ndarray, is_known: np.ndarray) -> np.ndarray:
+        mean = np.full(len(neighbours), np.nan)
+        return np.divide(square.sum(0), is_known.sum(0), out=mean, where=is_known.mean(0) > MIN_KNOWN_GAP_SHARE)
+
+    def _compute_squares_with(self, marker: int) -> np.ndarray:
+        """Return the mean square speed of all markers while one is visible; NaN where unknown."""
+        if marker not in self._square_with_marker:
+            weight = self.is_visible[:, marker].astype(float)
+            count = weight @ self.is_known
+            mean = np.full(len(count), np.nan)
+            np.divide(weight @ self.square, count, out=mean, where=count >= MIN_COMPARED_STEPS)
+            self._square_with_marker[marker] = mean
+        return self._square_with_marker[marker]
 
 
 class NeighbourErrors(NamedTuple):

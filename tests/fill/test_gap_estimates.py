@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.fill.gap_estimates import estimate_without_body
+from mocapfix.fill.gap_estimates import estimate_without_body, iterate_gaps
 from mocapfix.read import capture
 from mocapfix.take import Take
 
@@ -46,6 +46,48 @@ def test_rarely_visible_marker_is_not_estimated():
     is_inlier[15:, 0] = False
     filled, _, _ = estimate_take(truth, is_inlier)
     assert np.isnan(filled[~is_inlier]).all()
+
+
+def test_rarely_visible_marker_is_estimated_between_its_samples():
+    truth = prop()
+    is_inlier = truth.visible.copy()
+    is_inlier[:, 0] = False
+    is_inlier[[10, 11, 12, 30, 31, 32], 0] = True
+    filled, deviation, _ = estimate_take(truth, is_inlier)
+    assert not np.isnan(filled[13:30, 0]).any()
+    assert np.isnan(filled[:10, 0]).all()
+    assert np.isnan(filled[33:, 0]).all()
+    error = np.sqrt(((filled - truth.markers)[13:30, 0] ** 2).mean())
+    assert error < 3 * np.sqrt((deviation[13:30, 0] ** 2).mean())
+
+
+def test_marker_seen_only_at_rest_follows_its_neighbours():
+    """It shows nothing of its motion: that of its neighbours shows that it does not rest in the gap."""
+    t = np.arange(600) / RATE
+    angle = np.where((t > 1) & (t < 5), 1 - np.cos(2 * np.pi * (t - 1) / 4), 0.0)
+    turn = Rotation.from_rotvec(angle[:, None] * [0.3, 1.0, 0.2]).as_matrix()
+    places = np.random.default_rng(1).normal(scale=0.1, size=(8, 3))
+    noise = np.random.default_rng(2).normal(scale=2e-4, size=(600, 8, 3))
+    markers = np.einsum("tab,mb->tma", turn, places) + np.stack([angle, 0 * t, 0 * t], 1)[:, None] + noise
+    damaged = markers.copy()
+    damaged[20:-20, 0] = np.nan
+    filled, deviation, _ = estimate_without_body(damaged, ~np.isnan(damaged[..., 0]), RATE)
+    error = np.linalg.norm(filled - markers, axis=-1)[20:-20, 0]
+    assert error.max() < 0.02
+    assert deviation[20:-20, 0].max() < 0.25
+
+
+def test_marker_that_is_seldom_visible_does_not_hide_the_others_of_its_limb():
+    is_visible = np.zeros((100, 3), bool)
+    is_visible[:50, :2] = True
+    is_visible[:5, 2] = True
+    is_missing = ~is_visible
+    gaps = [lost.tolist() for _, _, lost in iterate_gaps(is_missing[:, :2], is_visible[:, :2])]
+    assert gaps == [[0, 1]]
+    is_missing[50:], is_missing[60:] = True, False
+    is_missing[:50] = False
+    gaps = [lost.tolist() for _, _, lost in iterate_gaps(is_missing, is_visible)]
+    assert gaps == [[0, 1], [2]]
 
 
 @pytest.mark.parametrize("markers", [1, 2, 3])

@@ -121,3 +121,15 @@ def test_distances_are_constant_within_a_rigid_body_only():
     assert change[0, 1] < 1e-9
     assert change[0, 2] > 0.5
     assert np.isinf(np.diag(change)).all()
+
+
+def test_nearest_markers_count_as_the_steadiest_of_one_that_is_hardly_visible():
+    markers = tumbling()
+    markers[5:, 0] = np.nan
+    change = measure_distance_changes(markers)
+    distance = np.linalg.norm(markers[0] - markers[0, 0], axis=-1)
+    assert (np.argsort(change[0])[:4] == np.argsort(distance)[1:]).all()
+    assert np.isinf(change[0, 0])
+    assert np.isinf(change[1:, 0]).all()
+    markers[:, 0] = np.nan
+    assert np.isinf(measure_distance_changes(markers)[0]).all()
