@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from mocapfix.fill.changing_clusters import build_changing_axes, remove_steps, select_changing_cluster
 from mocapfix.fill.cluster_fill import MAX_DISTANCE_CHANGE_M, MIN_CLUSTER_MARKERS
 from mocapfix.fill.edge_interpolation import ACTIVITY_POWER, estimate_from_edges
 from mocapfix.fill.edge_motion import EdgeMotion, compare_edge_motion
@@ -143,6 +144,10 @@ class Neighbourhood:
             if len(cluster) >= MIN_CLUSTER_MARKERS and (size == CLUSTER_SIZES[0] or len(neighbours) > CLUSTER_SIZES[0]):
                 built = build_cluster_axes(self.markers, cluster, change[cluster], frames)
                 axes += [built] if built else []
+        # What it costs that members come and go is not known where no stretch shows it.
+        is_tried = len(window.starts) > 0 or len(neighbours) < MIN_CLUSTER_MARKERS
+        changing = select_changing_cluster(self.is_known, change, window, CLUSTER_SIZES[-1]) if is_tried else None
+        changing_axes = build_changing_axes(self.markers, changing, window, frames) if changing else None
         edges = self.compare_edges(marker, window)
         speed = edges.estimate_speed_in_gap(float(self.velocity_sd[marker]), window.length / self.rate)
         ratios = errors.compute_ratios(neighbours) if errors else None
@@ -158,6 +163,11 @@ class Neighbourhood:
                 axes_number=number,
                 activity=activity,
             )
+        if changing and changing_axes:
+            in_changing_axes = estimate_from_edges(
+                self.markers[:, marker], changing_axes, window, self.rate, speed, axes_number=len(axes), activity=activity
+            )
+            estimates += [remove_steps(each, changing, window) for each in in_changing_axes]
         return estimates
 
     def compare_edges(self, marker: int, window: GapWindow) -> EdgeMotion:
