@@ -14,7 +14,7 @@ from mocapfix.fill.fill_methods import GapEstimate, GapWindow, MovingAxes
 from mocapfix.stats.rigid_alignment import MIN_ALIGNMENT_MARKERS, align_to_shape, fit_common_shape
 from mocapfix.stats.sequences import sample_evenly
 
-MAX_SHAPE_FRAMES = 200
+MAX_CLUSTER_SHAPE_FRAMES = 200
 """Evenly spread frames from which the common shape of a cluster is estimated."""
 
 
@@ -68,7 +68,7 @@ def build_changing_axes(
     shape_frames = frames[is_used[frames].sum(axis=1) >= MIN_ALIGNMENT_MARKERS]
     if not len(shape_frames):
         return None
-    shape = fit_common_shape(selected[shape_frames[sample_evenly(len(shape_frames), MAX_SHAPE_FRAMES)]])
+    shape = fit_common_shape(selected[shape_frames[sample_evenly(len(shape_frames), MAX_CLUSTER_SHAPE_FRAMES)]])
     for frames_of_point, is_visible in zip(window.hidden_frames.T, cluster.is_visible[window.points], strict=True):
         is_used[frames_of_point] &= is_visible
     rotation, origin = np.full((len(markers), 3, 3), np.nan), np.full((len(markers), 3), np.nan)
@@ -81,7 +81,7 @@ def remove_steps(estimate: GapEstimate, cluster: ChangingCluster, window: GapWin
     """Return an estimate without the steps where the members of its cluster change.
 
     A step is what the position changes by beyond its motion in the frames before and after. The edges of the gap that have a
-    visible sample stay where they are: between two of them the sum of the steps is taken back evenly.
+    visible sample stay where they are: between two of them the sum of the steps is subtracted evenly.
     """
     position, steps = estimate.position, cluster.steps
     motion = np.diff(position, axis=0)
