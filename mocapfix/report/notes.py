@@ -213,7 +213,7 @@ def describe_rigid_groups(groups: Sequence[RigidGroupEntry], *, has_body: bool) 
     listed = [f"{group['name']} ({format_name_list(group['markers'])})" for group in groups[:MAX_LISTED_GROUPS]]
     more = f" and {len(groups) - MAX_LISTED_GROUPS} more" if len(groups) > MAX_LISTED_GROUPS else ""
     what = "Rigid groups outside the skeleton, such as props" if has_body else "Rigid groups, such as props or the head"
-    return [f"{what}, were filled as such: {'; '.join(listed)}{more}."]
+    return [f"{what}, whose gaps are filled from their shape: {'; '.join(listed)}{more}."]
 
 
 def describe_uncertain_fills(cleaned_take: Take, terms: PointTerms = MARKER_TERMS) -> list[str]:

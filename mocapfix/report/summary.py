@@ -73,8 +73,10 @@ def describe_changes(report: Report, comparison: CleaningComparison) -> str:
         return f"{text} No body was used: the estimates come from the other markers and the markers’ own trajectories."
     residual = report["solve"]["marker_residual_mm"]
     mean, p95 = format_number(residual["mean"]), format_number(residual["p95"])
-    distance = f"Its mean distance from the markers is {mean} mm (95th percentile {p95} mm)."
-    return f"{text} The estimates come from the solved body. {distance}"
+    distance = f"The body's mean distance from the markers is {mean} mm (95th percentile {p95} mm)."
+    return (
+        f"{text} The estimates come from the solved body and the other markers; the method is listed with each change. {distance}"
+    )
 
 
 def _describe_declined_changes(report: Report) -> str:

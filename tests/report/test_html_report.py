@@ -62,7 +62,7 @@ def test_the_summary_lists_faults_changes_and_missing_samples(scene, tmp_path):
     assert f"{(~scene.comparison.input_take.visible).sum()} of 7,440 samples" in text
     done = "60 samples were relabelled, 1 sample was replaced as faulty and 60 samples were missing and are filled"
     assert f"{done}; every other sample is as measured." in text
-    assert "Its mean distance from the markers is 3.2 mm (95th percentile 7.4 mm)." in text
+    assert "The body's mean distance from the markers is 3.2 mm (95th percentile 7.4 mm)." in text
     assert f"{(~scene.comparison.cleaned_take.visible).sum()} samples still missing: <b>&\"'." in text
     assert "Unchanged faults: 1 burst of jitter." in text
     assert "Lost by the solved body although their markers are seen: left arm (3 frames)." in text
