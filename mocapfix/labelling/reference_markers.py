@@ -121,7 +121,9 @@ class ReferenceMarkers:
 def build_reference_markers(markers: Float[np.ndarray, "T K 3"], labels: tuple[str, ...]) -> ReferenceMarkers:
     """Return the model of a labelled take's markers, in metres, NaN where missing."""
     poses = _choose_poses(markers)
-    mean_distance = np.nan_to_num(np.nanmean(_measure_distances(poses), axis=0), nan=np.inf)
+    distances = _measure_distances(poses)
+    count = (~np.isnan(distances)).sum(axis=0)
+    mean_distance = np.divide(np.nansum(distances, axis=0), count, out=np.full(count.shape, np.inf), where=count > 0)
     spread = np.hypot(measure_distance_spread(markers), RELATIVE_REFERENCE_SD * mean_distance)
     spread = np.hypot(spread, MIN_REFERENCE_DISTANCE_SD_M)
     np.fill_diagonal(spread, np.inf)

@@ -1,4 +1,5 @@
-"""Labels for a take that has none with a meaning, by the named marker set or person, or by the shipped set that fits clearly."""
+"""Labels for a take that has none with a meaning: of the named marker set or person, of the shipped set that fits clearly, or
+numbers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,8 +10,10 @@ import numpy as np
 from mocapfix.animation import Animation
 from mocapfix.errors import TakeError
 from mocapfix.labelling.arbitrary_labels import are_labels_arbitrary
+from mocapfix.labelling.fragment_joining import join_trajectories
 from mocapfix.labelling.label_summary import CERTAIN_LABEL_CONFIDENCE, describe_labelling
 from mocapfix.labelling.labeller import find_labelled_body, label_points
+from mocapfix.labelling.linking import are_points_unordered
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.labelling.reference_labeller import label_points_like
 from mocapfix.labelling.reference_markers import build_reference_markers
@@ -40,6 +43,8 @@ MIN_REFERENCE_SHARE = 0.1
 """Share of the frames in which a labelled take shows the markers that are looked for."""
 MIN_FOUND_MARKER_SHARE = 0.5
 """Share of these markers that must be found."""
+MIN_JOINED_SHARE = 0.8
+"""Share of the points that must be joined to markers where no set is known."""
 MAX_LISTED_ARBITRARY_LABELS = 3
 """Labels without a meaning that a sentence lists."""
 
@@ -73,10 +78,11 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
     """Return a take with labels if its points have none, or none with a meaning.
 
     They are those of the marker set or the subject that the user names, or else of the shipped set that fits clearly. Where none
-    does, a take whose points have numbers is returned as it is. Labels without a meaning are replaced only by those of a set or
-    a subject that the user names.
+    does, fragments of the same markers are joined and numbered, and a take whose points cannot be joined, or are joined already,
+    is returned as it is. Labels without a meaning are replaced only by those of a set or a subject that the user names.
 
-    Raises TakeError if no set is named and none fits a take without any label, or no person with the markers of the set is found.
+    Raises TakeError if the points of a take without any label cannot be joined, or no person with the markers of a set that the
+    user names is found.
     """
     points = collect_unlabelled_points(take)
     if points is None:
@@ -87,6 +93,7 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
     tracklets = find_file_tracklets(points, take.rate)
     if request.marker_set is None:
         labelled, reason = label_by_assumed_set(take, points, tracklets)
+        labelled = labelled or join_and_number(take, points, tracklets, reason)
         if labelled is None and not take.labels:
             raise TakeError(
                 f"{take.name}: none of its {count} points has a label; name the markers with --marker-set, the person with "
@@ -154,6 +161,23 @@ def label_by_assumed_set(take: Take, points: FilePoints, tracklets: UnlabelledPo
         )
     labelled = _apply_labels_of_set(take, points, labels, marker_set)
     return replace(labelled, notes=(reason, *labelled.notes)), reason
+
+
+def join_and_number(take: Take, points: FilePoints, tracklets: UnlabelledPoints, reason: str) -> Take | None:
+    """Return the take with the fragments of each marker joined, where no set is known; None if there is little to join.
+
+    reason  why no set is known
+    """
+    largest = int((tracklets.tracklet_indices >= 0).sum(axis=1).max(initial=0))
+    if take.labels and points.positions.shape[1] <= largest and not are_points_unordered(points.positions):
+        return None
+    labels, names = join_trajectories(tracklets, label_points_like)
+    share = float((labels.marker_indices >= 0).sum() / max(1, (tracklets.tracklet_indices >= 0).sum()))
+    if share < MIN_JOINED_SHARE:
+        return None
+    labelled = apply_labels(take, points, labels, names)
+    note = f"{reason} The trajectories of each marker were joined by how markers move together: {names[0]} to {names[-1]}."
+    return replace(labelled, notes=(*labelled.notes, note, *describe_labelling(labelled, names)))
 
 
 def _load_candidates() -> list[MarkerSet]:
