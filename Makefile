@@ -2,8 +2,7 @@
 
 PYTHON ?= python3
 VENV := .venv
-# --no-compile: Python compiles the few modules that are imported when they are
-PIP_INSTALL := $(VENV)/bin/python -m pip install --no-compile --constraint constraints.txt
+PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
 .PHONY: demo test bench docs install blender lint clean
 
@@ -56,5 +55,5 @@ $(VENV)/installed-dev: pyproject.toml constraints.txt
 
 .blender/installed: Makefile
 	$(PYTHON) -m venv .blender
-	.blender/bin/python -m pip install --no-compile bpy==5.0.1
+	.blender/bin/python -m pip install bpy==5.0.1
 	touch $@
