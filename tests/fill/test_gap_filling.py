@@ -200,7 +200,7 @@ def test_settled_gap_keeps_its_estimate(rod):
 
 
 def test_uncertain_estimate_of_a_gap_is_not_used_beside_another():
-    jumps = np.random.default_rng(0).normal(scale=0.3, size=(400, 6, 3))  # no marker tells of another, nor of itself
+    jumps = np.random.default_rng(0).normal(scale=0.3, size=(400, 6, 3))  # nothing predicts a marker
     damaged, body, gap = with_gap(jumps, 0.02)
     joined = gap_filling.join_gap_estimates(body, damaged, RATE)
     np.testing.assert_allclose(joined.position[gap, 0], body.position[gap, 0])
