@@ -26,8 +26,8 @@ def run_label(
     """Label a take whose trajectories have no labels, or whose points are not yet trajectories.
 
     Name the markers with --marker-set, the person with --subject, or a labelled take of the same person with --like; otherwise
-    the shipped marker set that fits the points clearly is assumed. The output is the input with the names of the markers;
-    trajectories of the same marker are joined in one column. Nothing else is changed.
+    the shipped marker set that fits the points clearly is assumed, and if none does, the markers are numbered. The output is the
+    input with the names of the markers; trajectories of the same marker are joined in one column. Nothing else is changed.
     """
     from mocapfix import pipeline
     from mocapfix.files.output_files import check_outputs_absent, replace_atomically

@@ -2,7 +2,7 @@
 
 Stretches of a take in which a marker is visible are often those in which it rests, and a short take has few of them. The markers
 that are visible throughout the gap are treated as missing there: they show how the person moves during the gap, and whether
-velocities at its edges tell more than positions.
+velocities at its edges help.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,6 @@ MAX_RATIO_NEIGHBOURS = 8
 """Number of neighbours, the steadiest first, whose errors are compared with the expected ones."""
 COMPARED_ERROR_MARGIN_M = 0.001
 """Length that is added to both errors: smaller ones count as equal."""
-
-
 VELOCITY_SPAN_S = 0.1
 """Time over which speeds are measured."""
 MIN_COMPARED_SPEED_M_S = 0.02
