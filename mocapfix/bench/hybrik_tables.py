@@ -189,7 +189,7 @@ def compute_twist_distribution(motion_folder: Path) -> dict[str, tuple[float, ..
     bone_vectors = compute_bone_vectors(skeleton)
     has_bone = ~np.isnan(bone_vectors[:, 0])
     parts: list[np.ndarray] = []
-    for recording in read_recordings(motion_folder):
+    for recording in read_recordings([motion_folder]):
         kept = find_longest_jump_free_slice(recording.rotations[:, has_bone], recording.rate_hz)
         twists = compute_twists(recording.rotations[kept][:, has_bone], bone_vectors[has_bone])
         parts.append(np.degrees(np.arctan2(twists[..., 1], twists[..., 0])))

@@ -190,7 +190,7 @@ def sample_poses(
     """Return at most `max_poses` poses, evenly spaced over the frames that `select` keeps of those without jumps."""
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
     parts: list[np.ndarray] = []
-    for recording in read_recordings(motion_folder):
+    for recording in read_recordings([motion_folder]):
         is_kept = np.zeros(len(recording.rotations), bool)
         is_kept[find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)] = True
         parts.append(recording.rotations[select(recording, is_kept)])

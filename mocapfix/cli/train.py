@@ -12,8 +12,9 @@ from mocapfix.cli.arguments import FlagOption, OverwriteOption
 from mocapfix.cli.console import EXIT_DONE, print_line, stderr_console
 
 ConfigOption = Annotated[Path, tyro.conf.arg(metavar="NAME.yaml", help="training settings")]
-MotionFolderOption = Annotated[
-    Path, tyro.conf.arg(metavar="FOLDER", help="motion: BVH, ASF/AMC, AMASS npz or shards, also in subfolders")
+MotionFoldersOption = Annotated[
+    tuple[Path, ...],
+    tyro.conf.arg(metavar="FOLDER [FOLDER ...]", help="motion: BVH, ASF/AMC, AMASS npz or shards, also in subfolders"),
 ]
 WeightsOption = Annotated[
     Path,
@@ -25,7 +26,7 @@ WeightsOption = Annotated[
 
 def run_train_prior(
     config: ConfigOption,
-    data: MotionFolderOption,
+    data: MotionFoldersOption,
     target: WeightsOption,
     interleaved: Annotated[
         FlagOption, tyro.conf.arg(help="train on three of every five frames of everybody: MNN-IK's split, for `bench prior` only")
@@ -48,7 +49,7 @@ def run_train_prior(
 
 
 def run_train_twist(
-    config: ConfigOption, data: MotionFolderOption, target: WeightsOption, overwrite: OverwriteOption = False
+    config: ConfigOption, data: MotionFoldersOption, target: WeightsOption, overwrite: OverwriteOption = False
 ) -> int:
     """Train the regressor of bone twists from joint positions; takes a few minutes."""
     from mocapfix.files.output_files import check_outputs_absent

@@ -1,6 +1,6 @@
 """Training of a pose prior: fit a model, measure it on held-out subjects, write weights and card."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,12 @@ SCORE_STRIDE = 10  # the score of training poses is measured on every tenth pose
 
 
 def train_pose_prior(
-    settings: PriorSettings, folder: Path, target: Path, progress: Callable[[str], object], *, is_interleaved: bool = False
+    settings: PriorSettings,
+    folders: Sequence[Path],
+    target: Path,
+    progress: Callable[[str], object],
+    *,
+    is_interleaved: bool = False,
 ) -> PriorScores:
     """Train a model, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 
@@ -32,14 +37,14 @@ def train_pose_prior(
 
     is_interleaved  train on three frames of every five of all subjects, which is MNN-IK's split; for comparison with MNN-IK only
 
-    Raises ReadError if the folder holds no motion of the required subjects, WriteError if the files cannot be written.
+    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     skeleton = load_cmu31_body().skeleton
     reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects
-    poses = gather_training_poses(folder, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
+    poses = gather_training_poses(folders, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
     checkpoint = target.with_suffix(".checkpoint")
     model, fit_summary = fit_pose_model(settings, skeleton.names, reference_rotations, poses, checkpoint, progress)
     progress("measuring")

@@ -8,11 +8,14 @@ the same folder. Shards of motion that was reconstructed from another skeleton (
 the axes of the world. It faces the same way as the CMU skeleton, but arms and legs point in slightly different directions, by
 which the rotations are corrected. Hip stubs, upper neck, fingers, thumbs and toes have no counterpart and keep their rest
 rotation.
+
+In CMU's skeleton the clavicles do not move. Where they do in another source, the arm is given their rotation as well, so that it
+has the same direction in the world; the shoulder moves by about 2 cm.
 """
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,20 +32,23 @@ from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 TRAINING_RATE_HZ = 30.0  # poses at a higher rate hold hardly more information
+SHARD_LENGTH_UNIT_M = 0.056444  # the unit of root positions in CMU's BVH files and in shards: 1 / 0.45 inch
 
 
 @dataclass(frozen=True)
 class Recording:
     """A trial of a subject.
 
-    rotations  (T, 31, 3, 3) local joint rotations, Y up; in the T-pose that faces +Z the axes of each joint are those of the
-               world
+    rotations      (T, 31, 3, 3) local joint rotations, Y up; in the T-pose that faces +Z the axes of each joint are those of
+                   the world
+    root_position  (T, 3) of the root in metres, in the world
     """
 
     name: str
     subject: str
     rotations: np.ndarray
     rate_hz: float
+    root_position: np.ndarray
 
 
 def compute_frame_step(rate_hz: float) -> int:
@@ -62,15 +68,16 @@ def read_shard_recordings(path: Path) -> Iterator[Recording]:
         with np.load(path) as shard:
             if "euler" not in shard or "approx" in path.name:
                 return
-            euler, trials, starts = shard["euler"], shard["trial"], shard["start"]
+            euler, root, trials, starts = shard["euler"], shard["root"], shard["trial"], shard["start"]
         joints = tuple(json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))["joints"])
     except (OSError, ValueError, KeyError) as error:
         raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
-    if joints != load_cmu31_body().skeleton.names or euler.shape[1:] != (len(joints), 3):
-        raise ReadError(f"{path}: its joints are not the 31 of the CMU skeleton, in their order.")
-    for name, angles in zip(trials, np.split(euler, starts[1:]), strict=True):
+    if joints != load_cmu31_body().skeleton.names or euler.shape[1:] != (len(joints), 3) or root.shape != (len(euler), 3):
+        raise ReadError(f"{path}: its joints are not the 31 of the CMU skeleton, in their order, with a root position a frame.")
+    for name, angles, position in zip(trials, np.split(euler, starts[1:]), np.split(root, starts[1:]), strict=True):
         rotations = Rotation.from_euler("ZYX", angles.reshape(-1, 3) / 32767 * 180, degrees=True).as_matrix()
-        yield Recording(str(name), str(name).split("_")[0], rotations.reshape(*angles.shape, 3), TRAINING_RATE_HZ)
+        subject, root_position = str(name).split("_")[0], SHARD_LENGTH_UNIT_M * position.astype(float)
+        yield Recording(str(name), subject, rotations.reshape(*angles.shape, 3), TRAINING_RATE_HZ, root_position)
 
 
 SMPL_SIDE_JOINTS = {
@@ -116,14 +123,18 @@ def read_amass_recordings(path: Path) -> Iterator[Recording]:
             if "poses" not in file:
                 return
             poses = np.asarray(file["poses"], float)
+            translation = np.asarray(file["trans"], float)
             rate_hz = float(file["mocap_framerate" if "mocap_framerate" in file else "mocap_frame_rate"])
         step = compute_frame_step(rate_hz)
         poses = poses[::step, : 3 * len(SMPL_JOINT_NAMES)].reshape(-1, len(SMPL_JOINT_NAMES), 3)
+        root_position = translation[::step, [1, 2, 0]]  # from Z up to Y up: (x, y, z) -> (y, z, x)
+        if root_position.shape != (len(poses), 3):
+            raise ValueError("trans does not have one position a frame")
     except (OSError, ValueError, KeyError, IndexError) as error:
-        raise ReadError(f"{path}: is not an AMASS file with poses of 22 joints and mocap_framerate ({error}).") from error
+        raise ReadError(f"{path}: is not an AMASS file with poses of 22 joints, trans and mocap_framerate ({error}).") from error
     local = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(*poses.shape, 3)
-    local[:, 0] = local[:, 0][:, [1, 2, 0]]  # from Z up to Y up: (x, y, z) -> (y, z, x)
-    yield Recording(path.stem, path.parent.name, map_smpl_rotations(local), rate_hz / step)
+    local[:, 0] = local[:, 0][:, [1, 2, 0]]
+    yield Recording(path.stem, path.parent.name, map_smpl_rotations(local), rate_hz / step, root_position)
 
 
 def map_smpl_rotations(local: Float[np.ndarray, "T 22 3 3"]) -> Float[np.ndarray, "T 31 3 3"]:
@@ -155,19 +166,30 @@ def compute_smpl_rest_rotations(skeleton: Skeleton) -> Float[np.ndarray, "J 3 3"
     return rotations
 
 
-def read_recordings(folder: Path) -> Iterator[Recording]:
-    """Yield all motion in a folder and its subfolders, always in the same order.
+def read_recordings(folders: Sequence[Path]) -> Iterator[Recording]:
+    """Yield all motion in folders and their subfolders, always in the same order, with clavicles that do not move.
 
-    Raises ReadError if there is none, or if a file is invalid.
+    Raises ReadError if a folder holds no motion, or if a file is invalid.
     """
-    is_empty = True
-    for pattern, read in RECORDING_READERS:
-        for path in sorted(Path(folder).rglob(pattern)):
-            for recording in read(path):
-                is_empty = False
-                yield recording
-    if is_empty:
-        raise ReadError(f"{folder}: holds no motion; give a folder of BVH, ASF/AMC, AMASS npz, or shards of CMU motion.")
+    for folder in folders:
+        is_empty = True
+        for pattern, read in RECORDING_READERS:
+            for path in sorted(Path(folder).rglob(pattern)):
+                for recording in read(path):
+                    is_empty = False
+                    yield replace(recording, rotations=fold_clavicles(recording.rotations))
+        if is_empty:
+            raise ReadError(f"{folder}: holds no motion; give a folder of BVH, ASF/AMC, AMASS npz, or shards of CMU motion.")
+
+
+def fold_clavicles(rotations: Float[np.ndarray, "T 31 3 3"]) -> Float[np.ndarray, "T 31 3 3"]:
+    """Return local rotations whose clavicles do not move, the arms having the same rotation in the world as before."""
+    skeleton, folded = load_cmu31_body().skeleton, rotations.copy()
+    for side in ("Left", "Right"):
+        clavicle, arm = skeleton.find_joint(f"{side}Shoulder"), skeleton.find_joint(f"{side}Arm")
+        folded[:, arm] = rotations[:, clavicle] @ rotations[:, arm]
+        folded[:, clavicle] = np.eye(3)
+    return folded
 
 
 def read_bvh_recording(path: Path) -> Iterator[Recording]:
@@ -190,9 +212,9 @@ def _read_recording(path: Path, read: Callable[[Path], Animation]) -> Recording:
         raise ReadError(f"{path}: the figure never stands upright, so the axes of its joints cannot be determined.")
     step = compute_frame_step(animation.rate)
     kept = animation.replace_values(animation.values[int(animation.has_reference_pose) :: step])
-    _, rotations = convert_to_cmu31(kept, alignment)
-    is_complete = ~np.isnan(rotations).any((1, 2, 3))
-    return Recording(path.stem, infer_subject(path), rotations[is_complete], animation.rate / step)
+    root, rotations = convert_to_cmu31(kept, alignment)
+    is_complete = ~np.isnan(rotations).any((1, 2, 3)) & ~np.isnan(root).any(1)
+    return Recording(path.stem, infer_subject(path), rotations[is_complete], animation.rate / step, root[is_complete])
 
 
 RECORDING_READERS: tuple[tuple[str, Callable[[Path], Iterator[Recording]]], ...] = (

@@ -1,7 +1,7 @@
 """Training poses: motion without position, heading and rotation jumps, each pose also mirrored."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,7 +40,7 @@ class TrainingPoses:
 
 
 def gather_training_poses(
-    folder: Path,
+    folders: Sequence[Path],
     reference_rotations: Float[np.ndarray, "J 3 3"],
     test_subjects: frozenset[str],
     held_out_subjects: frozenset[str],
@@ -48,16 +48,16 @@ def gather_training_poses(
     *,
     is_interleaved: bool = False,
 ) -> TrainingPoses:
-    """Return all poses in a folder except those of `test_subjects`; if interleaved, those of all subjects by MNN-IK's split.
+    """Return all poses in folders except those of `test_subjects`; if interleaved, those of all subjects by MNN-IK's split.
 
-    Raises ReadError if the folder holds no motion of the training subjects or none of the held-out subjects.
+    Raises ReadError if the folders hold no motion of the training subjects or none of the held-out subjects.
     """
     joint_names = load_cmu31_body().skeleton.names
     is_observed, frame_counts, dropped_frames = ~find_weakly_observed_joints(joint_names), Counter[str](), 0
     training: list[np.ndarray] = []
     held_out: list[np.ndarray] = []
     subjects: list[str] = []
-    for recording in read_recordings(folder):
+    for recording in read_recordings(folders):
         if recording.subject in test_subjects and not is_interleaved:
             continue
         progress(f"reading {recording.name}")
@@ -76,7 +76,7 @@ def gather_training_poses(
     held_out_description = f"the held-out subjects {', '.join(sorted(held_out_subjects))}"
     for parts, description in ((training, "the training subjects"), (held_out, held_out_description)):
         if not any(map(len, parts)):
-            raise ReadError(f"{folder}: holds no motion of {description}.")
+            raise ReadError(f"{', '.join(map(str, folders))}: no motion of {description}.")
     poses = (np.concatenate(parts) for parts in (training, held_out))
     training_vectors, held_out_vectors = (np.concatenate([each, mirror_pose_vectors(each, joint_names)]) for each in poses)
     subject_index = np.tile(np.unique(subjects, return_inverse=True)[1], 2)

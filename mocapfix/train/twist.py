@@ -1,6 +1,6 @@
 """Training of the twist regressor (HybrIK, section 3.3): from joint positions to cosine and sine of each bone's twist."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,16 +31,18 @@ from mocapfix.train.twist_examples import (
 MIN_TWIST_SD_RAD = 0.2  # lower bound of a twist's standard deviation: knees and elbows twist, though not in CMU's skeleton
 
 
-def train_twist_regressor(settings: TwistSettings, folder: Path, target: Path, progress: Callable[[str], object]) -> TwistScores:
+def train_twist_regressor(
+    settings: TwistSettings, folders: Sequence[Path], target: Path, progress: Callable[[str], object]
+) -> TwistScores:
     """Train a network, write it to `target` and its card to the same path with the suffix .md, and return its scores.
 
-    Raises ReadError if the folder holds no motion of the required subjects, WriteError if the files cannot be written.
+    Raises ReadError if the folders hold no motion of the required subjects, WriteError if the files cannot be written.
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
     reference_rotations = load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects
-    poses = gather_training_poses(folder, reference_rotations, test, held_out, progress)
+    poses = gather_training_poses(folders, reference_rotations, test, held_out, progress)
     training_rotations, held_out_rotations = (
         compute_local_rotations(each, reference_rotations) for each in (poses.training_vectors, poses.held_out_vectors)
     )

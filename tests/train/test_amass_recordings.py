@@ -17,7 +17,7 @@ def write_amass(folder, vectors):
         poses[:, recordings.SMPL_JOINT_NAMES.index(name)] = vector
     (folder / "Person7").mkdir()
     path = folder / "Person7" / "walk_poses.npz"
-    np.savez(path, poses=poses.reshape(9, -1), trans=np.zeros((9, 3)), betas=np.zeros(16), mocap_framerate=60.0)
+    np.savez(path, poses=poses.reshape(9, -1), trans=np.tile([1.0, 2.0, 3.0], (9, 1)), betas=np.zeros(16), mocap_framerate=60.0)
     return path
 
 
@@ -39,6 +39,7 @@ def test_rest_pose_has_smpl_bone_directions(tmp_path):
     (recording,) = recordings.read_amass_recordings(write_amass(tmp_path, {"pelvis": UPRIGHT}))
     assert (recording.subject, recording.rate_hz, len(recording.rotations)) == ("Person7", 30.0, 5)
     np.testing.assert_allclose(recording.rotations[0, 0], np.eye(3), atol=1e-9)  # Y up, facing +Z
+    np.testing.assert_array_equal(recording.root_position, np.tile([2.0, 3.0, 1.0], (5, 1)))
     for name, direction in recordings.SMPL_REST_DIRECTIONS.items():
         for side, sign in (("Left", 1.0), ("Right", -1.0)):
             expected = np.array(direction) * [sign, 1, 1] / np.linalg.norm(direction)
@@ -70,6 +71,6 @@ def test_file_without_poses_yields_nothing(tmp_path):
 
 
 def test_poses_of_fewer_joints_raise(tmp_path):
-    np.savez(tmp_path / "short.npz", poses=np.zeros((4, 60)), mocap_framerate=120.0)
+    np.savez(tmp_path / "short.npz", poses=np.zeros((4, 60)), trans=np.zeros((4, 3)), mocap_framerate=120.0)
     with pytest.raises(ReadError, match="22 joints"):
         list(recordings.read_amass_recordings(tmp_path / "short.npz"))

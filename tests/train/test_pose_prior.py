@@ -80,7 +80,7 @@ def test_interleaved_split_trains_on_all_subjects(tmp_path, motion):
     assert "| held-out frames |" in card
     model = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     poses = training.gather_training_poses(
-        motion, model.reference_rotations, frozenset(), frozenset(), lambda text: None, is_interleaved=True
+        [motion], model.reference_rotations, frozenset(), frozenset(), lambda text: None, is_interleaved=True
     )
     np.testing.assert_allclose(model.residual_sd_rad, training.compute_residual_sd(model, poses.training_vectors), rtol=1e-5)
     assert not np.allclose(model.residual_sd_rad, training.compute_residual_sd(model, poses.held_out_vectors), rtol=1e-5)
@@ -98,14 +98,14 @@ def test_existing_weights_are_not_overwritten(tmp_path, motion, capsys):
 def test_unknown_suffix_raises_before_training(tmp_path, motion):
     training_settings = settings.read_prior_settings(find_shipped_folder("priors") / "pca.yaml")
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_pose_prior(training_settings, motion, tmp_path / "mine.pt", lambda text: None)
+        training.train_pose_prior(training_settings, [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def test_codes_of_training_poses_are_scaled_by_the_inflation(tmp_path, motion):
     train("autoencoder", motion, tmp_path, **SMALL)
     model = io.load_pose_model(str(tmp_path / "mine.safetensors"), SKELETON)
     poses = training.gather_training_poses(
-        motion, model.reference_rotations, frozenset(["02"]), frozenset(["03"]), lambda text: None
+        [motion], model.reference_rotations, frozenset(["02"]), frozenset(["03"]), lambda text: None
     )
     codes = model.encode(poses.training_vectors)[:, :3]
     np.testing.assert_allclose(codes.mean(0), 0, atol=1e-3)

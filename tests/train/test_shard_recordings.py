@@ -14,11 +14,14 @@ NAMES = load_cmu31_body().skeleton.names
 
 
 def write_shard(folder, name="train-1.npz", joints=NAMES):
-    """Write a shard of two trials and return its path and the rotations."""
+    """Write a shard of two trials, with a raised left shoulder, and return its path and the rotations."""
     rotations = draw_motion(0)
+    rotations[:, NAMES.index("LeftShoulder")] = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
     degrees = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler("ZYX", degrees=True).reshape(-1, 31, 3)
     euler = np.round(degrees / 180 * 32767).astype(np.int16)
-    np.savez(folder / name, euler=euler, trial=np.array(["01_02", "14_01"]), start=np.array([0, 10]), length=np.array([10, 14]))
+    trials = {"trial": np.array(["01_02", "14_01"]), "start": np.array([0, 10]), "length": np.array([10, 14])}
+    trials["root"] = np.outer(np.arange(24), [1.0, 2.0, 0.0]).astype(np.float32)
+    np.savez(folder / name, allow_pickle=False, euler=euler, **trials)
     (folder / "skeletons.json").write_text(json.dumps({"joints": joints}))
     return folder / name, rotations
 
@@ -29,6 +32,7 @@ def test_shard_yields_its_trials(tmp_path):
     assert [(each.name, each.subject, each.rate_hz) for each in (first, second)] == [("01_02", "01", 30.0), ("14_01", "14", 30.0)]
     np.testing.assert_allclose(first.rotations, rotations[:10], atol=2e-4)
     np.testing.assert_allclose(second.rotations, rotations[10:], atol=2e-4)
+    assert np.diff(second.root_position, axis=0) == pytest.approx(np.tile([0.056444, 0.112888, 0.0], (13, 1)))
 
 
 def test_reconstructed_motion_is_skipped(tmp_path):
@@ -50,12 +54,29 @@ def test_folder_yields_all_recordings_in_a_fixed_order(tmp_path):
     (tmp_path / "more").mkdir()
     for name in ("09_02", "09_01"):
         write_bvh(tmp_path / "more" / f"{name}.bvh", draw_motion(1))
-    np.savez(tmp_path / "more" / "others_poses.npz", poses=np.zeros((4, 156)), mocap_framerate=30.0)
-    names = [each.name for each in recording_folders.read_recordings(tmp_path)]
+    np.savez(tmp_path / "more" / "others_poses.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=30.0)
+    names = [each.name for each in recording_folders.read_recordings([tmp_path])]
     assert names == ["01_02", "14_01", "others_poses", "09_01", "09_02"]
+
+
+def test_clavicles_do_not_move_and_arms_keep_their_direction(tmp_path):
+    _, rotations = write_shard(tmp_path)
+    clavicle, arm, other = (NAMES.index(name) for name in ("LeftShoulder", "LeftArm", "LeftForeArm"))
+    first, _ = recording_folders.read_recordings([tmp_path])
+    np.testing.assert_array_equal(first.rotations[:, clavicle], np.tile(np.eye(3), (10, 1, 1)))
+    np.testing.assert_allclose(first.rotations[:, arm], (rotations[:, clavicle] @ rotations[:, arm])[:10], atol=4e-4)
+    np.testing.assert_allclose(first.rotations[:, other], rotations[:10, other], atol=2e-4)
+
+
+def test_folders_are_read_one_after_the_other(tmp_path):
+    for name in ("b", "a"):
+        (tmp_path / name).mkdir()
+        write_bvh(tmp_path / name / f"01_{name}.bvh", draw_motion(1))
+    names = [each.name for each in recording_folders.read_recordings([tmp_path / "b", tmp_path / "a"])]
+    assert names == ["01_b", "01_a"]
 
 
 def test_folder_without_motion_raises(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ReadError, match="holds no motion"):
-        list(recording_folders.read_recordings(tmp_path))
+        list(recording_folders.read_recordings([tmp_path]))

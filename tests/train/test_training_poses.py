@@ -29,7 +29,7 @@ def folder(tmp_path):
 
 
 def gather(folder, test="02", held_out="03"):
-    return gather_training_poses(folder, REFERENCE, frozenset([test]), frozenset([held_out]), lambda text: None)
+    return gather_training_poses([folder], REFERENCE, frozenset([test]), frozenset([held_out]), lambda text: None)
 
 
 def test_subjects_are_separated_and_each_pose_is_mirrored(folder):
@@ -62,7 +62,9 @@ def test_missing_subjects_raise(folder):
 
 
 def test_interleaved_split_trains_on_three_of_every_five_frames_of_all_subjects(folder):
-    poses = gather_training_poses(folder, REFERENCE, frozenset(["02"]), frozenset(["03"]), lambda text: None, is_interleaved=True)
+    poses = gather_training_poses(
+        [folder], REFERENCE, frozenset(["02"]), frozenset(["03"]), lambda text: None, is_interleaved=True
+    )
     is_training = np.isin(np.arange(24) % 5, (0, 2, 4))
     vectors = [compute_pose_vectors(draw_motion(seed), REFERENCE) for seed in (1, 2, 3)]
     half = len(poses.training_vectors) // 2

@@ -81,7 +81,7 @@ def test_existing_weights_are_not_overwritten(command, tmp_path):
 
 def test_unknown_suffix_raises_before_training(tmp_path, motion):
     with pytest.raises(WriteError, match=r"mine\.pt: .*ends in \.safetensors"):
-        training.train_twist_regressor(build_settings(), motion, tmp_path / "mine.pt", lambda text: None)
+        training.train_twist_regressor(build_settings(), [motion], tmp_path / "mine.pt", lambda text: None)
 
 
 def draw_arm_poses(frames):
