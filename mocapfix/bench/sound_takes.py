@@ -147,7 +147,8 @@ def find_informative_markers(subject: Subject) -> Bool[np.ndarray, "J K"]:
     return is_informative
 
 
-UNSEEN_SUBJECTS = frozenset({"02", "05", "06", "16", "49", "85"})  # `test_subjects` of all settings in priors/
+# `test_subjects` of all settings in priors/
+UNSEEN_SUBJECTS = frozenset({"02", "05", "06", "16", "49", "85", "tilling-mmk", "basket-s010", "ys2010-boxer"})
 UNSEEN_POSES_FILE = "bench/unseen-poses.npz"  # in scenes/
 HALF_TURN_STEPS = 32767  # integer that stands for half a turn in the shipped Euler angles
 

@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Generator, Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
@@ -84,15 +84,15 @@ class ResidualModel(nn.Module):
 def train_network(
     reference_rotations: Float[np.ndarray, "J 3 3"],
     pose_vectors: Float[np.ndarray, "N J 3"],
-    subject_index: Int[np.ndarray, " N"],
+    sampling_weights: Float[np.ndarray, " N"],
     settings: AutoencoderSettings,
     checkpoint: Path,
     progress: Callable[[str], object],
 ) -> TrainedNetwork:
     """Return a network trained on poses.
 
-    subject_index  the number of the subject of each pose
-    checkpoint     a file that is written after each epoch; training continues from it if it has the same settings and poses
+    sampling_weights  the relative frequency at which each pose is drawn
+    checkpoint        a file that is written after each epoch; training continues from it if it has the same settings and poses
 
     Raises ReadError if the checkpoint is not one.
     """
@@ -102,7 +102,7 @@ def train_network(
     output_features = FEATURE_TYPES[architecture.output_features](reference)
     network, residual_model = initialise_network(output_features.feature_count, reference_rotations, architecture, settings)
     poses = torch.as_tensor(pose_vectors, dtype=torch.float32)
-    weights = torch.as_tensor(compute_sampling_weights(subject_index, settings.subject_balance))
+    weights = torch.as_tensor(sampling_weights)
     step_count = -(-len(poses) // settings.batch_poses)
     parameters = [*network.parameters(), *residual_model.parameters()]
     optimizer = torch.optim.AdamW(parameters, settings.learning_rate, weight_decay=settings.weight_decay)
@@ -188,11 +188,6 @@ def build_rate_schedule(settings: AutoencoderSettings, step_count: int) -> Calla
         return lambda step: 0.5 * (1 + math.cos(math.pi * min(step / step_count, 1.0)))
     factor = float(settings.rate_schedule)
     return lambda step: factor ** (step // RATE_DECAY_INTERVAL_STEPS)
-
-
-def compute_sampling_weights(subject_index: Int[np.ndarray, " N"], balance: float) -> Float[np.ndarray, " N"]:
-    """Return the relative sampling frequency of each pose: 1 for a balance of 0, the inverse of the subject's poses for 1."""
-    return np.bincount(subject_index)[subject_index] ** -float(balance)
 
 
 def sample_epoch(weights: Tensor, generator: Generator) -> Tensor:

@@ -18,6 +18,13 @@ ACKNOWLEDGEMENT = """\
 The data used in this project was obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.
 (CMU asks for this acknowledgement. If you train on other motion, name its source here.)
 """
+MOVEMENT_RESEARCH_LAB = "snumrl/"  # how the names of its repositories begin
+MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT = """
+Motion data of the Movement Research Lab, Seoul National University, from the repositories above, under Apache License 2.0
+(TillingPatch, VSports, ys2010, InteractiveAnimation), MIT License (DataDrivenBipedController, copyright 2013 Yoonsang Lee) and
+BSD 3-Clause License (TimeCriticalResponse, copyright 2020 NCSOFT Corporation and SNU R&D Foundation). It was transferred to
+CMU's skeleton, and its joints were brought into CMU's conventions as `mocapfix.train.retargeted_poses` describes.
+"""
 PRIOR_CARD = """\
 # {name}
 
@@ -52,7 +59,7 @@ A better reconstruction does not make a better prior: choose a prior by its resu
 {fit_summary}
 ## Data
 
-{acknowledgement}"""
+{sources}{acknowledgement}"""
 TWIST_CARD = """\
 # {name}
 
@@ -86,7 +93,7 @@ joints (head, toes, fingertips, thumbs) are not regressed, because no joint beyo
 
 ## Data
 
-{acknowledgement}"""
+{sources}{acknowledgement}"""
 
 
 @dataclass(frozen=True)
@@ -164,8 +171,22 @@ def build_common_fields(name: str, settings: PriorSettings | TwistSettings, pose
         "trained_on": format_frame_counts(frame_counts),
         "held_out": format_held_out_rows(settings, poses),
         "settings": "\n".join(f"- {key}: {value}" for key, value in values.items()),
-        "acknowledgement": ACKNOWLEDGEMENT,
+        "sources": format_sources(poses),
+        "acknowledgement": build_acknowledgement(poses),
     }
+
+
+def format_sources(poses: TrainingPoses) -> str:
+    """Return the table of the data's known sources, with the frames that were read of each; empty if none is known."""
+    sources = sorted(poses.source_frames, key=lambda each: (each.is_retargeted, each.name))
+    rows = [f"| {each.name} | {each.licence} | {poses.source_frames[each]:,} |" for each in sources if each.name]
+    return "\n".join(["| source | licence | frames |", "|---|---|---|", *rows, "", ""]) if rows else ""
+
+
+def build_acknowledgement(poses: TrainingPoses) -> str:
+    """Return the acknowledgements that the sources ask for."""
+    is_lab = any(each.name.startswith(MOVEMENT_RESEARCH_LAB) for each in poses.source_frames)
+    return ACKNOWLEDGEMENT + (MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT if is_lab else "")
 
 
 def format_held_out_rows(settings: PriorSettings | TwistSettings, poses: TrainingPoses) -> str:

@@ -14,6 +14,7 @@ from mocapfix.pose_prior.gaussian_models import GaussianModel, MixtureModel
 from mocapfix.train.settings import MixtureSettings
 
 MIN_NOISE_SD_RAD = np.radians(1.0)  # smaller deviations are noise of the solved motion that the poses come from
+MAX_MIXTURE_POSES = 120_000  # EM takes time in proportion, and neighbouring frames are nearly the same pose
 INITIAL_FIT_STRIDE = 5  # initial values are compared on every fifth pose, because consecutive frames are nearly the same
 MIXTURE_FIT_SUMMARY = """\
 Of {} fits to every {}th pose, each initialised by k-means, the one of greatest likelihood (converged after {} iterations) was
@@ -25,6 +26,7 @@ def fit_gaussian_model(
     joint_names: tuple[str, ...],
     reference_rotations: Float[np.ndarray, "J 3 3"],
     pose_vectors: Float[np.ndarray, "N J 3"],
+    weights: Float[np.ndarray, " N"],
     max_components: int | None,
 ) -> GaussianModel:
     """Return the maximum-likelihood model of poses with a noise of at least MIN_NOISE_SD_RAD (Tipping and Bishop, 1999, Eqs. 7,
@@ -32,16 +34,17 @@ def fit_gaussian_model(
 
     The residual standard deviation of the model is the noise; it is yet to be measured on held-out poses.
 
+    weights         relative weights of the poses
     max_components  None for all components above the noise
     """
     rows = pose_vectors.reshape(len(pose_vectors), -1)
-    values, axes = np.linalg.eigh(np.cov(rows.T, bias=True, dtype=float))
+    values, axes = np.linalg.eigh(np.cov(rows.T, bias=True, aweights=weights, dtype=float))
     values, axes = values[::-1], axes[:, ::-1]
     kept = int((values > MIN_NOISE_SD_RAD**2).sum()) if max_components is None else max_components
     noise = max(MIN_NOISE_SD_RAD**2, values[kept:].mean() if kept < len(values) else 0.0)
     kept = min(kept, int((values > noise).sum()))
     w = axes[:, :kept] * np.sqrt(values[:kept] - noise)
-    mean = rows.mean(0, dtype=float).reshape(len(joint_names), 3)
+    mean = np.average(rows, axis=0, weights=weights).reshape(len(joint_names), 3)
     residual_sd = np.full(len(joint_names), np.sqrt(noise))
     components = w.T.reshape(kept, len(joint_names), 3)
     return GaussianModel(joint_names, reference_rotations, residual_sd, mean, components, float(np.sqrt(noise)))
@@ -51,6 +54,7 @@ def fit_mixture_model(
     joint_names: tuple[str, ...],
     reference_rotations: Float[np.ndarray, "J 3 3"],
     pose_vectors: Float[np.ndarray, "N J 3"],
+    weights: Float[np.ndarray, " N"],
     settings: MixtureSettings,
     progress: Callable[[str], object],
 ) -> tuple[MixtureModel, str]:
@@ -58,11 +62,12 @@ def fit_mixture_model(
 
     The method is that of Wei and Chai (2011). The residual standard deviation of the model is MIN_NOISE_SD_RAD; it is yet to be
     measured on held-out poses. No component is narrower than MIN_NOISE_SD_RAD along any axis: consecutive frames are nearly the
-    same pose, and a component for such frames alone would have infinite likelihood.
+    same pose, and a component for such frames alone would have infinite likelihood. The mixture is fitted to MAX_MIXTURE_POSES
+    poses, drawn by their weights if there are more or if the weights differ.
 
     Raises SceneError if expectation maximisation does not converge.
     """
-    rows = pose_vectors.reshape(len(pose_vectors), -1)
+    rows = draw_poses(pose_vectors, weights, settings.seed).reshape(-1, pose_vectors[0].size)
     mean, axes = rows.mean(0, dtype=float), compute_principal_axes(rows, settings.variance_share)
     projected = ((rows - mean) @ axes.T).astype(np.float32)  # an iteration takes less than half the time in single precision
     fits: list[GaussianMixture] = []
@@ -97,6 +102,16 @@ def fit_mixture_model(
         component_index=np.zeros(1, int),
     )
     return model, summary
+
+
+def draw_poses(
+    pose_vectors: Float[np.ndarray, "N J 3"], weights: Float[np.ndarray, " N"], seed: int
+) -> Float[np.ndarray, "M J 3"]:
+    """Return all poses if they are few and of equal weight, else as many as a mixture is fitted to, drawn by their weights."""
+    if len(pose_vectors) <= MAX_MIXTURE_POSES and weights.min() == weights.max():
+        return pose_vectors
+    count = min(len(pose_vectors), MAX_MIXTURE_POSES)
+    return pose_vectors[np.random.default_rng(seed).choice(len(pose_vectors), count, p=weights / weights.sum())]
 
 
 def compute_principal_axes(rows: Float[np.ndarray, "N F"], variance_share: float) -> Float[np.ndarray, "P F"]:

@@ -14,8 +14,9 @@ from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train.cards import PriorScores, write_prior_card
+from mocapfix.train.retargeted_poses import conform_training_poses
 from mocapfix.train.settings import AutoencoderSettings, GaussianSettings, PriorSettings
-from mocapfix.train.training_poses import TrainingPoses, gather_training_poses
+from mocapfix.train.training_poses import TrainingPoses, compute_sampling_weights, gather_training_poses
 
 # Measured standard deviations are multiplied by this: the held-out subjects are few, and measurements shall outweigh the prior.
 SD_INFLATION = 2.5
@@ -44,7 +45,8 @@ def train_pose_prior(
     skeleton = load_cmu31_body().skeleton
     reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects
-    poses = gather_training_poses(folders, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
+    gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress, is_interleaved=is_interleaved)
+    poses = conform_training_poses(gathered, skeleton.names, settings.subject_balance)
     checkpoint = target.with_suffix(".checkpoint")
     model, fit_summary = fit_pose_model(settings, skeleton.names, reference_rotations, poses, checkpoint, progress)
     progress("measuring")
@@ -72,10 +74,17 @@ def fit_pose_model(
     from mocapfix.train.gaussian_models import fit_gaussian_model, fit_mixture_model
 
     progress("fitting")
+    weights = compute_pose_weights(settings, poses)
     if isinstance(settings, GaussianSettings):
         components = settings.components if isinstance(settings.components, int) else None
-        return fit_gaussian_model(joint_names, reference_rotations, poses.training_vectors, components), ""
-    return fit_mixture_model(joint_names, reference_rotations, poses.training_vectors, settings, progress)
+        return fit_gaussian_model(joint_names, reference_rotations, poses.training_vectors, weights, components), ""
+    return fit_mixture_model(joint_names, reference_rotations, poses.training_vectors, weights, settings, progress)
+
+
+def compute_pose_weights(settings: PriorSettings, poses: TrainingPoses) -> Float[np.ndarray, " N"]:
+    """Return the relative frequencies of the training poses by the settings."""
+    is_retargeted, weight = poses.is_retargeted, settings.retargeted_weight
+    return compute_sampling_weights(poses.subject_index, settings.subject_balance, is_retargeted, weight)
 
 
 def fit_autoencoder(
@@ -91,8 +100,8 @@ def fit_autoencoder(
     from mocapfix.pose_prior.network import copy_weights
     from mocapfix.train.autoencoder import train_network
 
-    training_vectors, subject_index = poses.training_vectors, poses.subject_index
-    trained = train_network(reference_rotations, training_vectors, subject_index, settings, checkpoint, progress)
+    training_vectors, weights = poses.training_vectors, compute_pose_weights(settings, poses)
+    trained = train_network(reference_rotations, training_vectors, weights, settings, checkpoint, progress)
     architecture, residual_model = trained.architecture, trained.residual_model
     noise, directions = (
         SD_INFLATION * each.detach().numpy().astype(float)

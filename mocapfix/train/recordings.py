@@ -9,10 +9,14 @@ the axes of the world. It faces the same way as the CMU skeleton, but arms and l
 which the rotations are corrected. Hip stubs, upper neck, fingers, thumbs and toes have no counterpart and keep their rest
 rotation.
 
+manifest.csv in the folder of a shard has one row per trial. Its columns `quality`, `source` and `licence` say where the motion
+comes from, and whether it was transferred from another skeleton. Without a licence it is CMU's.
+
 In CMU's skeleton the clavicles do not move. Where they do in another source, the arm is given their rotation as well, so that it
 has the same direction in the world; the shoulder moves by about 2 cm.
 """
 
+import csv
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -36,12 +40,31 @@ SHARD_LENGTH_UNIT_M = 0.056444  # the unit of root positions in CMU's BVH files 
 
 
 @dataclass(frozen=True)
+class RecordingSource:
+    """Where a recording comes from.
+
+    name           the database or repository; empty if it is unknown
+    licence        as the source states it
+    is_retargeted  whether the motion was transferred from another skeleton, so that its joints have other zero positions
+    """
+
+    name: str = ""
+    licence: str = ""
+    is_retargeted: bool = False
+
+
+UNKNOWN_SOURCE = RecordingSource()
+CMU_SOURCE = RecordingSource("CMU motion capture database", "free for research and commercial use")
+
+
+@dataclass(frozen=True)
 class Recording:
     """A trial of a subject.
 
     rotations      (T, 31, 3, 3) local joint rotations, Y up; in the T-pose that faces +Z the axes of each joint are those of
                    the world
     root_position  (T, 3) of the root in metres, in the world
+    source         where the recording comes from, as far as it is known
     """
 
     name: str
@@ -49,6 +72,7 @@ class Recording:
     rotations: np.ndarray
     rate_hz: float
     root_position: np.ndarray
+    source: RecordingSource = UNKNOWN_SOURCE
 
 
 def compute_frame_step(rate_hz: float) -> int:
@@ -60,6 +84,25 @@ def infer_subject(path: Path) -> str:
     """Return the subject of a file by CMU's naming, 01 of 01_02.bvh; otherwise the name of its folder."""
     subject, underscore, _ = path.stem.partition("_")
     return subject if underscore else path.parent.name
+
+
+def read_manifest_sources(folder: Path) -> dict[str, RecordingSource]:
+    """Return the sources of a folder's trials by manifest.csv, none without one. Raises ReadError if its columns are missing."""
+    path = folder / "manifest.csv"
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return {row["trial"]: _build_source(row) for row in csv.DictReader(file)}
+    except (OSError, ValueError, KeyError) as error:
+        raise ReadError(f"{path}: is not a table of trials with the columns trial, quality and source ({error}).") from error
+
+
+def _build_source(row: dict[str, str]) -> RecordingSource:
+    licence, is_retargeted = row.get("licence", ""), row["quality"] != "exact"
+    if not is_retargeted and (not licence or licence.startswith("CMU")):
+        return CMU_SOURCE
+    return RecordingSource(row["source"].partition("@")[0], licence, is_retargeted)
 
 
 def read_shard_recordings(path: Path) -> Iterator[Recording]:
@@ -74,10 +117,12 @@ def read_shard_recordings(path: Path) -> Iterator[Recording]:
         raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
     if joints != load_cmu31_body().skeleton.names or euler.shape[1:] != (len(joints), 3) or root.shape != (len(euler), 3):
         raise ReadError(f"{path}: its joints are not the 31 of the CMU skeleton, in their order, with a root position a frame.")
+    sources = read_manifest_sources(path.parent)
     for name, angles, position in zip(trials, np.split(euler, starts[1:]), np.split(root, starts[1:]), strict=True):
         rotations = Rotation.from_euler("ZYX", angles.reshape(-1, 3) / 32767 * 180, degrees=True).as_matrix()
         subject, root_position = str(name).split("_")[0], SHARD_LENGTH_UNIT_M * position.astype(float)
-        yield Recording(str(name), subject, rotations.reshape(*angles.shape, 3), TRAINING_RATE_HZ, root_position)
+        local, source = rotations.reshape(*angles.shape, 3), sources.get(str(name), UNKNOWN_SOURCE)
+        yield Recording(str(name), subject, local, TRAINING_RATE_HZ, root_position, source)
 
 
 SMPL_SIDE_JOINTS = {

@@ -17,11 +17,15 @@ class SubjectSettings(StrictModel):
     title              one line for the card
     test_subjects      subjects that training never reads; the benchmarks use them
     held_out_subjects  subjects that are not trained on; standard deviations and scores are measured on them
+    subject_balance    0 samples every pose equally often, 1 every subject equally often; values between interpolate
+    retargeted_weight  how often a pose of a retargeted subject is sampled relative to one of the others
     """
 
     title: str
     test_subjects: frozenset[str]
     held_out_subjects: frozenset[str]
+    subject_balance: Fraction
+    retargeted_weight: Annotated[float, Field(gt=0, le=1)]
 
 
 class GaussianSettings(SubjectSettings):
@@ -49,7 +53,6 @@ class AutoencoderSettings(SubjectSettings):
     norm_weight        weight of the norm of all weights in the loss (MNN-IK, Eq. 3.2)
     loss               "paper" for squared errors and the norm (MNN-IK, Eq. 3.2); "evidence" for the evidence lower bound, see
                        mocapfix.train.autoencoder.compute_evidence_loss
-    subject_balance    0 samples every pose equally often, 1 every subject equally often; values between interpolate
     corrupted_share    fraction of the poses that are corrupted, from which a denoising autoencoder learns
     """
 
@@ -70,7 +73,6 @@ class AutoencoderSettings(SubjectSettings):
     weight_decay: NonNegativeFloat
     norm_weight: NonNegativeFloat
     loss: Literal["paper", "evidence"]
-    subject_balance: Fraction
     corrupted_share: Fraction
 
 
@@ -103,7 +105,6 @@ class TwistSettings(SubjectSettings):
     batch_poses      poses per step
     learning_rate    at the start; it falls to zero along a cosine
     weight_decay     of AdamW
-    subject_balance  as in AutoencoderSettings
     """
 
     model: Literal["twist"]
@@ -113,7 +114,6 @@ class TwistSettings(SubjectSettings):
     batch_poses: PositiveInt
     learning_rate: PositiveFloat
     weight_decay: NonNegativeFloat
-    subject_balance: Fraction
 
 
 PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings

@@ -2,16 +2,16 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train.recordings import read_recordings
+from mocapfix.train.recordings import RecordingSource, read_recordings
 
 # Joints on which the data hold little information, so that their jumps do not matter.
 WEAKLY_OBSERVED_JOINTS = ("HipJoint", "FingerBase", "HandIndex1", "Thumb", "ToeBase")
@@ -26,16 +26,22 @@ class TrainingPoses:
     training_vectors  (N, J, 3) of the subjects to train on; the second half is the first, mirrored
     held_out_vectors  (M, J, 3) of the held-out subjects; the second half is the first, mirrored
     subject_index     (N,) the number of the subject of each training pose
+    held_out_index    (M,) the same of each held-out pose
+    is_retargeted     (S,) by the number of a subject: whether the motion was transferred from another skeleton
     frame_counts      frames of each subject before mirroring; if interleaved, only those to train on
     dropped_frames    number of frames beyond a rotation jump, which are not used
+    source_frames     frames of each known source before mirroring, as in `frame_counts`
     is_interleaved    whether training and held-out poses are frames of the same takes
     """
 
     training_vectors: np.ndarray
     held_out_vectors: np.ndarray
     subject_index: np.ndarray
+    held_out_index: np.ndarray
+    is_retargeted: np.ndarray
     frame_counts: Counter[str]
     dropped_frames: int
+    source_frames: Counter[RecordingSource] = field(default_factory=Counter[RecordingSource])
     is_interleaved: bool = False
 
 
@@ -56,7 +62,9 @@ def gather_training_poses(
     is_observed, frame_counts, dropped_frames = ~find_weakly_observed_joints(joint_names), Counter[str](), 0
     training: list[np.ndarray] = []
     held_out: list[np.ndarray] = []
-    subjects: list[str] = []
+    subjects: tuple[list[str], list[str]] = ([], [])
+    retargeted_subjects: set[str] = set()
+    source_frames = Counter[RecordingSource]()
     for recording in read_recordings(folders):
         if recording.subject in test_subjects and not is_interleaved:
             continue
@@ -70,17 +78,45 @@ def gather_training_poses(
             is_training = np.full(len(vectors), recording.subject not in held_out_subjects)
         training.append(vectors[is_training])
         held_out.append(vectors[~is_training])
-        subjects += [recording.subject] * int(is_training.sum())
-        frame_counts[recording.subject] += int(is_training.sum()) if is_interleaved else len(vectors)
+        frame_count = int(is_training.sum()) if is_interleaved else len(vectors)
+        for names, is_part in zip(subjects, (is_training, ~is_training), strict=True):
+            names += [recording.subject] * int(is_part.sum())
+        frame_counts[recording.subject] += frame_count
+        source_frames[recording.source] += frame_count
+        if recording.source.is_retargeted:
+            retargeted_subjects.add(recording.subject)
         dropped_frames += len(recording.rotations) - len(vectors)
     held_out_description = f"the held-out subjects {', '.join(sorted(held_out_subjects))}"
     for parts, description in ((training, "the training subjects"), (held_out, held_out_description)):
         if not any(map(len, parts)):
             raise ReadError(f"{', '.join(map(str, folders))}: no motion of {description}.")
-    poses = (np.concatenate(parts) for parts in (training, held_out))
-    training_vectors, held_out_vectors = (np.concatenate([each, mirror_pose_vectors(each, joint_names)]) for each in poses)
-    subject_index = np.tile(np.unique(subjects, return_inverse=True)[1], 2)
-    return TrainingPoses(training_vectors, held_out_vectors, subject_index, frame_counts, dropped_frames, is_interleaved)
+    numbered = sorted(frame_counts)
+    training_index, held_out_index = (np.tile(np.searchsorted(numbered, names), 2) for names in subjects)
+    return TrainingPoses(
+        add_mirrored_poses(np.concatenate(training), joint_names),
+        add_mirrored_poses(np.concatenate(held_out), joint_names),
+        training_index,
+        held_out_index,
+        np.isin(numbered, sorted(retargeted_subjects)),
+        frame_counts,
+        dropped_frames,
+        source_frames,
+        is_interleaved,
+    )
+
+
+def compute_sampling_weights(
+    subject_index: Int[np.ndarray, " N"],
+    balance: float,
+    is_retargeted: Bool[np.ndarray, " S"] | None = None,
+    retargeted_weight: float = 1.0,
+) -> Float[np.ndarray, " N"]:
+    """Return the relative sampling frequency of each pose: 1 for a balance of 0, the inverse of the subject's poses for 1.
+
+    is_retargeted      by the number of a subject; the frequency of these poses is multiplied by `retargeted_weight`
+    """
+    weights = np.bincount(subject_index)[subject_index] ** -float(balance)
+    return weights if is_retargeted is None else np.where(is_retargeted[subject_index], retargeted_weight * weights, weights)
 
 
 def find_weakly_observed_joints(joint_names: tuple[str, ...]) -> Bool[np.ndarray, " J"]:
@@ -121,6 +157,11 @@ def mirror_joint_name(name: str) -> str:
         if name.startswith(right):
             return left + name[len(right) :]
     return name
+
+
+def add_mirrored_poses(pose_vectors: Float[np.ndarray, "N J 3"], joint_names: tuple[str, ...]) -> Float[np.ndarray, "M J 3"]:
+    """Return poses, followed by their mirror images."""
+    return np.concatenate([pose_vectors, mirror_pose_vectors(pose_vectors, joint_names)])
 
 
 def mirror_pose_vectors(pose_vectors: Float[np.ndarray, "N J 3"], joint_names: tuple[str, ...]) -> Float[np.ndarray, "N J 3"]:

@@ -14,11 +14,12 @@ from mocapfix.initialise.twist_regressor import TwistRegressor, write_twist_regr
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.network import build_layers
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train.autoencoder import compute_sampling_weights, sample_epoch
+from mocapfix.train.autoencoder import sample_epoch
 from mocapfix.train.cards import TwistScores, write_twist_card
 from mocapfix.train.pose_prior import SD_INFLATION
+from mocapfix.train.retargeted_poses import conform_training_poses
 from mocapfix.train.settings import TwistSettings
-from mocapfix.train.training_poses import gather_training_poses
+from mocapfix.train.training_poses import compute_sampling_weights, gather_training_poses
 from mocapfix.train.twist_examples import (
     HAS_TWIST,
     INPUT_COUNT,
@@ -40,13 +41,16 @@ def train_twist_regressor(
     """
     if target.suffix != ".safetensors":
         raise WriteError(f"{target}: weights are written as safetensors; give a name that ends in .safetensors.")
-    reference_rotations = load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
+    skeleton = load_cmu31_body().skeleton
+    reference_rotations = load_mean_pose_prior("mean-pose", skeleton).mean_rotations
     test, held_out = settings.test_subjects, settings.held_out_subjects
-    poses = gather_training_poses(folders, reference_rotations, test, held_out, progress)
+    gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress)
+    poses = conform_training_poses(gathered, skeleton.names, settings.subject_balance)
     training_rotations, held_out_rotations = (
         compute_local_rotations(each, reference_rotations) for each in (poses.training_vectors, poses.held_out_vectors)
     )
-    weights = compute_sampling_weights(poses.subject_index, settings.subject_balance)
+    balance, weight = settings.subject_balance, settings.retargeted_weight
+    weights = compute_sampling_weights(poses.subject_index, balance, poses.is_retargeted, weight)
     unscaled = fit_twist_regressor(training_rotations, weights, settings, progress)
     progress("measuring")
     rng = np.random.default_rng(settings.seed)

@@ -13,6 +13,7 @@ from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import autoencoder, settings
 from mocapfix.train.autoencoder import build_rate_schedule, compute_weight_norm, train_network
 from mocapfix.train.settings import AutoencoderSettings
+from mocapfix.train.training_poses import compute_sampling_weights
 
 REFERENCE = mean_pose.load_mean_pose_prior("mean-pose", load_cmu31_body().skeleton).mean_rotations
 PRIORS = Path(mean_pose.__file__).parents[2] / "priors"
@@ -33,9 +34,9 @@ def poses():
 
 
 def train_weights(poses, checkpoint, training_settings, progress=lambda text: None):
-    subject_index = np.arange(len(poses)) // 80
+    weights = compute_sampling_weights(np.arange(len(poses)) // 80, training_settings.subject_balance)
     vectors = poses.reshape(-1, 31, 3)
-    network = train_network(REFERENCE, vectors, subject_index, training_settings, checkpoint, progress).network
+    network = train_network(REFERENCE, vectors, weights, training_settings, checkpoint, progress).network
     return torch.cat([w.flatten() for w in network.state_dict().values()])
 
 
@@ -108,7 +109,7 @@ def test_learning_rate_follows_the_schedule():
 def test_subject_balance_sets_the_sampling_frequency():
     subject_index = np.repeat([0, 1], [900, 100])
     for balance, expected in ((0.0, 0.1), (0.5, 0.25), (1.0, 0.5)):
-        weights = torch.as_tensor(autoencoder.compute_sampling_weights(subject_index, balance))
+        weights = torch.as_tensor(compute_sampling_weights(subject_index, balance))
         assert float(weights[900:].sum() / weights.sum()) == pytest.approx(expected)
         counts = np.zeros(1000)
         for seed in range(20):

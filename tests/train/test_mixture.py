@@ -13,6 +13,8 @@ SETTINGS = MixtureSettings(
     title="",
     test_subjects=frozenset(),
     held_out_subjects=frozenset(),
+    subject_balance=0,
+    retargeted_weight=1,
     seed=0,
     variance_share=0.99,
     components=2,
@@ -36,7 +38,9 @@ def log_density(model, poses):
 
 
 def fit(poses, **changes):
-    return gaussian_models.fit_mixture_model(NAMES, IDENTITY, poses, SETTINGS.model_copy(update=changes), lambda text: None)
+    return gaussian_models.fit_mixture_model(
+        NAMES, IDENTITY, poses, np.ones(len(poses)), SETTINGS.model_copy(update=changes), lambda text: None
+    )
 
 
 def test_two_clusters_are_separated():

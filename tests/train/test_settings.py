@@ -4,7 +4,15 @@ from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.train import settings
 
-PCA = 'model: linear\ntitle: mine\ntest_subjects: ["02"]\nheld_out_subjects: ["03"]\ncomponents: 3\n'
+PCA = """\
+model: linear
+title: mine
+test_subjects: ["02"]
+held_out_subjects: ["03"]
+subject_balance: 0.5
+retargeted_weight: 1
+components: 3
+"""
 
 
 def test_shipped_settings_are_valid():
@@ -41,6 +49,7 @@ def test_mnn_ik_settings_are_those_of_the_paper():
         ("components: 3", "components: 0", "components"),
         ("components: 3", "components: 3\nlayers: 4", "layers"),
         ('test_subjects: ["02"]', "tests: []", "test_subjects"),
+        ("retargeted_weight: 1", "retargeted_weight: 0", "retargeted_weight"),
         ("model: linear", "model: forest", "model"),
         ("model: linear", "", "model"),
     ],

@@ -35,6 +35,19 @@ def test_shard_yields_its_trials(tmp_path):
     assert np.diff(second.root_position, axis=0) == pytest.approx(np.tile([0.056444, 0.112888, 0.0], (13, 1)))
 
 
+def test_manifest_names_sources_and_retargeted_motion(tmp_path):
+    path, _ = write_shard(tmp_path)
+    assert [each.source for each in shard_recordings.read_shard_recordings(path)] == [shard_recordings.UNKNOWN_SOURCE] * 2
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_text("trial,quality,source,licence\n01_02,exact,a/b@1,CMU (free)\n14_01,retargeted,c/d@2,MIT\n")
+    first, second = shard_recordings.read_shard_recordings(path)
+    assert first.source == shard_recordings.CMU_SOURCE
+    assert second.source == shard_recordings.RecordingSource("c/d", "MIT", is_retargeted=True)
+    manifest.write_text("trial,licence\n01_02,MIT\n")
+    with pytest.raises(ReadError, match=r"manifest\.csv.*columns"):
+        list(shard_recordings.read_shard_recordings(path))
+
+
 def test_reconstructed_motion_is_skipped(tmp_path):
     path, _ = write_shard(tmp_path, "train-approx.npz")
     assert not list(shard_recordings.read_shard_recordings(path))

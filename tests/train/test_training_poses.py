@@ -8,6 +8,7 @@ from mocapfix.pose_prior.model import compute_pose_vectors
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train.training_poses import (
     MIRROR_X_MATRIX,
+    compute_sampling_weights,
     detect_rotation_jumps,
     find_longest_jump_free_slice,
     gather_training_poses,
@@ -75,6 +76,13 @@ def test_interleaved_split_trains_on_three_of_every_five_frames_of_all_subjects(
     assert poses.frame_counts == {"01": 14, "02": 14, "03": 14}
     assert poses.is_interleaved
     assert not gather(folder).is_interleaved
+
+
+def test_retargeted_subjects_are_sampled_less_often():
+    subject_index, is_retargeted = np.repeat([0, 1], [30, 10]), np.array([True, False])
+    np.testing.assert_allclose(compute_sampling_weights(subject_index, 0.0, is_retargeted, 0.5), np.repeat([0.5, 1.0], [30, 10]))
+    balanced = compute_sampling_weights(subject_index, 1.0, is_retargeted, 0.5)
+    assert balanced[:30].sum() == pytest.approx(0.5 * balanced[30:].sum())
 
 
 def rotate_joint(degrees):
