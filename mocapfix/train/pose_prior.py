@@ -51,7 +51,7 @@ def train_pose_prior(
     model, fit_summary = fit_pose_model(settings, skeleton.names, reference_rotations, poses, checkpoint, progress)
     progress("measuring")
     # In MNN-IK's split the held-out poses are its test set, which must not determine any parameter.
-    vectors = poses.training_vectors if is_interleaved else poses.held_out_vectors
+    vectors = poses.training_vectors if is_interleaved else select_measured_poses(poses)
     model = replace(model, residual_sd_rad=compute_residual_sd(model, vectors))
     scores = compute_prior_scores(model, poses)
     save_pose_model(target, model)
@@ -124,6 +124,12 @@ def fit_autoencoder(
     regularisation = 1e-6 * np.trace(covariance) / size  # for code dimensions that the network does not use
     cholesky = SD_INFLATION * np.linalg.cholesky(covariance + regularisation * np.eye(size))
     return replace(unscaled, code_mean=codes.mean(0), code_cholesky=cholesky)
+
+
+def select_measured_poses(poses: TrainingPoses) -> Float[np.ndarray, "N J 3"]:
+    """Return the held-out poses that are not retargeted, whose joints have all been measured; all of them if there are none."""
+    is_measured = ~poses.is_retargeted[poses.held_out_index]
+    return poses.held_out_vectors[is_measured] if is_measured.any() else poses.held_out_vectors
 
 
 def compute_reconstruction_error(model: PoseModel, pose_vectors: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, "N J"]:

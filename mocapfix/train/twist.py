@@ -16,7 +16,7 @@ from mocapfix.pose_prior.network import build_layers
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train.autoencoder import sample_epoch
 from mocapfix.train.cards import TwistScores, write_twist_card
-from mocapfix.train.pose_prior import SD_INFLATION
+from mocapfix.train.pose_prior import SD_INFLATION, select_measured_poses
 from mocapfix.train.retargeted_poses import conform_training_poses
 from mocapfix.train.settings import TwistSettings
 from mocapfix.train.training_poses import compute_sampling_weights, gather_training_poses
@@ -47,7 +47,7 @@ def train_twist_regressor(
     gathered = gather_training_poses(folders, reference_rotations, test, held_out, progress)
     poses = conform_training_poses(gathered, skeleton.names, settings.subject_balance)
     training_rotations, held_out_rotations = (
-        compute_local_rotations(each, reference_rotations) for each in (poses.training_vectors, poses.held_out_vectors)
+        compute_local_rotations(each, reference_rotations) for each in (poses.training_vectors, select_measured_poses(poses))
     )
     balance, weight = settings.subject_balance, settings.retargeted_weight
     weights = compute_sampling_weights(poses.subject_index, balance, poses.is_retargeted, weight)

@@ -43,3 +43,22 @@ def test_all_components_above_the_noise_floor_give_the_covariance():
 def test_components_below_the_noise_are_dropped():
     poses, _ = draw_poses([0.6, 0.4, 0.3], 0.001)
     assert gaussian_models.fit_gaussian_model(NAMES, IDENTITY, poses, np.ones(len(poses)), 8).code_size == 3
+
+
+def test_weighted_poses_give_the_model_of_repeated_poses():
+    rng = np.random.default_rng(3)
+    poses, counts = rng.normal(0, 0.3, (300, len(NAMES), 3)), rng.integers(1, 4, 300)
+    weighted = gaussian_models.fit_gaussian_model(NAMES, IDENTITY, poses, counts.astype(float), None)
+    repeated = np.repeat(poses, counts, axis=0)
+    expected = gaussian_models.fit_gaussian_model(NAMES, IDENTITY, repeated, np.ones(len(repeated)), None)
+    np.testing.assert_allclose(weighted.decode(np.zeros((1, 9)))[0], expected.decode(np.zeros((1, 9)))[0], atol=1e-9)
+    assert weighted.code_size == expected.code_size
+
+
+def test_mixture_is_fitted_to_poses_drawn_by_their_weights():
+    poses = np.repeat([0.0, 1.0], [900, 100])[:, None, None] * np.ones((1, 3, 3))
+    assert gaussian_models.draw_poses(poses, np.ones(1000), 0) is poses
+    drawn = gaussian_models.draw_poses(poses, np.repeat([1.0, 9.0], [900, 100]), 0)
+    assert len(drawn) == 1000
+    assert drawn.mean() == np.mean(drawn > 0.5)
+    assert 0.45 < drawn.mean() < 0.55

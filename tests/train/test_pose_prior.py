@@ -1,5 +1,7 @@
 """Training a pose prior by its command, on a few seconds of synthetic motion."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 import yaml
@@ -12,6 +14,7 @@ from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.train import pose_prior as training
 from mocapfix.train import settings
+from mocapfix.train.training_poses import TrainingPoses
 from tests.train.motion_files import draw_motion, write_bvh
 
 SKELETON = load_cmu31_body().skeleton
@@ -122,3 +125,11 @@ def test_residual_sd_is_measured_on_held_out_poses_with_a_lower_bound():
     residual_sd = training.compute_residual_sd(model, held_out)
     assert residual_sd[7] == pytest.approx(0.2 * training.SD_INFLATION, rel=0.03)
     np.testing.assert_allclose(np.delete(residual_sd, 7), training.MIN_RESIDUAL_SD_RAD)
+
+
+def test_residual_sd_is_measured_on_poses_that_are_not_retargeted():
+    held_out = np.arange(4.0)[:, None, None] * np.ones((4, 31, 3))
+    index = np.array([0, 1, 0, 1])
+    for is_retargeted, expected in (([False, True], [0.0, 2.0]), ([True, True], [0.0, 1.0, 2.0, 3.0])):
+        poses = TrainingPoses(held_out, held_out, index, index, np.array(is_retargeted), Counter(), 0)
+        np.testing.assert_array_equal(training.select_measured_poses(poses)[:, 0, 0], expected)
