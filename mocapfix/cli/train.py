@@ -1,4 +1,4 @@
-"""The commands `mocapfix train ...`: train the pose priors and the twist regressor in priors/."""
+"""The commands `mocapfix train ...`: train the models in priors/."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -66,6 +66,26 @@ def run_train_twist(
     return EXIT_DONE
 
 
+def run_train_ik(
+    config: ConfigOption, data: MotionFoldersOption, target: WeightsOption, overwrite: OverwriteOption = False
+) -> int:
+    """Train learned inverse kinematics (Learnable SMPLify). After an interruption, the same command continues the training."""
+    from mocapfix.files.output_files import check_outputs_absent
+    from mocapfix.pose_prior.network import use_one_torch_thread
+    from mocapfix.train.learned_ik import train_learned_ik
+    from mocapfix.train.settings import read_ik_settings
+
+    check_outputs_absent([target, target.with_suffix(".md")], overwrite)
+    with _show_training_progress(target) as progress, use_one_torch_thread():
+        scores = train_learned_ik(read_ik_settings(config), data, target, progress)
+    errors = ", ".join(f"{error_mm:.2f} mm at {offset}" for offset, error_mm in scores.one_step_mm.items())
+    print_line(
+        f"{escape(str(target))}: joint error of held-out people by frames from the start: {errors}. "
+        f"Details are in {escape(target.with_suffix('.md').name)}."
+    )
+    return EXIT_DONE
+
+
 @contextmanager
 def _show_training_progress(target: Path) -> Generator[Callable[[str], None]]:
     """Yield a function that shows on a terminal what the training is doing."""
@@ -73,4 +93,4 @@ def _show_training_progress(target: Path) -> Generator[Callable[[str], None]]:
         yield lambda text: status.update(f"{escape(target.name)}: {escape(text)}")
 
 
-TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist}
+TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist, "ik": run_train_ik}

@@ -128,3 +128,45 @@ def read_prior_settings(path: Path) -> PriorSettings:
 def read_twist_settings(path: Path) -> TwistSettings:
     """Return the training settings of the twist regressor. Raises SceneError that names the file and the first invalid key."""
     return read_yaml_model(TwistSettings, path)
+
+
+class LearnedIkSettings(SubjectSettings):
+    """Learned inverse kinematics (Learnable SMPLify), which is not a pose prior.
+
+    seed             of weights and pairs
+    network          "closed-form": a multilayer perceptron that corrects poses brought to the joints in closed form;
+                     "graph": the network of the paper
+    hidden_widths    widths of the hidden layers
+    graph_widths     "graph" only: channels of the ST-GCN blocks
+    is_normalised    "graph" only: whether joints are given in the human-centric frame (Eqs. 7-13), or in the axes of the world
+    is_residual      "graph" only: whether rotations relative to the start are predicted (Eq. 16), or the rotations themselves
+    has_corruption   whether joints are noisy and missing, and some starts are not frames nearby
+    frame_offsets    numbers of frames between start and target (Eq. 17)
+    loss_weights     of joints, pose and vertices (Eq. 21)
+    steps            of the optimiser
+    batch_poses      pairs per step
+    learning_rate    at the start; it falls to zero along a cosine
+    weight_decay     of AdamW
+    subject_balance  as in AutoencoderSettings
+    """
+
+    model: Literal["ik"]
+    seed: int
+    network: Literal["closed-form", "graph"]
+    hidden_widths: tuple[PositiveInt, ...]
+    graph_widths: tuple[PositiveInt, ...] = ()
+    is_normalised: bool = True
+    is_residual: bool = True
+    has_corruption: bool
+    frame_offsets: tuple[PositiveInt, ...]
+    loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
+    steps: PositiveInt
+    batch_poses: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: NonNegativeFloat
+    subject_balance: Fraction
+
+
+def read_ik_settings(path: Path) -> LearnedIkSettings:
+    """Return the training settings of learned inverse kinematics. Raises SceneError that names the first invalid key."""
+    return read_yaml_model(LearnedIkSettings, path)
