@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from mocapfix.subject import Subject
 
 DEFAULT_PRIOR_NAME = "autoencoder"
+PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
+PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
+DEFAULT_PRIOR_SCOPE = PRIOR_LOST_LIMBS
 INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "registration", "previous")
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")
@@ -120,9 +123,16 @@ class InitialiseOptions(StageOptions):
 class PriorOptions(StageOptions):
     """Pose prior."""
 
-    prior: str = define_option(
-        DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior, used where a limb is missing", job_key="prior.name"
-    )
+    prior: str = define_option(DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
+    prior_scope: str = define_option(
+        DEFAULT_PRIOR_SCOPE, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
+        job_key="prior.scope", choices=PRIOR_SCOPES,
+    )  # fmt: skip
+
+    @property
+    def name_used(self) -> str:
+        """The name of the prior, "none" if it is used nowhere."""
+        return NO_TRAINED_PRIOR if self.prior_scope == NO_TRAINED_PRIOR else self.prior
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def clean(
         MocapfixError: with a sentence for a technician. Nothing is written.
     """
     options = options.change(**changed_options)
-    load_pose_model = build_pose_model_loader(options.prior.prior)
+    load_pose_model = build_pose_model_loader(options.prior.name_used)
     timer = StageTimer(report_progress=progress)
     with timer("read"):
         capture = read_capture(path, options.read.up_axis)
@@ -220,7 +220,7 @@ def inspect(
 ) -> list[InspectionReport]:
     """Return what `clean` would detect, one report for each subject in the file. Nothing is written. Raises as `clean`."""
     options, timer = options.change(**changed_options), StageTimer(report_progress=progress)
-    load_pose_model = build_pose_model_loader(options.prior.prior)
+    load_pose_model = build_pose_model_loader(options.prior.name_used)
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.motion import FrameStatus, Motion, PoseEvidence
-from mocapfix.options import CleanOptions, SolveOptions
+from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics
@@ -165,4 +165,6 @@ def _build_body_problem(state: CleaningState, options: CleanOptions) -> MotionPr
     body = state.extended_subject.body_model
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
     limits = load_joint_limits(body.skeleton)
-    return build_motion_problem(state.solver_take, state.extended_subject, body, prior, limits, options.solve)
+    problem = build_motion_problem(state.solver_take, state.extended_subject, body, prior, limits, options.solve)
+    is_in_every_frame = options.prior.prior_scope == PRIOR_EVERY_FRAME
+    return replace(problem, conditioner=state.prior_conditioner if is_in_every_frame else None)

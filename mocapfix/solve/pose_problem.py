@@ -18,6 +18,7 @@ from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import observability
 from mocapfix.solve.parallel import SolveOrder, order_from_gap_ends, order_independently, order_sequentially, run_over_frames
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import find_runs
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -85,8 +86,12 @@ class PoseProblem:
         return PointTerm(self.attachment.joints, self.attachment.offsets, measured, weight)
 
     def select_frames(self, frames: Int[np.ndarray, " N"] | slice) -> "PoseProblem":
-        """Return the problem of some frames. The prior is the same for all frames."""
-        return replace(self, marker_positions=self.marker_positions[frames], solver_mask=self.solver_mask[frames])
+        """Return the problem of some frames."""
+        prior = self.pose_prior
+        if len(prior.rotations) > 1:  # one for each frame, not one for all
+            prior = prior._replace(rotations=prior.rotations[frames], information=prior.information[frames])
+        markers, mask = self.marker_positions[frames], self.solver_mask[frames]
+        return replace(self, marker_positions=markers, solver_mask=mask, pose_prior=prior)
 
     def build_terms(self, tracking: TrackingTerm) -> BodyTerms:
         """Return all terms of the cost, with this tracking term."""
@@ -180,6 +185,7 @@ class MotionProblem:
     is_unobserved  (T, J) joints that no marker shows
     is_uncertain   (T, J) joints that lack a marker, or all
     rate           frames per second
+    conditioner    the trained prior of every frame; None: all frames have the mean pose as their prior
     """
 
     pose_problem: PoseProblem
@@ -189,18 +195,20 @@ class MotionProblem:
     is_uncertain: Bool[np.ndarray, "T J"]
     rate: float
     options: SolveOptions
+    conditioner: PriorConditioner | None = None
 
     def select_frames(self, frames: slice) -> "MotionProblem":
         """Return the problem of some frames."""
-        return MotionProblem(
-            self.pose_problem.select_frames(frames),
-            self.subject,
-            self.prior,
-            self.is_unobserved[frames],
-            self.is_uncertain[frames],
-            self.rate,
-            self.options,
+        return replace(
+            self,
+            pose_problem=self.pose_problem.select_frames(frames),
+            is_unobserved=self.is_unobserved[frames],
+            is_uncertain=self.is_uncertain[frames],
         )
+
+    def set_pose_prior(self, pose_prior: PosePriorTerm) -> "MotionProblem":
+        """Return the problem with another prior term."""
+        return replace(self, pose_problem=replace(self.pose_problem, pose_prior=pose_prior))
 
 
 def build_motion_problem(

@@ -5,15 +5,18 @@ then enter a second solve as tracking terms, which couple the frames. Limbs that
 are solved again.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from mocapfix.motion import PoseEvidence, PoseUncertainty
-from mocapfix.solve import kinematics, limb_recovery, smoothing
+from mocapfix.solve import frame_prior, kinematics, limb_recovery, smoothing
 from mocapfix.solve.kinematics import Poses
 from mocapfix.solve.pose_problem import MotionProblem, build_no_tracking
+from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.sequences import sample_evenly
 
 
 class WindowSolution(NamedTuple):
@@ -27,12 +30,10 @@ class WindowSolution(NamedTuple):
 class IndependentSolution(NamedTuple):
     """What remains of the independent solves of T frames besides their poses.
 
-    iterations    (T,) iterations of each frame
     uncertainty   uncertainty of the poses
     gap_variance  (T, J) rad^2: variance of the interpolated rotations of uncertain joints
     """
 
-    iterations: np.ndarray
     uncertainty: PoseUncertainty
     gap_variance: np.ndarray
 
@@ -42,15 +43,20 @@ def solve_window(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarr
 
     is_restarted  frames whose start may be far from the solution
     """
-    problem, options, rate = window.pose_problem, window.options, window.rate
     root_position, local_rotations = pose
-    alone = solve_frames_independently(window, pose, is_restarted)
+    iterations = solve_from_starts(window, pose, is_restarted)
+    if window.conditioner is not None:
+        window = set_frame_prior(window, window.conditioner, pose)
+        every_frame = np.zeros(len(root_position), bool)
+        iterations += solve_from_starts(window, pose, every_frame)
+    problem, options, rate = window.pose_problem, window.options, window.rate
+    alone = solve_uncertain_frames(window, pose)
     known, own_pose = alone.uncertainty, (root_position.copy(), local_rotations.copy())
     tracking = smoothing.smooth_poses(
         root_position, local_rotations.copy(), known, window.is_uncertain, problem.tree.free, rate, options
     )
     local_rotations[window.is_unobserved] = tracking.rotations[window.is_unobserved]
-    status, iterations = problem.solve(root_position, local_rotations, tracking, options.robust_scales_m[-1:])
+    status, second_iterations = problem.solve(root_position, local_rotations, tracking, options.robust_scales_m[-1:])
     limb_recovery.recover_lost_limbs(
         problem,
         window.subject,
@@ -67,17 +73,33 @@ def solve_window(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarr
     )
     root_position[:] = anchor_position - kinematics.compute_anchor_offset(problem.tree, local_rotations)
     evidence = PoseEvidence(known.marker_sd, known.rotation_variance, alone.gap_variance, tracking.root_weight)
-    return WindowSolution(status, alone.iterations + iterations, evidence)
+    return WindowSolution(status, iterations + second_iterations, evidence)
 
 
-def solve_frames_independently(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> IndependentSolution:
-    """Solve each frame on its own, then frames with uncertain joints again from their neighbours, tracking an interpolation.
+def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: Poses) -> MotionProblem:
+    """Return the window with the trained prior in every frame, from the poses of each frame's own solution."""
+    frame_count, rate, options = len(pose[0]), window.rate, window.options
+    sample_count = 1 + math.ceil((frame_count - 1) / (frame_prior.MAX_SAMPLE_INTERVAL_S * rate))
+    term = frame_prior.build_frame_prior_term(
+        conditioner.load_pose_model(),
+        1 / (options.pose_persistence_s * rate * conditioner.prior_scale**2),
+        window.pose_problem,
+        window.prior,
+        pose,
+        window.is_unobserved,
+        frames=sample_evenly(frame_count, sample_count),
+        robust_scale_m=options.robust_scales_m[-1],
+    )
+    return window.set_pose_prior(term)
 
-    The poses are overwritten with the solution; arguments as those of `solve_window`.
+
+def solve_uncertain_frames(window: MotionProblem, pose: Poses) -> IndependentSolution:
+    """Solve frames with uncertain joints again from their neighbours, tracking an interpolation of each frame's own solution.
+
+    The poses are overwritten with the solution.
     """
     problem, options, is_uncertain = window.pose_problem, window.options, window.is_uncertain
     no_tracking, robust_scale_m = build_no_tracking(pose[1].shape[1]), options.robust_scales_m[-1]
-    iterations = solve_from_starts(window, pose, is_restarted)
     uncertainty = problem.compute_uncertainty(*pose, no_tracking, robust_scale_m)
     tracking, gap_variance = smoothing.track_across_gaps(
         pose[1], uncertainty.rotation_variance, is_uncertain, window.rate, options
@@ -94,7 +116,7 @@ def solve_frames_independently(window: MotionProblem, pose: Poses, is_restarted:
     rotation_variance = np.where(
         window.is_unobserved, np.minimum(uncertainty.rotation_variance, tracked_variance), uncertainty.rotation_variance
     )
-    return IndependentSolution(iterations, uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
+    return IndependentSolution(uncertainty._replace(rotation_variance=rotation_variance), gap_variance)
 
 
 def solve_from_starts(window: MotionProblem, pose: Poses, is_restarted: Bool[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
