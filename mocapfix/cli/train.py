@@ -86,6 +86,26 @@ def run_train_ik(
     return EXIT_DONE
 
 
+def run_train_motion(
+    config: ConfigOption, data: MotionFoldersOption, target: WeightsOption, overwrite: OverwriteOption = False
+) -> int:
+    """Train the motion prior, which predicts lost joints. After an interruption, the same command continues the training."""
+    from mocapfix.files.output_files import check_outputs_absent
+    from mocapfix.pose_prior.network import use_one_torch_thread
+    from mocapfix.train.motion_prior import train_motion_prior
+    from mocapfix.train.settings import read_motion_settings
+
+    check_outputs_absent([target, target.with_suffix(".md")], overwrite)
+    with _show_training_progress(target) as progress, use_one_torch_thread():
+        scores = train_motion_prior(read_motion_settings(config), data, target, progress)
+    print_line(
+        f"{escape(str(target))}: mean joint error in gaps of held-out people {1e3 * scores.predicted_m.mean():.0f} mm; "
+        f"{1e3 * scores.interpolated_m.mean():.0f} mm by interpolation. Details are in "
+        f"{escape(target.with_suffix('.md').name)}."
+    )
+    return EXIT_DONE
+
+
 @contextmanager
 def _show_training_progress(target: Path) -> Generator[Callable[[str], None]]:
     """Yield a function that shows on a terminal what the training is doing."""
@@ -93,4 +113,4 @@ def _show_training_progress(target: Path) -> Generator[Callable[[str], None]]:
         yield lambda text: status.update(f"{escape(target.name)}: {escape(text)}")
 
 
-TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist, "ik": run_train_ik}
+TRAIN_COMMANDS = {"prior": run_train_prior, "twist": run_train_twist, "ik": run_train_ik, "motion": run_train_motion}

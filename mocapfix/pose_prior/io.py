@@ -15,7 +15,7 @@ from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 
-OTHER_WEIGHT_FILES = ("twist", "ik")  # weights in priors/ that are not pose models
+OTHER_WEIGHT_FILES = ("twist", "ik", "motion")  # weights in priors/ that are not pose models
 MNN_IK = "mnn-ik"  # enters the solver as one scalar, unlike the other models; used by the benchmarks only
 
 

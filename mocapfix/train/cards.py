@@ -1,5 +1,6 @@
 """Model cards: the training data, scores, settings and acknowledgements of a pose prior or the twist regressor."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from mocapfix.files.output_files import replace_atomically
 from mocapfix.initialise.twist_regressor import TwistRegressor
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import load_cmu31_skeleton
+from mocapfix.train.recordings import RecordingSource
 from mocapfix.train.settings import PriorSettings, TwistSettings
 from mocapfix.train.training_poses import TrainingPoses, mirror_joint_name
 from mocapfix.train.twist_examples import HAS_TWIST
@@ -171,21 +173,21 @@ def build_common_fields(name: str, settings: PriorSettings | TwistSettings, pose
         "trained_on": format_frame_counts(frame_counts),
         "held_out": format_held_out_rows(settings, poses),
         "settings": "\n".join(f"- {key}: {value}" for key, value in values.items()),
-        "sources": format_sources(poses),
-        "acknowledgement": build_acknowledgement(poses),
+        "sources": format_sources(poses.source_frames),
+        "acknowledgement": build_acknowledgement(poses.source_frames),
     }
 
 
-def format_sources(poses: TrainingPoses) -> str:
+def format_sources(source_frames: Counter[RecordingSource]) -> str:
     """Return the table of the data's known sources, with the frames that were read of each; empty if none is known."""
-    sources = sorted(poses.source_frames, key=lambda each: (each.is_retargeted, each.name))
-    rows = [f"| {each.name} | {each.licence} | {poses.source_frames[each]:,} |" for each in sources if each.name]
+    sources = sorted(source_frames, key=lambda each: (each.is_retargeted, each.name))
+    rows = [f"| {each.name} | {each.licence} | {source_frames[each]:,} |" for each in sources if each.name]
     return "\n".join(["| source | licence | frames |", "|---|---|---|", *rows, "", ""]) if rows else ""
 
 
-def build_acknowledgement(poses: TrainingPoses) -> str:
+def build_acknowledgement(source_frames: Counter[RecordingSource]) -> str:
     """Return the acknowledgements that the sources ask for."""
-    is_lab = any(each.name.startswith(MOVEMENT_RESEARCH_LAB) for each in poses.source_frames)
+    is_lab = any(each.name.startswith(MOVEMENT_RESEARCH_LAB) for each in source_frames)
     return ACKNOWLEDGEMENT + (MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT if is_lab else "")
 
 

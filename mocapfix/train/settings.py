@@ -116,6 +116,28 @@ class TwistSettings(SubjectSettings):
     weight_decay: NonNegativeFloat
 
 
+class MotionSettings(SubjectSettings):
+    """The motion prior.
+
+    seed           of weights and windows
+    width          channels of the network
+    blocks         number of its residual blocks
+    steps          number of steps
+    batch_windows  windows per step
+    learning_rate  in most steps; in the last ones it falls to zero
+    weight_decay   of AdamW
+    """
+
+    model: Literal["motion"]
+    seed: int
+    width: PositiveInt
+    blocks: PositiveInt
+    steps: PositiveInt
+    batch_windows: PositiveInt
+    learning_rate: PositiveFloat
+    weight_decay: NonNegativeFloat
+
+
 PriorSettings = GaussianSettings | AutoencoderSettings | MixtureSettings
 PRIOR_SETTINGS_ADAPTER: TypeAdapter[PriorSettings] = TypeAdapter(Annotated[PriorSettings, Field(discriminator="model")])
 
@@ -170,3 +192,8 @@ class LearnedIkSettings(SubjectSettings):
 def read_ik_settings(path: Path) -> LearnedIkSettings:
     """Return the training settings of learned inverse kinematics. Raises SceneError that names the first invalid key."""
     return read_yaml_model(LearnedIkSettings, path)
+
+
+def read_motion_settings(path: Path) -> MotionSettings:
+    """Return the training settings of the motion prior. Raises SceneError that names the file and the first invalid key."""
+    return read_yaml_model(MotionSettings, path)
