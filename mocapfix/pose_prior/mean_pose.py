@@ -13,8 +13,7 @@ from mocapfix.files.shipped import find_shipped_folder, read_yaml
 from mocapfix.skeleton import Skeleton
 
 NO_PRIOR_SD_RAD = 3.0  # radians per axis: the prior "none" only breaks ties between poses that the markers do not distinguish
-# YAML files in priors/ that are not mean-pose priors; the last six are training settings.
-# settings of their training
+# YAML files in priors/ that are not mean-pose priors; MODEL_FILES are training settings.
 MODEL_FILES = ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca", "twist", "ik", "ik-published", "motion")
 OTHER_PRIOR_FILES = ("joint-limits", "shape", *MODEL_FILES)
 

@@ -23,11 +23,11 @@ from mocapfix.train.settings import MotionSettings
 
 CHECKPOINT_STEPS = 250
 """Steps between two checkpoints."""
-WARM_UP_STEPS = 100
+RISE_STEPS = 100
 """Steps in which the learning rate rises."""
 DECAY_SHARE = 0.3
 """Share of the steps, the last ones, in which the learning rate falls to zero."""
-MAX_GRADIENT_NORM = 1.0
+GRADIENT_NORM_LIMIT = 1.0
 NORMALISATION_WINDOWS = 512
 """Windows that show the mean and standard deviation of the features."""
 AVERAGED_STEPS = 100
@@ -105,7 +105,7 @@ def fit_motion_network(
         step, mean_loss = state["step"], state["mean_loss"]
     while step < settings.steps:
         remaining = (settings.steps - step) / (DECAY_SHARE * settings.steps)
-        rate = settings.learning_rate * min(1, (step + 1) / WARM_UP_STEPS, remaining)
+        rate = settings.learning_rate * min(1, (step + 1) / RISE_STEPS, remaining)
         for group in optimizer.param_groups:
             group["lr"] = rate
         rng = np.random.default_rng([settings.seed, step])
@@ -115,7 +115,7 @@ def fit_motion_network(
         loss, _ = compute_motion_loss(outputs.float(), examples)
         optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT_NORM)
+        torch.nn.utils.clip_grad_norm_(network.parameters(), GRADIENT_NORM_LIMIT)
         optimizer.step()
         step += 1
         share = 1 / min(step, AVERAGED_STEPS)

@@ -78,7 +78,7 @@ def test_interrupted_training_ends_with_the_same_weights(motion, tmp_path, monke
 
 def test_training_lowers_the_loss(motion, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "CHECKPOINT_STEPS", 20)
-    monkeypatch.setattr(training, "WARM_UP_STEPS", 5)
+    monkeypatch.setattr(training, "RISE_STEPS", 5)
     monkeypatch.setattr(training, "AVERAGED_STEPS", 10)
     _, losses = fit(motion, tmp_path / "mine", steps=60, batch_windows=16, learning_rate=5e-3)
     assert losses[-1] < 0.9 * losses[0]
