@@ -10,6 +10,7 @@ from rich.table import Table
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
+from mocapfix.cli.bench_prior_scope import run_bench_prior_scope
 from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_usage_error, show_progress, stdout_console
 
@@ -285,5 +286,6 @@ BENCH_COMMANDS = {
     "animations": run_bench_animations,
     "hybrik": run_bench_hybrik,
     "prior": run_bench_prior,
+    "prior-scope": run_bench_prior_scope,
     "hands": run_bench_hands,
 }

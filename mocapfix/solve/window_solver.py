@@ -82,7 +82,7 @@ def set_frame_prior(window: MotionProblem, conditioner: PriorConditioner, pose: 
     sample_count = 1 + math.ceil((frame_count - 1) / (frame_prior.MAX_SAMPLE_INTERVAL_S * rate))
     term = frame_prior.build_frame_prior_term(
         conditioner.load_pose_model(),
-        1 / (options.pose_persistence_s * rate * conditioner.prior_scale**2),
+        conditioner.prior_scale**-2,
         window.pose_problem,
         window.prior,
         pose,

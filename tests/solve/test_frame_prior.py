@@ -12,7 +12,7 @@ from mocapfix.pose_prior import mean_pose
 from mocapfix.pose_prior.gaussian_models import GaussianModel
 from mocapfix.pose_prior.io import load_pose_model
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.solve import frame_prior, kinematics, motion_solver, pose_problem
+from mocapfix.solve import frame_prior, kinematics, marker_equations, motion_solver, pose_problem
 from mocapfix.solve.frame_windows import change_all_frames
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.solve.window_solver import set_frame_prior
@@ -58,7 +58,7 @@ def build_term(model, problem, pose, weight=1e-3, frames=None):
 def test_undetermined_joint_follows_the_rest_of_the_body(scene):
     truth, problem = scene
     pose = get_poses(truth)
-    below = frame_prior.find_moved_joints(BODY.skeleton.parents)[LEFT, truth.subject.joints]
+    below = marker_equations.find_moved_joints(BODY.skeleton.parents)[LEFT, truth.subject.joints]
     part = problem.pose_problem
     free_axes = replace(PRIOR, locked_information=np.zeros_like(PRIOR.locked_information))
     hidden = replace(part, solver_mask=part.solver_mask & ~below)
@@ -109,35 +109,3 @@ def test_unobserved_and_fixed_joints_keep_the_mean_pose(scene):
     )
     np.testing.assert_array_equal(term.rotations[15, LEFT], base.rotations[0, LEFT])
     assert not np.allclose(term.rotations[30, LEFT], base.rotations[0, LEFT])
-
-
-def test_left_jacobian_is_the_derivative_of_the_exponential():
-    rng = np.random.default_rng(1)
-    vectors, step = rng.normal(size=(5, 1, 3)), 1e-6 * rng.normal(size=(5, 1, 3))
-    moved = frame_prior.convert_to_rotations(vectors + step) @ np.swapaxes(frame_prior.convert_to_rotations(vectors), -1, -2)
-    expected = (frame_prior.compute_left_jacobian(vectors) @ step[..., None])[..., 0]
-    np.testing.assert_allclose(Rotation.from_matrix(moved[:, 0]).as_rotvec(), expected[:, 0], atol=1e-10)
-
-
-def test_marker_gradient_is_the_derivative_of_the_cost(scene):
-    truth, problem = scene
-    part = problem.pose_problem.select_frames(np.array([30]))
-    part = replace(part, marker_positions=part.marker_positions + 0.01)
-    local, root = truth.motion.local_rotations[[30]], truth.motion.root_position[[30]]
-    joints = np.flatnonzero(BODY.free_joints)[1:]
-    vectors = np.zeros((1, len(joints), 3))
-
-    def build_pose(step):
-        moved = local.copy()
-        moved[:, joints] = frame_prior.convert_to_rotations(step) @ local[:, joints]
-        return frame_prior.WorldPoses(*kinematics.compute_tree_poses(part.tree, root, moved), moved)
-
-    def compute_cost(step):
-        predicted = kinematics.predict_markers(truth.subject, (root, build_pose(step).local_rotations))
-        error = np.where(part.solver_mask[..., None], predicted - part.marker_positions, 0.0)
-        return 0.5 * (error**2).sum() / part.marker_sd**2
-
-    equations = frame_prior.compute_marker_equations(part, build_pose(vectors), frame_prior.compute_left_jacobian(vectors), 1e6)
-    step = 1e-6 * np.eye(vectors.size).reshape(-1, *vectors.shape)
-    slopes = np.array([(compute_cost(each) - compute_cost(-each)) / 2e-6 for each in step])
-    np.testing.assert_allclose(equations.gradient[0, 6:], slopes, rtol=1e-4, atol=1e-3)

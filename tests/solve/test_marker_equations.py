@@ -1,0 +1,58 @@
+"""The dense normal equations of markers, compared with differences of their cost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mocapfix import synthetic
+from mocapfix.options import SolveOptions
+from mocapfix.pose_prior import mean_pose
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve import kinematics, pose_problem
+from mocapfix.solve.marker_equations import WorldPoses, compute_left_jacobian, compute_marker_equations, exponentiate_vectors
+from mocapfix.take import Take
+
+BODY = load_cmu31_body()
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Return a composed take, and its motion problem."""
+    truth = synthetic.compose_take(seed=4, seconds=1.0, rate=60.0)
+    prior, limits = mean_pose.load_mean_pose_prior("mean-pose", BODY.skeleton), mean_pose.load_joint_limits(BODY.skeleton)
+    take = Take(truth.marker_positions, truth.labels, 60.0)
+    return truth, pose_problem.build_motion_problem(take, truth.subject, BODY, prior, limits, SolveOptions())
+
+
+def test_left_jacobian_is_the_derivative_of_the_exponential():
+    rng = np.random.default_rng(1)
+    vectors, step = rng.normal(size=(5, 1, 3)), 1e-6 * rng.normal(size=(5, 1, 3))
+    moved = exponentiate_vectors(vectors + step) @ np.swapaxes(exponentiate_vectors(vectors), -1, -2)
+    expected = (compute_left_jacobian(vectors) @ step[..., None])[..., 0]
+    np.testing.assert_allclose(Rotation.from_matrix(moved[:, 0]).as_rotvec(), expected[:, 0], atol=1e-10)
+
+
+def test_marker_gradient_is_the_derivative_of_the_cost(scene):
+    truth, problem = scene
+    part = problem.pose_problem.select_frames(np.array([30]))
+    part = replace(part, marker_positions=part.marker_positions + 0.01)
+    local, root = truth.motion.local_rotations[[30]], truth.motion.root_position[[30]]
+    joints = np.flatnonzero(BODY.free_joints)[1:]
+    vectors = np.zeros((1, len(joints), 3))
+
+    def build_pose(step):
+        moved = local.copy()
+        moved[:, joints] = exponentiate_vectors(step) @ local[:, joints]
+        return WorldPoses(*kinematics.compute_tree_poses(part.tree, root, moved), moved)
+
+    def compute_cost(step):
+        predicted = kinematics.predict_markers(truth.subject, (root, build_pose(step).local_rotations))
+        error = np.where(part.solver_mask[..., None], predicted - part.marker_positions, 0.0)
+        return 0.5 * (error**2).sum() / part.marker_sd**2
+
+    equations = compute_marker_equations(part, build_pose(vectors), compute_left_jacobian(vectors), 1e6)
+    step = 1e-6 * np.eye(vectors.size).reshape(-1, *vectors.shape)
+    slopes = np.array([(compute_cost(each) - compute_cost(-each)) / 2e-6 for each in step])
+    np.testing.assert_allclose(equations.gradient[0, 6:], slopes, rtol=1e-4, atol=1e-3)
