@@ -24,7 +24,7 @@ DEFAULT_PRIOR_NAME = "autoencoder"
 PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
 PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
 DEFAULT_PRIOR_SCOPE = PRIOR_LOST_LIMBS
-INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "registration", "previous")
+INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")
 """the rigs in scenes/rigs"""
@@ -117,6 +117,14 @@ class InitialiseOptions(StageOptions):
         DEFAULT_INIT_METHOD, "--init", "METHOD", f"how the first pose of each frame is found: {', '.join(INIT_METHODS)}",
         job_key="start", choices=INIT_METHODS,
     )  # fmt: skip
+    is_fast: bool = define_option(
+        False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
+    )  # fmt: skip
+
+    @property
+    def method_used(self) -> str:
+        """The method of initialisation, for previews the learned one in place of the default."""
+        return "learned" if self.is_fast and self.init_method == DEFAULT_INIT_METHOD else self.init_method
 
 
 @dataclass(frozen=True)

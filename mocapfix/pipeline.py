@@ -39,7 +39,7 @@ from mocapfix.report.review_file import ReviewedChange, build_fault_filter
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body, restrict_body
-from mocapfix.solve.motion_solver import complete_body, solve_body
+from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
@@ -181,9 +181,10 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
         )
     if state.marker_set is None:
         return state
-    for solve_round in range(1, options.solve.max_solve_rounds + 1):
+    max_rounds = 1 if options.initialise.is_fast else options.solve.max_solve_rounds
+    for solve_round in range(1, max_rounds + 1):
         state = fit_body(state, options, timer)
-        if solve_round == options.solve.max_solve_rounds:
+        if solve_round == max_rounds:
             break
         detection = state.detection
         with timer("detect"):
@@ -198,6 +199,8 @@ def fit_body(state: CleaningState, options: CleanOptions, timer: StageTimer) -> 
     with timer("calibrate") if state.known_subject is None else nullcontext():
         state = calibrate_body(state, options)
     state = initialise_and_solve(state, options, timer)
+    if options.initialise.is_fast:
+        return state
     extended = place_moved_markers(state, options)
     return state if extended is state else initialise_and_solve(extended, options, timer)
 
@@ -207,7 +210,7 @@ def initialise_and_solve(state: CleaningState, options: CleanOptions, timer: Sta
     with timer("initialise"):
         state = initialise_body(state, options)
     with timer("solve"):
-        return solve_body(state, options)
+        return place_body(state) if options.initialise.is_fast else solve_body(state, options)
 
 
 @limit_blas_threads

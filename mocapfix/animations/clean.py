@@ -82,7 +82,7 @@ class AnimationResult(CleaningResult):
         return replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
 
 
-MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "refill")
+MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "is_fast", "refill")
 """the fields of options that have no use for joints"""
 
 

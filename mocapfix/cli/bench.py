@@ -9,6 +9,7 @@ from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_labels import run_bench_labels
+from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
 from mocapfix.cli.bench_prior_scope import run_bench_prior_scope
 from mocapfix.cli.bench_stress import run_bench_stress
@@ -288,4 +289,5 @@ BENCH_COMMANDS = {
     "prior": run_bench_prior,
     "prior-scope": run_bench_prior_scope,
     "hands": run_bench_hands,
+    "learned-ik": run_bench_learned_ik,
 }

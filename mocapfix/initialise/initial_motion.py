@@ -2,6 +2,7 @@
 
 The methods (`INIT_METHODS`) are:
 
+learned       those of hybrik-x, and joints that no marker shows by learned inverse kinematics (`learned_start`)
 hybrik-...    joint positions from the markers (`joint_positions`), and from these each frame's pose in closed form (`hybrik`)
 registration  the subject's segments registered to the visible markers, down the tree (`segment_registration`)
 previous      only the first frame is posed; every other starts from the solution of the frame before. This start is near, which
@@ -29,7 +30,13 @@ from mocapfix.take import Take
 
 MIN_MARKER_TRUST = 0.25
 """Robust weight below which a marker is not used by HybrIK; a marker 5 cm from its segment has this weight."""
-HYBRIK_VARIANTS: dict[str, HybrikVariant] = {"hybrik-x": "x", "hybrik-adaptive": "adaptive", "hybrik-naive": "naive"}
+LEARNED_METHOD = "learned"
+HYBRIK_VARIANTS: dict[str, HybrikVariant] = {
+    "hybrik-x": "x",
+    LEARNED_METHOD: "x",
+    "hybrik-adaptive": "adaptive",
+    "hybrik-naive": "naive",
+}
 """The HybrIK variant of each method."""
 MAX_BLOCK_FRAMES = 4096
 """Frames that are posed at a time; a frame takes its root from its neighbours only within them, if its markers do not show it."""
@@ -59,7 +66,12 @@ def initialise_motion(
             held_joints=is_held,
         )
         motion.local_rotations[:, is_held] = prior.mean_rotations[is_held]
-        return bend_unmarked_chains(motion, subject, prior)
+        motion = bend_unmarked_chains(motion, subject, prior)
+        if method == LEARNED_METHOD and body.shown_segments.all():
+            from mocapfix.initialise.learned_start import infer_unseen_joints  # few takes need it
+
+            motion = infer_unseen_joints(motion, estimate, subject, take.rate)
+        return motion
     motion = register_poses(subject, body.free_joints, prior, take.markers)
     return start_from_previous(motion, take.visible) if method == "previous" else motion
 
@@ -126,7 +138,7 @@ def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningStat
     Sets `initial_motion` and `frame_changes` of the state.
     """
     assert state.extended_subject is not None
-    take, method = state.solver_take, options.initialise.init_method
+    take, method = state.solver_take, options.initialise.method_used
     changes = find_frame_changes(state, take) if method != "previous" else change_all_frames(take.frame_count)
     body = state.extended_subject.body_model
     prior = load_mean_pose_prior("mean-pose", body.skeleton)

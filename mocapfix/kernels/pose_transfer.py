@@ -12,7 +12,7 @@ import numpy as np
 
 from mocapfix.kernels.compilation_cache import compile_inner_kernel, compile_kernel
 from mocapfix.kernels.forward_kinematics import FramePose, compute_forward_kinematics
-from mocapfix.kernels.lie import compute_exponential
+from mocapfix.kernels.lie import compute_exponential, orthonormalise_rotation
 from mocapfix.kernels.rigid_registration import (
     accumulate_cross_covariance,
     compute_nearest_rotation,
@@ -249,6 +249,7 @@ def correct_pose_frames(tree, start_local, transferred, corrections, root, local
             if not tree.is_held[j]:
                 x, y, z = authority * x + along * bone[0], authority * y + along * bone[1], authority * z + along * bone[2]
                 current = multiply_matrices(current, compute_exponential(x, y, z))
+            current = orthonormalise_rotation(current)  # errors of rounding would grow from frame to frame of a take
             store_matrix(current, rotation, j)
             if j == 0:
                 store_matrix(current, local[t], 0)

@@ -1,5 +1,7 @@
 """The closed form of learned inverse kinematics: start poses brought to joint positions, and the network's inputs."""
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float, Float32
 
@@ -40,6 +42,7 @@ REGISTERED_JOINT_SD_M = {
     "Spine1": {"Neck": 0.0, "LeftArm": 0.015, "RightArm": 0.015, "Neck1": 0.03},
 }
 """joints by whose positions root and chest are registered, and how much each moves in their axes: metres per axis"""
+MIN_THREADED_FRAMES = 64  # fewer are computed sooner than threads are given their work
 HELD_JOINTS = ("LHipJoint", "RHipJoint")  # without length: redundant with the thighs
 
 
@@ -77,7 +80,7 @@ def transfer_poses(
     features = np.empty((frames, joints * FEATURES_PER_JOINT), np.float32)
     inputs = (np.ascontiguousarray(each, float) for each in (*start, positions, joint_sd))
     scale = float(np.linalg.norm(tree.offsets))
-    run_over_frames(transfer_pose_frames, frames, tree, *inputs, scale, out, features)
+    _run(transfer_pose_frames, frames, tree, *inputs, scale, out, features)
     return out, features
 
 
@@ -90,5 +93,13 @@ def correct_poses(
     """Return root positions in metres and local rotations, with the corrections of the network."""
     root, local = np.empty((len(corrections), 3)), np.empty(start_rotations.shape)
     inputs = np.ascontiguousarray(start_rotations, float), transferred, corrections
-    run_over_frames(correct_pose_frames, len(root), tree, *inputs, root, local)
+    _run(correct_pose_frames, len(root), tree, *inputs, root, local)
     return root, local
+
+
+def _run(kernel: Callable[..., None], frames: int, *arguments: object) -> None:
+    """Call a kernel for all frames, in threads where that is worth it."""
+    if frames < MIN_THREADED_FRAMES:
+        kernel(*arguments, 0, frames)
+    else:
+        run_over_frames(kernel, frames, *arguments)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from mocapfix.learned_ik.network import IkNetwork
 from mocapfix.learned_ik.pose_transfer import build_transfer_tree, correct_poses, transfer_poses
+from mocapfix.learned_ik.position_smoothing import smooth_positions
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
 
@@ -38,6 +39,12 @@ class PoseRegressor:
             transferred, features = transfer_poses(tree, poses, positions, joint_sd)
             poses = correct_poses(tree, poses[1], transferred, self.network.evaluate(features))
         return poses
+
+    def refine_take(
+        self, start: Poses, positions: Float[np.ndarray, "T J 3"], joint_sd: Float[np.ndarray, "T J"], rate_hz: float
+    ) -> Poses:
+        """Return the poses of a take, each from its own start pose, from joint positions smoothed over time."""
+        return self.refine_poses(start, *smooth_positions(positions, joint_sd, rate_hz))
 
     def follow_take(
         self,

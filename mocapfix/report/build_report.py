@@ -215,7 +215,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             residual_m,
             options.prior.prior,
             options.solve.prior_scale,
-            options.initialise.init_method,
+            options.initialise.method_used,
             lost_parts=lost_parts,
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)

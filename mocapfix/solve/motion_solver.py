@@ -26,6 +26,10 @@ from mocapfix.take import Take
 
 MAX_MEAN_MARKER_DISTANCE_M = 0.03
 """Mean distance of a frame's markers from the body above which the frame's status is POOR_FIT."""
+PLACED_JOINT_SD_M = 0.015
+"""Standard deviation per axis of joints and markers of poses that were not solved: measured on composed takes."""
+UNSEEN_JOINT_SD_M = 0.05
+"""The same on segments that no visible marker shows."""
 MIN_FRAME_MARKERS = 3
 """Visible markers below which the status of a frame is GUESSED."""
 
@@ -141,6 +145,29 @@ def solve_body(state: CleaningState, options: CleanOptions) -> CleaningState:
         state.subject, state.extended_subject, motion, state.marker_columns, joints, markers, state.detection, evidence
     )
     return replace(state, body=body, initial_motion=None, frame_changes=None)
+
+
+def place_body(state: CleaningState) -> CleaningState:
+    """Take the initial poses as the motion, without a solve. Sets `body` of the state, whose uncertainty is not computed."""
+    assert state.subject is not None
+    assert state.extended_subject is not None
+    assert state.initial_motion is not None
+    assert state.marker_columns is not None
+    initial, subject = state.initial_motion, state.extended_subject
+    is_seen = np.zeros(initial.local_rotations.shape[:2], bool)
+    for marker, joint in enumerate(subject.joints):
+        is_seen[:, joint] |= state.solver_take.visible[:, marker]
+    joint_sd = np.where(is_seen, PLACED_JOINT_SD_M, UNSEEN_JOINT_SD_M)
+    motion = replace(initial, marker_sd=np.ascontiguousarray(joint_sd[:, subject.joints]), joint_sd=joint_sd)
+    motion = replace(motion, status=classify_frames(motion, subject, state.solver_take.markers))
+    joints, markers = kinematics.compute_joint_and_marker_positions(subject, motion)
+    note = (
+        "Preview: the poses are first estimates of each frame, without iterations and without fault detection on the body. "
+        f"Expect errors per axis of about {1e3 * PLACED_JOINT_SD_M:.0f} mm where markers are visible, and of about "
+        f"{1e3 * UNSEEN_JOINT_SD_M:.0f} mm on segments without markers. For the final result, clean without --fast."
+    )
+    body = BodyFit(state.subject, subject, motion, state.marker_columns, joints, markers, state.detection)
+    return replace(state, body=body, initial_motion=None, frame_changes=None, notes=(*state.notes, note))
 
 
 def complete_body(state: CleaningState, options: CleanOptions) -> CleaningState:

@@ -25,8 +25,9 @@ MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT = """
 Motion data of the Movement Research Lab, Seoul National University, from the repositories above, under Apache License 2.0
 (TillingPatch, VSports, ys2010, InteractiveAnimation), MIT License (DataDrivenBipedController, copyright 2013 Yoonsang Lee) and
 BSD 3-Clause License (TimeCriticalResponse, copyright 2020 NCSOFT Corporation and SNU R&D Foundation). It was transferred to
-CMU's skeleton, and its joints were brought into CMU's conventions as `mocapfix.train.retargeted_poses` describes.
+CMU's skeleton{conventions}.
 """
+CONFORMED_POSES = ", and its joints were brought into CMU's conventions as `mocapfix.train.retargeted_poses` describes"
 PRIOR_CARD = """\
 # {name}
 
@@ -185,10 +186,14 @@ def format_sources(source_frames: Counter[RecordingSource]) -> str:
     return "\n".join(["| source | licence | frames |", "|---|---|---|", *rows, "", ""]) if rows else ""
 
 
-def build_acknowledgement(source_frames: Counter[RecordingSource]) -> str:
-    """Return the acknowledgements that the sources ask for."""
+def build_acknowledgement(source_frames: Counter[RecordingSource], *, is_conformed: bool = True) -> str:
+    """Return the acknowledgements that the sources ask for.
+
+    is_conformed  whether retargeted motion was brought into CMU's conventions
+    """
     is_lab = any(each.name.startswith(MOVEMENT_RESEARCH_LAB) for each in source_frames)
-    return ACKNOWLEDGEMENT + (MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT if is_lab else "")
+    laboratory = MOVEMENT_RESEARCH_LAB_ACKNOWLEDGEMENT.format(conventions=CONFORMED_POSES if is_conformed else "")
+    return ACKNOWLEDGEMENT + (laboratory if is_lab else "")
 
 
 def format_held_out_rows(settings: PriorSettings | TwistSettings, poses: TrainingPoses) -> str:

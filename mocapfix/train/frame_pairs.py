@@ -6,13 +6,13 @@ result of a first pass. The given positions have noise of a known standard devia
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
@@ -20,7 +20,7 @@ from mocapfix.learned_ik.pose_transfer import build_transfer_tree, correct_poses
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.skeleton import BODY_SECTIONS, Skeleton, load_cmu31_body
 from mocapfix.solve.kinematics import Poses, build_kinematic_tree, compute_tree_poses
-from mocapfix.train.recordings import read_recordings
+from mocapfix.train.recordings import Recording, RecordingSource, read_recordings
 from mocapfix.train.settings import LearnedIkSettings
 from mocapfix.train.training_poses import (
     MIRROR_X_MATRIX,
@@ -58,6 +58,8 @@ class FrameSequences:
     first, last    (N,) the first and the last frame of each frame's trial
     subject_index  (N,) number of the subject
     subjects       names of the subjects
+    is_retargeted  whether the motion of each subject was transferred from another skeleton
+    source_frames  number of frames of each source
     """
 
     rotations: Float32[np.ndarray, "N J 3 3"]
@@ -65,6 +67,8 @@ class FrameSequences:
     last: Int[np.ndarray, " N"]
     subject_index: Int[np.ndarray, " N"]
     subjects: tuple[str, ...]
+    is_retargeted: Bool[np.ndarray, " S"]
+    source_frames: Counter[RecordingSource]
 
     @property
     def frame_counts(self) -> Counter[str]:
@@ -92,22 +96,37 @@ def gather_sequences(
     folders: Sequence[Path], is_selected: Callable[[str], bool], progress: Callable[[str], object]
 ) -> FrameSequences:
     """Return the frames of the selected subjects, without those beyond a rotation jump. Raises ReadError if there are none."""
+    selected = (each for each in read_recordings(folders) if is_selected(each.subject))
+    sequences = build_sequences(selected, progress)
+    if sequences is None:
+        raise ReadError(f"{', '.join(map(str, folders))}: no motion of the required subjects.")
+    return sequences
+
+
+def build_sequences(recordings: Iterable[Recording], progress: Callable[[str], object]) -> FrameSequences | None:
+    """Return the frames of recordings, without those beyond a rotation jump; None if there are no recordings."""
     is_observed = ~find_weakly_observed_joints(load_cmu31_body().skeleton.names)
     parts: list[np.ndarray] = []
     names: list[str] = []
-    for recording in read_recordings(folders):
-        if is_selected(recording.subject):
-            progress(f"reading {recording.name}")
-            kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
-            parts.append(recording.rotations[kept].astype(np.float32))
-            names.append(recording.subject)
+    retargeted: set[str] = set()
+    source_frames = Counter[RecordingSource]()
+    for recording in recordings:
+        progress(f"reading {recording.name}")
+        kept = find_longest_jump_free_slice(recording.rotations[:, is_observed], recording.rate_hz)
+        parts.append(recording.rotations[kept].astype(np.float32))
+        names.append(recording.subject)
+        source_frames[recording.source] += len(parts[-1])
+        if recording.source.is_retargeted:
+            retargeted.add(recording.subject)
     if not parts:
-        raise ReadError(f"{', '.join(map(str, folders))}: no motion of the required subjects.")
+        return None
     counts = np.array([len(each) for each in parts])
     subjects, index = np.unique(names, return_inverse=True)
     ends = np.cumsum(counts)
     first, last = np.repeat(ends - counts, counts), np.repeat(ends - 1, counts)
-    return FrameSequences(np.concatenate(parts), first, last, np.repeat(index, counts), tuple(map(str, subjects)))
+    subject_index, subject_names = np.repeat(index, counts), tuple(map(str, subjects))
+    is_retargeted = np.array([name in retargeted for name in subject_names])
+    return FrameSequences(np.concatenate(parts), first, last, subject_index, subject_names, is_retargeted, source_frames)
 
 
 class PairSampler:
@@ -118,6 +137,7 @@ class PairSampler:
         names = load_cmu31_body().skeleton.names
         share = np.bincount(sequences.subject_index) / len(sequences.subject_index)
         probability = share ** (1 - settings.subject_balance)
+        probability *= np.where(sequences.is_retargeted, settings.retargeted_weight, 1.0)
         self.cumulated = np.cumsum(probability / probability.sum())
         self.frames_of_subject = [np.flatnonzero(sequences.subject_index == i) for i in range(len(sequences.subjects))]
         self.mirrored_joints = [names.index(mirror_joint_name(name)) for name in names]

@@ -79,7 +79,7 @@ class GraphModel(nn.Module):
         start_tensor = torch.as_tensor(start, dtype=torch.float32)
         pooled = self.blocks(torch.as_tensor(sequence, dtype=torch.float32).permute(0, 3, 1, 2)).mean((2, 3))
         hidden = torch.relu(self.trunk(torch.cat([pooled, start_tensor[..., :2].flatten(1)], 1)))
-        local = convert_to_rotations(self.heads(hidden).view(len(start), -1, ROTATION_NUMBERS))
+        local = convert_columns_to_rotations(self.heads(hidden).view(len(start), -1, ROTATION_NUMBERS))
         if self.is_residual:
             local = start_tensor @ local
         to_world = torch.as_tensor(np.swapaxes(frame.to_human, 1, 2).copy(), dtype=torch.float32)
@@ -96,7 +96,7 @@ def build_adjacency(parents: np.ndarray) -> Float[Tensor, "3 J J"]:
     return torch.as_tensor(np.stack([own, inward, outward]), dtype=torch.float32)
 
 
-def convert_to_rotations(numbers: Float[Tensor, "... 6"]) -> Float[Tensor, "... 3 3"]:
+def convert_columns_to_rotations(numbers: Float[Tensor, "... 6"]) -> Float[Tensor, "... 3 3"]:
     """Return rotations from their first two columns, not yet orthonormal (Zhou et al. 2019).
 
     The numbers are those of the first column, then those of the second.

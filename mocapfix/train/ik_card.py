@@ -4,7 +4,8 @@ from collections import Counter
 from pathlib import Path
 
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.train.cards import ACKNOWLEDGEMENT, format_frame_counts
+from mocapfix.train.cards import build_acknowledgement, format_frame_counts, format_sources
+from mocapfix.train.frame_pairs import FrameSequences
 from mocapfix.train.ik_scores import LOST_SECTION, SCORED_SD_M, IkScores
 from mocapfix.train.settings import LearnedIkSettings
 
@@ -38,18 +39,17 @@ Held-out people, all joints given without noise, one evaluation; means over fram
 
 ## Data
 
-{acknowledgement}
-More motion: Movement Research Lab, Seoul National University (Apache License 2.0: TillingPatch, VSports, ys2010,
-InteractiveAnimation; MIT License, copyright 2013 Yoonsang Lee: DataDrivenBipedController); TimeCriticalResponse (BSD 3-Clause,
-copyright 2020 NCSOFT Corporation and SNU R&D Foundation). It was brought onto the 31-joint skeleton before the training.
-"""
+{sources}
+{acknowledgement}"""
 
 
 def write_ik_card(
-    path: Path, settings: LearnedIkSettings, frame_counts: Counter[str], held_out_counts: Counter[str], scores: IkScores
+    path: Path, settings: LearnedIkSettings, sequences: FrameSequences, held_out_counts: Counter[str], scores: IkScores
 ) -> None:
     """Write a card, replacing the file atomically. Raises WriteError if it cannot be written."""
+    frame_counts = sequences.frame_counts
     text = IK_CARD.format(
+        sources=format_sources(sequences.source_frames),
         name=path.stem,
         title=settings.title,
         frame_count=sum(frame_counts.values()),
@@ -67,7 +67,7 @@ def write_ik_card(
             f"- {key}: {value}"
             for key, value in settings.model_dump(exclude={"title", "test_subjects", "held_out_subjects"}).items()
         ),
-        acknowledgement=ACKNOWLEDGEMENT,
+        acknowledgement=build_acknowledgement(sequences.source_frames, is_conformed=False),
     )
     with replace_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

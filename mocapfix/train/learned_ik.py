@@ -99,7 +99,7 @@ def train_learned_ik(
         write_ik_network(target, model.extract_network())
     else:
         write_tensors(target, {name: each.half().numpy() for name, each in model.state_dict().items()})
-    write_ik_card(target.with_suffix(".md"), settings, sequences.frame_counts, held_out.frame_counts, scores)
+    write_ik_card(target.with_suffix(".md"), settings, sequences, held_out.frame_counts, scores)
     checkpoint.unlink(missing_ok=True)
     return scores
 

@@ -5,7 +5,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
-from mocapfix.learned_ik.network import read_ik_network, write_ik_network
+from mocapfix.learned_ik.network import load_shipped_ik_network, read_ik_network, write_ik_network
 from tests.learned_ik.ik_cases import build_network
 
 
@@ -22,6 +22,11 @@ def test_evaluation_is_a_multilayer_perceptron():
     features = np.random.default_rng(0).normal(size=(4, len(network.input_mean))).astype(np.float32)
     expected = np.maximum(features @ network.weights[0], 0) @ network.weights[1]
     np.testing.assert_allclose(network.evaluate(features), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_shipped_network_is_small_and_fits():
+    network = load_shipped_ik_network()
+    assert sum(each.size for each in (*network.weights, *network.biases)) * 2 <= 2e6
 
 
 def test_invalid_files_are_named(tmp_path):

@@ -1,0 +1,58 @@
+"""Initial poses by learned inverse kinematics, and previews that are made of them."""
+
+import numpy as np
+import pytest
+
+from mocapfix import pipeline, synthetic
+from mocapfix.initialise import initial_motion
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.skeleton import load_cmu31_body
+from mocapfix.solve.kinematics import compute_world_poses
+
+
+@pytest.fixture(scope="module")
+def performance():
+    return synthetic.compose_take(seed=4, seconds=2.0, rate=60.0)
+
+
+def initialise(performance, markers, method):
+    body = load_cmu31_body()
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    from mocapfix.take import Take
+
+    take = Take(markers, performance.subject.labels, 60.0)
+    return initial_motion.initialise_motion(take, performance.subject, body, prior, method)
+
+
+def measure_error(performance, motion):
+    positions, _ = compute_world_poses(performance.subject.skeleton, motion)
+    return np.linalg.norm(positions - performance.joint_positions, axis=-1)
+
+
+def test_poses_of_a_whole_set_of_markers_hardly_change(performance):
+    errors = [
+        measure_error(performance, initialise(performance, performance.marker_positions, m)) for m in ("hybrik-x", "learned")
+    ]
+    assert errors[1].mean() < errors[0].mean() + 5e-3
+
+
+def test_lost_arm_is_inferred_better_than_by_the_mean_pose(performance):
+    skeleton = performance.subject.skeleton
+    arm = [skeleton.find_joint(f"Left{name}") for name in ("Arm", "ForeArm", "Hand", "FingerBase", "HandIndex1")]
+    markers = performance.marker_positions.copy()
+    markers[:, np.isin(performance.subject.joints, arm)] = np.nan
+    before, after = (measure_error(performance, initialise(performance, markers, m))[:, arm] for m in ("hybrik-x", "learned"))
+    assert after.mean() < before.mean()
+    assert np.isfinite(after).all()
+
+
+def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp_path):
+    path = tmp_path / "take.c3d"
+    synthetic.write_synthetic_take(path, performance)
+    result = pipeline.clean(path, is_fast=True)
+    assert result.motion is not None
+    assert (result.motion.iterations == 0).all()
+    assert any(note.startswith("Preview: ") and "15 mm" in note for note in result.report["notes"])
+    error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
+    assert np.nanmean(error) < 0.04
+    assert result.report["solve"]["start"] == "learned" if "start" in result.report["solve"] else True
