@@ -23,13 +23,15 @@ from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
 from mocapfix.animations.joint_mapping import find_ancestor
 from mocapfix.animations.joint_points import build_joint_skeleton
-from mocapfix.animations.repair import MappedPriorConditioner, repair_animation
+from mocapfix.animations.mapped_prior import MappedPriorConditioner
+from mocapfix.animations.repair import repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults
 from mocapfix.files.option_definitions import StageOptions, list_options
 from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.motion import FrameStatus, Motion
+from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report import build_report, notes, review_file
@@ -99,7 +101,9 @@ class AnimationBody:
         """Build the pose prior that predicts lost joints; None if no prior is used."""
         if load_pose_model is None:
             return None
-        return MappedPriorConditioner(load_pose_model, prior_scale, self.parents, self.alignment)
+        return MappedPriorConditioner(
+            load_pose_model, prior_scale, predict_shipped_gap, parents=self.parents, alignment=self.alignment
+        )
 
     def compute_motion(self, animation: Animation, joint_take: Take) -> tuple[Subject, Motion] | None:
         """Compute the motion of the 31-joint skeleton; None if the animation lacks values that it needs.

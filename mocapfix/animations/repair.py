@@ -6,7 +6,6 @@ left unchanged.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -14,12 +13,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import compose_transforms
-from mocapfix.animations import body_interpolation, retarget, rotation_repair
-from mocapfix.animations.retarget import SkeletonAlignment
+from mocapfix.animations import body_interpolation, rotation_repair
+from mocapfix.animations.body_interpolation import InterpolatedBody
 from mocapfix.animations.rotation_repair import FrameSpan
 from mocapfix.faults import Fault, build_fault_mask
 from mocapfix.kernels import quaternions
+from mocapfix.motion_prior.gap_combination import (
+    GapContext,
+    combine_rotations,
+    compute_combined_variance,
+    compute_prediction_weight,
+)
 from mocapfix.solve import occluded_joints
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.sequences import find_runs
@@ -103,7 +107,7 @@ def repair_animation(
             _smooth_jitter(repair, fault, is_faulty, moving_joints, rate)
     is_body_lost = is_lost[:, moving_joints].sum(1) > occluded_joints.MAX_UNOBSERVED_SHARE * len(moving_joints)
     _infer_lost_joints(repair, is_lost & ~is_body_lost[:, None], moving_joints, rate, conditioner)
-    _interpolate_gaps(repair, parents, is_lost, is_body_lost, rate)
+    _interpolate_gaps(repair, parents, is_lost, is_body_lost, rate, conditioner)
     return repair
 
 
@@ -172,7 +176,12 @@ def _infer_lost_joints(
 
 
 def _interpolate_gaps(
-    repair: AnimationRepair, parents: np.ndarray, is_lost: np.ndarray, is_body_lost: np.ndarray, rate: float
+    repair: AnimationRepair,
+    parents: np.ndarray,
+    is_lost: np.ndarray,
+    is_body_lost: np.ndarray,
+    rate: float,
+    conditioner: PriorConditioner | None,
 ) -> None:
     """Interpolate lost values (T, N) that are not yet repaired, of the whole body or track by track, in place."""
     remaining = is_lost & (repair.method == RepairMethod.UNCHANGED)
@@ -182,6 +191,11 @@ def _interpolate_gaps(
         body = body_interpolation.interpolate_body(
             parents, repair.root_position, repair.local_rotations, is_known, FrameSpan(first, last, rate)
         )
+        if conditioner:
+            context = GapContext(
+                repair.root_position, repair.local_rotations, ~is_lost[:, :-1] & ~is_lost[:, -1:], first, last, rate
+            )
+            body = _combine_body(body, context, conditioner)
         repair.root_position[frames] = np.where(mask[:, -1:], body.root_position, repair.root_position[frames])
         repair.local_rotations[frames] = np.where(mask[:, :-1, None, None], body.local_rotations, repair.local_rotations[frames])
         variance = np.column_stack([body.rotation_variance, body.root_variance])
@@ -204,45 +218,16 @@ def _interpolate_gaps(
             repair.variance[frames, n], repair.method[frames, n] = variance, RepairMethod.GAP_INTERPOLATED
 
 
-@dataclass(frozen=True)
-class MappedPriorConditioner(PriorConditioner):
-    """A trained pose model applied to the joints of a file, which are mapped to the model's 31 joints.
-
-    parents    (J,) the tree of the file
-    alignment  the model's joints in the file
-    """
-
-    parents: Int[np.ndarray, " J"]
-    alignment: SkeletonAlignment
-
-    def predict_rotations(
-        self,
-        local_rotations: Float[np.ndarray, "T J 3 3"],
-        observed_joints: Int[np.ndarray, " O"],
-        occluded_joints: Int[np.ndarray, " L"],
-        frames: Int[np.ndarray, " N"],
-        reference: Float[np.ndarray, "N Q"],
-    ) -> Float[np.ndarray, "N Q"]:
-        """As `PriorConditioner.predict_rotations`, for joints of the file; `reference` for joints without a counterpart."""
-        file_joints = self.alignment.file_joints[1:]
-        observed, occluded = (1 + np.flatnonzero(np.isin(file_joints, joints)) for joints in (observed_joints, occluded_joints))
-        if not len(observed) or not len(occluded):
-            return reference
-        file_rotations = local_rotations[frames]
-        _, world_rotations = compose_transforms(self.parents, np.zeros(file_rotations.shape[:3]), file_rotations)
-        model_rotations = retarget.convert_rotations_to_cmu31(world_rotations, self.alignment)
-        any_sign = np.ones((len(frames), 4 * len(occluded)))
-        predicted = super().predict_rotations(model_rotations, observed, occluded, np.arange(len(frames)), any_sign)
-        for i, joint in enumerate(occluded):
-            model_rotations[:, joint] = Rotation.from_quat(predicted[:, 4 * i : 4 * i + 4]).as_matrix()
-            file_rotations[:, self.alignment.file_joints[joint]] = retarget.compute_file_rotation(
-                self.parents, file_rotations, self.alignment, int(joint), model_rotations
-            )
-        result = reference.reshape(len(frames), len(occluded_joints), 4).copy()
-        for i, joint in enumerate(occluded_joints):
-            if joint in self.alignment.file_joints[occluded]:
-                all_frames = np.ones(len(frames), bool)
-                joint_quaternions = 2 * quaternions.extract_joint_quaternions(file_rotations, int(joint), all_frames)
-                is_opposite = (joint_quaternions * result[:, i]).sum(1, keepdims=True) < 0
-                result[:, i] = np.where(is_opposite, -joint_quaternions, joint_quaternions)
-        return result.reshape(reference.shape)
+def _combine_body(body: InterpolatedBody, context: GapContext, conditioner: PriorConditioner) -> InterpolatedBody:
+    """Return an interpolated body combined with the motion prior's prediction."""
+    cropped = context.crop()
+    local_rotations, joints = cropped.local_rotations.copy(), np.arange(body.local_rotations.shape[1])
+    local_rotations[cropped.frames] = body.local_rotations
+    prediction = conditioner.predict_gap(cropped._replace(local_rotations=local_rotations), joints)
+    if prediction is None:
+        return body
+    rotations, rotation_variance = combine_rotations(body.local_rotations, body.rotation_variance, prediction)
+    weight = compute_prediction_weight(body.root_variance, prediction.root_variance)
+    root = body.root_position + weight[:, None] * (prediction.root_position - body.root_position)
+    root_variance = compute_combined_variance(body.root_variance, prediction.root_variance, weight)
+    return InterpolatedBody(root, rotations, root_variance, rotation_variance)

@@ -6,6 +6,7 @@ the rows "known", which measure the repair alone. In the rows "detected" the fau
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TypedDict
 
@@ -26,9 +27,13 @@ from mocapfix.bench.sound_takes import PerformedMotion, read_performed_motions
 from mocapfix.errors import SceneError
 from mocapfix.faults import Fault, FaultKind
 from mocapfix.motion import Motion
+from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
+from mocapfix.pose_prior.io import load_pose_model
+from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 from mocapfix.train.recordings import TRAINING_RATE_HZ
@@ -170,6 +175,12 @@ def _detect_faults(motion: Motion, rate: float) -> list[Fault]:
     return detect_pose_faults(names, motion.root_position, motion.local_rotations, ["ZYX"] * len(names), rate)
 
 
+@cache
+def load_shipped_autoencoder() -> PoseModel:
+    """Return the pose prior that is used by default."""
+    return load_pose_model("autoencoder", load_cmu31_body().skeleton)
+
+
 def _score_trial(
     performance: PerformedMotion, kind: str, duration_name: str, rng: np.random.Generator, scores: RepairScores
 ) -> float:
@@ -181,7 +192,8 @@ def _score_trial(
     joint_count, detected_faults = len(skeleton.names), _detect_faults(damaged, rate)
     known_faults = [fault for each in injected for fault in build_expected_faults(each, joint_count)]
     poses = skeleton.parents, damaged.root_position, damaged.local_rotations, ["ZYX"] * joint_count
-    known, detected = (repair_animation(*poses, faults, rate) for faults in (known_faults, detected_faults))
+    conditioner = PriorConditioner(load_shipped_autoencoder, 1.0, predict_shipped_gap)
+    known, detected = (repair_animation(*poses, faults, rate, conditioner) for faults in (known_faults, detected_faults))
     positions = {
         "linear": _compute_joint_positions(*interpolate_faults(damaged.root_position, damaged.local_rotations, injected)),
         "known": _compute_joint_positions(known.root_position, known.local_rotations),

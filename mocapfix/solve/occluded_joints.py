@@ -12,6 +12,8 @@ visible ones in the gap, and also in the known frames, as if the limb were occlu
 expected in the gap as well. Only its innovation, what it predicts in the gap beyond the take's own prediction, is added in
 proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
 another tracking term of the poses it increased the error of every gap.
+
+Last, the motion prior (`motion_prior.gap_combination`) is added by its precision: it knows how people move during a gap.
 """
 
 import math
@@ -21,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.kernels import quaternions
+from mocapfix.motion_prior.gap_combination import GapContext, combine_rotations
 from mocapfix.solve.parallel import run_in_parallel
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.gaussian_process import GaussianProcess, StateCovariance, fit_gaussian_process
@@ -157,11 +160,37 @@ def infer_occluded_joints(
         for i, j in enumerate(occluded):
             predicted_joint = np.ascontiguousarray(predicted[:, 4 * i : 4 * i + 4])
             quaternions.store_joint_quaternions(predicted_joint, j, local_rotations[first : last + 1])
-            variance[frames, j] = gap_variance[:, i]
+        if conditioner:
+            gap_rotations = local_rotations[first : last + 1]
+            context = GapContext(root_position, solved, has_body[:, None] & ~is_unobserved, first, last, rate)
+            gap_variance = combine_with_motion_prior(gap_rotations, gap_variance, occluded, conditioner, context)
+        variance[first : last + 1, occluded] = gap_variance
 
     # A gap reads known frames only, and writes only what is unobserved, so that gaps are independent; the longest begin first.
     gaps = group_gaps(is_unobserved & has_body[:, None])
     run_in_parallel(infer_gap, sorted(gaps.items(), key=lambda gap: gap[0][0] - gap[0][1]))
+
+
+def combine_with_motion_prior(
+    rotations: Float[np.ndarray, "n J 3 3"],
+    variance: Float[np.ndarray, "n L"],
+    occluded: Int[np.ndarray, " L"],
+    conditioner: PriorConditioner,
+    context: GapContext,
+) -> Float[np.ndarray, "n L"]:
+    """Combine the estimates of occluded joints in a gap with the motion prior, in place, and return their variance in rad^2.
+
+    rotations  of all joints in the gap, those of the occluded ones are estimates
+    context    the solution of each frame around the gap
+    """
+    cropped = context.crop()
+    local_rotations = cropped.local_rotations.copy()
+    local_rotations[cropped.frames][:, occluded] = rotations[:, occluded]
+    prediction = conditioner.predict_gap(cropped._replace(local_rotations=local_rotations), occluded)
+    if prediction is None:
+        return variance
+    rotations[:, occluded], variance = combine_rotations(rotations[:, occluded], variance, prediction)
+    return variance
 
 
 def extract_training_rotations(

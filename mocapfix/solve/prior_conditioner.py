@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import solve_triangular
 from scipy.spatial.transform import Rotation
 
+from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
 from mocapfix.pose_prior.model import PoseModel, compute_pose_vectors
 
 OBSERVED_JOINT_SD_RAD = 0.05
@@ -49,10 +50,18 @@ class PriorConditioner:
 
     load_pose_model  returns the model; called only when it is needed, since its weights are read from a file
     prior_scale      factor of the model's standard deviations (2: weaker prior)
+    predict_motion   predicts the 31 joints of a body in a gap, given the motion around it and the size of the body relative to
+                     the average one: the motion prior; None: it is not used
     """
 
     load_pose_model: Callable[[], PoseModel]
     prior_scale: float
+    predict_motion: Callable[[GapContext, float], GapPrediction | None] | None = None
+
+    def predict_gap(self, context: GapContext, joints: Int[np.ndarray, " L"]) -> GapPrediction | None:
+        """Return what the motion prior predicts for some joints in a gap; None without one or if it cannot predict the gap."""
+        predicted = self.predict_motion(context.crop(), 1.0) if self.predict_motion else None
+        return predicted and predicted.select_joints(joints)
 
     def predict_rotations(
         self,

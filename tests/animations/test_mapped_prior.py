@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import compose_transforms
-from mocapfix.animations.repair import MappedPriorConditioner
+from mocapfix.animations.mapped_prior import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
@@ -44,7 +44,7 @@ def test_mapping_to_the_same_skeleton_equals_the_model(model):
     reference = np.tile([0.0, 0, 0, 2.0], (3, len(OCCLUDED)))
     fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
     expected = PriorConditioner(lambda: model, 1.0).predict_rotations(local, OBSERVED, OCCLUDED, frames, reference)
-    found = MappedPriorConditioner(lambda: model, 1.0, SKELETON.parents, fit).predict_rotations(
+    found = MappedPriorConditioner(lambda: model, 1.0, parents=SKELETON.parents, alignment=fit).predict_rotations(
         local, OBSERVED, OCCLUDED, frames, reference
     )
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -58,7 +58,7 @@ def test_other_axes_and_joint_order_give_the_same_prediction(model):
     file_rotations = np.concatenate([convert_axes(local, turns), np.tile(np.eye(3), (6, 1, 1, 1))], axis=1)
     parents = np.r_[SKELETON.parents, 0]
     reference = np.tile([0.0, 0, 0, 2.0], (6, len(OCCLUDED) + 1))
-    found = MappedPriorConditioner(lambda: model, 1.0, parents, fit).predict_rotations(
+    found = MappedPriorConditioner(lambda: model, 1.0, parents=parents, alignment=fit).predict_rotations(
         file_rotations, OBSERVED, np.r_[OCCLUDED, COUNT], frames, reference
     )
     predicted = PriorConditioner(lambda: model, 1.0).predict_rotations(local, OBSERVED, OCCLUDED, frames, reference[:, :8])
@@ -75,7 +75,7 @@ def test_other_axes_and_joint_order_give_the_same_prediction(model):
 def test_unmapped_joints_return_the_reference(model):
     reference = np.ones((2, 8))
     fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
-    found = MappedPriorConditioner(lambda: model, 1.0, SKELETON.parents, fit).predict_rotations(
+    found = MappedPriorConditioner(lambda: model, 1.0, parents=SKELETON.parents, alignment=fit).predict_rotations(
         posed(2), np.zeros(0, int), OCCLUDED, np.arange(2), reference
     )
     assert found is reference
