@@ -113,7 +113,11 @@ def remove_headings(rotations):
 
 def test_subjects_are_test_subjects_of_all_shipped_priors():
     for path in find_shipped_folder("priors").glob("*.safetensors"):
-        readers = {"twist": settings.read_twist_settings, "motion": settings.read_motion_settings}
+        readers = {
+            "twist": settings.read_twist_settings,
+            "motion": settings.read_motion_settings,
+            "ik": settings.read_ik_settings,
+        }
         training_settings = readers.get(path.stem, settings.read_prior_settings)(path.with_suffix(".yaml"))
         assert training_settings.test_subjects == sound_takes.UNSEEN_SUBJECTS
         assert not training_settings.held_out_subjects & sound_takes.UNSEEN_SUBJECTS
