@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import compose_transforms
 from mocapfix.animations import retarget
+from mocapfix.animations.joint_mapping import find_ancestor
 from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.kernels import quaternions
 from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
@@ -32,7 +33,10 @@ class MappedPriorConditioner(PriorConditioner):
             return None
         context, file_joints = context.crop(), self.alignment.file_joints
         _, world = compose_transforms(self.parents, np.zeros(context.local_rotations.shape[:3]), context.local_rotations)
-        is_known = np.where(file_joints >= 0, context.is_known[:, file_joints], True)
+        # A joint without a counterpart is known where the nearest joint above it that has one is known.
+        is_mapped, parents = file_joints >= 0, self.alignment.skeleton.parents
+        sources = [j if is_mapped[j] else find_ancestor(j, parents, is_mapped) for j in range(len(file_joints))]
+        is_known = context.is_known[:, file_joints[sources]]
         model = context._replace(local_rotations=retarget.convert_rotations_to_cmu31(world, self.alignment), is_known=is_known)
         size_ratio = self.alignment.skeleton.total_length_m / load_cmu31_body().skeleton.total_length_m
         predicted = self.predict_motion(model, size_ratio)

@@ -5,6 +5,8 @@ from scipy.spatial.transform import Rotation
 from mocapfix.animation import compose_transforms
 from mocapfix.animations.mapped_prior import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
+from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
+from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.prior_conditioner import PriorConditioner
@@ -79,3 +81,58 @@ def test_unmapped_joints_return_the_reference(model):
         posed(2), np.zeros(0, int), OCCLUDED, np.arange(2), reference
     )
     assert found is reference
+
+
+def move(frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the root position and local rotations of a slow motion at 30 Hz."""
+    rng, seconds = np.random.default_rng(3), np.arange(frames) / 30
+    is_free = load_cmu31_body().free_joints & ~np.isin(SKELETON.names, ("LeftShoulder", "RightShoulder"))
+    size, phase = 0.3 * rng.normal(size=(COUNT, 3)) * is_free[:, None], rng.uniform(0, 6, (COUNT, 3))
+    vectors = size * np.sin(2 * seconds[:, None, None] + phase)
+    rotations = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(frames, COUNT, 3, 3)
+    return np.stack([seconds, 1 + 0 * seconds, 0 * seconds], axis=1), rotations
+
+
+def build_gap(rotations: np.ndarray, root: np.ndarray, joint_count: int) -> GapContext:
+    is_known = np.ones((len(root), joint_count), bool)
+    is_known[45:60] = False
+    return GapContext(root, rotations, is_known, 45, 59, 30.0)
+
+
+def test_motion_prior_predicts_the_same_in_other_axes(model):
+    root, local = move(110)
+    turns = Rotation.random(COUNT, np.random.default_rng(1)).as_matrix()
+    fit, joints = SkeletonAlignment(np.arange(COUNT), turns, SKELETON), np.arange(COUNT)
+    expected = PriorConditioner(lambda: model, 1.0, predict_shipped_gap).predict_gap(build_gap(local, root, COUNT), joints)
+    conditioner = MappedPriorConditioner(lambda: model, 1.0, predict_shipped_gap, parents=SKELETON.parents, alignment=fit)
+    found = conditioner.predict_gap(build_gap(convert_axes(local, turns), root, COUNT), joints)
+    assert expected is not None
+    assert found is not None
+    np.testing.assert_allclose(found.root_position, expected.root_position, atol=1e-4)
+    np.testing.assert_allclose(found.variance, expected.variance, rtol=1e-2)
+    is_predicted = np.isfinite(expected.variance[0])
+    expected_rotations = convert_axes(expected.rotations, turns)[:, is_predicted]
+    np.testing.assert_allclose(found.rotations[:, is_predicted], expected_rotations, atol=1e-3)
+
+
+def test_joints_without_counterpart_are_not_predicted(model):
+    root, local = move(110)
+    extra = np.concatenate([local, np.tile(np.eye(3), (110, 1, 1, 1))], axis=1)
+    fit = SkeletonAlignment(np.arange(COUNT), np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    conditioner = MappedPriorConditioner(
+        lambda: model, 1.0, predict_shipped_gap, parents=np.r_[SKELETON.parents, 0], alignment=fit
+    )
+    found = conditioner.predict_gap(build_gap(extra, root, COUNT + 1), np.array([COUNT, OCCLUDED[0]]))
+    assert isinstance(found, GapPrediction)
+    assert np.isinf(found.variance[:, 0]).all()
+    assert np.isfinite(found.variance[:, 1]).all()
+
+
+def test_hips_below_another_root_are_not_predicted(model):
+    root, local = move(110)
+    fit = SkeletonAlignment(np.arange(COUNT) + 1, np.tile(np.eye(3), (COUNT, 1, 1)), SKELETON)
+    conditioner = MappedPriorConditioner(
+        lambda: model, 1.0, predict_shipped_gap, parents=np.r_[-1, SKELETON.parents + 1], alignment=fit
+    )
+    rotations = np.concatenate([np.tile(np.eye(3), (110, 1, 1, 1)), local], axis=1)
+    assert conditioner.predict_gap(build_gap(rotations, root, COUNT + 1), OCCLUDED + 1) is None
