@@ -7,10 +7,12 @@ import pytest
 
 from mocapfix.animations import repair
 from mocapfix.bench.animation_repair import build_expected_faults, interpolate_faults
-from mocapfix.bench.injected_animation_faults import ANIMATION_FAULT_INJECTORS, inject_animation_faults
+from mocapfix.bench.injected_animation_faults import ANIMATION_FAULT_INJECTORS, InjectedAnimationFault, inject_animation_faults
 from mocapfix.motion import Motion
+from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
+from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.synthetic import motions
 from mocapfix.synthetic.synthetic_takes import draw_subject
 
@@ -77,3 +79,23 @@ def test_joint_that_is_always_missing_stays_missing():
     repaired = repair.repair_animation(SKELETON.parents, truth.root_position, local, ["ZYX"] * 31, [whole], RATE)
     assert np.isfinite(repaired.local_rotations).all()
     assert not repaired.method[:, 5].any()
+
+
+def test_certain_prediction_replaces_the_interpolation_of_a_lost_body():
+    truth = composed()
+    frames = slice(60, 80)
+
+    def predict(context: GapContext, size_ratio: float) -> GapPrediction:
+        count = context.last - context.first + 1
+        certain = np.full((count, 31), 1e-12), np.full(count, 1e-12)
+        return GapPrediction(truth.local_rotations[frames], certain[0], truth.root_position[frames], certain[1])
+
+    injected = InjectedAnimationFault("figure gap", tuple(range(31)), frames.start, frames.stop - 1)
+    root, rotations = truth.root_position.copy(), truth.local_rotations.copy()
+    root[frames], rotations[frames] = np.nan, np.nan
+    conditioner = PriorConditioner(lambda: pytest.fail("no pose is predicted"), 1.0, predict)
+    faults = build_expected_faults(injected, 31)
+    repaired = repair.repair_animation(SKELETON.parents, root, rotations, ["ZYX"] * 31, faults, RATE, conditioner)
+    np.testing.assert_allclose(repaired.local_rotations, truth.local_rotations, atol=1e-4)
+    np.testing.assert_allclose(repaired.root_position, truth.root_position, atol=1e-4)
+    assert (repaired.variance[frames] < 1e-9).all()
