@@ -11,7 +11,7 @@ from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.solve.parallel import run_over_frames
 
 TRUNK_ACCELERATION_DENSITY = 0.6
-"""m^2/s^3 by which the variance of a velocity grows per second: pelvis, trunk and head of the training people"""
+"""m^2/s^3 by which the variance of a velocity grows per second: pelvis, trunk and head of recorded people"""
 LIMB_ACCELERATION_DENSITY = 2.0
 """the same of knees, elbows and shoulders"""
 TIP_ACCELERATION_DENSITY = 5.0
