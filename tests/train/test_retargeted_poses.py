@@ -1,9 +1,10 @@
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.train import retargeted_poses
-from mocapfix.train.recordings import RecordingSource
 from mocapfix.train.training_poses import TrainingPoses, add_mirrored_poses, mirror_pose_vectors
 
 NAMES = load_cmu31_skeleton().names
@@ -66,11 +67,12 @@ def test_motion_without_retargeted_people_is_unchanged():
 def test_training_and_held_out_poses_are_conformed_and_mirrored():
     poses, subject_index = draw_people()
     is_held_out = subject_index == 3
-    vectors = [add_mirrored_poses(poses[part], NAMES) for part in (~is_held_out, is_held_out)]
-    numbers = [np.tile(subject_index[part], 2) for part in (~is_held_out, is_held_out)]
-    gathered = TrainingPoses(*vectors, *numbers, np.array([False, False, True, True]), {}, 0, {RecordingSource(): 1})
+    training, held_out = (add_mirrored_poses(poses[part], NAMES) for part in (~is_held_out, is_held_out))
+    training_index, held_out_index = (np.tile(subject_index[part], 2) for part in (~is_held_out, is_held_out))
+    is_retargeted = np.array([False, False, True, True])
+    gathered = TrainingPoses(training, held_out, training_index, held_out_index, is_retargeted, Counter(), 0)
     conformed = retargeted_poses.conform_training_poses(gathered, NAMES, 0.5)
-    assert conformed.training_vectors.shape == vectors[0].shape
+    assert conformed.training_vectors.shape == training.shape
     assert conformed.held_out_vectors[:, HIDDEN].std() > 0.05
     np.testing.assert_allclose(
         mirror_pose_vectors(conformed.held_out_vectors[:FRAMES], NAMES), conformed.held_out_vectors[FRAMES:], atol=1e-6
