@@ -1,7 +1,7 @@
 """The combination of a gap's prediction by the motion prior with another estimate of the same joints.
 
-They are weighted by their precisions, which minimises the joint error on people that no training has seen. Their errors are
-correlated, because both continue the motion on either side; so the variance decreases less than for independent estimates.
+They are weighted by their precisions. Their errors are correlated, because both continue the motion on either side; so the
+variance decreases less than for independent estimates.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+MOTION_VARIANCE_FACTOR = 2.0
+"""Factor of the predicted variance in the weight: new people and captures differ from the training data."""
 PREDICTION_CORRELATION = 0.4
 """Correlation of the errors of the prediction with those of other estimates."""
 CROPPED_CONTEXT_S = 1.1
@@ -77,7 +79,7 @@ def compute_prediction_weight(
     variance: Float[np.ndarray, "*shape"], predicted_variance: Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
     """Return the weight of the prediction against an estimate; zero where the prediction's variance is infinite."""
-    total = variance + predicted_variance
+    total = variance + MOTION_VARIANCE_FACTOR * predicted_variance
     return np.divide(variance, total, out=np.zeros_like(variance), where=(total > 0) & np.isfinite(total))
 
 

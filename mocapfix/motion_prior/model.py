@@ -41,8 +41,8 @@ INITIAL_LOG_SD = -1.5
 """Logarithm of the standard deviations in radians and metres, of an output of zero."""
 NORMALISATION_EPSILON = 1e-5
 """Added to the variance of a moment's channels."""
-MAX_PREDICTED_GAP_S = 2.3
-"""Longest gap from the last known frame to the next; longer ones were not trained on."""
+MIN_PREDICTED_GAP_S, MAX_PREDICTED_GAP_S = 0.15, 2.3
+"""Durations from the last known frame to the next; other gaps were not trained on."""
 
 
 class PredictedGap(NamedTuple):
@@ -104,7 +104,7 @@ class MotionPrior:
         is_known         which of the joints of `build_motion_tree` are known
         """
         gap_s = np.array([(last - first + 2) / rate_hz])
-        if first == 0 or last == len(root_position) - 1 or gap_s[0] > MAX_PREDICTED_GAP_S:
+        if first == 0 or last == len(root_position) - 1 or not MIN_PREDICTED_GAP_S <= gap_s[0] <= MAX_PREDICTED_GAP_S:
             return None
         times_s = compute_token_times(gap_s)
         frames = first - 1 + times_s[0] * rate_hz

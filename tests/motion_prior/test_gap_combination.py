@@ -27,7 +27,7 @@ def predict(angle, variance):
 
 def test_the_more_certain_estimate_counts_more():
     angles = []
-    for predicted_variance in (1e-6, 0.04, 10.0, np.inf):
+    for predicted_variance in (1e-6, 0.02, 10.0, np.inf):
         rotations, variance = gap_combination.combine_rotations(
             np.eye(3)[None, None], np.array([[0.04]]), predict(0.5, predicted_variance)
         )

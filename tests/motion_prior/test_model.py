@@ -86,8 +86,8 @@ def test_prediction_turns_and_moves_with_the_body(prior):
     np.testing.assert_allclose(other.local_rotations[:, 1:], gap.local_rotations[:, 1:], atol=1e-3)
 
 
-@pytest.mark.parametrize(("first", "last"), [(0, 40), (150, 199), (20, 180)])
-def test_gaps_at_an_end_or_too_long_are_not_predicted(prior, first, last):
+@pytest.mark.parametrize(("first", "last"), [(0, 40), (150, 199), (20, 180), (50, 52)])
+def test_gaps_at_an_end_or_of_other_durations_are_not_predicted(prior, first, last):
     position, rotations = draw_motion()
     assert prior.predict_gap(position, rotations, hide(first, last), first, last, RATE_HZ) is None
 
