@@ -8,8 +8,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from pickle import UnpicklingError
-from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,11 +15,10 @@ from jaxtyping import Float
 from torch import Generator, Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 
-from mocapfix.errors import ReadError
-from mocapfix.files.output_files import replace_atomically
 from mocapfix.pose_prior.network import AutoencoderNetwork, NetworkArchitecture, build_network
 from mocapfix.pose_prior.pose_features import FEATURE_TYPES, PoseFeatures
 from mocapfix.skeleton import load_cmu31_body
+from mocapfix.train.checkpoints import Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.train.settings import AutoencoderSettings
 
 RATE_DECAY_INTERVAL_STEPS = 2000  # after so many steps a rate schedule's factor is applied (MNN-IK, appendix A)
@@ -42,15 +39,6 @@ class TrainedNetwork:
     architecture: NetworkArchitecture
     network: AutoencoderNetwork
     residual_model: "ResidualModel"
-
-
-@runtime_checkable
-class _Stateful(Protocol):
-    """A part of the training whose state a checkpoint holds."""
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> object: ...
 
 
 class ResidualModel(nn.Module):
@@ -107,13 +95,13 @@ def train_network(
     parameters = [*network.parameters(), *residual_model.parameters()]
     optimizer = torch.optim.AdamW(parameters, settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = LambdaLR(optimizer, build_rate_schedule(settings, step_count * settings.epochs))
-    states: dict[str, _Stateful] = {
+    states: dict[str, Stateful] = {
         "network": network,
         "residual_model": residual_model,
         "optimizer": optimizer,
         "schedule": schedule,
     }
-    fingerprint, limb_masks = compute_training_fingerprint(settings, poses), build_limb_masks()
+    fingerprint, limb_masks = compute_training_fingerprint(settings, pose_vectors), build_limb_masks()
     for epoch in range(resume_training(checkpoint, fingerprint, states), settings.epochs):
         generator, total_loss = Generator().manual_seed(settings.seed * 1_000_003 + epoch), 0.0
         for batch in sample_epoch(weights, generator).split(settings.batch_poses):
@@ -130,9 +118,7 @@ def train_network(
             schedule.step()
             total_loss += float(loss.detach())
         progress(f"epoch {epoch + 1} of {settings.epochs}, loss {total_loss / step_count:.4f}")
-        with replace_atomically(checkpoint) as temporary:
-            state_dicts = {name: each.state_dict() for name, each in states.items()}
-            torch.save({"fingerprint": fingerprint, "epoch": epoch + 1} | state_dicts, temporary)
+        write_checkpoint(checkpoint, fingerprint, epoch + 1, states)
     return TrainedNetwork(architecture, network.half().float().eval(), residual_model)
 
 
@@ -246,29 +232,3 @@ def build_limb_masks() -> Tensor:
         for j, name in enumerate(skeleton.names):  # parents come before children, and the root belongs to no limb
             mask[j] = name == first or bool(mask[skeleton.parents[j]])
     return masks
-
-
-def compute_training_fingerprint(settings: AutoencoderSettings, pose_vectors: Tensor) -> str:
-    """Return a string that identifies settings and poses, for the comparison with those of a checkpoint."""
-    # The sets of subjects have no defined order; the poses depend on them.
-    values = settings.model_dump(exclude={"test_subjects", "held_out_subjects"})
-    sums = f"{pose_vectors.double().sum():.9g} {pose_vectors.double().square().sum():.9g}"
-    return f"{values} {tuple(pose_vectors.shape)} {sums}"
-
-
-def resume_training(checkpoint: Path, fingerprint: str, states: dict[str, _Stateful]) -> int:
-    """Return the first epoch to train. If the checkpoint has the same fingerprint, its states are restored.
-
-    Raises ReadError if a file of this name is not a checkpoint.
-    """
-    if not checkpoint.is_file():
-        return 0
-    try:
-        content = torch.load(checkpoint, weights_only=True)
-    except (OSError, EOFError, RuntimeError, UnpicklingError) as error:
-        raise ReadError(f"{checkpoint}: is not a training checkpoint; move it away.") from error
-    if content["fingerprint"] != fingerprint:
-        return 0
-    for name, state in states.items():
-        state.load_state_dict(content[name])
-    return content["epoch"]

@@ -39,23 +39,22 @@ Held-out people, all joints given without noise, one evaluation; means over fram
 
 ## Data
 
-{sources}
-{acknowledgement}"""
+{sources}{acknowledgement}"""
 
 
 def write_ik_card(
-    path: Path, settings: LearnedIkSettings, sequences: FrameSequences, held_out_counts: Counter[str], scores: IkScores
+    path: Path, settings: LearnedIkSettings, sequences: FrameSequences, held_out: FrameSequences, scores: IkScores
 ) -> None:
     """Write a card, replacing the file atomically. Raises WriteError if it cannot be written."""
-    frame_counts = sequences.frame_counts
+    frame_counts, source_frames = sequences.frame_counts, Counter(sequences.source_frames + held_out.source_frames)
     text = IK_CARD.format(
-        sources=format_sources(sequences.source_frames),
+        sources=format_sources(source_frames),
         name=path.stem,
         title=settings.title,
         frame_count=sum(frame_counts.values()),
         subject_count=len(frame_counts),
         trained_on=format_frame_counts(frame_counts),
-        held_out=format_frame_counts(held_out_counts),
+        held_out=format_frame_counts(held_out.frame_counts),
         test=", ".join(sorted(settings.test_subjects)),
         offsets=" | ".join(map(str, scores.one_step_mm)),
         rule="|".join("---" for _ in scores.one_step_mm),
@@ -67,7 +66,7 @@ def write_ik_card(
             f"- {key}: {value}"
             for key, value in settings.model_dump(exclude={"title", "test_subjects", "held_out_subjects"}).items()
         ),
-        acknowledgement=build_acknowledgement(sequences.source_frames, is_conformed=False),
+        acknowledgement=build_acknowledgement(source_frames, is_conformed=False),
     )
     with replace_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

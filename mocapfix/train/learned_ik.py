@@ -15,6 +15,7 @@ from mocapfix.learned_ik.pose_transfer import build_transfer_tree, transfer_pose
 from mocapfix.pose_prior.network import build_layers
 from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.solve.kinematics import build_kinematic_tree, compute_tree_poses
+from mocapfix.train.checkpoints import Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.train.frame_pairs import FrameSequences, IkBatch, PairSampler, gather_sequences
 from mocapfix.train.graph_ik import GraphModel
 from mocapfix.train.ik_card import write_ik_card
@@ -99,7 +100,7 @@ def train_learned_ik(
         write_ik_network(target, model.extract_network())
     else:
         write_tensors(target, {name: each.half().numpy() for name, each in model.state_dict().items()})
-    write_ik_card(target.with_suffix(".md"), settings, sequences, held_out.frame_counts, scores)
+    write_ik_card(target.with_suffix(".md"), settings, sequences, held_out, scores)
     checkpoint.unlink(missing_ok=True)
     return scores
 
@@ -134,15 +135,14 @@ def optimise_model(
     checkpoint: Path,
     progress: Callable[[str], object],
 ) -> None:
-    """Train a model whose `predict` returns the poses of a batch, in place."""
+    """Train a model whose `predict` returns the poses of a batch, in place.
+
+    Training continues from the checkpoint if that has the same settings and motion. Raises ReadError if it is not a checkpoint.
+    """
     optimizer = torch.optim.AdamW(model.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    first_step, mean_loss = 0, math.nan
-    if checkpoint.is_file():
-        state = torch.load(checkpoint, weights_only=True)
-        model.load_state_dict(state["model"])
-        optimizer.load_state_dict(state["optimizer"])
-        first_step = int(state["step"])
-    for step in range(first_step, settings.steps):
+    states: dict[str, Stateful] = {"model": model, "optimizer": optimizer}
+    fingerprint, mean_loss = compute_training_fingerprint(settings, sampler.sequences.rotations), math.nan
+    for step in range(resume_training(checkpoint, fingerprint, states), settings.steps):
         for group in optimizer.param_groups:
             group["lr"] = compute_learning_rate(settings, step)
         batch = sampler.draw_batch(step)
@@ -154,10 +154,7 @@ def optimise_model(
         value = float(loss.detach())
         mean_loss = value if math.isnan(mean_loss) else 0.99 * mean_loss + 0.01 * value
         if (step + 1) % STEPS_PER_CHECKPOINT == 0 or step + 1 == settings.steps:
-            state = {"step": step + 1, "model": model.state_dict(), "optimizer": optimizer.state_dict()}
-            temporary = checkpoint.with_suffix(".part")
-            torch.save(state, temporary)
-            temporary.replace(checkpoint)
+            write_checkpoint(checkpoint, fingerprint, step + 1, states)
             progress(f"step {step + 1} of {settings.steps}, loss {mean_loss:.4f}")
 
 

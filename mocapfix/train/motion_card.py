@@ -75,7 +75,7 @@ def write_motion_card(
         rows="\n".join(format_gap_rows(scores)),
         settings="\n".join(f"- {key}: {value}" for key, value in values.items()),
         sources=format_sources(source_frames),
-        acknowledgement=build_acknowledgement(source_frames),
+        acknowledgement=build_acknowledgement(source_frames, is_conformed=False),
     )
     with replace_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from pickle import UnpicklingError
 
 import numpy as np
 import torch
 
-from mocapfix.errors import ReadError, WriteError
-from mocapfix.files.output_files import replace_atomically
+from mocapfix.errors import WriteError
 from mocapfix.motion_prior.model import MotionPrior, write_motion_prior
+from mocapfix.train.checkpoints import Stateful, compute_training_fingerprint, resume_training, write_checkpoint
 from mocapfix.train.motion_card import GapScores, write_motion_card
 from mocapfix.train.motion_network import (
     MotionExamples,
@@ -89,21 +88,18 @@ def compute_gap_scores(model: MotionPrior, stretches: MotionStretches, settings:
 def fit_motion_network(
     settings: MotionSettings, stretches: MotionStretches, checkpoint: Path, progress: Callable[[str], object]
 ) -> MotionNetwork:
-    """Return a trained network. An interrupted training continues from its checkpoint, with the same result."""
+    """Return a trained network. An interrupted training continues from its checkpoint, with the same result.
+
+    Raises ReadError if the checkpoint is not one.
+    """
     weights = compute_stretch_weights(stretches, settings.subject_balance, settings.retargeted_weight)
     first = draw_training_windows(stretches, weights, NORMALISATION_WINDOWS, np.random.default_rng(settings.seed))
     network = draw_initial_network(settings.width, settings.blocks, settings.seed, MotionExamples(first).features)
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    step, mean_loss = 0, 0.0
-    if checkpoint.is_file():
-        try:
-            state = torch.load(checkpoint, weights_only=True)
-            network.load_state_dict(state["network"])
-            optimizer.load_state_dict(state["optimizer"])
-        except (OSError, EOFError, RuntimeError, UnpicklingError, KeyError) as error:
-            raise ReadError(f"{checkpoint}: is not a checkpoint of this training; move it away.") from error
-        step, mean_loss = state["step"], state["mean_loss"]
-    while step < settings.steps:
+    states: dict[str, Stateful] = {"network": network, "optimizer": optimizer}
+    fingerprint, mean_loss = compute_training_fingerprint(settings, stretches.quaternions), 0.0
+    first_step = resume_training(checkpoint, fingerprint, states)
+    for step in range(first_step, settings.steps):
         remaining = (settings.steps - step) / (DECAY_SHARE * settings.steps)
         rate = settings.learning_rate * min(1, (step + 1) / RISE_STEPS, remaining)
         for group in optimizer.param_groups:
@@ -117,12 +113,9 @@ def fit_motion_network(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), GRADIENT_NORM_LIMIT)
         optimizer.step()
-        step += 1
-        share = 1 / min(step, AVERAGED_STEPS)
+        share = 1 / min(step + 1 - first_step, AVERAGED_STEPS)
         mean_loss += share * (float(loss.detach()) - mean_loss)
-        if step % CHECKPOINT_STEPS == 0 or step == settings.steps:
-            state = {"step": step, "mean_loss": mean_loss, "network": network.state_dict(), "optimizer": optimizer.state_dict()}
-            with replace_atomically(checkpoint) as temporary:
-                torch.save(state, temporary)
-            progress(f"step {step} of {settings.steps}, loss {mean_loss:.5f}")
+        if (step + 1) % CHECKPOINT_STEPS == 0 or step + 1 == settings.steps:
+            write_checkpoint(checkpoint, fingerprint, step + 1, states)
+            progress(f"step {step + 1} of {settings.steps}, loss {mean_loss:.5f}")
     return network

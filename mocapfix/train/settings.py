@@ -1,9 +1,9 @@
-"""The settings of training: the form of priors/NAME.yaml for a pose prior or the twist regressor."""
+"""The settings of training: the form of priors/NAME.yaml."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter
+from pydantic import Field, PositiveFloat, PositiveInt, TypeAdapter, model_validator
 
 from mocapfix.files.yaml_models import StrictModel, read_validated_yaml, read_yaml_model
 
@@ -169,7 +169,6 @@ class LearnedIkSettings(SubjectSettings):
     batch_poses      pairs per step
     learning_rate    at the start; it falls to zero along a cosine
     weight_decay     of AdamW
-    subject_balance  as in AutoencoderSettings
     """
 
     model: Literal["ik"]
@@ -180,13 +179,18 @@ class LearnedIkSettings(SubjectSettings):
     is_normalised: bool = True
     is_residual: bool = True
     has_corruption: bool
-    frame_offsets: tuple[PositiveInt, ...]
+    frame_offsets: Annotated[tuple[PositiveInt, ...], Field(min_length=1)]
     loss_weights: tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat]
     steps: PositiveInt
     batch_poses: PositiveInt
     learning_rate: PositiveFloat
     weight_decay: NonNegativeFloat
-    subject_balance: Fraction
+
+    @model_validator(mode="after")
+    def _check_network(self) -> Self:
+        if self.network == "graph" and (self.has_corruption or not self.hidden_widths):
+            raise ValueError('the network "graph" has hidden layers and no has_corruption: it needs all joints')
+        return self
 
 
 def read_ik_settings(path: Path) -> LearnedIkSettings:

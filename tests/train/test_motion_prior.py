@@ -57,6 +57,7 @@ def test_trained_prior_loads_and_has_a_card(motion, tmp_path, mocapfix):
     assert "| held out, for the scores and the weight of the predictions | 03 (80) |" in card
     assert "NSF EIA-0196217" in card
     assert "| whole body | 0.2 to 0.4 |" in card
+    assert "retargeted_poses" not in card
     assert not (tmp_path / "mine.checkpoint").exists()
     assert mocapfix("train", "motion", *options)[0] == 1
 
@@ -86,7 +87,7 @@ def test_training_lowers_the_loss(motion, tmp_path, monkeypatch):
 
 def test_file_that_is_not_a_checkpoint_raises(motion, tmp_path):
     (tmp_path / "mine").write_text("weights")
-    with pytest.raises(ReadError, match="is not a checkpoint of this training"):
+    with pytest.raises(ReadError, match="is not a training checkpoint"):
         fit(motion, tmp_path / "mine")
 
 

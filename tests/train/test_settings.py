@@ -1,5 +1,6 @@
 import pytest
 
+from mocapfix.bench.sound_takes import UNSEEN_SUBJECTS
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.train import settings
@@ -15,13 +16,35 @@ components: 3
 """
 
 
-def test_shipped_settings_are_valid():
-    for name in ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca"):
-        shipped = settings.read_prior_settings(find_shipped_folder("priors") / f"{name}.yaml")
-        assert not shipped.test_subjects & shipped.held_out_subjects
-    shipped = settings.read_twist_settings(find_shipped_folder("priors") / "twist.yaml")
-    assert shipped.test_subjects == settings.read_prior_settings(find_shipped_folder("priors") / "autoencoder.yaml").test_subjects
-    assert not shipped.test_subjects & shipped.held_out_subjects
+def test_no_training_reads_the_subjects_of_the_benchmarks():
+    folder = find_shipped_folder("priors")
+    held_out = settings.read_prior_settings(folder / "autoencoder.yaml").held_out_subjects
+    assert not held_out & UNSEEN_SUBJECTS
+    for read, names in (
+        (settings.read_prior_settings, ("autoencoder", "gaussian", "mixture", "mnn-ik", "pca")),
+        (settings.read_twist_settings, ("twist",)),
+        (settings.read_ik_settings, ("ik", "ik-published")),
+        (settings.read_motion_settings, ("motion",)),
+    ):
+        for name in names:
+            shipped = read(folder / f"{name}.yaml")
+            assert (shipped.test_subjects, shipped.held_out_subjects) == (UNSEEN_SUBJECTS, held_out), name
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("has_corruption: false", "has_corruption: true", "it needs all joints"),
+        ("hidden_widths: [512, 512]", "hidden_widths: []", "has hidden layers"),
+        ("frame_offsets: [1, 3, 5, 7, 9]", "frame_offsets: []", "frame_offsets"),
+    ],
+)
+def test_invalid_settings_of_learned_ik_raise(tmp_path, old, new, message):
+    text = (find_shipped_folder("priors") / "ik-published.yaml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "mine.yaml").write_text(text.replace(old, new))
+    with pytest.raises(SceneError, match=rf"mine\.yaml: .*{message}"):
+        settings.read_ik_settings(tmp_path / "mine.yaml")
 
 
 def test_settings_of_the_wrong_model_raise():
