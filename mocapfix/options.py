@@ -1,12 +1,10 @@
 """The options of cleaning a take: every option with its default, unit, range and help text, grouped by stage.
 
-This is the only place where an option is defined. The Python interface, the command line and the job files are built from it, so
-that an option is added by adding one field here::
+This is the only place where an option is defined. The Python interface, the command line and the job files are built from it. It
+imports no numerical library, because the command line needs it to print its help.
 
     options = CleanOptions(prior=PriorOptions(prior="none"), fill=FillOptions(max_gap_s=2.0))
     options = build_clean_options(prior="none", max_gap_s=2.0)  # the same, by the names of the fields alone
-
-The module imports no numerical library, because the command line needs it to print its help.
 """
 
 from collections.abc import Iterator
@@ -23,13 +21,10 @@ if TYPE_CHECKING:
 DEFAULT_PRIOR_NAME = "autoencoder"
 PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
 PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
-DEFAULT_PRIOR_SCOPE = PRIOR_LOST_LIMBS
 INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
 DEFAULT_INIT_METHOD = "hybrik-x"
-RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")
-"""the rigs in scenes/rigs"""
-EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv")
-"""the formats that are written on request (write.output_formats)"""
+RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
+EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv")  # written on request (write.output_formats)
 REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
 )  # fmt: skip
@@ -121,6 +116,11 @@ class InitialiseOptions(StageOptions):
         False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
     )  # fmt: skip
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.is_fast and self.init_method == "previous":
+            raise OptionError("is_fast", "--fast", "fast", "needs first poses, which the method previous does not compute")
+
     @property
     def method_used(self) -> str:
         """The method of initialisation, for previews the learned one in place of the default."""
@@ -133,7 +133,7 @@ class PriorOptions(StageOptions):
 
     prior: str = define_option(DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
     prior_scope: str = define_option(
-        DEFAULT_PRIOR_SCOPE, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
+        PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
         job_key="prior.scope", choices=PRIOR_SCOPES,
     )  # fmt: skip
 

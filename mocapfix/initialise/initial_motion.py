@@ -76,6 +76,15 @@ def initialise_motion(
     return start_from_previous(motion, take.visible) if method == "previous" else motion
 
 
+def initialise_frames(
+    take: Take, frames: Int[np.ndarray, " N"], subject: Subject, body: BodyModel, prior: MeanPosePrior, *, method: str
+) -> Motion:
+    """Return the initial poses of some frames of a take; arguments as those of `initialise_motion`."""
+    if method == LEARNED_METHOD:  # which smooths positions over time, and so needs the frames between them
+        return initialise_motion(take, subject, body, prior, method).select_frames(frames)
+    return initialise_motion(take.replace_markers(take.markers[frames]), subject, body, prior, method)
+
+
 def initialise_in_blocks(take: Take, subject: Subject, body: BodyModel, prior: MeanPosePrior, method: str) -> Motion:
     """Return what `initialise_motion` returns, computed block by block: the arrays of a block are several times its poses."""
     fields: list[np.ndarray] = []
@@ -146,8 +155,7 @@ def initialise_body(state: CleaningState, options: CleanOptions) -> CleaningStat
         motion = initialise_motion(take, state.extended_subject, body, prior, method)
         return replace(state, initial_motion=motion, frame_changes=change_all_frames(take.frame_count))
     restarted = np.flatnonzero(changes.is_restarted)
-    part = take.replace_markers(take.markers[restarted])
-    poses = initialise_motion(part, state.extended_subject, body, prior, method)
+    poses = initialise_frames(take, restarted, state.extended_subject, body, prior, method=method)
     return replace(state, initial_motion=insert_poses(state.body.motion, restarted, poses), frame_changes=changes)
 
 

@@ -10,7 +10,7 @@ from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
 from mocapfix.labelling.label_summary import build_labelling_section
 from mocapfix.motion import FrameStatus, Motion
-from mocapfix.options import CleanOptions
+from mocapfix.options import NO_TRAINED_PRIOR, CleanOptions
 from mocapfix.report import notes, review_file
 from mocapfix.report.report import (
     ComputedPointEntry,
@@ -149,7 +149,7 @@ def build_solve_section(
         ],
         "joint_deviation_mm": {name: _summarise_errors(sd) for name, sd in joint_sd},
         "start": start_name,
-        "prior": None if prior_name == "none" else {"name": prior_name, "scale": prior_scale},
+        "prior": None if prior_name == NO_TRAINED_PRIOR else {"name": prior_name, "scale": prior_scale},
         "iterations_mean": round(float(motion.iterations.mean()), 2),
         "lost_in_sight": {part.name: part.frame_count for part in lost_parts},
         "status": {FrameStatus(code).description: count for code, count in sorted(Counter(motion.status.tolist()).items())},
@@ -213,7 +213,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             body.subject,
             body.motion,
             residual_m,
-            options.prior.prior,
+            NO_TRAINED_PRIOR if options.initialise.is_fast else options.prior.name_used,
             options.solve.prior_scale,
             options.initialise.method_used,
             lost_parts=lost_parts,

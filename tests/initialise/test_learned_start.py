@@ -8,6 +8,7 @@ from mocapfix.initialise import initial_motion
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.kinematics import compute_world_poses
+from mocapfix.take import Take
 
 
 @pytest.fixture(scope="module")
@@ -18,8 +19,6 @@ def performance():
 def initialise(performance, markers, method):
     body = load_cmu31_body()
     prior = load_mean_pose_prior("mean-pose", body.skeleton)
-    from mocapfix.take import Take
-
     take = Take(markers, performance.subject.labels, 60.0)
     return initial_motion.initialise_motion(take, performance.subject, body, prior, method)
 
@@ -55,4 +54,18 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     assert any(note.startswith("Preview: ") and "15 mm" in note for note in result.report["notes"])
     error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
     assert np.nanmean(error) < 0.04
-    assert result.report["solve"]["start"] == "learned" if "start" in result.report["solve"] else True
+    assert result.report["solve"]["start"] == "learned"
+    assert result.report["solve"]["prior"] is None
+
+
+def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance):
+    """The frames are not consecutive, so their positions must not be smoothed as if they were."""
+    skeleton, subject, body = performance.subject.skeleton, performance.subject, load_cmu31_body()
+    markers = performance.marker_positions.copy()
+    markers[:, np.isin(subject.joints, [skeleton.find_joint("LeftHand"), skeleton.find_joint("LeftFingerBase")])] = np.nan
+    take, prior = Take(markers, subject.labels, 60.0), load_mean_pose_prior("mean-pose", body.skeleton)
+    frames = np.array([3, 4, 50, 110])
+    found = initial_motion.initialise_frames(take, frames, subject, body, prior, method="learned")
+    expected = initial_motion.initialise_motion(take, subject, body, prior, "learned")
+    np.testing.assert_allclose(found.local_rotations, expected.local_rotations[frames])
+    np.testing.assert_allclose(found.root_position, expected.root_position[frames])
