@@ -17,9 +17,10 @@ MIN_NOISE_SD_RAD = np.radians(1.0)  # smaller deviations are noise of the solved
 MAX_MIXTURE_POSES = 120_000  # EM takes time in proportion, and neighbouring frames are nearly the same pose
 INITIAL_FIT_STRIDE = 5  # initial values are compared on every fifth pose, because consecutive frames are nearly the same
 MIXTURE_FIT_SUMMARY = """\
-Of {} fits to every {}th pose, each initialised by k-means, the one of greatest likelihood (converged after {} iterations) was
-fitted to all poses (converged after {}). Convergence means that an iteration raises the mean log-likelihood of a pose by less
-than {:g}. The poses are projected onto {} principal axes; the mean log-likelihood of a projected pose is {:.2f}."""
+Of {} fits to every {}th of {:,} drawn poses, each initialised by k-means, the one of greatest likelihood (converged after {}
+iterations) was fitted to all of these (converged after {}). Convergence means that an iteration raises the mean log-likelihood
+of a pose by less than {:g}. The poses are projected onto {} principal axes; the mean log-likelihood of a projected pose is
+{:.2f}."""
 
 
 def fit_gaussian_model(
@@ -82,6 +83,7 @@ def fit_mixture_model(
     summary = MIXTURE_FIT_SUMMARY.format(
         settings.restarts,
         INITIAL_FIT_STRIDE,
+        len(rows),
         best.n_iter_,
         fit.n_iter_,
         settings.tolerance,

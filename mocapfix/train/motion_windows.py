@@ -24,11 +24,13 @@ from mocapfix.motion_prior.motion_features import (
     compute_token_times,
 )
 from mocapfix.skeleton import load_cmu31_body
-from mocapfix.train.recordings import RecordingSource, read_recordings
+from mocapfix.train.recordings import UNKNOWN_SOURCE, RecordingSource, read_recordings
 from mocapfix.train.training_poses import detect_rotation_jumps, find_weakly_observed_joints, mirror_joint_name
 
 MIN_STRETCH_FRAMES = 30
 """Shorter stretches between jumps of the solved motion are not used."""
+MAX_RATE_DEVIATION = 0.02
+"""Motion whose rate differs by a smaller share from that of the motion prior is not resampled."""
 MIN_GAP_FRAMES, MAX_GAP_FRAMES = 5, 62
 """Durations of occlusions."""
 MIN_KNOWN_FRAMES = 4
@@ -110,21 +112,39 @@ def gather_motion_stretches(
         has_jump = detect_rotation_jumps(recording.rotations[:, is_observed], recording.rate_hz).any(axis=1)
         edges = np.r_[0, np.flatnonzero(has_jump) + 1, len(recording.rotations)]
         for first, end in pairwise(edges):
-            if end - first < MIN_STRETCH_FRAMES:
+            if end - first < 2:
                 continue
             rotations = recording.rotations[first:end, tree.joints].reshape(-1, 3, 3)
-            quaternions.append(Rotation.from_matrix(rotations).as_quat().astype(np.float32).reshape(end - first, -1, 4))
-            positions.append(recording.root_position[first:end].astype(np.float32))
-            bounds.append((count, count + end - first))
+            stretch = Rotation.from_matrix(rotations).as_quat().astype(np.float32).reshape(end - first, -1, 4)
+            root_position = recording.root_position[first:end].astype(np.float32)
+            stretch, root_position = resample_stretch(stretch, root_position, recording.rate_hz)
+            frame_count = len(stretch)
+            if frame_count < MIN_STRETCH_FRAMES:
+                continue
+            quaternions.append(stretch)
+            positions.append(root_position)
+            bounds.append((count, count + frame_count))
             subjects.append(recording.subject)
             sources.append(recording.source)
-            count += end - first
+            count += frame_count
     if not bounds:
         raise ReadError(f"{', '.join(map(str, folders))}: no motion of the required subjects.")
     starts, ends = np.array(bounds).T
     return MotionStretches(
         np.concatenate(quaternions), np.concatenate(positions), starts, ends, np.array(subjects), tuple(sources)
     )
+
+
+def resample_stretch(
+    quaternions: Float32[np.ndarray, "T J 4"], position: Float32[np.ndarray, "T 3"], rate_hz: float
+) -> tuple[Float32[np.ndarray, "N J 4"], Float32[np.ndarray, "N 3"]]:
+    """Return rotations and root positions at MOTION_RATE_HZ, of at least two frames."""
+    if abs(rate_hz / MOTION_RATE_HZ - 1) < MAX_RATE_DEVIATION:
+        return quaternions, position
+    frames, ends = np.arange(0, len(position) - 1 + 1e-9, rate_hz / MOTION_RATE_HZ), np.array([len(position)])
+    whole = MotionStretches(quaternions, position, np.zeros(1, int), ends, np.array([""]), (UNKNOWN_SOURCE,))
+    resampled, moved = sample_stretches(whole, np.zeros(1, int), frames[None])
+    return resampled[0], moved[0]
 
 
 def compute_stretch_weights(

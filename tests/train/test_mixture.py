@@ -101,6 +101,7 @@ def test_fits_are_reproducible_and_the_best_restart_is_used():
     assert len(set(np.round(each, 4))) > 1
     assert log_density(first, poses).mean() in each
     assert "onto 3 principal axes" in summary
+    assert f"of {len(poses):,} drawn poses" in summary
 
 
 def test_fit_that_does_not_converge_raises():

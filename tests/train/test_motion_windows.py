@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
 from mocapfix.motion_prior.motion_features import INNER_TOKENS, TOKEN_COUNT
@@ -45,6 +46,16 @@ def test_sampling_at_whole_frames_returns_them(stretches):
     index = stretches.starts[1] + np.array([0, 5, 79])
     np.testing.assert_allclose(np.abs((quaternions[0] * stretches.quaternions[index]).sum(-1)), 1, atol=1e-5)
     np.testing.assert_allclose(position[0], stretches.position[index], atol=1e-5)
+
+
+def test_motion_at_another_rate_is_resampled(tmp_path):
+    slow = draw_motion(0, frames=41, spread=0.05)
+    write_bvh(tmp_path / "01_01.bvh", slow, rate=20.0)
+    resampled = motion_windows.gather_motion_stretches([tmp_path], lambda subject: True, lambda text: None)
+    assert resampled.count_frames() == {"01": 61}  # 2 s
+    joints = motion_windows.build_motion_tree().joints
+    expected = Rotation.from_matrix(slow[:, joints].reshape(-1, 3, 3)).as_quat().reshape(41, -1, 4)
+    np.testing.assert_allclose(np.abs((resampled.quaternions[::3] * expected[::2]).sum(-1)), 1, atol=1e-4)
 
 
 def test_mirroring_twice_changes_nothing(stretches):
