@@ -84,19 +84,22 @@ def repair_animation(
 ) -> AnimationRepair:
     """Return the animation without its faults.
 
-    root_position    in metres, NaN without a value; local_rotations likewise
+    root_position    in metres, NaN without a value; local_rotations likewise. Those that no fault names stay NaN
     rotation_orders  each joint's axes of rotation
     faults           as from `animations.detect.detect_pose_faults`
     conditioner      a pose model for this skeleton
     """
     shape = (len(root_position), local_rotations.shape[1] + 1)
+    if not faults:
+        return AnimationRepair(root_position, local_rotations, np.zeros(shape), np.zeros(shape, int))
     is_lost = build_fault_mask([fault for fault in faults if fault.kind in ("gap", "stuck")], shape)
+    is_finite = np.column_stack([np.isfinite(local_rotations).all((2, 3)), np.isfinite(root_position).all(1)])
+    stays_missing = ~is_finite & ~is_lost
+    is_lost |= stays_missing
     local_rotations = np.where(is_lost[:, :-1, None, None], np.eye(3), local_rotations)
     root_position = np.where(is_lost[:, -1:], 0.0, root_position)
     repair = AnimationRepair(root_position, local_rotations, np.zeros(shape), np.zeros(shape, int))
-    if not faults:
-        return repair
-    is_faulty = build_fault_mask(faults, shape)
+    is_faulty = build_fault_mask(faults, shape) | stays_missing
     for fault in sorted(faults, key=lambda fault: fault.last - fault.first):
         if fault.kind in ("pop", "flip", "spike"):
             _remove_offset(repair, fault, is_faulty, rotation_orders, rate)
@@ -108,6 +111,8 @@ def repair_animation(
     is_body_lost = is_lost[:, moving_joints].sum(1) > occluded_joints.MAX_UNOBSERVED_SHARE * len(moving_joints)
     _infer_lost_joints(repair, is_lost & ~is_body_lost[:, None], moving_joints, rate, conditioner)
     _interpolate_gaps(repair, parents, is_lost, is_body_lost, rate, conditioner)
+    repair.local_rotations[stays_missing[:, :-1]], repair.root_position[stays_missing[:, -1]] = np.nan, np.nan
+    repair.variance[stays_missing], repair.method[stays_missing] = 0.0, RepairMethod.UNCHANGED
     return repair
 
 

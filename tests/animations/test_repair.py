@@ -99,3 +99,16 @@ def test_certain_prediction_replaces_the_interpolation_of_a_lost_body():
     np.testing.assert_allclose(repaired.local_rotations, truth.local_rotations, atol=1e-4)
     np.testing.assert_allclose(repaired.root_position, truth.root_position, atol=1e-4)
     assert (repaired.variance[frames] < 1e-9).all()
+
+
+def test_missing_values_that_no_fault_names_stay_missing_beside_a_repaired_gap():
+    truth, kept, gap = composed(), slice(50, 55), slice(60, 80)
+    injected = InjectedAnimationFault("figure gap", tuple(range(31)), gap.start, gap.stop - 1)
+    root, rotations = truth.root_position.copy(), truth.local_rotations.copy()
+    root[gap], rotations[gap], rotations[kept, 9] = np.nan, np.nan, np.nan
+    repaired = repair.repair_animation(SKELETON.parents, root, rotations, ["ZYX"] * 31, build_expected_faults(injected, 31), RATE)
+    is_missing = np.isnan(repaired.local_rotations[..., 0, 0])
+    assert is_missing[kept, 9].all()
+    assert is_missing.sum() == kept.stop - kept.start
+    assert np.isfinite(repaired.root_position).all()
+    assert (repaired.method[kept, 9] == repair.RepairMethod.UNCHANGED).all()
