@@ -51,11 +51,13 @@ def test_preview_has_a_pose_in_every_frame_and_states_its_error(performance, tmp
     result = pipeline.clean(path, is_fast=True)
     assert result.motion is not None
     assert (result.motion.iterations == 0).all()
-    assert any(note.startswith("Preview: ") and "15 mm" in note for note in result.report["notes"])
+    assert any(note.startswith("Preview: ") and "15 mm" in note for note in result.subject_report["notes"])
     error = np.linalg.norm(result.joint_position_world - performance.joint_positions, axis=-1)
     assert np.nanmean(error) < 0.04
-    assert result.report["solve"]["start"] == "learned"
-    assert result.report["solve"]["prior"] is None
+    solve = result.subject_report["solve"]
+    assert solve is not None
+    assert solve["start"] == "learned"
+    assert solve["prior"] is None
 
 
 def test_some_frames_have_the_poses_that_they_have_in_the_whole_take(performance):

@@ -1,11 +1,13 @@
 """The motion prior's prediction for a body, in the joints of the 31-joint skeleton."""
 
+from typing import cast
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mocapfix.motion_prior import gap_prediction
 from mocapfix.motion_prior.gap_combination import GapContext
-from mocapfix.motion_prior.model import PredictedGap
+from mocapfix.motion_prior.model import MotionPrior, PredictedGap
 from mocapfix.motion_prior.motion_features import build_motion_tree
 from mocapfix.skeleton import load_cmu31_body
 
@@ -41,7 +43,8 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
     predicted[:, joints == arm] = raised
     gap = predicted, np.full((31, len(joints)), 0.1), np.ones((31, 3)), np.full(31, 0.1)
     prior = Recorder(PredictedGap(*gap))
-    found = gap_prediction.predict_model_gap(prior, context, size_ratio=2.0)
+    found = gap_prediction.predict_model_gap(cast(MotionPrior, prior), context, size_ratio=2.0)
+    assert found is not None
     np.testing.assert_allclose(prior.given[0], context.root_position / 2)
     np.testing.assert_allclose(prior.given[1][0, arm], turn)
     assert prior.given[2].shape == (300, len(joints))
@@ -53,4 +56,4 @@ def test_clavicles_are_part_of_the_arms_and_sizes_are_those_of_the_body():
 
 
 def test_unpredicted_gap_is_none():
-    assert gap_prediction.predict_model_gap(Recorder(None), build_context()) is None
+    assert gap_prediction.predict_model_gap(cast(MotionPrior, Recorder(None)), build_context()) is None

@@ -28,7 +28,7 @@ def draw_motion(frame_count=200):
     return np.stack([times_s, 1 + 0 * times_s, 0.5 * times_s], -1), rotations.reshape(frame_count, 31, 3, 3)
 
 
-def hide(first, last, joints=slice(None), frame_count=200):
+def hide(first, last, joints: list[int] | slice = slice(None), frame_count=200):
     is_known = np.ones((frame_count, len(JOINTS)), bool)
     is_known[first : last + 1, joints] = False
     return is_known

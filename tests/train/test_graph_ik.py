@@ -34,7 +34,7 @@ def predict(model, batch):
 
 
 def test_rotations_from_columns():
-    turn = Rotation.random(5, random_state=0).as_matrix()
+    turn = Rotation.random(5, rng=np.random.default_rng(0)).as_matrix()
     columns = torch.as_tensor(np.swapaxes(turn, 1, 2)[:, :2].reshape(5, 6).copy())
     np.testing.assert_allclose(graph_ik.convert_columns_to_rotations(columns).numpy(), turn, atol=1e-9)
 

@@ -42,6 +42,7 @@ def test_gradients_are_finite_at_the_closed_form():
     poses = ik_losses.correct_pose_tensors(tree, levels, TransferTensors(*map(to_tensor, fields)), corrections)
     true = PoseTensors(*map(to_tensor, place(draw_poses(1))))
     ik_losses.compute_ik_loss(poses, true, (5.0, 1.0, 1.0)).backward()
+    assert corrections.grad is not None
     assert torch.isfinite(corrections.grad).all()
     assert corrections.grad.abs().max() > 0
 

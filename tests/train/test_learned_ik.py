@@ -100,6 +100,7 @@ def test_extracted_network_predicts_what_the_model_does(tmp_path, motion):
     settings = build_settings()
     sequences = gather_sequences([motion], lambda subject: subject in {"01", "14"}, lambda text: None)
     model = training.fit_ik_model(settings, sequences, tmp_path / "mine.checkpoint", lambda text: None)
+    assert isinstance(model, training.ClosedFormModel)
     batch = PairSampler(sequences, settings).draw_batch(7)
     _, features = model._compute_inputs(batch)
     with torch.no_grad():
