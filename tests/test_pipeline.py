@@ -410,6 +410,12 @@ def test_a_take_that_matches_no_marker_set_is_cleaned_without_a_body(cleaned, tm
     assert first.startswith("No marker set fits the labels P1, P2, P3,")
     assert "none of them is in any set (" in first
     assert second == "The take was cleaned without a skeleton: there is no BVH."
+    assert not any("--fast" in note for note in report["notes"])
+    preview = pipeline.clean(source, known_sets_only=True, is_fast=True)
+    assert (
+        "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
+        in preview.subject_report["notes"]
+    )
     outputs = result.write(tmp_path / "out")
     assert set(outputs) == OUTPUT_SUFFIXES - {"bvh", "subject.yaml"}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"prop.{suffix}" for suffix in outputs}

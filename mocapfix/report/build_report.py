@@ -219,6 +219,8 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             lost_parts=lost_parts,
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
+    elif options.initialise.is_fast:
+        body_notes.append(notes.NO_PREVIEW_NOTE)
     rigid_groups = _build_rigid_group_entries(state)
     report: Report = {
         "take": build_take_section(take, state.marker_set.name if state.marker_set else None, state.cleaned_take),

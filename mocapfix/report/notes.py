@@ -25,6 +25,7 @@ MISLABELLED_MARKER_SHARE = 0.5  # share of a marker's frames that counts as most
 MAX_LISTED_RANGES = 12  # frame ranges in one sentence
 MAX_LISTED_LABELS = 12  # labels in one sentence
 MAX_LISTED_GROUPS = 6  # rigid groups in one sentence
+NO_PREVIEW_NOTE = "--fast had no effect: a preview needs a skeleton, and the take was cleaned without one."
 
 
 def build_body_notes(

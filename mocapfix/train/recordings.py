@@ -21,6 +21,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
@@ -113,7 +114,7 @@ def read_shard_recordings(path: Path) -> Iterator[Recording]:
                 return
             euler, root, trials, starts = shard["euler"], shard["root"], shard["trial"], shard["start"]
         joints = tuple(json.loads((path.parent / "skeletons.json").read_text(encoding="utf-8"))["joints"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise ReadError(f"{path}: is not a shard of motion with its skeletons.json in the same folder ({error}).") from error
     if joints != load_cmu31_body().skeleton.names or euler.shape[1:] != (len(joints), 3) or root.shape != (len(euler), 3):
         raise ReadError(f"{path}: its joints are not the 31 of the CMU skeleton, in their order, with a root position a frame.")
@@ -175,7 +176,7 @@ def read_amass_recordings(path: Path) -> Iterator[Recording]:
         root_position = translation[::step, [1, 2, 0]]  # from Z up to Y up: (x, y, z) -> (y, z, x)
         if root_position.shape != (len(poses), 3):
             raise ValueError("trans does not have one position a frame")
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except (OSError, ValueError, KeyError, IndexError, BadZipFile) as error:
         raise ReadError(f"{path}: is not an AMASS file with poses of 22 joints, trans and mocap_framerate ({error}).") from error
     local = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(*poses.shape, 3)
     local[:, 0] = local[:, 0][:, [1, 2, 0]]

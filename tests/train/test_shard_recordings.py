@@ -93,3 +93,10 @@ def test_folder_without_motion_raises(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(ReadError, match="holds no motion"):
         list(recording_folders.read_recordings([tmp_path]))
+
+
+def test_truncated_file_raises(tmp_path):
+    path, _ = write_shard(tmp_path)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(ReadError, match=r"train-1\.npz"):
+        list(recording_folders.read_recordings([tmp_path]))
