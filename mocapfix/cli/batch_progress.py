@@ -23,8 +23,8 @@ MIN_LINE_INTERVAL_S = 10.0
 """time between two lines where there is no terminal"""
 REFRESH_RATE_HZ = 4.0
 """how often the bar is drawn"""
-SECONDS_PER_MINUTE = 60
-MINUTES_PER_HOUR = 60
+SECONDS_IN_MINUTE = 60
+MINUTES_IN_HOUR = 60
 
 
 @dataclass
@@ -67,10 +67,10 @@ class StageCounts:
 
 def format_duration(duration_s: float) -> str:
     """Return a duration in its two largest units, such as "2 h 5 min", "12 min" or "40 s"."""
-    minutes = round(duration_s / SECONDS_PER_MINUTE)
-    if minutes >= MINUTES_PER_HOUR:
-        return f"{minutes // MINUTES_PER_HOUR:,} h {minutes % MINUTES_PER_HOUR} min"
-    return f"{minutes} min" if duration_s >= 2 * SECONDS_PER_MINUTE else f"{round(duration_s)} s"
+    minutes = round(duration_s / SECONDS_IN_MINUTE)
+    if minutes >= MINUTES_IN_HOUR:
+        return f"{minutes // MINUTES_IN_HOUR:,} h {minutes % MINUTES_IN_HOUR} min"
+    return f"{minutes} min" if duration_s >= 2 * SECONDS_IN_MINUTE else f"{round(duration_s)} s"
 
 
 class PlainProgress(BatchProgress):
