@@ -23,7 +23,6 @@ from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
-from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.multi_subject import split_corrected_subjects, split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
@@ -134,7 +133,7 @@ def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[Reviewed
 
 def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, options: SolveOptions) -> PriorConditioner | None:
     """Return the pose prior as the solver uses it for one take; None without a prior."""
-    return PriorConditioner(load_pose_model, options.prior_scale, predict_shipped_gap) if load_pose_model else None
+    return PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:

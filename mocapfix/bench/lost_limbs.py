@@ -96,16 +96,16 @@ def solve_limb_gap(gap: LimbGap, limb: str, model: PoseModel | None) -> Iterator
     prior, limits = load_mean_pose_prior("mean-pose", body.skeleton), load_joint_limits(body.skeleton)
     take = remove_limb_markers(gap, limb, subject)
     start = initial_motion.initialise_motion(take, subject, body, prior)
-    conditioner = PriorConditioner(lambda: model, 1.0, predict_shipped_gap) if model else None
+    conditioner = PriorConditioner(lambda: model, 1.0) if model else None
     solution = motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=conditioner)
     yield "mocapfix", solution
     lost_joints = np.array([body.skeleton.find_joint(gap.side + name) for name in LIMB_JOINTS[limb][0]])
     yield from fill_limb_gap(solution, lost_joints, gap, model)
     if model is not None:
-        pose_only = PriorConditioner(lambda: model, 1.0)
+        with_motion_prior = PriorConditioner(lambda: model, 1.0, predict_shipped_gap)
         yield (
-            "without the motion prior",
-            motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=pose_only),
+            "with the motion prior",
+            motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions(), conditioner=with_motion_prior),
         )
         yield "the take and time", motion_solver.solve_motion(take, subject, body, prior, limits, start, SolveOptions())
 

@@ -13,7 +13,8 @@ expected in the gap as well. Only its innovation, what it predicts in the gap be
 proportion to the uncertainty. Used in this way, a model improves gaps of several seconds and does not degrade shorter ones; as
 another tracking term of the poses it increased the error of every gap.
 
-Last, the motion prior (`motion_prior.gap_combination`) is added by its precision: it knows how people move during a gap.
+Last, if the conditioner has a motion prior, as in animations, its prediction is added by its precision
+(`motion_prior.gap_combination`). In takes of markers it did not improve what was measured on real captures; see docs/priors.md.
 """
 
 import math
