@@ -48,14 +48,8 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
     before, after, skeleton = comparison.input_take, comparison.cleaned_take, comparison.skeleton
     outcome = comparison.sample_states[frame]
     input_state = classify_input_samples(before.visible[frame], outcome)
-    body = np.empty((0, 3))
-    if (joints := comparison.joint_position_world) is not None and np.isfinite(joints[frame, find_solved_joints(joints)]).all():
-        body = joints[frame]
-    if skeleton is not None and len(body):
-        left = _find_left_direction(skeleton, body)
-    else:
-        left = _find_widest_direction(after.markers[frame])
-    view = _fit_view(before.markers[frame], after.markers[frame], body, left)
+    body = select_shown_body(comparison, frame)
+    view = fit_figure_view(comparison, frame, body)
     floor = view.draw_floor()
     bones = view.draw_bones(skeleton, body) if skeleton is not None and len(body) else ""
     points = comparison.terms.points
@@ -65,8 +59,25 @@ def draw_stick_figures(comparison: CleaningComparison, frame: int) -> tuple[Mark
     )
 
 
+def select_shown_body(comparison: CleaningComparison, frame: int) -> Float[np.ndarray, "J 3"]:
+    """Return the joint positions in metres of the body that a picture of a frame shows, (0, 3) if a solved joint is unknown."""
+    joints = comparison.joint_position_world
+    is_known = joints is not None and bool(np.isfinite(joints[frame, find_solved_joints(joints)]).all())
+    return joints[frame] if joints is not None and is_known else np.empty((0, 3))
+
+
+def fit_figure_view(comparison: CleaningComparison, frame: int, joint_position: Float[np.ndarray, "J 3"]) -> "FigureView":
+    """Return the view that contains all markers of a frame, before and after cleaning, and the joints of the body."""
+    before, after = comparison.input_take.markers[frame], comparison.cleaned_take.markers[frame]
+    if comparison.skeleton is not None and len(joint_position):
+        left = _find_left_direction(comparison.skeleton, joint_position)
+    else:
+        left = _find_widest_direction(after)
+    return _fit_view(before, after, joint_position, left)
+
+
 @dataclass(frozen=True)
-class _FigureView:
+class FigureView:
     """Orthographic view of one frame, in centimetres with y down.
 
     rotation_view_world    (3, 3) rows: right, up and towards the viewer
@@ -124,7 +135,7 @@ def _fit_view(
     cleaned_position: Float[np.ndarray, "M 3"],
     joint_position: Float[np.ndarray, "J 3"],
     left_direction: Float[np.ndarray, " 3"],
-) -> _FigureView:
+) -> FigureView:
     """Return the view that contains all markers and joints.
 
     left_direction  level unit vector to the body's left, which is the right side of the picture
@@ -143,11 +154,11 @@ def _fit_view(
     ground = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
     stray = input_position[np.isfinite(input_position).all(axis=1)]
     stray = np.clip(stray, low - MAX_DRAWN_STRAY_DISTANCE_M, high + MAX_DRAWN_STRAY_DISTANCE_M)
-    view = _FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0))
+    view = FigureView(axes, ground, (0.0, 0.0, 0.0, 0.0))
     projected = view.project_points(np.concatenate([points, stray]))[:, :2]
     left, top = projected.min(axis=0) - CM_PER_M * STICK_FIGURE_MARGIN_M
     width, height = np.ptp(projected, axis=0) + 2 * CM_PER_M * STICK_FIGURE_MARGIN_M
-    return _FigureView(axes, ground, (float(left), float(top), float(width), float(height)))
+    return FigureView(axes, ground, (float(left), float(top), float(width), float(height)))
 
 
 def _find_left_direction(skeleton: Skeleton, joint_position: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
