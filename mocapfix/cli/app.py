@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli.arguments import OverwriteOption, TakesArgument, build_options_argument, parse_options
+from mocapfix.cli.batch import run_batch
 from mocapfix.cli.bench import BENCH_COMMANDS
 from mocapfix.cli.clean import print_summary, run_clean
 from mocapfix.cli.console import (
@@ -125,6 +126,7 @@ COMMANDS = {
     "label": run_label,
     "calibrate": run_calibrate,
     "clean": run_clean,
+    "batch": run_batch,
     "view": run_view,
     "run": run_scene,
 }

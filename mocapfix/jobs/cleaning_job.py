@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import Field as DataclassField
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNegativeInt, create_model, model_validator
 
@@ -20,6 +20,7 @@ from mocapfix.options import CleanOptions, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from mocapfix.write.output_formats import list_output_formats
 
+HeaderModel = TypeVar("HeaderModel", bound=StrictModel)
 WILDCARD_CHARACTERS = set("*?[")
 COMPOSED_FOLDER = "composed"
 """the folder for composed takes, within the output folder"""
@@ -126,6 +127,11 @@ def read_cleaning_job(path: str | Path) -> CleaningJob:
     """Return the job in a YAML file. Raises SceneError with the file and the dotted path of the first wrong key."""
     path = Path(path)
     header = read_yaml_model(JOB_MODEL, path)
+    return CleaningJob(path, header, build_job_options(path, header))
+
+
+def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
+    """Return the options in a model of `build_job_model` that was read from `path`. Raises SceneError."""
     values = header.model_dump()
     given: dict[str, object] = {}
     for each, option in _list_job_options():
@@ -143,7 +149,7 @@ def read_cleaning_job(path: str | Path) -> CleaningJob:
         list_output_formats(options.output)
     except MocapfixError as error:
         raise SceneError(f"{path}: write: {error}") from error
-    return CleaningJob(path, header, options)
+    return options
 
 
 def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
@@ -175,7 +181,7 @@ def _get_yaml_type(each: DataclassField[Any]) -> Any:
     return next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
 
 
-def _build_job_model() -> type[JobHeader]:
+def build_job_model(name: str, header: type[HeaderModel]) -> type[HeaderModel]:
     """Return the model of a job file: the header and a key for every option."""
     keys: dict[str, dict[str, Any]] = {"": {}}
     for each, option in _list_job_options():
@@ -185,7 +191,7 @@ def _build_job_model() -> type[JobHeader]:
     for section, section_keys in keys.items():
         model = create_model(f"Job{section.capitalize()}", __base__=StrictModel, **section_keys)
         top[section] = (model, model())
-    return create_model("JobFile", __base__=JobHeader, **top)
+    return create_model(name, __base__=header, **top)
 
 
-JOB_MODEL = _build_job_model()
+JOB_MODEL = build_job_model("JobFile", JobHeader)

@@ -20,6 +20,7 @@ from mocapfix.kernels.compilation_cache import PACKAGE_FOLDER, compute_kernels_d
 from mocapfix.kernels.signatures import KernelSignature, compile_signature, read_signatures
 
 MAX_PROCESSES = 8  # more would wait for the longest chain of kernels that call one another
+THREADS_VARIABLE = "MOCAPFIX_NUM_THREADS"  # of the environment
 WORKER_CODE = "from mocapfix.kernels.precompilation import serve_compilation; serve_compilation()"
 
 
@@ -56,8 +57,10 @@ def precompile_kernels(report_progress: Callable[[int, int], None], processes: i
 
 
 def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the number of cores that this process may use, at most as many as the variable MOCAPFIX_NUM_THREADS says."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get(THREADS_VARIABLE, "")
+    return max(1, min(cores, int(limit))) if limit.isdecimal() else cores
 
 
 def _get_stamp_path() -> Path:

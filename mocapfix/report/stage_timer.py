@@ -2,10 +2,22 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from time import perf_counter
 
 ProgressCallback = Callable[[str], None]
+_are_times_kept: ContextVar[bool] = ContextVar("are_times_kept", default=True)
+
+
+@contextmanager
+def omit_stage_times() -> Generator[None]:
+    """Keep no times within the enclosed block, so that the outputs of two runs on the same file are identical."""
+    token = _are_times_kept.set(False)
+    try:
+        yield
+    finally:
+        _are_times_kept.reset(token)
 
 
 @dataclass
@@ -26,5 +38,8 @@ class StageTimer:
             self.report_progress(stage)
         start = perf_counter()
         yield
+        if not _are_times_kept.get():
+            self.stage_seconds["total"] = 0.0
+            return
         self.stage_seconds[stage] = round(self.stage_seconds.get(stage, 0.0) + perf_counter() - start, 3)
         self.stage_seconds["total"] = round(sum(v for k, v in self.stage_seconds.items() if k != "total"), 3)

@@ -1,0 +1,207 @@
+"""What the children of a batch's workers do: clean a take, and write its record."""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mocapfix.batch.child_process import JobLimits, JobOutcome, run_in_child
+from mocapfix.batch.content_hash import hash_file, hash_options
+from mocapfix.batch.folder_lock import hold_take
+from mocapfix.batch.records import FailureReason, TakeRecord, get_record_path, get_take_folder, read_record, write_record
+from mocapfix.errors import MocapfixError
+from mocapfix.options import CleanOptions
+
+CLEAN_FUNCTION = "mocapfix.batch.jobs:clean_recorded_take"
+WARM_UP_DURATION_S, WARM_UP_RATE_HZ = 2.0, 60.0  # of the composed take that is cleaned once in each server
+MAX_LOST_ATTEMPTS = 10  # attempts after which no record was written, because the worker or its computer was lost
+
+
+@dataclass(frozen=True)
+class CleanRequest:
+    """A take to be cleaned.
+
+    take           id of the take
+    path           input file
+    output_folder  folder of the batch
+    options        with the subject of the take, if it is known
+    subject_files  for the record: the subject files among the options, by subject, relative to the batch's folder
+    """
+
+    take: str
+    path: Path
+    output_folder: Path
+    options: CleanOptions
+    subject_files: tuple[tuple[str, str], ...] = ()
+
+
+@cache
+def get_version() -> str:
+    """Return the version of mocapfix."""
+    try:
+        return version("mocapfix")
+    except PackageNotFoundError:  # a checkout that is not installed
+        return ""
+
+
+def find_current_record(request: CleanRequest, *, repeat_failed: bool = False) -> TakeRecord | None:
+    """Return the record of a take if it need not be cleaned: input, options and version agree, and all outputs exist.
+
+    repeat_failed  whether a take that has failed is to be cleaned again
+    """
+    record = read_record(get_record_path(request.output_folder, request.take))
+    if record is None or record.version != get_version() or record.options_sha256 != hash_options(request.options):
+        return None
+    if record.status == "failed":
+        return None if repeat_failed or record.input_sha256 != try_to_hash(request.path) else record
+    if not all((request.output_folder / path).is_file() for path in record.outputs.values()):
+        return None
+    return record if record.input_sha256 == try_to_hash(request.path) else None
+
+
+def try_to_hash(path: Path) -> str:
+    """Return the hash of a file, "" if it cannot be read."""
+    try:
+        return hash_file(path)
+    except OSError:
+        return ""
+
+
+def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> TakeRecord:
+    """Clean a take in a child process within limits, and return its record. Run by a worker.
+
+    A process that crashes is repeated `limits.retries` times. The record of a take that failed is written here, that of one that
+    is done by the child.
+    """
+    started, start = format_now(), time.monotonic()
+    outcome = run_in_child(function, {"request": request}, limits)
+    for _ in range(limits.retries):
+        if outcome.status == "crash":
+            outcome = run_in_child(function, {"request": request}, limits)
+    if isinstance(outcome.value, TakeRecord):
+        return outcome.value
+    outcome = replace(outcome, seconds=time.monotonic() - start)
+    return write_failure(request, outcome, started)
+
+
+def clean_recorded_take(request: CleanRequest) -> TakeRecord:
+    """Clean a take, write its outputs and its record, and return the record. Run in a child.
+
+    A record that another process wrote after this job was given out is returned as it is. Raises MocapfixError.
+    """
+    from mocapfix import pipeline
+    from mocapfix.batch.take_figures import measure_result
+    from mocapfix.report.stage_timer import omit_stage_times
+
+    started, start = format_now(), time.monotonic()
+    with hold_take(request.output_folder, request.take) as attempts:
+        found = find_current_record(request)
+        if found and found.status == "done":
+            return found
+        key = build_attempt_key(request)
+        if attempts.count(key) >= MAX_LOST_ATTEMPTS:
+            raise MocapfixError(
+                f"{request.path}: was begun {MAX_LOST_ATTEMPTS} times, and the worker or its computer was lost each time."
+            )
+        count = attempts.begin(key)
+        folder = get_take_folder(request.output_folder, request.take)
+        with omit_stage_times():
+            result = pipeline.clean(request.path, request.options)
+            outputs = result.write(folder, overwrite=True, options=request.options.output)
+        record = TakeRecord(
+            take=request.take,
+            input=str(request.path),
+            input_sha256=hash_file(request.path),
+            options_sha256=hash_options(request.options),
+            version=get_version(),
+            status="done",
+            attempts=count,
+            seconds=round(time.monotonic() - start, 3),
+            peak_memory_mb=round(measure_peak_memory_mb(), 1),
+            outputs={suffix: path.relative_to(request.output_folder).as_posix() for suffix, path in outputs.items()},
+            subjects=tuple(measure_result(result)),
+            subject_files=dict(request.subject_files),
+            started=started,
+            finished=format_now(),
+        )
+        write_record(request.output_folder, record)
+        attempts.clear()
+    return record
+
+
+def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:
+    """Write and return the record of a take that failed. One that another process has done is not replaced."""
+    reasons: dict[str, FailureReason] = {"timeout": "timeout", "memory": "memory", "crash": "crash"}
+    with hold_take(request.output_folder, request.take) as attempts:
+        found = find_current_record(request)
+        if found and found.status == "done":
+            return found
+        record = TakeRecord(
+            take=request.take,
+            input=str(request.path),
+            input_sha256=try_to_hash(request.path),
+            options_sha256=hash_options(request.options),
+            version=get_version(),
+            status="failed",
+            reason=reasons.get(outcome.status, "error"),
+            error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",
+            attempts=max(1, attempts.count(build_attempt_key(request))),
+            seconds=round(outcome.seconds, 3),
+            peak_memory_mb=round(outcome.peak_memory_mb, 1),
+            subject_files=dict(request.subject_files),
+            started=started,
+            finished=format_now(),
+        )
+        write_record(request.output_folder, record)
+        attempts.clear()
+    return record
+
+
+def build_attempt_key(request: CleanRequest) -> str:
+    """Return what identifies attempts with the same input, options and version."""
+    return f"{try_to_hash(request.path)[:16]} {hash_options(request.options)[:16]} {get_version()}"
+
+
+def format_now() -> str:
+    """Return the time in ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def measure_peak_memory_mb() -> float:
+    """Return the greatest resident memory of this process."""
+    import resource
+    import sys
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1e-6 if sys.platform == "darwin" else 1.024e-3)
+
+
+def load_everything() -> None:
+    """Import what cleaning needs and load the compiled kernels and priors, by cleaning a short composed take. Run in a server."""
+    import rerun
+    import rerun.blueprint
+
+    from mocapfix import pipeline, synthetic
+    from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
+    from mocapfix.report import html_report
+    from mocapfix.solve.parallel import get_thread_pool
+    from mocapfix.write.output_formats import list_output_formats
+
+    assert rerun.blueprint
+    assert html_report
+    if not is_precompiled():
+        precompile_kernels(lambda done, total: None)
+    take = synthetic.compose_take(seconds=WARM_UP_DURATION_S, rate=WARM_UP_RATE_HZ)
+    with TemporaryDirectory(prefix="mocapfix-") as folder:
+        path = Path(folder) / "take.c3d"
+        synthetic.write_synthetic_take(path, take)
+        result = pipeline.clean(path)
+        for each in list_output_formats(CleanOptions().output):
+            if not each.needs_body and each.suffix not in ("c3d", "rrd"):  # a recording starts threads, which a fork has not
+                each.write_file(Path(folder) / f"out.{each.suffix}", result, None)
+    get_thread_pool(1).shutdown()
+    get_thread_pool.cache_clear()
+    os.environ.pop("MOCAPFIX_CHECK_TYPES", None)

@@ -1,0 +1,127 @@
+"""A batch: the stages in which the takes of a session are cleaned, each as jobs on a cluster, and what is resumed.
+
+Records are the state: whatever ends the batch, the next one goes on with the takes that have no current record.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mocapfix.batch.child_process import JobLimits
+from mocapfix.batch.cluster import ClusterOptions, has_dashboard, open_client
+from mocapfix.batch.content_hash import resolve_option_files
+from mocapfix.batch.folder_lock import lock_batch_folder
+from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record
+from mocapfix.batch.progress import BatchProgress
+from mocapfix.batch.records import TakeRecord, get_record_path
+from mocapfix.batch.take_list import BatchTake
+from mocapfix.batch.task_window import Task, run_tasks
+from mocapfix.errors import MocapfixError
+from mocapfix.options import CleanOptions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+CLEAN_STAGE = "clean"
+DEFAULT_LIMITS = JobLimits()
+THIS_MACHINE = ClusterOptions()
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """How a batch is run.
+
+    output_folder   folder for outputs, records and the page
+    options         of cleaning, for all takes
+    limits          of each take
+    cluster         where it is computed
+    resume          whether to skip takes whose record is current
+    repeat_failed   whether takes that failed are cleaned again although nothing has changed
+    clean_function  "module:name" of what the children run, which tests replace
+    """
+
+    output_folder: Path
+    options: CleanOptions
+    limits: JobLimits = DEFAULT_LIMITS
+    cluster: ClusterOptions = THIS_MACHINE
+    resume: bool = True
+    repeat_failed: bool = False
+    clean_function: str = CLEAN_FUNCTION
+
+
+PageWriter = Callable[[Path, Sequence[TakeRecord]], object]
+
+
+def run_session(
+    takes: Sequence[BatchTake],
+    settings: BatchSettings,
+    progress: BatchProgress,
+    write_page: PageWriter | None = None,
+) -> list[TakeRecord]:
+    """Clean the takes of a session and return their records, in the order of the takes.
+
+    write_page  writes the page and the tables of the session from the records
+
+    Raises MocapfixError if the output folder is in use, the cluster cannot be reached, or its scheduler ends.
+    """
+    folder = settings.output_folder.resolve()
+    settings = replace(settings, output_folder=folder, options=resolve_option_files(settings.options))
+    with lock_batch_folder(folder):
+        requests = build_requests(takes, settings)
+        records = find_finished_takes(requests, settings)
+        waiting = [request for request in requests if request.take not in records]
+        try:
+            if waiting:
+                with open_client(settings.cluster) as client:
+                    if has_dashboard() and client.dashboard_link:
+                        progress.show_dashboard(client.dashboard_link)
+                    clean_takes_on_cluster(client, waiting, records, settings, progress)
+        finally:
+            in_order = [records[take.id] for take in takes if take.id in records]
+            if write_page is not None:
+                write_page(folder, in_order)
+    return in_order
+
+
+def build_requests(takes: Sequence[BatchTake], settings: BatchSettings) -> list[CleanRequest]:
+    """Return what is to be done for each take."""
+    return [CleanRequest(take.id, take.path, settings.output_folder, settings.options) for take in takes]
+
+
+def find_finished_takes(requests: Sequence[CleanRequest], settings: BatchSettings) -> dict[str, TakeRecord]:
+    """Return the current records by take. Without resuming they are removed, so that every take is cleaned again."""
+    if not settings.resume:
+        for request in requests:
+            get_record_path(request.output_folder, request.take).unlink(missing_ok=True)
+        return {}
+    found = ((each.take, find_current_record(each, repeat_failed=settings.repeat_failed)) for each in requests)
+    return {take: record for take, record in found if record is not None}
+
+
+def clean_takes_on_cluster(
+    client: "Client",
+    requests: Sequence[CleanRequest],
+    records: dict[str, TakeRecord],
+    settings: BatchSettings,
+    progress: BatchProgress,
+) -> None:
+    """Clean takes on the workers of a cluster and add their records."""
+    progress.start_stage(CLEAN_STAGE, len(requests) + len(records), len(records))
+    tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in requests)
+    by_take = {each.take: each for each in requests}
+    for task, result in run_tasks(client, clean_take, tasks, progress.start_job):
+        record = result if isinstance(result, TakeRecord) else explain_lost_take(by_take[task.name], result)
+        records[task.name] = record
+        progress.finish_job(task.name, record.error)
+
+
+def explain_lost_take(request: CleanRequest, error: object) -> TakeRecord:
+    """Return the record of a take whose worker could not even write one; it is not written, so the take is repeated.
+
+    Raises MocapfixError if no worker can clean at all.
+    """
+    if isinstance(error, MocapfixError):
+        raise error
+    text = f"{request.path}: the worker could not clean it ({type(error).__name__}: {error})."
+    return TakeRecord(take=request.take, input=str(request.path), status="failed", reason="crash", error=text)

@@ -1,0 +1,51 @@
+"""Session files: YAML files that name the takes of a session, the people in them, and the options of cleaning."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from mocapfix.batch.take_list import BatchTake, build_take_list
+from mocapfix.files.yaml_models import StrictModel, read_yaml_model
+from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths
+from mocapfix.options import CleanOptions
+
+
+class SessionHeader(StrictModel):
+    """The keys of a session file that are not options. Paths are relative to its folder and may have wildcards.
+
+    title   one line
+    takes   the takes
+    people  by name of a person, the takes that show them; other takes are grouped by their subjects and names
+    """
+
+    kind: Literal["session"]
+    title: str = ""
+    takes: tuple[str, ...] = Field(min_length=1)
+    people: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A session that was read: its takes, the ids of the takes by name of a person, and its options."""
+
+    takes: tuple[BatchTake, ...]
+    people: dict[str, tuple[str, ...]]
+    options: CleanOptions
+
+
+def read_session_file(path: Path) -> Session:
+    """Read a session file. Raises SceneError with the file and the first wrong key, or the pattern that matches no file."""
+    header = read_yaml_model(SESSION_MODEL, path)
+    options = build_job_options(path, header)
+    takes = build_take_list(expand_paths(path, header.takes, "takes"))
+    ids = {take.path: take.id for take in takes}
+    people = {
+        name: tuple(ids[each.resolve()] for each in expand_paths(path, patterns, f"people.{name}") if each.resolve() in ids)
+        for name, patterns in header.people.items()
+    }
+    return Session(takes, people, options)
+
+
+SESSION_MODEL = build_job_model("SessionFile", SessionHeader)

@@ -1,0 +1,42 @@
+"""Locks on folders and takes: one holder at a time, and attempts that are counted until they are recorded."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from mocapfix.batch.folder_lock import hold_take, lock_batch_folder
+from mocapfix.errors import WriteError
+
+
+def test_second_batch_on_a_folder_is_refused_with_its_holder(tmp_path: Path) -> None:
+    with lock_batch_folder(tmp_path), pytest.raises(WriteError, match=rf"process {os.getpid()}"), lock_batch_folder(tmp_path):
+        pass
+    with lock_batch_folder(tmp_path):
+        pass
+
+
+def test_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
+    child = os.fork()
+    if not child:
+        lock_batch_folder(tmp_path).__enter__()
+        os._exit(0)
+    os.waitpid(child, 0)
+    with lock_batch_folder(tmp_path):
+        pass
+
+
+def test_attempts_are_counted_until_they_are_cleared(tmp_path: Path) -> None:
+    for expected in (1, 2):
+        with hold_take(tmp_path, "a/walk.c3d") as attempts:
+            assert attempts.begin("key") == expected
+            assert attempts.count("other") == 0
+    with hold_take(tmp_path, "a/walk.c3d") as attempts:
+        attempts.clear()
+    assert not list((tmp_path / "a" / "walk").iterdir())
+
+
+def test_lock_leaves_no_file_without_attempts(tmp_path: Path) -> None:
+    with hold_take(tmp_path, "walk.c3d"):
+        pass
+    assert not list((tmp_path / "walk").iterdir())

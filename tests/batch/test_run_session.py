@@ -1,0 +1,72 @@
+"""Whole batches on a local cluster: outputs, failures with their reasons, and what is resumed."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from mocapfix.batch import cluster
+from mocapfix.batch.child_process import JobLimits
+from mocapfix.batch.cluster import ClusterOptions
+from mocapfix.batch.progress import BatchProgress
+from mocapfix.batch.records import TakeRecord
+from mocapfix.batch.run_session import BatchSettings, run_session
+from mocapfix.batch.take_list import find_takes
+from mocapfix.bench.batch_faults import FAULTY_FUNCTION
+from mocapfix.errors import MocapfixError
+from mocapfix.options import CleanOptions
+from mocapfix.synthetic import compose_take, write_synthetic_take
+
+REASONS = {"crash.c3d": "crash", "grow.c3d": "memory", "hang.c3d": "timeout", "unreadable.c3d": "error", "walk.c3d": None}
+
+
+@pytest.fixture(scope="module")
+def takes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("takes")
+    write_synthetic_take(folder / "walk.c3d", compose_take(seconds=1.0, rate=30.0))
+    data = (folder / "walk.c3d").read_bytes()
+    for name in ("crash", "grow", "hang"):
+        (folder / f"{name}.c3d").write_bytes(data)
+    (folder / "unreadable.c3d").write_bytes(b"no capture")
+    return folder
+
+
+def run(takes: Path, output_folder: Path, repeat_failed: bool = False) -> list[TakeRecord]:
+    settings = BatchSettings(
+        output_folder,
+        CleanOptions(),
+        JobLimits(timeout_s=10.0, memory_mb=1200.0, retries=0),
+        ClusterOptions(workers=1),
+        repeat_failed=repeat_failed,
+        clean_function=FAULTY_FUNCTION,
+    )
+    return run_session(find_takes([str(takes)], output_folder).takes, settings, BatchProgress())
+
+
+def test_failures_have_reasons_and_a_second_batch_repeats_only_what_changed(takes: Path, tmp_path: Path) -> None:
+    records = run(takes, tmp_path)
+    assert {record.take: record.reason for record in records} == REASONS
+    assert all(record.error.startswith(str(takes)) for record in records if record.status == "failed")
+    hanging = next(record for record in records if record.reason == "timeout")
+    assert hanging.seconds < 10 + 2
+    assert not [path for path in tmp_path.rglob(".*") if path.name != ".batch.lock"]
+
+    start = time.monotonic()
+    assert run(takes, tmp_path) == records
+    assert time.monotonic() - start < 2  # no cluster was started
+
+    (takes / "hang.c3d").unlink()
+    (takes / "crash.c3d").unlink()
+    (takes / "grow.c3d").unlink()
+    (tmp_path / "walk" / "walk.bvh").unlink()
+    repeated = {record.take: record for record in run(takes, tmp_path)}
+    assert set(repeated) == {"unreadable.c3d", "walk.c3d"}
+    assert (tmp_path / "walk" / "walk.bvh").is_file()
+    assert repeated["unreadable.c3d"] == next(record for record in records if record.reason == "error")
+
+
+def test_unreachable_scheduler_is_one_sentence(takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT_S", 0.5)
+    settings = BatchSettings(tmp_path, CleanOptions(), cluster=ClusterOptions(scheduler="tcp://127.0.0.1:9"))
+    with pytest.raises(MocapfixError, match="no scheduler answers"):
+        run_session(find_takes([str(takes)], tmp_path).takes, settings, BatchProgress())

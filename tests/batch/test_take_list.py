@@ -1,0 +1,41 @@
+"""The takes of folders, patterns and files, and their ids."""
+
+from pathlib import Path
+
+import pytest
+
+from mocapfix.batch.take_list import find_takes
+from mocapfix.errors import ReadError
+
+
+def make_files(folder: Path, *names: str) -> None:
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+
+def test_folder_stands_for_its_captures_but_not_for_outputs(tmp_path: Path) -> None:
+    make_files(tmp_path, "a/walk.c3d", "a/walk.trc", "b/run.C3D", "run.mocapfix/run.c3d", "out/a/walk/walk.c3d", "notes.txt")
+    found = find_takes([str(tmp_path)], tmp_path / "out")
+    assert [take.id for take in found.takes] == ["a/walk.c3d", "b/run.C3D"]
+    assert [path.name for path in found.skipped] == ["walk.trc"]
+
+
+def test_pattern_gives_ids_below_the_common_folder(tmp_path: Path) -> None:
+    make_files(tmp_path, "day1/walk.c3d", "day2/walk.c3d", "day2/rest.csv")
+    found = find_takes([str(tmp_path / "**" / "*.c3d"), str(tmp_path / "day1" / "walk.c3d")], tmp_path / "out")
+    assert [take.id for take in found.takes] == ["day1/walk.c3d", "day2/walk.c3d"]
+
+
+def test_takes_with_one_output_folder_are_refused(tmp_path: Path) -> None:
+    make_files(tmp_path, "walk.c3d", "walk.trc")
+    with pytest.raises(ReadError, match="same folder"):
+        find_takes([str(tmp_path / "walk.*")], tmp_path / "out")
+
+
+@pytest.mark.parametrize("source", ["none.c3d", "*.c3d", "."])
+def test_sources_without_takes_are_refused(tmp_path: Path, source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ReadError, match="take"):
+        find_takes([source], tmp_path / "out")
