@@ -1,7 +1,7 @@
 """Wording of reports: names of fault kinds, groups of kinds, and terms for the points of a take or an animation."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, FaultKind
@@ -67,7 +67,14 @@ def get_fault_group(kind: FaultKind) -> str:
 
 def format_fault_counts(kinds: Iterable[str]) -> str:
     """Return a list such as "3 gaps, 1 spike and 2 bursts of jitter"."""
-    counts = Counter("gap" if kind in MISSING_KINDS else kind for kind in kinds)
+    return format_kind_counts(Counter(kinds))
+
+
+def format_kind_counts(fault_counts: Mapping[str, int]) -> str:
+    """Return the same of the number of faults by kind."""
+    counts: Counter[str] = Counter()
+    for kind, count in fault_counts.items():
+        counts["gap" if kind in MISSING_KINDS else kind] += count
     return join_words([f"{counts[kind]:,} {names[counts[kind] > 1]}" for kind, names in FAULT_KIND_NAMES.items() if counts[kind]])
 
 
