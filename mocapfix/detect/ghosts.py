@@ -68,17 +68,19 @@ def detect_ghosts(take: Take, min_distance_m: float = 0.03, max_spike_duration_s
         state = find_cheapest_states(step_cost[1:], state_cost) if len(visible) else np.zeros(0, int)
         for a, b in find_runs(state == 1):
             frames = visible[a : b + 1]
+            if not len(frames) > max_spike_duration_s * take.rate:
+                continue
+            t = np.arange(max(a, 1), min(b + 2, len(visible)))
+            saved_step_cost = (step_cost[t, 0, 0] - step_cost[t, state[t - 1], state[t]]).sum()
+            gain = float(saved_step_cost + (state_cost[a : b + 1] @ [1, -1]).sum())
+            if not gain > MIN_GHOST_GAIN:
+                continue
             is_persistent = b == len(visible) - 1 or a == 0
             displacement = _measure_displacement(take.markers, distances, m, visible, (a, b))
             may_be_moved = is_persistent and displacement.sd_m < min_distance_m / 3
-            is_long = len(frames) > max_spike_duration_s * take.rate
-            if is_long and displacement.distance_m > min_distance_m and displacement.is_abrupt and not may_be_moved:
-                t = np.arange(max(a, 1), min(b + 2, len(visible)))
-                saved_step_cost = (step_cost[t, 0, 0] - step_cost[t, state[t - 1], state[t]]).sum()
-                gain = float(saved_step_cost + (state_cost[a : b + 1] @ [1, -1]).sum())
-                if gain > MIN_GHOST_GAIN:
-                    interval = int(frames[0]), int(frames[-1])
-                    ghosts.append(_build_ghost_fault(take, m, interval, displacement.distance_m, gain, is_persistent))
+            if displacement.distance_m > min_distance_m and displacement.is_abrupt and not may_be_moved:
+                interval = int(frames[0]), int(frames[-1])
+                ghosts.append(_build_ghost_fault(take, m, interval, displacement.distance_m, gain, is_persistent))
     return ghosts
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
-from mocapfix.solve.smoothing import MAX_SAMPLE_VARIANCE, MIN_ACCELERATION_POWER, MIN_POWER_SHARE, smooth_path
+from mocapfix.solve.smoothing import MIN_ACCELERATION_POWER, MIN_POWER_SHARE
 from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.smooth_paths import MAX_SAMPLE_VARIANCE, smooth_path
 
 # Variance of the third difference of white noise, relative to that of the noise.
 THIRD_DIFFERENCE_VARIANCE = 20.0

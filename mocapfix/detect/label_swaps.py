@@ -115,6 +115,8 @@ MAX_RELATIVE_CONTRADICTION = 0.85
 MIN_CONTRADICTION_DURATION_S = 0.05
 # A label that is visible in a smaller fraction of the take is a fragment, not a marker.
 MIN_LABEL_VISIBLE_FRACTION = 0.5
+# Number of triples above which only pairs are compared: then labels are not exchanged here and there, but arbitrary.
+MAX_SWAP_TRIPLES = 1000
 # Number of frames of a stretch at which other labels are compared.
 MAX_COMPARED_FRAMES = 9
 
@@ -181,7 +183,7 @@ def _measure_separation(points: np.ndarray, cycle: tuple[int, ...]) -> float:
 
 
 def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDistances) -> list[tuple[int, ...]]:
-    """Find the pairs and triples of markers whose labels may have been exchanged."""
+    """Find the pairs and triples of markers whose labels may have been exchanged; no triples if there are too many."""
     count = trajectories.previous_frame.shape[1]
     is_candidate = np.zeros((count, count), bool)
     own = compute_own_contradictions(trajectories.markers, distances, 1.0)
@@ -195,7 +197,7 @@ def find_swap_candidates(trajectories: MarkerTrajectories, distances: MarkerDist
         for k in np.flatnonzero(is_candidate[j]):
             if len({i, j, k}) == 3:
                 triples.add(tuple(sorted((int(i), int(j), int(k)))))
-    return sorted(pairs) + sorted(triples)
+    return sorted(pairs) + (sorted(triples) if len(triples) <= MAX_SWAP_TRIPLES else [])
 
 
 def _mark_distance_matches(

@@ -84,14 +84,15 @@ def fit_best_ramp(path: RegressedPath, starts: Int[np.ndarray, " P"], ends: Int[
 
 
 def fit_step(path: RegressedPath, edge: int) -> Ramp | None:
-    """Fit the best change from one sample to the next, at least `edge` samples from both ends."""
+    """Fit the best change from one sample to the next, at least `edge` samples and one from both ends."""
+    edge = max(edge, 1)
     ends = np.arange(edge, len(path.residual) - edge + 1)
     return fit_best_ramp(path, ends - 1, ends) if len(ends) else None
 
 
 def fit_slow_ramp(path: RegressedPath, min_length: int, step: int) -> Ramp | None:
     """Fit the best change over at least `min_length` samples, its ends first to `step` samples, then to a fifth of that."""
-    count = len(path.residual)
+    count, min_length, step = len(path.residual), max(min_length, 1), max(step, 1)
     grid = np.arange(0, count, step)
     coarse = _fit_ramp_on_grid(path, grid, grid, min_length)
     if coarse is None:
@@ -111,7 +112,7 @@ def compute_residual_rms(path: RegressedPath, ramp: Ramp, block_length: int) -> 
     """Compute the root mean square in metres of the residual with the ramp removed, averaged over blocks of samples."""
     progress = ramp.compute_progress(len(path.residual))
     residual = path.residual - np.outer(progress - path.basis @ (path.basis.T @ progress), ramp.displacement)
-    block_count = max(1, len(residual) // block_length)
+    block_count = max(1, len(residual) // max(block_length, 1))
     if block_count < len(residual):
         residual = np.array([block.mean(0) for block in np.array_split(residual, block_count)])
     return float(np.sqrt(np.mean((residual**2).sum(1))))

@@ -14,6 +14,8 @@ MAX_PAIR_EVIDENCE = 20.0
 # Weight of a second with a person's label, in the unit of the evidence.
 LABEL_WEIGHT_PER_S = 0.02
 MAX_ASSIGNMENT_PASSES = 20
+# Smallest agreement with the evidence that an exchange of sides must gain: less is rounding.
+MIN_AGREEMENT_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
@@ -100,18 +102,37 @@ def _exchange_subtrees(
     is_in_tree = position[relations.pairs[:, 0]] >= 0
     (a, b), evidence = relations.pairs[is_in_tree].T, relations.limited_evidence[is_in_tree]
     first, second = position[a], position[b]
+    ancestor = _find_common_ancestors(
+        np.r_[0, position[parents[order[1:]]]], np.minimum(first, second), np.maximum(first, second)
+    )
     for _ in range(MAX_ASSIGNMENT_PASSES):
         agreement = evidence * side[a] * side[b]
-        across = np.array(
-            [
-                agreement[((first >= i) & (first < stop[i])) != ((second >= i) & (second < stop[i]))].sum()
-                for i in range(1, len(order))
-            ]
+        ends, apexes = (
+            np.bincount(at, weights, len(order))
+            for at, weights in ((np.r_[first, second], np.r_[agreement, agreement]), (ancestor, agreement))
         )
+        total = np.r_[0.0, np.cumsum(ends - 2 * apexes)]
+        across = (total[stop] - total[:-1])[1:]  # of the pairs with exactly one end in each subtree
         worst = int(across.argmin())
-        if across[worst] >= 0:
+        if across[worst] > -MIN_AGREEMENT_GAIN:
             return
         side[order[worst + 1 : stop[worst + 1]]] *= -1
+
+
+def _find_common_ancestors(
+    parent: Int[np.ndarray, " n"], first: Int[np.ndarray, " P"], last: Int[np.ndarray, " P"]
+) -> Int[np.ndarray, " P"]:
+    """Return the lowest common ancestors of the nodes `first` < `last` of a tree whose nodes are numbered in depth-first order.
+
+    It is the first of the parents of all nodes behind `first` up to `last`; tables have the minima over 1, 2, 4, ... nodes.
+    """
+    tables = [parent]
+    while 2 ** len(tables) < len(parent):
+        half = 2 ** (len(tables) - 1)
+        tables.append(np.minimum(tables[-1], np.r_[tables[-1][half:], np.full(half, len(parent))]))
+    level = np.floor(np.log2(np.maximum(last - first, 1))).astype(int)
+    table = np.stack(tables)
+    return np.minimum(table[level, first + 1], table[level, last + 1 - 2**level])
 
 
 def _agree(side: Int[np.ndarray, " N"], relations: TrackletRelations, label_s: np.ndarray) -> Int[np.ndarray, " N"]:

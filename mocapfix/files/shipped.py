@@ -1,5 +1,6 @@
 """Find and read the files that ship with mocapfix, in a wheel as well as in a checkout."""
 
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any, cast
@@ -8,6 +9,11 @@ import yaml
 
 from mocapfix.errors import SceneError
 
+MAX_YAML_DEPTH = 100
+"""lists and mappings that may contain each other; those of mocapfix are four deep"""
+BRACKET_PATTERN = re.compile(r"[\[{\]}]")
+DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)
+"""what a document without brackets must have many of to be deep: lists that begin a list, a far indentation"""
 YAML_LOADER: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """the loader of libyaml if PyYAML was built with it, which is ten times as fast"""
 
@@ -23,13 +29,39 @@ def read_shipped_yaml(name: str) -> dict[str, Any]:
     return read_yaml(find_shipped_folder("scenes") / name)
 
 
+def measure_yaml_depth(text: str) -> int:
+    """Return how deeply lists and mappings contain each other, at most; 0 where few signs of it are in the text.
+
+    libyaml composes them recursively and ends the process where its stack is too small.
+    """
+    depth = deepest = 0
+    for bracket in BRACKET_PATTERN.findall(text):
+        depth += 1 if bracket in "[{" else -1
+        deepest = max(deepest, depth)
+    if deepest <= MAX_YAML_DEPTH and len(DEEP_BLOCK_PATTERN.findall(text)) <= MAX_YAML_DEPTH:
+        return 0
+    depth = deepest = 0
+    for event in yaml.parse(text, YAML_LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            deepest = max(deepest, depth)
+            if deepest > MAX_YAML_DEPTH:
+                break
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+    return deepest
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file.
 
     Raises SceneError with the file and the line if the file cannot be read or does not contain a mapping.
     """
     try:
-        data = yaml.load(Path(path).read_text(encoding="utf-8"), YAML_LOADER)
+        text = Path(path).read_text(encoding="utf-8")
+        if measure_yaml_depth(text) > MAX_YAML_DEPTH:
+            raise SceneError(f"{path}: contains lists in lists more than {MAX_YAML_DEPTH} deep; check that it is the right file.")
+        data = yaml.load(text, YAML_LOADER)
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}).") from error
     except yaml.YAMLError as error:
@@ -37,6 +69,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         where = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", error)
         raise SceneError(f"{path}{where}: not valid YAML ({problem}).") from error
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:  # PyYAML raises these for values such as 2024-13-45
+        raise SceneError(f"{path}: not valid YAML ({' '.join(str(error).split())}).") from error
     if not isinstance(data, dict):
         raise SceneError(f"{path}: contains no key: value pairs; check that it is the right file.")
     return cast("dict[str, Any]", data)

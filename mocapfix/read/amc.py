@@ -20,7 +20,11 @@ from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
 # The format has no keyword for the rate, so it is read from comments or keywords of some programs.
-RATE_PATTERN = re.compile(rb":SAMPLES-PER-SECOND\s+(\d+\.?\d*)|(\d+\.?\d*) ?(?:fps|Hz|frames (?:a|per) second)", re.IGNORECASE)
+RATE_NUMBER = rb"(\d{1,9}(?:\.\d{0,9})?)"
+RATE_PATTERN = re.compile(
+    rb":SAMPLES-PER-SECOND\s+" + RATE_NUMBER + rb"(?!\d)|(?<!\d)" + RATE_NUMBER + rb" ?(?:fps|Hz|frames (?:a|per) second)",
+    re.IGNORECASE,
+)
 MAX_BLANK_BYTE = 32  # bytes up to it separate tokens
 DEFAULT_AMC_RATE_HZ = 120.0  # CMU's, except for some subjects at 60 Hz
 BONE_SECTION_KEYWORD = b":bonedata"

@@ -49,6 +49,8 @@ def read_keypoint_json(path: Path, data: bytes) -> Take:
         content: Any = json.loads(text.removeprefix(BYTE_ORDER_MARK))
     except json.JSONDecodeError as error:
         raise ReadError(f"{path}, line {error.lineno}: is not valid JSON ({error.msg}).") from error
+    except (RecursionError, ValueError) as error:  # brackets nested too deeply, a number of thousands of digits
+        raise ReadError(f"{path}: is not valid JSON ({error}).") from error
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames:
         raise ReadError(f"{path}: frames: must be a list of at least one frame; is it a file of 3-D keypoints?")
@@ -60,7 +62,7 @@ def read_keypoint_json(path: Path, data: bytes) -> Take:
         finite = points[np.isfinite(points)]
         unit = "mm" if len(finite) and np.ptp(finite) > MAX_FILM_SPAN_M else "m"
         notes = (f"The file names no unit; {unit} is assumed, from the span of its coordinates.",)
-    if unit not in METRES_PER_UNIT:
+    if not isinstance(unit, str) or unit not in METRES_PER_UNIT:
         raise ReadError(f"{path}: unit: must be one of {', '.join(METRES_PER_UNIT)}, not {unit!r}.")
     return build_take(
         path,

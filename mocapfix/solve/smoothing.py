@@ -12,7 +12,6 @@ few of them as possible and document which arguments they overwrite.
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import solveh_banded
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from mocapfix.kernels import quaternions
@@ -22,6 +21,7 @@ from mocapfix.motion import PoseUncertainty
 from mocapfix.options import SolveOptions
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.smooth_paths import MAX_SAMPLE_VARIANCE, smooth_path
 
 ACCELERATION_STEP_S = 0.06
 """Step of the second differences that measure the acceleration."""
@@ -42,8 +42,6 @@ MIN_POWER_SHARE = 0.02
 """Smallest power, as a share of the take's mean: a joint at rest may still start to move."""
 FRAME_JITTER_SD_RAD = 0.02
 """Part of a joint's standard deviation that is independent from frame to frame."""
-MAX_SAMPLE_VARIANCE = 1e4
-"""Variance, in rad^2 or m^2, of a frame without information; larger values would make the system numerically singular."""
 MAX_ROOT_SD_M = 0.1
 """Standard deviation of the root position above which a frame does not determine it."""
 MIN_ACCELERATION_POWER = 1e-3
@@ -57,29 +55,6 @@ POWER_CORRECTION_EXPONENT = 3
 of a motion is inversely proportional to the power at most, so that one correction nearly suffices."""
 MAX_TRACKING_SD_RAD = 0.5
 """Largest standard deviation of a tracking term: joints that share a rotation, as in the spine, are individually uncertain."""
-
-
-def smooth_path(
-    path: Float[np.ndarray, "T C"], variance: Float[np.ndarray, " T"], acceleration_power: Float[np.ndarray, " T"], rate: float
-) -> Float[np.ndarray, "T C"]:
-    """Return the x that minimises sum |x_t - path_t|^2 / variance_t + integral |x''|^2 / power.
-
-    variance            per component
-    acceleration_power  in squared units of the path / s^3
-    """
-    frames = len(path)
-    if frames < 3:
-        return path
-    stiffness = rate**3 / acceleration_power[1:-1]  # of the second difference about each inner frame
-    band = np.zeros((3, frames))
-    information = 1 / np.minimum(variance, MAX_SAMPLE_VARIANCE)
-    band[2] = information
-    for shift, coefficient in ((0, 1.0), (1, 4.0), (2, 1.0)):
-        band[2, shift : shift + frames - 2] += coefficient * stiffness
-    band[1, 1 : frames - 1] -= 2 * stiffness
-    band[1, 2:] -= 2 * stiffness
-    band[0, 2:] += stiffness
-    return np.ascontiguousarray(solveh_banded(band, path * information[:, None], overwrite_ab=True, check_finite=False))
 
 
 def estimate_acceleration_power(

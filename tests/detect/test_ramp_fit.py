@@ -39,3 +39,12 @@ def test_short_path_has_no_ramp():
     there = made(np.zeros((10, 3)), np.zeros((10, 1)))
     assert ramp_fit.fit_step(there, 6) is None
     assert ramp_fit.fit_slow_ramp(there, 12, 2) is None
+
+
+def test_rates_below_the_windows_have_ramps():
+    off = np.random.default_rng(2).normal(size=(20, 3))
+    there = made(off, np.zeros((20, 1)))
+    step, slide = ramp_fit.fit_step(there, 0), ramp_fit.fit_slow_ramp(there, 0, 0)
+    assert step
+    assert slide
+    assert ramp_fit.compute_residual_rms(there, step, 0) > 0

@@ -52,6 +52,25 @@ def test_error_names_file_and_line(tmp_path, content, message):
         assert str(raised.value) == f"{path}{message}"
 
 
+@pytest.mark.parametrize(
+    "value",
+    ["2024-13-45", "!!timestamp x", "!!int x", "9" * 5000, "[" * 50_000, "{a: " * 50_000, "- " * 50_000, "[" * 101 + "]" * 101],
+)
+def test_value_that_cannot_be_built_is_an_error(tmp_path, value):
+    path = tmp_path / "set.yaml"
+    path.write_text(f"a: 1\nb: {value}\n" if value[0] != "-" else f"{value}\n")
+    with pytest.raises(SceneError, match=r"set\.yaml") as raised:
+        shipped.read_yaml(path)
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 400
+
+
+def test_depth_of_yaml():
+    assert shipped.measure_yaml_depth("a: {b: [c]}\n" * 1000) == 0
+    assert shipped.measure_yaml_depth("a: " + "[" * 150 + "]" * 150) > shipped.MAX_YAML_DEPTH
+    assert shipped.measure_yaml_depth("a: '" + "[" * 150 + "'") == 1
+
+
 def test_invalid_utf8_is_an_error(tmp_path):
     path = tmp_path / "set.yaml"
     path.write_bytes(b"a: \xff\xfe\x80")

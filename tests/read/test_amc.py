@@ -1,4 +1,5 @@
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -214,3 +215,10 @@ def test_damaged_files_are_read_or_refused_with_a_message(tmp_path_factory, inse
         assert re.match(rf"{re.escape(str(folder))}/09(_01)?\.(asf|amc)\b.*[.)]$", refused, re.DOTALL)
     else:
         assert found.compute_world_poses()[0].shape == (found.frame_count, len(found.names), 3)
+
+
+def test_long_number_in_the_header_is_read_at_once(tmp_path):
+    started = time.process_time()
+    assert read(tmp_path, f"# 120 fps of {'9' * 20_000}\n{AMC}").rate == 120
+    assert read(tmp_path, f"# {'9' * 20_000}\n{AMC}").rate == 120
+    assert time.process_time() - started < 1

@@ -72,3 +72,14 @@ def test_openpose_people(tmp_path):
 def test_errors_name_the_place(tmp_path, content, message):
     with pytest.raises(ReadError, match=rf"film\.json.*{message}"):
         read_take(write(tmp_path, content))
+
+
+@pytest.mark.parametrize("text", ['{"frames": ' + "[" * 50_000, '{"rate": ' + "9" * 5000 + "}", '{"a":' * 50_000])
+def test_json_that_cannot_be_parsed_is_refused(tmp_path, text):
+    with pytest.raises(ReadError, match="is not valid JSON"):
+        read_take(write(tmp_path, text))
+
+
+def test_unit_that_is_no_name_is_refused(tmp_path):
+    with pytest.raises(ReadError, match="unit: must be one of"):
+        read_take(write(tmp_path, {"rate": 60, "labels": LABELS, "frames": POINTS.tolist(), "unit": ["m"]}))
