@@ -8,7 +8,7 @@ from rich.markup import escape
 
 from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options, split_names
 from mocapfix.cli.clean import STAGES
-from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, compile_kernels_first, print_line, print_usage_error, stderr_console
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, compile_kernels_first, print_error, print_line, print_usage_error
 from mocapfix.errors import MocapfixError
 
 SESSION_SUFFIXES = (".yaml", ".yml")
@@ -67,6 +67,7 @@ def run_batch(
     from mocapfix.batch.child_process import JobLimits
     from mocapfix.batch.cluster import ClusterOptions, check_dask_installed
     from mocapfix.batch.run_session import BatchSettings, run_session
+    from mocapfix.batch.session_page import PAGE_NAME, write_session_page
     from mocapfix.batch.take_list import find_takes
     from mocapfix.cli.batch_progress import show_batch_progress
 
@@ -89,14 +90,16 @@ def run_batch(
     if scheduler is None and not slurm and not ssh:
         compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:
-        records = run_session(found, settings, progress)
-    failed = [record for record in records if record.status == "failed"]
-    for record in failed:
-        stderr_console.print(f"{escape(record.take)}: {escape(record.error)}", style="red", soft_wrap=True)
+        records = run_session(found, settings, progress, write_session_page)
+    failed_count = sum(record.status == "failed" for record in records)
+    for record in records:
+        if record.status == "failed" and record.take not in progress.shown_failures:
+            print_error(f"{record.take} failed in an earlier batch (--repeat-failed cleans it again): {record.error}")
     print_line(
-        f"{len(records) - len(failed)} of {len(records)} takes are done, {len(failed)} failed: {escape(str(output_folder))}/"
+        f"{len(records) - failed_count:,} of {len(records):,} takes are done, {failed_count:,} failed. "
+        f"Page: {escape(str(output_folder / PAGE_NAME))}"
     )
-    return EXIT_FAILED if failed else EXIT_DONE
+    return EXIT_FAILED if failed_count else EXIT_DONE
 
 
 def find_limits_problem(workers: int | None, timeout_s: float, memory_mb: float, retries: int) -> str:

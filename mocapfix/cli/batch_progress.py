@@ -74,12 +74,16 @@ def format_duration(duration_s: float) -> str:
 
 
 class PlainProgress(BatchProgress):
-    """Progress as lines: failures and messages at once, the counts at most every ten seconds and at the end of a stage."""
+    """Progress as lines: failures and messages at once, the counts at most every ten seconds and at the end of a stage.
+
+    shown_failures  names of the jobs whose failures were printed
+    """
 
     def __init__(self, console: Console = stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._read_clock = console, read_clock
         self._counts = StageCounts()
         self._last_line_s = 0.0
+        self.shown_failures: set[str] = set()
 
     def start_stage(self, stage: str, job_count: int, done_count: int = 0) -> None:
         self._counts = StageCounts(stage, job_count, done_count, self._read_clock())
@@ -95,6 +99,7 @@ class PlainProgress(BatchProgress):
         self._counts.running.pop(name, None)
         if error:
             self._counts.failed_count += 1
+            self.shown_failures.add(name)
             self._print_line(f"{name} failed: {error}", style="red")
         else:
             self._counts.done_count += 1
@@ -147,7 +152,7 @@ def format_running_jobs(names: list[str]) -> str:
 
 
 @contextmanager
-def show_batch_progress(console: Console = stderr_console) -> Generator[BatchProgress]:
+def show_batch_progress(console: Console = stderr_console) -> Generator[PlainProgress]:
     """Yield what draws the progress of a batch: a bar on a terminal, lines elsewhere."""
     if not console.is_terminal:
         yield PlainProgress(console)

@@ -46,6 +46,7 @@ def test_lines_are_few_and_failures_come_at_once() -> None:
     assert lines[0] == "clean: 100 jobs; 10 done by an earlier batch."
     assert "walk50.c3d failed: [red]walk.c3d: is empty." in lines
     assert len(lines) <= 12
+    assert progress.shown_failures == {"walk50.c3d"}
     assert lines[-1] == "clean: 99 of 100 done, 1 failed."
 
 
