@@ -28,7 +28,7 @@ from tests.batch.session_records import PICTURE, build_done, build_failed, build
 KNOWN_TAGS = {
     "html", "head", "meta", "title", "style", "body", "main", "header", "p", "h1", "h2", "div", "b", "small", "a", "table",
     "label", "thead", "tbody", "tr", "th", "td", "details", "summary", "svg", "path", "input", "select", "option", "span",
-    "button", "script",
+    "button", "script", "noscript",
 }  # fmt: skip
 
 

@@ -18,11 +18,12 @@
   const getText = (item) => (item.text ??= item.row.textContent.toLowerCase());
 
   const show = () => {
-    const size = Number(find("size").value) || Math.max(1, matching.length);
+    const size = Number(find("size").value);
     const pages = Math.max(1, Math.ceil(matching.length / size));
     page = Math.min(Math.max(page, 0), pages - 1);
     const first = page * size, last = Math.min(first + size, matching.length);
     body.replaceChildren(...matching.slice(first, last).map((item) => item.row));
+    body.removeAttribute("class");
     find("previous").disabled = page === 0;
     find("next").disabled = page === pages - 1;
     const count = (number) => number.toLocaleString("en");
