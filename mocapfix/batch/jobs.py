@@ -18,6 +18,14 @@ from mocapfix.options import CleanOptions
 
 CLEAN_FUNCTION = "mocapfix.batch.jobs:clean_recorded_take"
 WARM_UP_DURATION_S, WARM_UP_RATE_HZ = 2.0, 60.0  # of the composed take that is cleaned once in each server
+PRELOADED_MODULES = (
+    "mocapfix.batch.worst_picture",
+    "mocapfix.report.html_report",
+    "mocapfix.report.recording",
+    "pyarrow.compute",
+    "rerun.blueprint",
+)
+"""what the first outputs would import"""
 MAX_LOST_ATTEMPTS = 10  # attempts after which no record was written, because the worker or its computer was lost
 
 
@@ -181,17 +189,15 @@ def measure_peak_memory_mb() -> float:
 
 def load_everything() -> None:
     """Import what cleaning needs and load the compiled kernels and priors, by cleaning a short composed take. Run in a server."""
-    import rerun
-    import rerun.blueprint
+    from importlib import import_module
 
     from mocapfix import pipeline, synthetic
     from mocapfix.kernels.precompilation import is_precompiled, precompile_kernels
-    from mocapfix.report import html_report
     from mocapfix.solve.parallel import get_thread_pool
     from mocapfix.write.output_formats import list_output_formats
 
-    assert rerun.blueprint
-    assert html_report
+    for name in PRELOADED_MODULES:
+        import_module(name)
     if not is_precompiled():
         precompile_kernels(lambda done, total: None)
     take = synthetic.compose_take(seconds=WARM_UP_DURATION_S, rate=WARM_UP_RATE_HZ)

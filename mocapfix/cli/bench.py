@@ -8,6 +8,7 @@ import tyro
 from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
+from mocapfix.cli.bench_batch import BATCH_BENCH_COMMANDS
 from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
@@ -276,6 +277,7 @@ def run_bench_baseline(
 
 BENCH_COMMANDS = {
     "baseline": run_bench_baseline,
+    **BATCH_BENCH_COMMANDS,
     "clean": run_bench_clean,
     "solver": run_bench_solver,
     "uncertainty": run_bench_uncertainty,
