@@ -9,6 +9,7 @@ import os
 import pickle
 import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -152,7 +153,8 @@ def _get_server(warm_up: str) -> ForkServer:
             servers[warm_up] = ForkServer(warm_up)
         except EOFError:
             raise MocapfixError(
-                "The process that cleans the takes could not be started on this worker; check that mocapfix is installed there."
+                f"The process that cleans the takes could not be started on {socket.gethostname()}; check that mocapfix is "
+                "installed there and that memory is left."
             ) from None
         atexit.register(_drop_server, warm_up, servers)
     return servers[warm_up]

@@ -110,7 +110,7 @@ def clean_takes_on_cluster(
     progress.start_stage(CLEAN_STAGE, len(requests) + len(records), len(records))
     tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in requests)
     by_take = {each.take: each for each in requests}
-    for task, result in run_tasks(client, clean_take, tasks, progress.start_job):
+    for task, result in run_tasks(client, clean_take, tasks, progress.start_job, progress.show_message):
         record = result if isinstance(result, TakeRecord) else explain_lost_take(by_take[task.name], result)
         records[task.name] = record
         progress.finish_job(task.name, record.error)

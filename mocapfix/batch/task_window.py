@@ -37,6 +37,7 @@ def run_tasks(
     function: Callable[..., Any],
     tasks: Iterable[Task],
     report_start: Callable[[str], None],
+    report_message: Callable[[str], None],
 ) -> Generator[tuple[Task, Any]]:
     """Yield each task with its result, in the order in which they end.
 
@@ -45,7 +46,7 @@ def run_tasks(
     """
     remaining = iter(tasks)
     running: dict[str, _Submitted] = {}
-    thread_count, next_count_time, last_contact_time = 1, 0.0, time.monotonic()
+    thread_count, last_found, next_count_time, last_contact_time = 1, 1, 0.0, time.monotonic()
     is_exhausted = False
     while True:
         now = time.monotonic()
@@ -54,7 +55,10 @@ def run_tasks(
         elif now - last_contact_time > MAX_CONNECTION_LOSS_S:
             raise MocapfixError("The scheduler has ended; run the same command again to go on with the takes that are left.")
         if now >= next_count_time and client.status == "running":
-            thread_count, next_count_time = count_threads(client) or thread_count, now + COUNT_INTERVAL_S
+            found, next_count_time = count_threads(client), now + COUNT_INTERVAL_S
+            if not found and last_found:
+                report_message("No worker is connected to the scheduler; the batch waits for one.")
+            thread_count, last_found = found or thread_count, found
         while not is_exhausted and len(running) < TASKS_PER_THREAD * thread_count and client.status == "running":
             task = next(remaining, None)
             if task is None:

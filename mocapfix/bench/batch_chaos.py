@@ -15,14 +15,14 @@ from pathlib import Path
 import psutil
 
 from mocapfix.batch.records import read_records
-from mocapfix.bench.batch_takes import compose_takes, copy_takes, find_differing_takes
+from mocapfix.bench.batch_takes import compose_batch_takes, copy_takes, find_differing_takes
 
 DISTINCT_TAKES = 10
 TAKE_DURATION_S = (1.0, 2.0)
 TAKE_RATE_HZ = 30.0
 START_PAUSE_S = 3.0  # for a scheduler that was started again, before the client is
 MIN_DONE_SHARE, MAX_DONE_SHARE = 0.05, 0.95  # of the takes, while processes are killed
-POLL_INTERVAL_S = 0.2
+KILL_INTERVAL_S = 0.2
 WORKER_COMMAND_WORD = "spawn_main"
 SCHEDULER, CLIENT, WORKER = "scheduler", "client", "worker"
 
@@ -108,11 +108,9 @@ class ChaosCluster:
         return False
 
     def revive(self) -> None:
-        """Start the scheduler again, the workers where they ended, and the client."""
+        """Start the scheduler and the client again."""
         self.start_scheduler()
         time.sleep(START_PAUSE_S)
-        if self.workers.poll() is not None:
-            self.start_workers()
         self.start_client()
 
     def close(self) -> None:
@@ -138,7 +136,7 @@ def measure_chaos(
     for old in (takes, disturbed, quiet):
         shutil.rmtree(old, ignore_errors=True)
     report("compose takes")
-    compose_takes(originals, DISTINCT_TAKES, TAKE_DURATION_S, TAKE_RATE_HZ)
+    compose_batch_takes(originals, DISTINCT_TAKES, TAKE_DURATION_S, TAKE_RATE_HZ)
     copy_takes(originals, takes, take_count)
     report("quiet run")
     command = [sys.executable, "-m", "mocapfix", "batch", str(originals), "--out", str(quiet), "--workers", str(workers)]
@@ -186,13 +184,15 @@ def run_disturbed(
                 return kills, errors
             errors.append(cluster.read_client_error())
             cluster.revive() if cluster.scheduler.poll() is not None else cluster.start_client()
+        if cluster.workers.poll() is not None:  # they end some time after their scheduler
+            cluster.start_workers()
         done = sum(1 for _ in output_folder.rglob("*.record.json"))
         report(f"{done} takes recorded, {sum(kills.values())} processes killed")
         while plan and plan[0][0] <= done and cluster.scheduler.poll() is None:
             if not cluster.kill(plan[0][1], generator):
                 break
             kills[plan.pop(0)[1]] += 1
-        time.sleep(POLL_INTERVAL_S * (0.5 + generator.random()))
+        time.sleep(KILL_INTERVAL_S * (0.5 + generator.random()))
 
 
 def list_worker_processes(nanny: int) -> list[psutil.Process]:

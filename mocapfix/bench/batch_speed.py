@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 
 from mocapfix.batch.records import read_records
-from mocapfix.bench.batch_takes import compose_takes, find_differing_takes
+from mocapfix.bench.batch_takes import compose_batch_takes, find_differing_takes
 
 SAMPLE_INTERVAL_S = 0.5
 SINGLE_RUN_CODE = """
@@ -59,13 +59,13 @@ def measure_batch_speed(
 ) -> BatchSpeed:
     """Clean composed takes in one process with one thread, then by a batch, and compare."""
     report("compose takes")
-    length = compose_takes(folder / "takes", take_count, seconds, 120.0)
+    length = compose_batch_takes(folder / "takes", take_count, seconds, 120.0)
     report("one process")
     single = [sys.executable, "-c", SINGLE_RUN_CODE, str(folder / "takes"), str(folder / "one")]
-    one_seconds, one_cpu, _ = run_measured(["env", "MOCAPFIX_NUM_THREADS=1", "OMP_NUM_THREADS=1", *single])
+    one_seconds, one_cpu, _ = run_with_usage(["env", "MOCAPFIX_NUM_THREADS=1", "OMP_NUM_THREADS=1", *single])
     report("batch")
     batch = ["-m", "mocapfix", "batch", str(folder / "takes"), "--out", str(folder / "batch"), "--workers", str(workers)]
-    batch_seconds, batch_cpu, memory_mb = run_measured([sys.executable, *batch])
+    batch_seconds, batch_cpu, memory_mb = run_with_usage([sys.executable, *batch])
     records = read_records(folder / "batch")
     return BatchSpeed(
         take_count,
@@ -81,7 +81,7 @@ def measure_batch_speed(
     )
 
 
-def run_measured(command: list[str]) -> tuple[float, float, float]:
+def run_with_usage(command: list[str]) -> tuple[float, float, float]:
     """Run a command; return its seconds, processor time with that of its children, and the greatest memory of a worker in MB."""
     before, start = psutil.Process().cpu_times(), time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)

@@ -11,7 +11,7 @@ RUN_DEPENDENT_SUFFIXES = (RECORD_SUFFIX, ".rrd")
 """outputs with times: records, and recordings, to which rerun adds the time of writing"""
 
 
-def compose_takes(folder: Path, count: int, seconds: tuple[float, float], rate: float) -> float:
+def compose_batch_takes(folder: Path, count: int, seconds: tuple[float, float], rate: float) -> float:
     """Write takes 0.c3d, 1.c3d ... of lengths that rise from the first to the second of `seconds`; return the sum in seconds."""
     folder.mkdir(parents=True, exist_ok=True)
     lengths = [seconds[0] + (seconds[1] - seconds[0]) * index / max(1, count - 1) for index in range(count)]
