@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from mocapfix.errors import ReadError
+from mocapfix.read.file_content import check_path_encoding
 
 TAKE_SUFFIXES = (".c3d", ".trc", ".tsv", ".csv", ".bvh", ".amc")
 """suffixes of captures; of files in a folder that differ only by them, the first of this order is the take"""
@@ -87,9 +88,11 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
 
     root  the folder to which ids are relative; None for the deepest that contains all takes
 
-    Raises ReadError if two takes would have the same output folder.
+    Raises ReadError if two takes would have the same output folder, or a name is not valid UTF-8.
     """
     resolved = list(dict.fromkeys(path.resolve() for path in paths))
+    for path in resolved:
+        check_path_encoding(path)
     if not resolved:
         return ()
     base = root.resolve() if root else Path(os.path.commonpath([path.parent for path in resolved]))

@@ -25,8 +25,18 @@ LINE_END_PATTERN = re.compile(r"\r\n?|\n")
 NOT_A_NUMBER_PATTERN = re.compile(r"[-+]?(nan(\(\w*\))?|inf(inity)?|1\.#\w+)", re.IGNORECASE)
 
 
+def check_path_encoding(path: Path) -> None:
+    """Raise ReadError if the path is not valid UTF-8: reports and other outputs could not name the file."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError as error:
+        shown = str(path).encode("utf-8", "backslashreplace").decode()
+        raise ReadError(f"{shown}: its name or folder is not valid UTF-8; rename it.") from error
+
+
 def read_file_bytes(path: Path) -> bytes:
-    """Return the content of a file. Raise ReadError if the file is missing, unreadable, empty or an archive."""
+    """Return the content of a file. Raise ReadError if the file is misnamed, missing, unreadable, empty or an archive."""
+    check_path_encoding(path)
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:

@@ -18,7 +18,7 @@ def write_page(target: Path, template: str, **values: object) -> None:
     """
     text = _load_environment().get_template(template).render(colours=PAGE_COLOURS, **values)
     with replace_atomically(target) as part:
-        part.write_text(text, encoding="utf-8", newline="\n")
+        part.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 @cache

@@ -1,10 +1,11 @@
 """The takes of folders, patterns and files, and their ids."""
 
+import os
 from pathlib import Path
 
 import pytest
 
-from mocapfix.batch.take_list import find_takes
+from mocapfix.batch.take_list import build_take_list, find_takes
 from mocapfix.errors import ReadError
 
 
@@ -39,3 +40,8 @@ def test_sources_without_takes_are_refused(tmp_path: Path, source: str, monkeypa
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ReadError, match="take"):
         find_takes([source], tmp_path / "out")
+
+
+def test_name_that_is_not_utf8_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ReadError, match=r"caf\\udce9\.c3d: its name or folder is not valid UTF-8; rename it\."):
+        build_take_list([tmp_path / "walk.c3d", tmp_path / os.fsdecode(b"caf\xe9.c3d")])

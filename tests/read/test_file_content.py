@@ -1,4 +1,5 @@
 import codecs
+import os
 from pathlib import Path
 
 import pytest
@@ -6,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
-from mocapfix.read.file_content import detect_delimiter, parse_document
+from mocapfix.read.file_content import detect_delimiter, parse_document, read_file_bytes
 
 PATH = Path("walk.trc")
 
@@ -37,3 +38,8 @@ def test_cells_may_be_quoted():
 @pytest.mark.parametrize(("line", "delimiter"), [("a\tb,c\td", "\t"), ("1,5;2,5;3;;", ";"), ("a,b", ","), ("a b", ""), ("", "")])
 def test_the_delimiter_is_detected(line, delimiter):
     assert detect_delimiter(line) == delimiter
+
+
+def test_name_that_is_not_utf8_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ReadError, match=r"caf\\udce9\.c3d: its name or folder is not valid UTF-8; rename it\."):
+        read_file_bytes(tmp_path / os.fsdecode(b"caf\xe9.c3d"))
