@@ -17,9 +17,11 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
+from mocapfix.batch.people_file import PEOPLE_FILE_NAME, PersonEntry, read_people_file
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.summary_tables import CSV_NAME, PARQUET_NAME, list_summary_rows, write_summary_tables
 from mocapfix.batch.take_figures import SubjectFigures
+from mocapfix.errors import SceneError
 from mocapfix.report.html_page import write_page
 from mocapfix.report.terms import format_kind_counts, format_number, join_words
 
@@ -125,10 +127,13 @@ class SessionPage:
     columns: tuple[PageColumn, ...] = TAKE_COLUMNS
     csv_name: str = CSV_NAME
     parquet_name: str = PARQUET_NAME
+    people_name: str = PEOPLE_FILE_NAME
 
 
 def write_session_page(folder: Path, records: Sequence[TakeRecord]) -> Path:
     """Write index.html, summary.csv and summary.parquet into the folder of a batch and return the path of the page.
+
+    The people are those in the folder's people.yaml, if there is one.
 
     Raises WriteError if one of them cannot be written.
     """
@@ -139,11 +144,32 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord]) -> Path:
         "session.html.jinja",
         title=folder.resolve().name,
         subtitle=describe_session(records),
-        page=build_session_page(records),
+        page=build_session_page(records, *_read_people(folder)),
         script=Markup(script),
         script_hash=b64encode(sha256(script.encode()).digest()).decode(),
     )
     return folder / PAGE_NAME
+
+
+def _read_people(folder: Path) -> tuple[list[PersonRow], list[str]]:
+    """Return the rows of people and the notes on them."""
+    try:
+        people = read_people_file(folder)
+    except SceneError as error:
+        return [], [str(error)]
+    if people is None:
+        return [], []
+    rejected = [f"{take} is not of {each.name}: {reason}" for each in people.people for take, reason in each.rejected.items()]
+    return [build_person_row(each) for each in people.people], [*people.notes, *rejected]
+
+
+def build_person_row(person: PersonEntry) -> PersonRow:
+    """Return the row of a person, with links to the subject files."""
+    takes = [f"{take} ({subject})" if subject else take for take, subject in person.takes.items()]
+    files = dict.fromkeys(path for path in (person.subject_file, *person.take_files.values()) if path)
+    links = tuple((path.rpartition("/")[2], quote_address(path)) for path in files)
+    moved = " ".join(person.moved_markers) or "none"
+    return PersonRow(person.name, len(takes), person.basis or "takes", ", ".join(takes), moved, links)
 
 
 def describe_session(records: Sequence[TakeRecord]) -> str:

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markupsafe import escape
 
+from mocapfix.batch.people_file import PersonEntry, SessionPeople, write_people_file
 from mocapfix.batch.records import TakeRecord
 from mocapfix.batch.session_page import (
-    PersonRow,
     build_session_page,
     check_picture,
     describe_session,
@@ -22,7 +22,6 @@ from mocapfix.batch.session_page import (
     write_session_page,
 )
 from mocapfix.errors import WriteError
-from mocapfix.report.html_page import write_page
 from tests.batch.session_records import PICTURE, build_done, build_failed, build_figures, names, take_records
 
 KNOWN_TAGS = {
@@ -165,15 +164,30 @@ def test_unknown_figures_are_dashes() -> None:
 
 
 def test_people_are_listed_with_their_moved_markers(tmp_path: Path) -> None:
-    links = (("Jim", "people/Jim.subject.yaml"),)
-    person = PersonRow("<Jim>", 2, "subject prefix", "a.c3d, b.c3d", "LFHD by 31 mm in b.c3d", links)
-    page = build_session_page([build_done("a.c3d")], [person], ["Ann & Jim differ."])
-    write_page(tmp_path / "page.html", "session.html.jinja", title="t", subtitle="", page=page, script="", script_hash="")
-    outline = Outline(tmp_path / "page.html")
+    moved = "Marker LFHD lies 31 mm from its usual place in b.c3d."
+    jim = PersonEntry(
+        name="<Jim>",
+        basis="subject prefix",
+        takes={"a.c3d": "Jim", "b.c3d": ""},
+        subject_file="people/Jim & co.subject.yaml",
+        take_files={"b.c3d": "people/Jim.b.subject.yaml"},
+        moved_markers=(moved,),
+        rejected={"c.c3d": "the thighs are 40 mm longer."},
+    )
+    write_people_file(tmp_path, SessionPeople(people=(jim,), notes=("Ann & Jim differ.",)))
+    outline = Outline(write_session_page(tmp_path, [build_done("a.c3d")]))
     assert "<Jim>" in outline.cells
-    assert "LFHD by 31 mm in b.c3d" in outline.cells
-    assert "people/Jim.subject.yaml" in outline.addresses
+    assert moved in outline.cells
+    assert any("a.c3d (Jim), b.c3d" in cell for cell in outline.cells)
+    assert {"people/Jim%20%26%20co.subject.yaml", "people/Jim.b.subject.yaml", "people.yaml"} <= set(outline.addresses)
     assert "Ann &amp; Jim differ." in outline.source
+    assert "c.c3d is not of &lt;Jim&gt;: the thighs are 40 mm longer." in outline.source
+
+
+def test_people_file_that_cannot_be_read_is_a_note(tmp_path: Path) -> None:
+    (tmp_path / "people.yaml").write_text("persons: []\n", encoding="utf-8")
+    text = write_session_page(tmp_path, [build_done("a.c3d")]).read_text(encoding="utf-8")
+    assert "people.yaml: persons: there is no such key" in text
 
 
 def test_subtitle_has_versions_and_time() -> None:
