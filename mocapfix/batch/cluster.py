@@ -2,6 +2,7 @@
 
 import logging
 import os
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ def silence_dask() -> None:
     for name in SILENT_LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+    # Another batch on this machine has the dashboard's usual port.
+    warnings.filterwarnings("ignore", message="Port .* is already in use", category=UserWarning)
 
 
 def start_cluster(options: ClusterOptions) -> Any:
