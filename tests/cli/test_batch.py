@@ -4,22 +4,34 @@ from pathlib import Path
 
 import pytest
 
+from tests.batch.session_records import build_failed
 
-def test_failed_takes_are_printed_once_and_on_the_page(mocapfix, tmp_path: Path) -> None:
+
+def run_without_cluster(takes, settings, progress, write_page):
+    """Do what run_session does where every take is unreadable and failed in an earlier batch, except for the first."""
+    records = [build_failed(take.id, f"{take.path}: is empty (0 bytes).") for take in takes]
+    progress.start_stage("clean", len(takes), len(takes) - 1)
+    progress.start_job(takes[0].id)
+    progress.finish_job(takes[0].id, records[0].error)
+    settings.output_folder.mkdir()
+    write_page(settings.output_folder, records)
+    return records
+
+
+def test_failed_takes_are_printed_once_and_on_the_page(mocapfix, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocapfix.batch.run_session.run_session", run_without_cluster)
     takes, out = tmp_path / "takes", tmp_path / "out"
     takes.mkdir()
-    (takes / "empty [b].c3d").touch()
-    sentence = f"{takes}/empty [b].c3d: is empty (0 bytes); copy or export it again."
-    status, text, errors = mocapfix("batch", takes, "--out", out, "--workers", "1")
+    for name in ("a [b].c3d", "c.c3d"):
+        (takes / name).touch()
+    status, text, errors = mocapfix("batch", takes, "--out", out)
     assert status == 1
-    assert f"0 of 1 takes are done, 1 failed. Page: {out}/index.html" in text
-    assert errors.count(sentence) == 1
-    assert "1 failed: 1 error" in (out / "index.html").read_text(encoding="utf-8")
+    assert f"0 of 2 takes are done, 2 failed. Page: {out}/index.html" in text
+    assert f"a [b].c3d failed: {takes}/a [b].c3d: is empty (0 bytes)." in errors
+    assert f"c.c3d failed in an earlier batch (--repeat-failed cleans it again): {takes}/c.c3d: is empty (0 bytes)." in errors
+    assert errors.count("is empty (0 bytes)") == 2
+    assert "2 failed: 2 error" in (out / "index.html").read_text(encoding="utf-8")
     assert {"summary.csv", "summary.parquet"} <= {path.name for path in out.iterdir()}
-
-    status, text, errors = mocapfix("batch", takes, "--out", out, "--workers", "1")
-    assert status == 1
-    assert f"empty [b].c3d failed in an earlier batch (--repeat-failed cleans it again): {sentence}" in errors
 
 
 @pytest.mark.parametrize(
