@@ -63,8 +63,6 @@ class ForkServer:
     """
 
     def __init__(self, warm_up: str = DEFAULT_WARM_UP) -> None:
-        if not hasattr(os, "fork"):
-            raise MocapfixError("A batch needs Linux or macOS; on Windows run it in WSL, or use `mocapfix clean`.")
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             [sys.executable, "-m", "mocapfix.batch.fork_server", warm_up],
             stdin=subprocess.PIPE,

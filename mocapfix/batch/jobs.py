@@ -93,7 +93,10 @@ def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_F
     if isinstance(outcome.value, TakeRecord):
         return outcome.value
     outcome = replace(outcome, seconds=time.monotonic() - start)
-    return write_failure(request, outcome, started)
+    try:
+        return write_failure(request, outcome, started)
+    except MocapfixError as error:  # there is no place for a record: the folder was removed, or the disk is full
+        return build_failed_record(request, replace(outcome, status="error", error=str(error)), started, 1)
 
 
 def clean_recorded_take(request: CleanRequest) -> TakeRecord:
@@ -142,31 +145,36 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
 
 
 def write_failure(request: CleanRequest, outcome: JobOutcome, started: str) -> TakeRecord:
-    """Write and return the record of a take that failed. One that another process has done is not replaced."""
-    reasons: dict[str, FailureReason] = {"timeout": "timeout", "memory": "memory", "crash": "crash"}
+    """Write and return the record of a take that failed. One that another process has done is not replaced. Raises WriteError."""
     with hold_take(request.output_folder, request.take) as attempts:
         found = find_current_record(request)
         if found and found.status == "done":
             return found
-        record = TakeRecord(
-            take=request.take,
-            input=str(request.path),
-            input_sha256=try_to_hash(request.path),
-            options_sha256=hash_options(request.options),
-            version=get_version(),
-            status="failed",
-            reason=reasons.get(outcome.status, "error"),
-            error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",
-            attempts=max(1, attempts.count(build_attempt_key(request))),
-            seconds=round(outcome.seconds, 3),
-            peak_memory_mb=round(outcome.peak_memory_mb, 1),
-            subject_files=dict(request.subject_files),
-            started=started,
-            finished=format_now(),
-        )
+        record = build_failed_record(request, outcome, started, max(1, attempts.count(build_attempt_key(request))))
         write_record(request.output_folder, record)
         attempts.clear()
     return record
+
+
+def build_failed_record(request: CleanRequest, outcome: JobOutcome, started: str, attempts: int) -> TakeRecord:
+    """Return the record of a take that failed."""
+    reasons: dict[str, FailureReason] = {"timeout": "timeout", "memory": "memory", "crash": "crash"}
+    return TakeRecord(
+        take=request.take,
+        input=str(request.path),
+        input_sha256=try_to_hash(request.path),
+        options_sha256=hash_options(request.options),
+        version=get_version(),
+        status="failed",
+        reason=reasons.get(outcome.status, "error"),
+        error=outcome.error if request.path.name in outcome.error else f"{request.path}: {outcome.error}",
+        attempts=attempts,
+        seconds=round(outcome.seconds, 3),
+        peak_memory_mb=round(outcome.peak_memory_mb, 1),
+        subject_files=dict(request.subject_files),
+        started=started,
+        finished=format_now(),
+    )
 
 
 def build_attempt_key(request: CleanRequest) -> str:

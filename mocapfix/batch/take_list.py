@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
 from mocapfix.errors import ReadError
 from mocapfix.read.file_content import check_path_encoding
 
@@ -32,7 +33,7 @@ class FoundTakes:
 def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
     """Return the takes in folders, of files and patterns, in the order of their ids.
 
-    A folder stands for all captures in it and in its folders, outside the output folder and those that `clean` wrote.
+    A folder stands for all captures in it and in its folders, outside the output folders of batches and of `clean`.
 
     Raises ReadError if a source has no take, or two takes would have the same output folder.
     """
@@ -72,7 +73,7 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
 
 def is_input_folder(folder: Path, output_folder: Path) -> bool:
     """Return whether captures in a folder are input: not hidden, and no outputs of mocapfix."""
-    is_output = folder.name.startswith(".") or folder.suffix == ".mocapfix"
+    is_output = folder.name.startswith(".") or folder.suffix == ".mocapfix" or (folder / BATCH_LOCK_NAME).exists()
     return not is_output and folder.resolve() != output_folder.resolve()
 
 

@@ -1,5 +1,6 @@
 """The command `mocapfix batch`: clean all takes of a session on the cores of this machine or on a cluster."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,6 +52,8 @@ def run_batch(
     """
     from mocapfix.write.output_formats import list_output_formats
 
+    if not hasattr(os, "fork"):
+        return print_usage_error("batch: needs Linux or macOS; on Windows run it in WSL, or use `mocapfix clean`.")
     if not takes:
         return print_usage_error("batch: name a folder, a pattern or a session file.")
     if sum((scheduler is not None, slurm, bool(ssh))) > 1:

@@ -17,7 +17,18 @@ def make_files(folder: Path, *names: str) -> None:
 
 
 def test_folder_stands_for_its_captures_but_not_for_outputs(tmp_path: Path) -> None:
-    make_files(tmp_path, "a/walk.c3d", "a/walk.trc", "b/run.C3D", "run.mocapfix/run.c3d", "out/a/walk/walk.c3d", "notes.txt")
+    make_files(
+        tmp_path,
+        "a/walk.c3d",
+        "a/walk.trc",
+        "b/run.C3D",
+        "run.mocapfix/run.c3d",
+        "out/a/walk/walk.c3d",
+        "other/.batch.lock",
+        "other/a.c3d",
+        "notes.txt",
+    )
+    make_files(tmp_path, "other/.batch.lock", "other/b.c3d")
     found = find_takes([str(tmp_path)], tmp_path / "out")
     assert [take.id for take in found.takes] == ["a/walk.c3d", "b/run.C3D"]
     assert [path.name for path in found.skipped] == ["walk.trc"]
