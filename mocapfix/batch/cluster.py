@@ -2,11 +2,13 @@
 
 import logging
 import os
+import signal
 import warnings
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.errors import MocapfixError
@@ -66,8 +68,9 @@ def open_client(options: ClusterOptions) -> Generator["Client"]:
     cluster: Any = None
     try:
         try:
-            cluster = None if options.scheduler else start_cluster(options)
-            client = Client(options.scheduler or cluster, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
+            with block_interrupts():
+                cluster = None if options.scheduler else start_cluster(options)
+                client = Client(options.scheduler or cluster, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, RuntimeError, ImportError) as error:
             raise MocapfixError(describe_start_failure(options, error)) from error
         try:
@@ -79,6 +82,20 @@ def open_client(options: ClusterOptions) -> Generator["Client"]:
         if cluster is not None:
             with suppress(Exception):
                 cluster.close(timeout=5)
+
+
+@contextmanager
+def block_interrupts() -> Generator[None]:
+    """Let the threads and processes that are started in the block never receive Ctrl-C, and this thread only afterwards.
+
+    The batch ends its workers itself; each would report the interrupt.
+    """
+    resource_tracker.ensure_running()  # otherwise a thread that starts the first process starts it, and receives interrupts again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def silence_dask() -> None:
