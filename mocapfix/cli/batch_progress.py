@@ -1,4 +1,4 @@
-"""The progress of a batch on the terminal: a bar with the jobs that are done, running and failed, and the time left.
+"""The progress of a batch on the terminal: a bar with the jobs that are done, failed and at workers, and the time left.
 
 In a pipe or a log file, a line at most every few seconds takes the place of the bar.
 """
@@ -34,7 +34,7 @@ class StageCounts:
     job_count      all jobs
     earlier_count  jobs that an earlier batch did
     start_s        time at which the stage began
-    running        the jobs that are with a worker, the earliest first
+    running        the jobs that were handed to a worker and run or wait there, the earliest first
     """
 
     stage: str = ""
@@ -56,10 +56,10 @@ class StageCounts:
         return (now_s - self.start_s) / ended * (self.job_count - self.ended_count) if ended else None
 
     def describe(self, now_s: float) -> str:
-        """Return a text such as "12 of 200 done, 1 failed, 2 running, about 5 min left"."""
+        """Return a text such as "12 of 200 done, 1 failed, 4 at workers, about 5 min left"."""
         parts = [f"{self.earlier_count + self.done_count:,} of {self.job_count:,} done"]
         parts += [f"{self.failed_count:,} failed"] if self.failed_count else []
-        parts += [f"{len(self.running):,} running"] if self.running else []
+        parts += [f"{len(self.running):,} at workers"] if self.running else []
         left_s = self.estimate_seconds_left(now_s)
         parts += [f"about {format_duration(left_s)} left"] if left_s and self.ended_count < self.job_count else []
         return ", ".join(parts)

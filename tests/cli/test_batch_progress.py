@@ -54,7 +54,7 @@ def test_time_left_is_that_of_the_jobs_that_remain() -> None:
     counts = StageCounts("clean", job_count=50, earlier_count=20, start_s=0.0, done_count=9, failed_count=1)
     assert counts.estimate_seconds_left(60.0) == pytest.approx(120)
     counts.running["a"] = None
-    assert counts.describe(60.0) == "29 of 50 done, 1 failed, 1 running, about 2 min left"
+    assert counts.describe(60.0) == "29 of 50 done, 1 failed, 1 at workers, about 2 min left"
     assert StageCounts("clean", 5).estimate_seconds_left(10.0) is None
 
 
@@ -79,7 +79,7 @@ def test_bar_shows_counts_and_prints_failures_above_it() -> None:
     shown = text.getvalue()
     assert "b.c3d failed: b.c3d: cannot be read." in shown
     assert "Dashboard: http://127.0.0.1:8787/status" in shown
-    assert "0 of 3 done, 1 failed, 1 running" in shown
+    assert "0 of 3 done, 1 failed, 1 at workers" in shown
     assert "([b]a.c3d)" in shown
 
 
