@@ -1,12 +1,21 @@
 """Session files: YAML files that name the takes of a session, the people in them, and the options of cleaning."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
-from mocapfix.batch.take_list import BatchTake, build_take_list
+from mocapfix.batch.take_list import (
+    TAKE_SUFFIXES,
+    WILDCARDS,
+    BatchTake,
+    build_take_list,
+    resolve_folder,
+    select_matched_takes,
+)
+from mocapfix.errors import SceneError
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths
 from mocapfix.options import CleanOptions
@@ -39,13 +48,27 @@ def read_session_file(path: Path) -> Session:
     """Read a session file. Raises SceneError with the file and the first wrong key, or the pattern that matches no file."""
     header = read_yaml_model(SESSION_MODEL, path)
     options = build_job_options(path, header)
-    takes = build_take_list(expand_paths(path, header.takes, "takes"))
+    takes = build_take_list(expand_takes(path, header.takes, "takes"))
     ids = {take.path: take.id for take in takes}
-    people = {
-        name: tuple(ids[each.resolve()] for each in expand_paths(path, patterns, f"people.{name}") if each.resolve() in ids)
-        for name, patterns in header.people.items()
-    }
+    shown = {name: expand_takes(path, patterns, f"people.{name}") for name, patterns in header.people.items()}
+    people = {name: tuple(ids[each] for each in map(resolve_folder, paths) if each in ids) for name, paths in shown.items()}
     return Session(takes, people, options)
+
+
+def expand_takes(path: Path, names: Sequence[str], key: str) -> list[Path]:
+    """Return the takes that names and patterns mean beside the session file at `path`.
+
+    Raises SceneError, naming `key`, if a pattern matches no take.
+    """
+    takes: list[Path] = []
+    for name in names:
+        found = expand_paths(path, [name], key)
+        if set(WILDCARDS) & set(name):
+            found = select_matched_takes(found, path.parent / name)
+            if not found:
+                raise SceneError(f"{path}: {key}: {name!r} matches no take ({', '.join(TAKE_SUFFIXES)}).")
+        takes += found
+    return takes
 
 
 SESSION_MODEL = build_job_model("SessionFile", SessionHeader)

@@ -5,7 +5,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
+from mocapfix.batch.folder_lock import ATTEMPTS_SUFFIX
+from mocapfix.batch.records import RECORD_SUFFIX
 from mocapfix.errors import ReadError
 from mocapfix.read.file_content import check_path_encoding
 
@@ -33,7 +34,8 @@ class FoundTakes:
 def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
     """Return the takes in folders, of files and patterns, in the order of their ids.
 
-    A folder stands for all captures in it and in its folders, outside the output folders of batches and of `clean`.
+    A folder stands for all captures in it and in its folders, outside the output folder, hidden folders and those that `clean`
+    wrote. Outputs of batches are no takes, wherever they are.
 
     Raises ReadError if a source has no take, or two takes would have the same output folder.
     """
@@ -60,9 +62,9 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
     by_stem: dict[Path, list[Path]] = {}
     for place, folders, names in os.walk(folder):
         folders[:] = sorted(each for each in folders if is_input_folder(Path(place) / each, output_folder))
-        for path in (Path(place) / name for name in names if not name.startswith(".")):
-            if path.suffix.lower() in TAKE_SUFFIXES:
-                by_stem.setdefault(path.with_suffix(""), []).append(path)
+        shown = (Path(place) / name for name in names if not name.startswith("."))
+        for path in remove_batch_outputs(path for path in shown if path.suffix.lower() in TAKE_SUFFIXES):
+            by_stem.setdefault(path.with_suffix(""), []).append(path)
     for paths in by_stem.values():
         paths.sort(key=lambda path: (TAKE_SUFFIXES.index(path.suffix.lower()), path.suffix))
     if not by_stem:
@@ -73,15 +75,44 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
 
 def is_input_folder(folder: Path, output_folder: Path) -> bool:
     """Return whether captures in a folder are input: not hidden, and no outputs of mocapfix."""
-    is_output = folder.name.startswith(".") or folder.suffix == ".mocapfix" or (folder / BATCH_LOCK_NAME).exists()
+    is_output = folder.name.startswith(".") or folder.suffix == ".mocapfix"
     return not is_output and folder.resolve() != output_folder.resolve()
 
 
+def remove_batch_outputs(paths: Iterable[Path]) -> list[Path]:
+    """Return the paths without outputs of batches: beside an output is the record, or are the attempts, of the take."""
+    stems_of_folder: dict[Path, set[str]] = {}
+    kept: list[Path] = []
+    for path in paths:
+        if path.parent not in stems_of_folder:
+            names = [each.name for suffix in (RECORD_SUFFIX, ATTEMPTS_SUFFIX) for each in path.parent.glob(f"*{suffix}")]
+            stems = {name.removesuffix(RECORD_SUFFIX).removesuffix(ATTEMPTS_SUFFIX).removeprefix(".") for name in names}
+            stems_of_folder[path.parent] = stems
+        stems = stems_of_folder[path.parent]
+        if not any(path.name.startswith(f"{stem}.") for stem in stems):
+            kept.append(path)
+    return kept
+
+
+def select_matched_takes(matching: Iterable[Path], given: Path) -> list[Path]:
+    """Return the takes among the files that a pattern matches: captures that are neither hidden nor outputs of a batch.
+
+    given  the pattern; folders that it names may be hidden
+    """
+    files = (path for path in matching if path.suffix.lower() in TAKE_SUFFIXES and path.is_file())
+    shown = (path for path in files if not any(part.startswith(".") for part in set(path.parts) - set(given.parts)))
+    return sorted(remove_batch_outputs(shown))
+
+
 def expand_pattern(pattern: str) -> list[Path]:
-    """Return the captures that a pattern matches; `**` stands for any folders."""
+    """Return the takes that a pattern matches; `**` stands for any folders."""
     root = Path(pattern).anchor
-    matching = Path(root or ".").glob(pattern.removeprefix(root))
-    return sorted(path for path in matching if path.is_file() and path.suffix.lower() in TAKE_SUFFIXES)
+    return select_matched_takes(Path(root or ".").glob(pattern.removeprefix(root)), Path(pattern))
+
+
+def resolve_folder(path: Path) -> Path:
+    """Return the absolute path of a file; a link keeps its own name and folder, by which the take is called."""
+    return path.parent.resolve() / path.name
 
 
 def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[BatchTake, ...]:
@@ -91,7 +122,7 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
 
     Raises ReadError if two takes would have the same output folder, or a name is not valid UTF-8.
     """
-    resolved = list(dict.fromkeys(path.resolve() for path in paths))
+    resolved = list(dict.fromkeys(resolve_folder(path) for path in paths))
     for path in resolved:
         check_path_encoding(path)
     if not resolved:

@@ -23,6 +23,17 @@ def test_session_has_takes_people_and_options(tmp_path: Path) -> None:
     assert session.options.fill.max_gap_s == 2.0
 
 
+def test_patterns_match_neither_outputs_nor_other_files(tmp_path: Path) -> None:
+    for name in ("walk/walk.c3d", "walk/walk.record.json", "video.mp4"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    session = read_session_file(write_session(tmp_path, "takes: ['**/*']\npeople: {Jim: ['**/jim*']}\n"))
+    assert [take.id for take in session.takes] == ["ann.c3d", "jim1.c3d", "jim2.c3d"]
+    assert session.people == {"Jim": ("jim1.c3d", "jim2.c3d")}
+    with pytest.raises(SceneError, match="matches no take"):
+        read_session_file(write_session(tmp_path, "takes: ['*.mp4']\n"))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [("takes: []\n", "takes"), ("takes: [x*.c3d]\n", "takes: no file"), ("takes: [ann.c3d]\nfill: {gap: 1}\n", "fill.gap")],

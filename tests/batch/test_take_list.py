@@ -24,11 +24,8 @@ def test_folder_stands_for_its_captures_but_not_for_outputs(tmp_path: Path) -> N
         "b/run.C3D",
         "run.mocapfix/run.c3d",
         "out/a/walk/walk.c3d",
-        "other/.batch.lock",
-        "other/a.c3d",
         "notes.txt",
     )
-    make_files(tmp_path, "other/.batch.lock", "other/b.c3d")
     found = find_takes([str(tmp_path)], tmp_path / "out")
     assert [take.id for take in found.takes] == ["a/walk.c3d", "b/run.C3D"]
     assert [path.name for path in found.skipped] == ["walk.trc"]
@@ -56,3 +53,21 @@ def test_sources_without_takes_are_refused(tmp_path: Path, source: str, monkeypa
 def test_name_that_is_not_utf8_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match=r"caf\\udce9\.c3d: its name or folder is not valid UTF-8; rename it\."):
         build_take_list([tmp_path / "walk.c3d", tmp_path / os.fsdecode(b"caf\xe9.c3d")])
+
+
+def test_outputs_of_batches_are_no_takes(tmp_path: Path) -> None:
+    make_files(tmp_path, "day1/walk.c3d", "old/walk/walk.c3d", "old/walk/walk.Jim.bvh", "old/walk/walk.record.json")
+    make_files(tmp_path, "out/day1/walk/walk.c3d", "out/day1/walk/.walk.attempts", "out/day1/walk/.walk.x1/walk.c3d")
+    for sources in ([str(tmp_path / "**" / "*.c3d")], [str(tmp_path)]):
+        assert [take.path for take in find_takes(sources, tmp_path / "other").takes] == [tmp_path / "day1" / "walk.c3d"]
+
+
+def test_hidden_folder_that_a_pattern_names_is_searched(tmp_path: Path) -> None:
+    make_files(tmp_path, ".lab/walk.c3d")
+    assert find_takes([str(tmp_path / ".lab" / "*.c3d")], tmp_path / "out").takes
+
+
+def test_linked_take_keeps_the_name_and_folder_of_its_link(tmp_path: Path) -> None:
+    make_files(tmp_path, "store/4f2a.c3d", "session/run.c3d")
+    (tmp_path / "session" / "walk.c3d").symlink_to(tmp_path / "store" / "4f2a.c3d")
+    assert [take.id for take in find_takes([str(tmp_path / "session")], tmp_path / "out").takes] == ["run.c3d", "walk.c3d"]
