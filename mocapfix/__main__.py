@@ -14,6 +14,8 @@ def main() -> None:
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")  # Numba words many errors that it never shows
+    # rerun logs that it cannot write a file; the command says so in a sentence of its own
+    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off,re_sdk=off")
     gc.disable()
     from mocapfix.cli import app
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from jaxtyping import Float
 from mocapfix.changes import Change, UnfilledRun
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
-from mocapfix.files.output_files import check_outputs_absent, make_output_folder
+from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_together
 from mocapfix.motion import Motion
 from mocapfix.options import OutputOptions
 from mocapfix.report.build_report import build_fill_section
@@ -89,17 +88,8 @@ class CleaningResult:
         subject_stems = [result.input_take.output_stem for result in results]
         targets = check_outputs_free(folder, stem, overwrite, self.input_take.path, options, subject_stems)
         make_output_folder(folder)
-        try:
-            with TemporaryDirectory(dir=folder, prefix=f".{stem}.") as temporary:
-                self._write_files(Path(temporary), options, report_progress)
-                for target in targets:
-                    part = Path(temporary) / target.name
-                    if part.exists():
-                        part.replace(target)
-                    else:  # an output of an earlier run that had a body
-                        target.unlink(missing_ok=True)
-        except OSError as error:
-            raise WriteError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder.") from error
+        with replace_together(targets, folder) as temporary:
+            self._write_files(temporary, options, report_progress)
         paths = [path for result in results for path in result.get_output_paths(folder, options).values()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 

@@ -26,6 +26,7 @@ INTERPOLATION_TIMESCALE_S = 0.45
 """Time scale of the interpolated signals."""
 INTERPOLATION_NOISE_VARIANCE = 1e-4
 """Variance of a sample relative to the power of the signal."""
+MIN_QUATERNION_NORM = 1e-9  # of an interpolated quaternion: a smaller one is no rotation
 INTERPOLATION_MEAN_VARIANCE = 100.0
 """Variance of the mean of a signal relative to its power."""
 INTERPOLATION_CONTEXT_S = 0.6
@@ -145,6 +146,8 @@ def interpolate_rotations(
     """Return a rotation over a span, given its values in known frames, and its variance in rad^2 per axis."""
     known = 2 * make_quaternions_continuous(Rotation.from_matrix(rotations).as_quat())
     interpolated, variance = interpolate_values(known, frames, span)
+    is_undefined = np.linalg.norm(interpolated, axis=1) < MIN_QUATERNION_NORM  # between opposite rotations
+    interpolated[is_undefined] = known[0]
     return Rotation.from_quat(interpolated).as_matrix(), variance * 4 / 3
 
 

@@ -4,9 +4,12 @@ The modules of this package are the only ones that print, parse arguments or dra
 """
 
 import json
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -137,6 +140,11 @@ COMMAND_GROUPS = {
 }
 
 
+def _stop(_number: int, _frame: FrameType | None) -> None:
+    """End the command when the system asks for it, as an interrupt from the keyboard does."""
+    raise KeyboardInterrupt
+
+
 def run_command_line(arguments: list[str] | None = None) -> None:
     """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage.
 
@@ -153,6 +161,8 @@ def run_command_line(arguments: list[str] | None = None) -> None:
         for name, command in commands.items():
             group.command(name=name)(command)
         app.command(group, name=group_name, help=help_text)
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _stop)
     try:
         status = app.cli(
             prog="mocapfix",

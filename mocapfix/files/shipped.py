@@ -1,5 +1,6 @@
 """Find and read the files that ship with mocapfix, in a wheel as well as in a checkout."""
 
+import math
 import re
 from importlib import resources
 from pathlib import Path
@@ -11,6 +12,9 @@ from mocapfix.errors import SceneError
 
 MAX_YAML_DEPTH = 100
 """lists and mappings that may contain each other; those of mocapfix are four deep"""
+MAX_YAML_VALUES = 1_000_000
+"""values that a document with aliases may have with these written out"""
+ALIAS_PATTERN = re.compile(r"[\s\[,:]\*\w")
 BRACKET_PATTERN = re.compile(r"[\[{\]}]")
 DEEP_BLOCK_PATTERN = re.compile(r"[-?]\s+[-?]\s|^ {100}", re.MULTILINE)
 """what a document without brackets must have many of to be deep: lists that begin a list, a far indentation"""
@@ -52,6 +56,28 @@ def measure_yaml_depth(text: str) -> int:
     return deepest
 
 
+def is_existing_file(path: str | Path) -> bool:
+    """Return whether there is a file of this name; a name that no file can have is none."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _count_values(data: object, counts: dict[int, float]) -> float:
+    """Return how many values a document has with its aliases written out, infinitely many if it contains itself.
+
+    counts  those of the lists and mappings that were counted, by id
+    """
+    if not isinstance(data, dict | list):
+        return 1
+    if id(data) not in counts:
+        counts[id(data)] = math.inf  # while it is counted
+        content = cast("list[object]", data) if isinstance(data, list) else cast("dict[object, object]", data).values()
+        counts[id(data)] = 1 + sum(_count_values(each, counts) for each in content)
+    return counts[id(data)]
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the content of a YAML file.
 
@@ -62,6 +88,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         if measure_yaml_depth(text) > MAX_YAML_DEPTH:
             raise SceneError(f"{path}: contains lists in lists more than {MAX_YAML_DEPTH} deep; check that it is the right file.")
         data = yaml.load(text, YAML_LOADER)
+        if ALIAS_PATTERN.search(text) and not _count_values(data, {}) <= MAX_YAML_VALUES:
+            raise SceneError(f"{path}: its aliases (*name) stand for too many values; write them out.")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}).") from error
     except yaml.YAMLError as error:

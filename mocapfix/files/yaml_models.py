@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, Validat
 from yaml.representer import SafeRepresenter
 
 from mocapfix.errors import SceneError
-from mocapfix.files.shipped import read_yaml
+from mocapfix.files.shipped import is_existing_file, read_yaml
 from mocapfix.skeleton import load_cmu31_body
 
 YamlModel = TypeVar("YamlModel", bound=BaseModel)
@@ -81,7 +81,7 @@ def find_by_name(
     """
     if (item := shipped.get(str(name_or_path))) is not None:
         return item
-    if not Path(name_or_path).is_file():
+    if not is_existing_file(name_or_path):
         raise SceneError(f"{name_or_path}: no such {item_kind}; name one of {', '.join(shipped)}, or give a YAML file.")
     return read(Path(name_or_path))
 

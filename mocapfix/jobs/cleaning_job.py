@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, NonNeg
 from mocapfix.errors import MocapfixError, OptionError, SceneError
 from mocapfix.files.option_definitions import Option
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
+from mocapfix.files.shipped import is_existing_file
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.options import CleanOptions, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
@@ -137,7 +138,7 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     for each, option in _list_job_options():
         section, _, key = option.job_key.rpartition(".")
         value = values[section][key] if section else values[key]
-        if each.name in FILE_OPTIONS and value and (path.parent / value).is_file():
+        if each.name in FILE_OPTIONS and value and is_existing_file(path.parent / value):
             value = path.parent / value
         if value != option.to_display(each.default):
             given[each.name] = option.from_display(value)

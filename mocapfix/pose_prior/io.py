@@ -11,7 +11,7 @@ from safetensors.numpy import save_file
 
 from mocapfix.errors import SceneError
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.files.shipped import find_shipped_folder
+from mocapfix.files.shipped import find_shipped_folder, is_existing_file
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 
@@ -29,7 +29,7 @@ def find_pose_model(name: str) -> Path:
     available = ", ".join(sorted(shipped - {MNN_IK, *OTHER_WEIGHT_FILES}))
     if name == MNN_IK:
         raise SceneError(f"The prior {name!r} is available in mocapfix bench prior only; choose one of: {available}.")
-    if not path.is_file() or name in OTHER_WEIGHT_FILES:
+    if not is_existing_file(path) or name in OTHER_WEIGHT_FILES:
         raise SceneError(f"There is no trained prior {name!r}; choose one of: {available}; or give a .safetensors file.")
     return path
 

@@ -20,6 +20,7 @@ from markupsafe import Markup
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.report.change_list import Figure
 from mocapfix.report.html_page import write_page
+from mocapfix.report.recording import check_recording_complete
 from mocapfix.skeleton import Skeleton
 
 KEYPOINT_FIGURE_COUNT = 4  # frames on the page, evenly spaced
@@ -128,6 +129,7 @@ def write_keypoint_recording(target: Path, film: KeypointFilm) -> None:
             rr.send_columns("world/skeleton", time, body, recording=recording)
         finally:
             recording.disconnect()
+        check_recording_complete(part)
 
 
 def write_keypoint_page(target: Path, film: KeypointFilm, report: KeypointReport) -> None:

@@ -15,6 +15,7 @@ All data are sent as whole columns: strips in lists, or one call per frame, take
 markers is a row without points; without such a row rerun keeps showing the previous frame.
 """
 
+import errno
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,10 @@ RECORDING_BONE_COLOUR = "#4f8fd6"
 STATE_COLOURS = ("#333a43", GREEN, AMBER, VIOLET, "#4b4073", RED, RED)  # by SampleOutcome
 RESIDUAL_CURVE_COLOURS = ("#ffb454", "#59c2ff", "#d2a6ff", "#aad94c", "#f07178", "#95e6cb")  # one curve each
 
+RECORDING_END = b"RRF2FOOT"
+RECORDING_END_BYTES = 16
+"""of the end of a complete recording, among which RECORDING_END is"""
+
 INPUT_POINT_RADIUS_M = 0.011
 UNLABELLED_POINT_RADIUS_M = 0.008
 CLEANED_POINT_RADIUS_M = 0.013
@@ -84,6 +89,16 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
                 writer.log_residuals(comparison.residual_m)
         finally:
             recording.disconnect()
+        check_recording_complete(part)
+
+
+def check_recording_complete(path: Path) -> None:
+    """Raise OSError if a recording has no end: rerun writes in a thread of its own, which only logs that the disk is full."""
+    data_end = path.stat().st_size - RECORDING_END_BYTES
+    with path.open("rb") as file:
+        file.seek(max(data_end, 0))
+        if RECORDING_END not in file.read():
+            raise OSError(errno.ENOSPC, "the recording is incomplete; is the disk full?")
 
 
 class _RecordingWriter:

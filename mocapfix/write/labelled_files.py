@@ -5,7 +5,6 @@ columns of the file, to which its samples move with all of their words, and traj
 table is written again, in the unit and axes and with the decimals of a new one.
 """
 
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.files.layouts import C3dLayout
+from mocapfix.files.output_files import make_scratch_folder
 from mocapfix.take import Take
 from mocapfix.write import patches, text_tables
 from mocapfix.write.c3d_parameter_records import replace_point_parameters
@@ -110,7 +110,7 @@ def build_labelled_table(take: Take, positions: Float[np.ndarray, "T P 3"], labe
         take, markers=positions, labels=labels, unlabelled=None, computed_points=None, point_columns=np.zeros(0, int)
     )
     write = text_tables.write_trc if take.path and take.path.suffix.lower() == ".trc" else text_tables.write_csv
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "labelled"
+    with make_scratch_folder() as folder:
+        path = folder / "labelled"
         write(path, labelled)
         return path.read_bytes()

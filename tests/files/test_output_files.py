@@ -1,9 +1,12 @@
 import os
+import shutil
+import signal
 
 import pytest
 
 from mocapfix.errors import WriteError
-from mocapfix.files.output_files import replace_atomically
+from mocapfix.files import output_files
+from mocapfix.files.output_files import hold_signals, make_scratch_folder, replace_atomically, replace_together
 
 
 def test_the_target_is_replaced_at_the_end(tmp_path):
@@ -53,3 +56,57 @@ def test_a_new_file_has_the_usual_permissions(tmp_path):
     with replace_atomically(target):
         pass
     assert target.stat().st_mode == usual.stat().st_mode
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_takes_effect_after_the_block(number):
+    class Stopped(Exception):
+        pass
+
+    def stop(*_):
+        raise Stopped
+
+    before = signal.signal(number, stop)
+    done = []
+    try:
+        with pytest.raises(Stopped), hold_signals():  # noqa: PT012
+            signal.raise_signal(number)
+            done.append(1)
+        assert done == [1]
+        assert signal.getsignal(number) is stop
+    finally:
+        signal.signal(number, before)
+
+
+def test_files_are_replaced_together_or_not_at_all(tmp_path):
+    targets = [tmp_path / name for name in ("a", "b", "c")]
+    for target in targets:
+        target.write_text("old")
+    with pytest.raises(WriteError, match=f"{tmp_path}.*No space left"), replace_together(targets, tmp_path) as folder:  # noqa: PT012
+        (folder / "a").write_text("new")
+        raise OSError(28, "No space left on device")
+    assert [target.read_text() for target in targets] == ["old"] * 3
+    with replace_together(targets, tmp_path) as folder:
+        (folder / "a").write_text("new")
+        (folder / "b").write_text("new")
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["a", "b"]
+    assert targets[0].read_text() == targets[1].read_text() == "new"
+
+
+def test_folder_that_is_removed_midway_is_an_error(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(WriteError, match="out"), replace_together([out / "a"], out) as folder:  # noqa: PT012
+        (folder / "a").write_text("new")
+        shutil.rmtree(out)
+        (folder / "b").write_text("new")
+    assert not out.exists()
+
+
+def test_no_room_for_temporary_files_is_an_error(monkeypatch):
+    def refuse():
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(output_files, "gettempdir", refuse)
+    with pytest.raises(WriteError, match="TMPDIR"), make_scratch_folder():
+        pass

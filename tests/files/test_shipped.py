@@ -84,3 +84,21 @@ def test_missing_file_and_folder_are_errors(tmp_path):
     assert str(raised.value) == f"{tmp_path / 'none.yaml'}: cannot be read (No such file or directory)."
     with pytest.raises(SceneError, match="cannot be read"):
         shipped.read_yaml(tmp_path)
+
+
+def test_aliases_that_multiply_are_refused(tmp_path):
+    path, levels = tmp_path / "set.yaml", range(1, 9)
+    lines = ["a0: &a0 [x, x]", *(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in levels)]
+    path.write_text("\n".join(lines))
+    with pytest.raises(SceneError, match="aliases"):
+        shipped.read_yaml(path)
+    path.write_text("a: &a [1, *a]\n")
+    with pytest.raises(SceneError, match="aliases"):
+        shipped.read_yaml(path)
+    path.write_text("a: &a [1, 2]\nb: *a\n")
+    assert shipped.read_yaml(path) == {"a": [1, 2], "b": [1, 2]}
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\0b", ""])
+def test_impossible_names_are_no_files(name):
+    assert not shipped.is_existing_file(name)
