@@ -92,6 +92,9 @@ def interpolate_body(
     """
     frame_count, joint_count = local_rotations.shape[:2]
     context = find_context_frames(is_known, span)
+    if not len(context):  # at low rates, or far from the nearest known frames
+        known = np.flatnonzero(is_known)
+        context = np.r_[known[known < span.first][-1:], known[known > span.last][:1]]
     world_rotations = compose_transforms(parents, np.zeros((frame_count, joint_count, 3)), local_rotations)[1]
     root, root_variance = interpolate_values(root_position[context], context, span)
     length = span.last - span.first + 1
@@ -147,7 +150,7 @@ def interpolate_rotations(
     known = 2 * make_quaternions_continuous(Rotation.from_matrix(rotations).as_quat())
     interpolated, variance = interpolate_values(known, frames, span)
     is_undefined = np.linalg.norm(interpolated, axis=1) < MIN_QUATERNION_NORM  # between opposite rotations
-    interpolated[is_undefined] = known[0]
+    interpolated[is_undefined] = known[:1]
     return Rotation.from_quat(interpolated).as_matrix(), variance * 4 / 3
 
 

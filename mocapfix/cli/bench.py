@@ -9,6 +9,7 @@ from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.bench_batch import BATCH_BENCH_COMMANDS
+from mocapfix.cli.bench_fuzz import run_bench_fuzz
 from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
@@ -285,6 +286,7 @@ BENCH_COMMANDS = {
     "stress": run_bench_stress,
     "faults": run_bench_faults,
     "labels": run_bench_labels,
+    "fuzz": run_bench_fuzz,
     "files": run_bench_files,
     "animations": run_bench_animations,
     "hybrik": run_bench_hybrik,

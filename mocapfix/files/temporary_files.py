@@ -26,8 +26,6 @@ LOCK_NAME = ".lock"
 """the file in a temporary folder that its owner has locked"""
 FOREIGN_AGE_S = 24 * 3600.0
 """age from which what another machine left is removed too: not every network file system knows the locks of other machines"""
-UNLOCKED_AGE_S = 60.0
-"""age from which a temporary folder without a lock file is removed: its owner was killed just when it had made the folder"""
 
 
 @contextmanager
@@ -49,17 +47,30 @@ def open_temporary_file(folder: Path) -> Generator[Path]:
 
 @contextmanager
 def open_temporary_folder(folder: Path) -> Generator[Path]:
-    """Yield a new empty folder in a folder, which is locked, and removed at the end with its content. Raises OSError."""
-    path = Path(mkdtemp(dir=folder, prefix=TEMPORARY_PREFIX))
-    handle = -1
-    try:
-        handle = os.open(path / LOCK_NAME, os.O_CREAT | os.O_RDWR, 0o600)
+    """Yield a new folder in a folder, with a locked file in it, and removed at the end with its content. Raises OSError.
+
+    A folder without a lock is always empty, at the beginning and at the end, so that another process can tell whether it is used.
+    """
+    while True:
+        path = Path(mkdtemp(dir=folder, prefix=TEMPORARY_PREFIX))
+        try:
+            handle = os.open(path / LOCK_NAME, os.O_CREAT | os.O_RDWR, 0o600)
+        except FileNotFoundError:
+            if folder.is_dir():  # another process has removed it before it was locked
+                continue
+            raise
+        except OSError:
+            path.rmdir()
+            raise
         _lock(handle)
+        if os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    try:
         yield path
     finally:
-        shutil.rmtree(path, ignore_errors=True)
-        if handle >= 0:
-            os.close(handle)
+        _remove_folder(path)
+        os.close(handle)
 
 
 def remove_abandoned_files(folder: Path) -> None:
@@ -73,24 +84,35 @@ def remove_abandoned_files(folder: Path) -> None:
 def _remove_if_abandoned(path: Path) -> None:
     if fcntl is None:
         return
-    age_s = time.time() - path.stat().st_mtime
-    if not path.name.startswith(TEMPORARY_PREFIX) and age_s < FOREIGN_AGE_S:
+    if not path.name.startswith(TEMPORARY_PREFIX) and time.time() - path.stat().st_mtime < FOREIGN_AGE_S:
         return
     is_folder = path.is_dir()
     lock_path = path / LOCK_NAME if is_folder else path
     if is_folder and not lock_path.exists():
-        if age_s > UNLOCKED_AGE_S or not any(path.iterdir()):
-            shutil.rmtree(path, ignore_errors=True)
+        path.rmdir()  # it is empty
         return
     handle = os.open(lock_path, os.O_RDWR)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
         if is_folder:
-            shutil.rmtree(path, ignore_errors=True)
+            _remove_folder(path)
         else:
             path.unlink(missing_ok=True)
     finally:
         os.close(handle)
+
+
+def _remove_folder(path: Path) -> None:
+    """Remove a temporary folder, its lock last."""
+    with suppress(OSError):
+        for each in path.iterdir():
+            if each.name != LOCK_NAME:
+                if each.is_dir():
+                    shutil.rmtree(each, ignore_errors=True)
+                else:
+                    each.unlink(missing_ok=True)
+        (path / LOCK_NAME).unlink(missing_ok=True)
+        path.rmdir()
 
 
 def _lock(handle: int) -> None:
