@@ -76,14 +76,15 @@ def format_duration(duration_s: float) -> str:
 class PlainProgress(BatchProgress):
     """Progress as lines: failures and messages at once, the counts at most every ten seconds and at the end of a stage.
 
-    shown_failures  names of the jobs whose failures were printed
+    shown_failures  the sentences that were printed, by name of the job. A take that fails for the same reason in two stages, when
+                    it is surveyed and when it is cleaned, is printed once
     """
 
     def __init__(self, console: Console = stderr_console, read_clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._read_clock = console, read_clock
         self._counts = StageCounts()
         self._last_line_s = 0.0
-        self.shown_failures: set[str] = set()
+        self.shown_failures: dict[str, str] = {}
 
     def start_stage(self, stage: str, job_count: int, done_count: int = 0) -> None:
         self._counts = StageCounts(stage, job_count, done_count, self._read_clock())
@@ -99,8 +100,9 @@ class PlainProgress(BatchProgress):
         self._counts.running.pop(name, None)
         if error:
             self._counts.failed_count += 1
-            self.shown_failures.add(name)
-            self._print_line(f"{name} failed: {error}", style="red")
+            if error not in self.shown_failures.get(name, ""):
+                self._print_line(f"{name} failed: {error}", style="red")
+            self.shown_failures[name] = error
         else:
             self._counts.done_count += 1
         self._draw_counts()

@@ -46,8 +46,20 @@ def test_lines_are_few_and_failures_come_at_once() -> None:
     assert lines[0] == "clean: 100 jobs; 10 done by an earlier batch."
     assert "walk50.c3d failed: [red]walk.c3d: is empty." in lines
     assert len(lines) <= 12
-    assert progress.shown_failures == {"walk50.c3d"}
+    assert set(progress.shown_failures) == {"walk50.c3d"}
     assert lines[-1] == "clean: 99 of 100 done, 1 failed."
+
+
+def test_take_that_fails_in_two_stages_for_one_reason_is_printed_once() -> None:
+    console, text = build_console()
+    progress = PlainProgress(console, Clock())
+    for stage, error in (("survey", "a.c3d: is empty."), ("clean", "is empty."), ("clean", "is cut off.")):
+        progress.start_stage(stage, 2)
+        progress.finish_job("a.c3d", error)
+    assert [line for line in text.getvalue().splitlines() if "failed:" in line] == [
+        "a.c3d failed: a.c3d: is empty.",
+        "a.c3d failed: is cut off.",
+    ]
 
 
 def test_time_left_is_that_of_the_jobs_that_remain() -> None:
