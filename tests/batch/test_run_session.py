@@ -35,7 +35,7 @@ def run(takes: Path, output_folder: Path, repeat_failed: bool = False) -> list[T
     settings = BatchSettings(
         output_folder,
         CleanOptions(),
-        JobLimits(timeout_s=10.0, memory_mb=1200.0, retries=0),
+        JobLimits(timeout_s=5.0, memory_mb=500.0, retries=0),
         ClusterOptions(workers=1),
         repeat_failed=repeat_failed,
         clean_function=FAULTY_FUNCTION,
@@ -48,7 +48,7 @@ def test_failures_have_reasons_and_a_second_batch_repeats_only_what_changed(take
     assert {record.take: record.reason for record in records} == REASONS
     assert all(record.error.startswith(str(takes)) for record in records if record.status == "failed")
     hanging = next(record for record in records if record.reason == "timeout")
-    assert hanging.seconds < 10 + 2
+    assert hanging.seconds < 5 + 2
     assert not [path for path in tmp_path.rglob(".*") if path.name != ".batch.lock"]
 
     start = time.monotonic()
