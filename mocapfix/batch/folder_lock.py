@@ -30,23 +30,30 @@ def lock_batch_folder(folder: Path) -> Generator[None]:
     make_output_folder(folder)
     path = folder / BATCH_LOCK_NAME
     try:
-        with path.open("a+", encoding=ENCODING) as file:
-            try:
-                _lock(file.fileno(), wait=False)
-            except BlockingIOError:
-                file.seek(0)
-                holder = file.read().strip() or "unknown process"
-                raise WriteError(
-                    f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
-                ) from None
-            file.truncate(0)
-            file.write(f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}")
-            file.flush()
-            yield
-    except WriteError:
-        raise
+        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
-        raise WriteError(f"{path}: cannot be written ({error.strerror or error}); choose another folder with --out.") from error
+        raise WriteError(describe_lock_failure(path, error)) from error
+    try:
+        try:
+            _lock(number, wait=False)
+            text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
+            os.ftruncate(number, 0)
+            os.write(number, text.encode(ENCODING))
+        except BlockingIOError:
+            holder = path.read_text(encoding=ENCODING).strip() or "unknown process"
+            raise WriteError(
+                f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
+            ) from None
+        except OSError as error:
+            raise WriteError(describe_lock_failure(path, error)) from error
+        yield
+    finally:
+        os.close(number)
+
+
+def describe_lock_failure(path: Path, error: OSError) -> str:
+    """Return the sentence on a lock file that cannot be written or locked."""
+    return f"{path}: cannot be written ({error.strerror or error}); choose another folder with --out."
 
 
 class TakeAttempts:

@@ -143,7 +143,7 @@ def _run_child(request: ForkRequest, server: int, write_end: int) -> None:
     os.setsid()  # with all processes that it starts it can be killed as a group
     _end_with_parent(server)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    with suppress(OSError, ValueError):
+    with suppress(OSError, ValueError, OverflowError):
         _limit_data(request.memory_mb)
     module, _, name = request.function.partition(":")
     try:

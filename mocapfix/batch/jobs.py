@@ -85,14 +85,13 @@ def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_F
     A process that crashes is repeated `limits.retries` times. The record of a take that failed is written here, that of one that
     is done by the child.
     """
-    started, start = format_now(), time.monotonic()
+    started = format_now()
     outcome = run_in_child(function, {"request": request}, limits)
     for _ in range(limits.retries):
         if outcome.status == "crash":
             outcome = run_in_child(function, {"request": request}, limits)
     if isinstance(outcome.value, TakeRecord):
         return outcome.value
-    outcome = replace(outcome, seconds=time.monotonic() - start)
     try:
         return write_failure(request, outcome, started)
     except MocapfixError as error:  # there is no place for a record: the folder was removed, or the disk is full
@@ -113,6 +112,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         found = find_current_record(request)
         if found and found.status == "done":
             return found
+        input_sha256 = try_to_hash(request.path)  # before reading: a file that changes later is cleaned again
         key = build_attempt_key(request)
         if attempts.count(key) >= MAX_LOST_ATTEMPTS:
             raise MocapfixError(
@@ -126,7 +126,7 @@ def clean_recorded_take(request: CleanRequest) -> TakeRecord:
         record = TakeRecord(
             take=request.take,
             input=str(request.path),
-            input_sha256=hash_file(request.path),
+            input_sha256=input_sha256,
             options_sha256=hash_options(request.options),
             version=get_version(),
             status="done",

@@ -12,12 +12,12 @@ from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import ClusterOptions, has_dashboard, open_client
 from mocapfix.batch.content_hash import resolve_option_files
 from mocapfix.batch.folder_lock import lock_batch_folder
-from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record
+from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, try_to_hash
 from mocapfix.batch.progress import BatchProgress
-from mocapfix.batch.records import TakeRecord, get_record_path
+from mocapfix.batch.records import TakeRecord, get_record_path, read_record
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.batch.task_window import Task, run_tasks
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.options import CleanOptions
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ def run_session(
     settings = replace(settings, output_folder=folder, options=resolve_option_files(settings.options))
     with lock_batch_folder(folder):
         requests = build_requests(takes, settings)
+        check_same_inputs(requests)
         records = find_finished_takes(requests, settings)
         waiting = [request for request in requests if request.take not in records]
         try:
@@ -87,6 +88,19 @@ def run_session(
 def build_requests(takes: Sequence[BatchTake], settings: BatchSettings) -> list[CleanRequest]:
     """Return what is to be done for each take."""
     return [CleanRequest(take.id, take.path, settings.output_folder, settings.options) for take in takes]
+
+
+def check_same_inputs(requests: Sequence[CleanRequest]) -> None:
+    """Raise WriteError if the folder has the outputs of another file, of another session for instance, with a take's id."""
+    for request in requests:
+        record = read_record(get_record_path(request.output_folder, request.take))
+        if record is None or record.input == str(request.path) or not Path(record.input).is_file():
+            continue
+        if record.input_sha256 != try_to_hash(request.path):  # not a copy
+            raise WriteError(
+                f"{request.output_folder}: has the outputs of {record.input}, which those of {request.path} would replace; "
+                "choose another folder with --out."
+            )
 
 
 def find_finished_takes(requests: Sequence[CleanRequest], settings: BatchSettings) -> dict[str, TakeRecord]:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Generator
 from contextlib import suppress
+from math import inf
 
 import psutil
 import pytest
@@ -24,6 +25,10 @@ def server() -> Generator[ForkServer]:
 def test_result_of_a_job_is_returned(server: ForkServer) -> None:
     outcome = server.run(f"{FAULTS}:give_number", {}, LIMITS)
     assert (outcome.status, outcome.value, outcome.error) == ("done", 42, "")
+
+
+def test_limits_may_be_infinite(server: ForkServer) -> None:
+    assert server.run("builtins:dict", {"a": 1}, JobLimits(inf, inf)).value == {"a": 1}
 
 
 def test_unexplained_error_is_one_sentence_with_its_place(server: ForkServer) -> None:

@@ -16,6 +16,11 @@ def test_second_batch_on_a_folder_is_refused_with_its_holder(tmp_path: Path) -> 
         pass
 
 
+def test_errors_of_what_holds_the_lock_are_not_those_of_the_lock(tmp_path: Path) -> None:
+    with pytest.raises(PermissionError), lock_batch_folder(tmp_path):
+        raise PermissionError
+
+
 def test_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
     child = os.fork()
     if not child:

@@ -1,5 +1,6 @@
 """Whole batches on a local cluster: outputs, failures with their reasons, and what is resumed."""
 
+import shutil
 import time
 from pathlib import Path
 
@@ -8,12 +9,13 @@ import pytest
 from mocapfix.batch import cluster
 from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import ClusterOptions
+from mocapfix.batch.jobs import CleanRequest, try_to_hash
 from mocapfix.batch.progress import BatchProgress
-from mocapfix.batch.records import TakeRecord
-from mocapfix.batch.run_session import BatchSettings, run_session
+from mocapfix.batch.records import TakeRecord, write_record
+from mocapfix.batch.run_session import BatchSettings, check_same_inputs, run_session
 from mocapfix.batch.take_list import find_takes
 from mocapfix.bench.batch_faults import FAULTY_FUNCTION
-from mocapfix.errors import MocapfixError
+from mocapfix.errors import MocapfixError, WriteError
 from mocapfix.options import CleanOptions
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
@@ -63,6 +65,19 @@ def test_failures_have_reasons_and_a_second_batch_repeats_only_what_changed(take
     assert set(repeated) == {"unreadable.c3d", "walk.c3d"}
     assert (tmp_path / "walk" / "walk.bvh").is_file()
     assert repeated["unreadable.c3d"] == next(record for record in records if record.reason == "error")
+
+
+def test_outputs_of_another_session_are_not_replaced(takes: Path, tmp_path: Path) -> None:
+    day1, day2 = (shutil.copytree(takes, tmp_path / name) / "walk.c3d" for name in ("day1", "day2"))
+    out = tmp_path / "out"
+    write_record(out, TakeRecord(take="walk.c3d", input=str(day1), input_sha256=try_to_hash(day1), status="done"))
+    request = CleanRequest("walk.c3d", day2, out, CleanOptions())
+    check_same_inputs([request])  # a copy
+    day2.write_bytes(b"another take")
+    with pytest.raises(WriteError, match=r"out: has the outputs of .*day1/walk\.c3d"):
+        check_same_inputs([request])
+    day1.unlink()  # the session was moved
+    check_same_inputs([request])
 
 
 def test_unreachable_scheduler_is_one_sentence(takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
