@@ -1,9 +1,11 @@
 """Whole batches on a local cluster: outputs, failures with their reasons, and what is resumed."""
 
 import shutil
+import threading
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from mocapfix.batch import cluster
@@ -78,6 +80,28 @@ def test_outputs_of_another_session_are_not_replaced(takes: Path, tmp_path: Path
         check_same_inputs([request])
     day1.unlink()  # the session was moved
     check_same_inputs([request])
+
+
+def test_take_of_a_killed_worker_is_cleaned_by_the_next(tmp_path: Path) -> None:
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    write_synthetic_take(folder / "walk.c3d", compose_take(seconds=4.0, rate=60.0))
+    settings = BatchSettings(tmp_path / "out", CleanOptions(), cluster=ClusterOptions(workers=1))
+    results: list[TakeRecord] = []
+    takes = find_takes([str(folder)], settings.output_folder).takes
+    thread = threading.Thread(target=lambda: results.extend(run_session(takes, settings, BatchProgress())))
+    thread.start()
+    begun = settings.output_folder / "walk" / ".walk.attempts"
+    deadline = time.monotonic() + 100
+    while not (begun.is_file() and begun.read_text(encoding="utf-8")):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    (worker,) = [each for each in psutil.Process().children() if "spawn_main" in " ".join(each.cmdline())]
+    worker.kill()
+    thread.join(100)
+    (record,) = results
+    assert (record.status, record.attempts) == ("done", 2)
+    assert not begun.exists()
 
 
 def test_unreachable_scheduler_is_one_sentence(takes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
