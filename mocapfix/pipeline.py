@@ -9,13 +9,14 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mocapfix import multi_subject
 from mocapfix.animation import Animation
 from mocapfix.animations.clean import clean_animation, inspect_animation, reject_hierarchy
-from mocapfix.calibrate.calibration import calibrate_body, calibrate_subject, place_moved_markers
+from mocapfix.calibrate.calibration import calibrate_body, place_moved_markers, select_calibration_frames
+from mocapfix.calibrate.calibration_frames import CalibrationFrames
+from mocapfix.calibrate.person_calibration import calibrate_person
 from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
@@ -252,7 +253,7 @@ def calibrate_takes(
     mean_pose_prior: str = "mean-pose",
     **changed_options: object,
 ) -> Subject:
-    """Calibrate one person's bones and marker offsets from one or several takes together.
+    """Calibrate one person's bones and marker offsets from the best frames of one or several takes together.
 
     Args:
         paths: the takes.
@@ -260,40 +261,40 @@ def calibrate_takes(
         mean_pose_prior: the name of the mean pose prior.
 
     Raises:
-        TakeError: if there is no take, no marker set fits, the takes have different marker sets, or a take shows several
-            subjects and none is named.
+        TakeError: if there is no take, no marker set fits, marker sets differ, or one of several subjects is to be named.
     """
-    options = options.change(**changed_options)
     if not paths:
         raise TakeError("There is no take to calibrate from; name at least one.")
-    states = [_detect_for_calibration(path, options) for path in paths]
-    marker_sets = [state.marker_set for state in states if state.marker_set]
-    if len({each.name for each in marker_sets}) > 1:
-        names = ", ".join(f"{state.original_take.name} ({state.marker_set.name})" for state in states if state.marker_set)
-        raise TakeError(
-            f"The takes have different marker sets: {names}; calibrate them separately, or name one with --marker-set."
-        )
-    marker_set = max(marker_sets, key=lambda each: len(each.labels))  # takes may show different parts of the body
-    takes = [
-        state.detection.take.select(marker_set.find_columns(state.original_take.labels), state.detection.inlier_mask)
-        for state in states
-    ]
-    joined = takes[0].replace_markers(np.concatenate([take.markers for take in takes]))
-    body = restrict_body(load_cmu31_body(), set(marker_set.joints.tolist()))
-    return calibrate_subject(joined, marker_set, body, load_mean_pose_prior(mean_pose_prior, body.skeleton))
+    surveys = [survey_take(path, options.change(**changed_options), Path(path).name) for path in paths]
+    for path, found in zip(paths, surveys, strict=True):
+        if len(found) > 1:
+            names = " and ".join(frames.subject_name for frames in found)
+            raise TakeError(f"{Path(path).name}: shows {names}; name the subject to calibrate with --subject-prefix.")
+    return calibrate_person([found[0] for found in surveys], mean_pose_prior=mean_pose_prior).subject
 
 
-def _detect_for_calibration(path: str | Path, options: CleanOptions) -> CleaningState:
-    """Read one take of one subject and detect its faults."""
+@limit_blas_threads
+def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_id: str = "") -> list[CalibrationFrames]:
+    """Return the best frames of each subject in a take, from which persons are calibrated.
+
+    Raises TakeError if the take shows no body with a marker set.
+    """
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
     capture = label_take(capture, load_requested_subject(options.subject))
-    take, *others = split_known_subjects(capture, options.subject)
-    if others:
-        names = multi_subject.format_subject_names((take, *others))
-        raise TakeError(f"{capture.name}: shows {names}; name the subject to calibrate with --subject-prefix.")
-    state = start_cleaning(take, options.subject)
-    if state.marker_set is None:
-        raise TakeError(f"{take.name}: {state.notes[0]} There is no body to calibrate.")
-    return detect_on_trajectories(state, options)
+    found, notes = list[CalibrationFrames](), list[str]()
+    for take in split_known_subjects(capture, options.subject):
+        state = start_cleaning(take, options.subject)
+        if state.marker_set is None:
+            notes += state.notes[:1]
+            continue
+        detection = detect_on_trajectories(state, options).detection
+        shown = detection.take.select(state.marker_set.find_columns(take.labels), detection.inlier_mask)
+        body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
+        prior = load_mean_pose_prior("mean-pose", body.skeleton)
+        shown = replace(shown, subject_name=take.subject_name)
+        found.append(select_calibration_frames(take_id, shown, state.marker_set, body, prior))
+    if not found:
+        raise TakeError(f"{capture.name}: {notes[0]} There is no body to calibrate.")
+    return found

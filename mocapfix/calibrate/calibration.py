@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.calibrate import refinement
 from mocapfix.calibrate.body_size import MAX_SIZE_RATIO, MIN_SIZE_RATIO, estimate_body_size_ratio, scale_skeleton
+from mocapfix.calibrate.calibration_frames import CalibrationFrames
 from mocapfix.errors import TakeError
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion
@@ -123,6 +124,36 @@ def select_varied_poses(local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.r
         chosen.append(int(nearest.argmax()))
     rest = np.setdiff1d(np.arange(len(flat)), chosen)
     return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
+
+
+def select_calibration_frames(
+    take_id: str, take: Take, marker_set: MarkerSet, body: BodyModel, prior: MeanPosePrior
+) -> CalibrationFrames:
+    """Return the frames of a take that show most markers and differ most in pose.
+
+    take  the markers in the order of the marker set, NaN if not visible or an outlier
+
+    Raises TakeError if no frame shows three markers, or the markers do not fit a person's size.
+    """
+    start = scale_average_subject(take, marker_set, body)
+    candidates = select_candidate_frames(take.markers)
+    motion = refinement.pose_frames(start, body, prior, take.markers[candidates])
+    chosen = select_varied_poses(motion.local_rotations, np.random.default_rng(0))
+    frames = candidates[chosen]
+    return CalibrationFrames(
+        take=take_id,
+        subject_name=take.subject_name,
+        marker_set=marker_set.name,
+        labels=marker_set.labels,
+        joints=marker_set.joints,
+        marker_offsets=marker_set.marker_offsets,
+        marker_spread=marker_set.marker_spread,
+        size_ratio=start.skeleton.total_length_m / body.skeleton.total_length_m,
+        times_s=frames / take.rate,
+        markers=take.markers[frames],
+        root_position=motion.root_position[chosen],
+        local_rotations=motion.local_rotations[chosen],
+    )
 
 
 def add_moved_markers(

@@ -14,6 +14,7 @@ from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
 from mocapfix.cli.bench_prior_scope import run_bench_prior_scope
+from mocapfix.cli.bench_session import run_bench_session
 from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_usage_error, show_progress, stdout_console
 
@@ -292,6 +293,7 @@ BENCH_COMMANDS = {
     "hybrik": run_bench_hybrik,
     "prior": run_bench_prior,
     "prior-scope": run_bench_prior_scope,
+    "session": run_bench_session,
     "hands": run_bench_hands,
     "learned-ik": run_bench_learned_ik,
 }

@@ -1,0 +1,231 @@
+"""Calibration of a person from all takes: bones and marker places from the best frames, and what differs between takes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.calibrate import refinement
+from mocapfix.calibrate.calibration_frames import CalibrationFrames, build_average_subject
+from mocapfix.calibrate.joint_calibration import JointCalibration, calibrate_jointly
+from mocapfix.calibrate.noise_bias import predict_frame_markers, remove_noise_bias
+from mocapfix.calibrate.parameters import CalibratedBody
+from mocapfix.calibrate.refinement import RefinementState
+from mocapfix.calibrate.take_differences import (
+    MovedMarker,
+    compute_place_residuals,
+    find_attached_again,
+    find_moved_markers,
+    number_places,
+)
+from mocapfix.errors import TakeError
+from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
+from mocapfix.skeleton import load_cmu31_body, restrict_body
+from mocapfix.subject import Subject
+
+MAX_JOINT_TAKES = 10
+"""Takes from which bones and places are calibrated; those of the others are compared with them."""
+MAX_FRAMES_PER_PERSON = 300
+"""Frames of all takes of a person that enter the calibration. More of them weight the errors of the model too much."""
+MIN_FRAMES_PER_TAKE = 20
+"""Frames of each take that enter at least."""
+MAX_MOVE_ROUNDS = 3
+"""Rounds of detecting moved markers and calibrating with their places."""
+MAX_OWN_RESIDUAL_RATIO = 2.5
+"""Residual of a take, relative to the person's other takes, above which it is not that person's."""
+MIN_FOREIGN_RESIDUAL_M = 0.015
+"""The same in metres."""
+RANGE_OF_MOTION_WORDS = ("rom", "range", "calib", "static")
+"""Parts of the names of takes that were recorded for calibration."""
+
+
+@dataclass(frozen=True)
+class PersonCalibration:
+    """A person calibrated from several takes.
+
+    Attributes:
+        subject: bones and the usual marker places.
+        take_subjects: by id of a take, the subject with the marker places of that take, where they differ.
+        sessions: by id of a take, the number of the attachment of all markers; 0 unless they were attached again.
+        moved: moved markers, whose takes are indices of `takes`.
+        takes: ids of the takes that fit the person.
+        rejected: by id, why a take does not belong to the person.
+    """
+
+    subject: Subject
+    take_subjects: dict[str, Subject]
+    sessions: dict[str, int]
+    moved: tuple[MovedMarker, ...]
+    takes: tuple[str, ...]
+    rejected: dict[str, str] = field(default_factory=dict[str, str])
+
+    def describe_moves(self) -> list[str]:
+        """Return a sentence for each moved marker."""
+        return [
+            f"Marker {self.subject.labels[each.marker]} lies {1e3 * each.distance_m:.0f} mm from its usual place in "
+            f"{', '.join(self.takes[take] for take in each.takes)}: it has a place of its own there."
+            for each in self.moved
+        ]
+
+
+def calibrate_person(
+    takes: Sequence[CalibrationFrames], sessions: Sequence[str] | None = None, mean_pose_prior: str = "mean-pose"
+) -> PersonCalibration:
+    """Return a person's bones and marker places, estimated from frames of several takes.
+
+    sessions  the session of each take: markers are attached again only between sessions; None if all are of one
+
+    Raises TakeError if the takes have different marker sets.
+    """
+    takes = join_marker_sets(takes)
+    session_of_take = {take.take: name for take, name in zip(takes, sessions or [""] * len(takes), strict=True)}
+    body = restrict_body(load_cmu31_body(), set(takes[0].joints.tolist()))
+    prior = load_mean_pose_prior(mean_pose_prior, body.skeleton)
+    ranked = sorted(takes, key=_rank_take)
+    frame_count = max(MIN_FRAMES_PER_TAKE, MAX_FRAMES_PER_PERSON // min(len(ranked), MAX_JOINT_TAKES))
+    thinned = [thin_frames(take, frame_count) for take in ranked]
+    chosen = thinned[:MAX_JOINT_TAKES]
+    calibration = calibrate_jointly(chosen, np.zeros((len(chosen), len(takes[0].labels)), int), body, prior)
+    rejected = find_foreign_takes(chosen, calibration.states)
+    if rejected:
+        chosen = [take for take in chosen if take.take not in rejected]
+        calibration = calibrate_jointly(chosen, np.zeros((len(chosen), len(takes[0].labels)), int), body, prior)
+    names = [session_of_take[take.take] for take in chosen]
+    places = find_attached_again(calibration.states, calibration.marker_offsets, names)
+    if places.any():
+        calibration = calibrate_jointly(chosen, places, body, prior, calibration)
+    attachments = places[:, 0].copy() if places.size else np.zeros(len(chosen), int)
+    moved: list[MovedMarker] = []
+    for _ in range(MAX_MOVE_ROUNDS):
+        new = find_moved_markers(calibration.states, calibration.marker_offsets, places)
+        if not new:
+            break
+        moved += new
+        places = number_places(new, places)
+        calibration = calibrate_jointly(chosen, places, body, prior, calibration)
+    if len(chosen) > 1:
+        calibration = remove_noise_bias(calibration, chosen, places, body, prior)
+    ids = [take.take for take in chosen]
+    take_subjects = {
+        name: replace(calibration.subject, marker_offsets=offsets)
+        for name, offsets, row in zip(ids, calibration.marker_offsets, places, strict=True)
+        if row.any()
+    }
+    numbers = dict(zip(ids, attachments.tolist(), strict=True))
+    result = PersonCalibration(calibration.subject, take_subjects, numbers, tuple(moved), tuple(ids), rejected)
+    for take in thinned[MAX_JOINT_TAKES:]:
+        result = add_take(result, calibration, take)
+    return result
+
+
+def add_take(person: PersonCalibration, calibration: JointCalibration, take: CalibrationFrames) -> PersonCalibration:
+    """Return the person with one more take, whose marker places are compared with those of the calibration."""
+    body = restrict_body(load_cmu31_body(), set(take.joints.tolist()))
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    start = build_average_subject(take, body, take.size_ratio)
+    first = calibration.states[0]
+    no_deviation = np.zeros_like(person.subject.skeleton.offsets)
+    placed = CalibratedBody(person.subject.skeleton.offsets, person.subject.marker_offsets, no_deviation)
+    problem = refinement.build_calibration_problem(start, body, prior, take.markers, placed)
+    state = refinement.solve_and_linearise(
+        first.parameters, problem, first.unknowns, take.root_position.copy(), take.local_rotations.copy()
+    )
+    if reason := find_foreign_take(take, state, calibration.states):
+        return replace(person, rejected={**person.rejected, take.take: reason})
+    common = [t for t, name in enumerate(person.takes[: len(calibration.states)]) if name not in person.take_subjects]
+    states = [*(calibration.states[t] for t in common), state]
+    offsets = np.tile(person.subject.marker_offsets, (len(states), 1, 1))
+    index = len(person.takes)
+    own = person.subject.marker_offsets.copy()
+    moved = list(person.moved)
+    for each in find_moved_markers(states, offsets, np.zeros(offsets.shape[:2], int)):
+        if each.takes == (len(states) - 1,):
+            own[each.marker] += compute_place_residuals(state, without_marker=each.marker)[each.marker]
+            moved.append(replace(each, takes=(index,)))
+    has_own = bool((own != person.subject.marker_offsets).any())
+    own_subjects = {take.take: replace(person.subject, marker_offsets=own)} if has_own else {}
+    return replace(
+        person,
+        takes=(*person.takes, take.take),
+        sessions={**person.sessions, take.take: 0},
+        moved=tuple(moved),
+        take_subjects={**person.take_subjects, **own_subjects},
+    )
+
+
+def join_marker_sets(takes: Sequence[CalibrationFrames]) -> list[CalibrationFrames]:
+    """Return the takes with the markers of all: those that a take does not have are missing in it.
+
+    Raises TakeError if the takes have different marker sets.
+    """
+    if len({take.marker_set for take in takes}) > 1:
+        names = ", ".join(f"{take.take} ({take.marker_set})" for take in takes)
+        raise TakeError(
+            f"The takes have different marker sets: {names}; calibrate them separately, or name one with --marker-set."
+        )
+    source = {label: (take, k) for take in reversed(takes) for k, label in enumerate(take.labels)}
+    largest = max(takes, key=lambda take: len(take.labels))
+    labels = (*largest.labels, *(label for label in source if label not in largest.labels))
+    joints, offsets, spread = (
+        np.array([getattr(source[label][0], name)[source[label][1]] for label in labels])
+        for name in ("joints", "marker_offsets", "marker_spread")
+    )
+    joined: list[CalibrationFrames] = []
+    for take in takes:
+        markers = np.full((len(take.times_s), len(labels), 3), np.nan)
+        markers[:, [labels.index(label) for label in take.labels]] = take.markers
+        joined.append(replace(take, labels=labels, joints=joints, marker_offsets=offsets, marker_spread=spread, markers=markers))
+    return joined
+
+
+def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
+    """Return at most `count` frames of a take, those that differ most in pose."""
+    if len(take.times_s) <= count:
+        return take
+    flat = take.local_rotations[:, 1:].reshape(len(take.times_s), -1)
+    kept = np.sort(select_different(flat, count))
+    return replace(
+        take,
+        times_s=take.times_s[kept],
+        markers=take.markers[kept],
+        root_position=take.root_position[kept],
+        local_rotations=take.local_rotations[kept],
+    )
+
+
+def select_different(values: Float[np.ndarray, "N D"], count: int) -> Int[np.ndarray, " C"]:
+    """Return the indices of rows: half of them by farthest-point selection, half evenly spaced among the others."""
+    chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin())]
+    nearest = np.full(len(values), np.inf)
+    while len(chosen) < count // 2:
+        nearest = np.minimum(nearest, np.linalg.norm(values - values[chosen[-1]], axis=1))
+        nearest[chosen[-1]] = -1.0
+        chosen.append(int(nearest.argmax()))
+    rest = np.setdiff1d(np.arange(len(values)), chosen)
+    return np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]]
+
+
+def find_foreign_takes(takes: Sequence[CalibrationFrames], states: Sequence[RefinementState]) -> dict[str, str]:
+    """Return the takes whose markers do not fit the body that the others have in common, with the reason."""
+    reasons = {take.take: find_foreign_take(take, state, states) for take, state in zip(takes, states, strict=True)}
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def find_foreign_take(take: CalibrationFrames, state: RefinementState, others: Sequence[RefinementState]) -> str:
+    """Return why a take does not belong to the person of the others; "" if it does."""
+    own_m, usual_m = compute_typical_residual(state), float(np.median([compute_typical_residual(each) for each in others]))
+    if len(others) < 3 or own_m <= max(MIN_FOREIGN_RESIDUAL_M, MAX_OWN_RESIDUAL_RATIO * usual_m):
+        return ""
+    return f"The markers of {take.take} lie {1e3 * own_m:.0f} mm from the person's body, usual are {1e3 * usual_m:.0f} mm."
+
+
+def compute_typical_residual(state: RefinementState) -> float:
+    """Return the median distance in metres of the markers from the calibrated body."""
+    return float(np.nanmedian(np.linalg.norm(state.problem.marker_positions - predict_frame_markers(state), axis=-1)))
+
+
+def _rank_take(take: CalibrationFrames) -> tuple[bool, float]:
+    """Return the order of a take: ranges of motion first, then by how much the poses vary."""
+    name = take.take.casefold()
+    return not any(word in name for word in RANGE_OF_MOTION_WORDS), -take.pose_variation_rad
