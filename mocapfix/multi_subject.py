@@ -32,7 +32,7 @@ def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...
     Raises TakeError where the options give one subject for a take of several.
     """
     takes = split_subjects(take, load_requested_subject(options).marker_set, options.subject_prefix)
-    if options.subject is not None and len(takes) > 1:
+    if options.subject is not None and not isinstance(options.subject, tuple) and len(takes) > 1:
         names = format_subject_names(takes)
         raise TakeError(
             f"{take.name}: shows {names}, but --subject describes one person; name that person with --subject-prefix."
@@ -53,6 +53,14 @@ def split_corrected_subjects(
     if exchanges.faults:
         parts = tuple(exchanges.add_notes(part) for part in split_known_subjects(exchanges.take, options.subject))
     return parts, reviewed_changes, exchanges
+
+
+def choose_subject(take: Take, options: SubjectOptions) -> SubjectOptions:
+    """Return the options with the subject of one subject's take, where they name several by prefix; None without one for it."""
+    if not isinstance(options.subject, tuple):
+        return options
+    by_prefix = {prefix.casefold(): path for prefix, path in options.subject}
+    return replace(options, subject=by_prefix.get(take.subject_name.casefold()))
 
 
 def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:

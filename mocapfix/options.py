@@ -53,7 +53,7 @@ class SubjectOptions(StageOptions):
         False, "--known-sets-only", "", "learn no marker set from a take that no known one fits: clean it without a skeleton",
         job_key="known_sets_only",
     )  # fmt: skip
-    subject: "str | Path | Subject | None" = define_option(
+    subject: "str | Path | Subject | tuple[tuple[str, Path], ...] | None" = define_option(
         None, "--subject", "FILE", "subject file of a calibration", default_text="calibrated from the take"
     )
     like: str | Path | None = define_option(

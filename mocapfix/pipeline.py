@@ -24,7 +24,7 @@ from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
-from mocapfix.multi_subject import split_corrected_subjects, split_known_subjects
+from mocapfix.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
 from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
@@ -123,7 +123,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
 
 def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
     """Return the state in which the cleaning of one subject's take begins. Raises TakeError if the marker set does not fit it."""
-    choice = resolve_subject(take, options)
+    choice = resolve_subject(take, choose_subject(take, options))
     if choice.marker_set is None and not options.known_sets_only:
         from mocapfix.marker_sets.own_set import find_own_marker_set  # few takes need it
 

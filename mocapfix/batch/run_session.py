@@ -3,8 +3,9 @@
 Records are the state: whatever ends the batch, the next one goes on with the takes that have no current record.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from mocapfix.batch.folder_lock import lock_batch_folder
 from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, try_to_hash
 from mocapfix.batch.progress import BatchProgress
 from mocapfix.batch.records import TakeRecord, get_record_path, read_record
+from mocapfix.batch.session_people import assign_subjects
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.batch.task_window import Task, run_tasks
 from mocapfix.errors import MocapfixError, WriteError
@@ -39,6 +41,8 @@ class BatchSettings:
     resume          whether to skip takes whose record is current
     repeat_failed   whether takes that failed are cleaned again although nothing has changed
     clean_function  "module:name" of what the children run, which tests replace
+    each_take_alone whether each take is calibrated alone, not with the other takes of the person
+    people          by name of a person, the ids of the takes that show the person, from a session file
     """
 
     output_folder: Path
@@ -48,6 +52,8 @@ class BatchSettings:
     resume: bool = True
     repeat_failed: bool = False
     clean_function: str = CLEAN_FUNCTION
+    each_take_alone: bool = True
+    people: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
 
 
 PageWriter = Callable[[Path, Sequence[TakeRecord]], object]
@@ -67,22 +73,37 @@ def run_session(
     """
     folder = settings.output_folder.resolve()
     settings = replace(settings, output_folder=folder, options=resolve_option_files(settings.options))
-    with lock_batch_folder(folder):
+    clients: list[Client] = []
+    records: dict[str, TakeRecord] = {}
+    with lock_batch_folder(folder), ExitStack() as stack:
+
+        def connect() -> "Client":
+            if not clients:
+                clients.append(stack.enter_context(open_client(settings.cluster)))
+                if has_dashboard() and clients[0].dashboard_link:
+                    progress.show_dashboard(clients[0].dashboard_link)
+            return clients[0]
+
         requests = build_requests(takes, settings)
         check_same_inputs(requests)
-        records = find_finished_takes(requests, settings)
-        waiting = [request for request in requests if request.take not in records]
         try:
-            if waiting:
-                with open_client(settings.cluster) as client:
-                    if has_dashboard() and client.dashboard_link:
-                        progress.show_dashboard(client.dashboard_link)
-                    clean_takes_on_cluster(client, waiting, records, settings, progress)
+            if knows_people(settings) and len(requests) > 1:
+                requests = assign_subjects(connect, requests, settings.people, settings.limits, progress)
+            records |= find_finished_takes(requests, settings)
+            if waiting := [request for request in requests if request.take not in records]:
+                clean_takes_on_cluster(connect(), waiting, records, settings, progress)
         finally:
             in_order = [records[take.id] for take in takes if take.id in records]
             if write_page is not None:
                 write_page(folder, in_order)
     return in_order
+
+
+def knows_people(settings: BatchSettings) -> bool:
+    """Return whether people are calibrated from all of their takes: unless the options name a subject, or ask for a preview."""
+    subject = settings.options.subject
+    is_named = subject.subject is not None or subject.like is not None or subject.subject_prefix is not None
+    return not settings.each_take_alone and not is_named and not settings.options.initialise.is_fast
 
 
 def build_requests(takes: Sequence[BatchTake], settings: BatchSettings) -> list[CleanRequest]:

@@ -97,8 +97,9 @@ def calibrate_person(
         calibration = calibrate_jointly(chosen, places, body, prior, calibration)
     attachments = places[:, 0].copy() if places.size else np.zeros(len(chosen), int)
     moved: list[MovedMarker] = []
+    shortest_s = min(float(np.ptp(take.times_s)) for take in chosen)
     for _ in range(MAX_MOVE_ROUNDS):
-        new = find_moved_markers(calibration.states, calibration.marker_offsets, places)
+        new = find_moved_markers(calibration.states, calibration.marker_offsets, places, shortest_s)
         if not new:
             break
         moved += new
@@ -139,7 +140,8 @@ def add_take(person: PersonCalibration, calibration: JointCalibration, take: Cal
     index = len(person.takes)
     own = person.subject.marker_offsets.copy()
     moved = list(person.moved)
-    for each in find_moved_markers(states, offsets, np.zeros(offsets.shape[:2], int)):
+    duration_s = float(np.ptp(take.times_s))
+    for each in find_moved_markers(states, offsets, np.zeros(offsets.shape[:2], int), duration_s):
         if each.takes == (len(states) - 1,):
             own[each.marker] += compute_place_residuals(state, without_marker=each.marker)[each.marker]
             moved.append(replace(each, takes=(index,)))

@@ -19,10 +19,12 @@ MIN_PLACE_FRAMES = 5
 """Frames of a take in which a marker must be visible to compare its place."""
 MIN_SCREENED_MOVE_M = 0.004
 """Difference of a marker's residual from that in the other takes above which its place is compared without its own pull."""
-MIN_MOVE_M = 0.010
-"""Smallest move that is reported."""
+MIN_MOVE_M = 0.015
+"""Smallest move that is reported: without its own pull, a marker of the trunk differs by up to 12 mm between short takes."""
 MIN_MOVE_SD = 3.0
 """The same in standard deviations of the places of unmoved markers between takes."""
+LONG_TAKE_S, MIN_TAKE_S = 10.0, 0.5
+"""Duration from which MIN_MOVE_M holds, and the shortest for which it is scaled."""
 MIN_PLACE_SD_M = 0.001
 """Least standard deviation of a place between takes."""
 MAX_MOVED_MARKER_SHARE = 0.2
@@ -111,11 +113,15 @@ def find_attached_again(
 
 
 def find_moved_markers(
-    states: Sequence[RefinementState], marker_offsets: Float[np.ndarray, "T K 3"], places: Int[np.ndarray, "T K"]
+    states: Sequence[RefinementState],
+    marker_offsets: Float[np.ndarray, "T K 3"],
+    places: Int[np.ndarray, "T K"],
+    shortest_s: float = LONG_TAKE_S,
 ) -> list[MovedMarker]:
     """Return the markers that some takes show elsewhere than the others with the same place number.
 
     marker_offsets  metres, the calibrated places in each take
+    shortest_s      duration of the shortest take: a place is less certain in a short one, in which the skin slides less often
     """
     if len(states) < 2:
         return []
@@ -127,7 +133,8 @@ def find_moved_markers(
             if len(rows) > 1:
                 deviations[rows, k] = residuals[rows, k] - _compute_nanmedian(residuals[rows, k])
     place_sd_m = max(NORMAL_MAD_RATIO * float(np.nanmedian(np.abs(deviations))), MIN_PLACE_SD_M)
-    threshold_m = max(MIN_MOVE_M, MIN_MOVE_SD * np.sqrt(3) * place_sd_m)
+    noise_ratio = np.sqrt(max(1.0, LONG_TAKE_S / max(shortest_s, MIN_TAKE_S)))
+    threshold_m = max(noise_ratio * MIN_MOVE_M, MIN_MOVE_SD * np.sqrt(3) * place_sd_m)
     with np.errstate(invalid="ignore"):
         screened = np.nanmax(np.where(np.isnan(deviations), 0.0, deviations) ** 2 @ np.ones(3), axis=0) > MIN_SCREENED_MOVE_M**2
     found: list[MovedMarker] = []

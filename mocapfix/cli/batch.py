@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.markup import escape
@@ -43,6 +43,9 @@ def run_batch(
     memory: Annotated[float, tyro.conf.arg(metavar="MB", help="end a take that needs more memory")] = DEFAULT_MEMORY_MB,
     retries: Annotated[int, tyro.conf.arg(metavar="N", help="repeat a take whose process crashed, this often")] = DEFAULT_RETRIES,
     repeat_failed: Annotated[FlagOption, tyro.conf.arg(help="clean takes that failed again, although nothing changed")] = False,
+    people: Annotated[
+        Literal["session", "each-take"], tyro.conf.arg(help="calibrate each person from all takes, or in each take alone")
+    ] = "session",
     resume: Annotated[bool, tyro.conf.arg(help="skip takes that are done and unchanged")] = True,
 ) -> int:
     """Clean all takes of a session, on all cores or on a cluster, and write a page on them.
@@ -83,13 +86,22 @@ def run_batch(
         if parsed != CleanOptions():
             return print_usage_error("With a session file the options of cleaning are in that file.")
         session = read_session_file(Path(takes[0]))
-        found, parsed = session.takes, session.options
+        found, parsed, named_people = session.takes, session.options, session.people
     else:
         listed = find_takes(takes, output_folder)
-        found = listed.takes
+        found, named_people = listed.takes, {}
         for path in listed.skipped:
             print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
-    settings = BatchSettings(output_folder, parsed, JobLimits(timeout, memory, retries), cluster, resume, repeat_failed)
+    settings = BatchSettings(
+        output_folder,
+        parsed,
+        JobLimits(timeout, memory, retries),
+        cluster,
+        resume,
+        repeat_failed,
+        each_take_alone=people == "each-take",
+        people=named_people,
+    )
     if scheduler is None and not slurm and not ssh:
         compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:

@@ -261,7 +261,7 @@ class SubjectChoice:
 
 def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
     """Return the subject and the marker set that the options name, None for each that they do not name."""
-    subject = options.subject
+    subject = None if isinstance(options.subject, tuple) else options.subject
     if subject is not None:
         if isinstance(subject, str | Path):
             subject = subject_file.read_subject(subject)
