@@ -76,6 +76,7 @@ def run_batch(
     from mocapfix.batch.session_page import PAGE_NAME, write_session_page
     from mocapfix.batch.take_list import find_takes
     from mocapfix.cli.batch_progress import show_batch_progress
+    from mocapfix.marker_sets.library import load_requested_subject
 
     cluster = ClusterOptions(workers, scheduler, slurm, split_names([ssh]))
     check_dask_installed(cluster)
@@ -92,6 +93,7 @@ def run_batch(
         found, named_people = listed.takes, {}
         for path in listed.skipped:
             print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
+    load_requested_subject(parsed.subject)  # a name that is wrong is so for all takes
     settings = BatchSettings(
         output_folder,
         parsed,

@@ -23,6 +23,7 @@ PYDANTIC_MESSAGES = {
     "model_type": "must be key: value pairs",
     "dict_type": "must be key: value pairs",
     "string_type": "must be text",
+    "literal_error": "must be {expected}",
     "union_tag_not_found": "is missing",
     "union_tag_invalid": "must be one of {expected_tags}, not {tag!r}",
 }

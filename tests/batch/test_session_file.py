@@ -36,7 +36,12 @@ def test_patterns_match_neither_outputs_nor_other_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("takes: []\n", "takes"), ("takes: [x*.c3d]\n", "takes: no file"), ("takes: [ann.c3d]\nfill: {gap: 1}\n", "fill.gap")],
+    [
+        ("takes: []\n", "takes"),
+        ("takes: [x*.c3d]\n", "takes: no file"),
+        ("takes: [ann.c3d]\nkind: clean\n", "kind: must be 'session'"),
+        ("takes: [ann.c3d]\nfill: {gap: 1}\n", "fill.gap"),
+    ],
 )
 def test_wrong_session_files_are_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(SceneError, match=words):

@@ -54,3 +54,11 @@ def test_folder_without_takes_is_one_sentence(mocapfix, tmp_path: Path) -> None:
     status, _, errors = mocapfix("batch", tmp_path, "--out", tmp_path / "out")
     assert status == 1
     assert "holds no take" in errors
+
+
+def test_marker_set_that_does_not_exist_is_refused_before_any_take(mocapfix, tmp_path: Path) -> None:
+    (tmp_path / "walk.c3d").touch()
+    status, _, errors = mocapfix("batch", tmp_path, "--out", tmp_path / "out", "--marker-set", "none.yaml")
+    assert status == 1
+    assert "none.yaml: no such marker set" in errors
+    assert not (tmp_path / "out").exists()
