@@ -107,7 +107,10 @@ def _run_stage(
     limits: JobLimits,
     progress: BatchProgress,
 ) -> dict[str, dict[str, Any]]:
-    """Run a function on each request in child processes and return the results of those that succeeded, by name."""
+    """Run a function on each request in child processes and return the results of those that succeeded, by name.
+
+    They are in the order of the requests, not in that in which the jobs end: people and their subjects depend on the order.
+    """
     results = {name: found for name, request in requests.items() if (found := _read_record(*_locate_record(request)))}
     waiting = {name: request for name, request in requests.items() if name not in results}
     if not waiting:
@@ -118,7 +121,7 @@ def _run_stage(
         if isinstance(result, dict):
             results[task.name] = cast("dict[str, Any]", result)
         progress.finish_job(task.name, "" if isinstance(result, dict) else f"{task.name}: {result}")
-    return results
+    return {name: results[name] for name in requests if name in results}
 
 
 def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, Any] | str:
