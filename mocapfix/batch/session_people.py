@@ -7,7 +7,7 @@ one for each take in which markers lie elsewhere. All of it is used again while 
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, cast
 
@@ -111,7 +111,8 @@ def _run_stage(
 
     They are in the order of the requests, not in that in which the jobs end: people and their subjects depend on the order.
     """
-    results = {name: found for name, request in requests.items() if (found := _read_record(*_locate_record(request)))}
+    known = {name: _read_record(*_locate_record(request)) for name, request in requests.items()}
+    results = {name: found for name, found in known.items() if found and found.get("limits", asdict(limits)) == asdict(limits)}
     waiting = {name: request for name, request in requests.items() if name not in results}
     if not waiting:
         return results
@@ -125,9 +126,17 @@ def _run_stage(
 
 
 def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, Any] | str:
-    """Run a job of this module in a child process; return its result, or why there is none. Run by a worker."""
+    """Run a job of this module in a child process; return its result, or why there is none. Run by a worker.
+
+    A survey that reached a limit is recorded, so that it is repeated with other limits only.
+    """
     outcome = run_in_child(function, {"request": request}, limits)
-    return cast("dict[str, Any]", outcome.value) if isinstance(outcome.value, dict) else outcome.error
+    if isinstance(outcome.value, dict):
+        return cast("dict[str, Any]", outcome.value)
+    if function == SURVEY_FUNCTION and outcome.status in ("timeout", "memory"):
+        path, key = _locate_record(request)
+        _write_record(path, {"key": key, "files": [], "error": outcome.error, "limits": asdict(limits)})
+    return outcome.error
 
 
 def survey_recorded_take(request: CleanRequest) -> dict[str, Any]:
@@ -206,10 +215,15 @@ def _read_record(path: Path, key: str) -> dict[str, Any] | None:
 
 def _use_record(path: Path, key: str, compute: Callable[[str], dict[str, Any]]) -> dict[str, Any]:
     """Return what a file has under the same key, else compute and write it. What another version wrote is computed again."""
-    if known := _read_record(path, key):
+    if (known := _read_record(path, key)) and "limits" not in known:
         return known
     make_output_folder(path.parent)
     record = compute(key)
+    _write_record(path, record)
+    return record
+
+
+def _write_record(path: Path, record: dict[str, Any]) -> None:
+    make_output_folder(path.parent)
     with replace_atomically(path) as part:
         part.write_text(json.dumps(record, indent=1), encoding="utf-8")
-    return record
