@@ -37,8 +37,9 @@ class SessionHeader(StrictModel):
 
 @dataclass(frozen=True)
 class Session:
-    """A session that was read: its takes, the ids of the takes by name of a person, and its options."""
+    """A session that was read: its title, its takes, the ids of the takes by name of a person, and its options."""
 
+    title: str
     takes: tuple[BatchTake, ...]
     people: dict[str, tuple[str, ...]]
     options: CleanOptions
@@ -52,7 +53,7 @@ def read_session_file(path: Path) -> Session:
     ids = {take.path: take.id for take in takes}
     shown = {name: expand_takes(path, patterns, f"people.{name}") for name, patterns in header.people.items()}
     people = {name: tuple(ids[each] for each in map(resolve_folder, paths) if each in ids) for name, paths in shown.items()}
-    return Session(takes, people, options)
+    return Session(header.title, takes, people, options)
 
 
 def expand_takes(path: Path, names: Sequence[str], key: str) -> list[Path]:

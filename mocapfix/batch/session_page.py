@@ -130,10 +130,12 @@ class SessionPage:
     people_name: str = PEOPLE_FILE_NAME
 
 
-def write_session_page(folder: Path, records: Sequence[TakeRecord]) -> Path:
+def write_session_page(folder: Path, records: Sequence[TakeRecord], title: str = "") -> Path:
     """Write index.html, summary.csv and summary.parquet into the folder of a batch and return the path of the page.
 
     The people are those in the folder's people.yaml, if there is one.
+
+    title  "" for the name of the folder
 
     Raises WriteError if one of them cannot be written.
     """
@@ -142,7 +144,7 @@ def write_session_page(folder: Path, records: Sequence[TakeRecord]) -> Path:
     write_page(
         folder / PAGE_NAME,
         "session.html.jinja",
-        title=folder.resolve().name,
+        title=title or folder.resolve().name,
         subtitle=describe_session(records),
         page=build_session_page(records, *_read_people(folder)),
         script=Markup(script),

@@ -1,6 +1,7 @@
 """The command `mocapfix batch`: clean all takes of a session on the cores of this machine or on a cluster."""
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -87,10 +88,10 @@ def run_batch(
         if parsed != CleanOptions():
             return print_usage_error("With a session file the options of cleaning are in that file.")
         session = read_session_file(Path(takes[0]))
-        found, parsed, named_people = session.takes, session.options, session.people
+        title, found, parsed, named_people = session.title, session.takes, session.options, session.people
     else:
         listed = find_takes(takes, output_folder)
-        found, named_people = listed.takes, {}
+        title, found, named_people = "", listed.takes, {}
         for path in listed.skipped:
             print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
     load_requested_subject(parsed.subject)  # a name that is wrong is so for all takes
@@ -107,7 +108,7 @@ def run_batch(
     if scheduler is None and not slurm and not ssh:
         compile_kernels_first(lambda text: None)
     with show_batch_progress() as progress:
-        records = run_session(found, settings, progress, write_session_page)
+        records = run_session(found, settings, progress, partial(write_session_page, title=title))
     failed_count = sum(record.status == "failed" for record in records)
     for record in records:
         if record.status == "failed" and record.take not in progress.shown_failures:

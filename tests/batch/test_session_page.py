@@ -69,6 +69,14 @@ def test_failures_are_on_top_with_their_sentence(tmp_path: Path) -> None:
     assert text.index("Failed takes") < text.index("<h2>Takes</h2>")
 
 
+@pytest.mark.parametrize(("title", "shown"), [("Monday <1>", "Monday &lt;1&gt;"), ("", "cleaned")])
+def test_title_is_that_of_the_session_or_the_name_of_the_folder(tmp_path: Path, title: str, shown: str) -> None:
+    folder = tmp_path / "cleaned"
+    folder.mkdir()
+    text = write_session_page(folder, [build_done("a.c3d")], title).read_text(encoding="utf-8")
+    assert f"<h1>{shown}</h1>" in text
+
+
 def test_totals_are_those_of_all_takes() -> None:
     page = build_session_page([build_done("a.c3d"), build_done("b.c3d", "Jim", "Ann"), build_failed("c.c3d")])
     facts = {text: value for value, text in page.facts}
