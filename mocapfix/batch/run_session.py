@@ -16,7 +16,7 @@ from mocapfix.batch.folder_lock import lock_batch_folder
 from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, try_to_hash
 from mocapfix.batch.progress import BatchProgress
 from mocapfix.batch.records import TakeRecord, get_record_path, read_record
-from mocapfix.batch.session_people import assign_subjects
+from mocapfix.batch.session_people import assign_subjects, forget_results
 from mocapfix.batch.take_list import BatchTake
 from mocapfix.batch.task_window import Task, run_tasks
 from mocapfix.errors import MocapfixError, WriteError
@@ -88,6 +88,8 @@ def run_session(
         check_same_inputs(requests)
         try:
             if knows_people(settings) and len(requests) > 1:
+                if settings.repeat_failed or not settings.resume:
+                    forget_results(folder, failed_only=settings.resume)
                 requests = assign_subjects(connect, requests, settings.people, settings.limits, progress)
             records |= find_finished_takes(requests, settings)
             if waiting := [request for request in requests if request.take not in records]:

@@ -90,6 +90,13 @@ def assign_subjects(
     return [_add_subjects(request, subjects.get(request.take, {})) for request in requests]
 
 
+def forget_results(folder: Path, *, failed_only: bool) -> None:
+    """Let the next batch survey the takes and calibrate the people of a folder again, or survey those whose survey failed."""
+    for path in (folder / PEOPLE_FOLDER).rglob("*.json"):
+        if not failed_only or b'"limits"' in path.read_bytes():
+            path.unlink()
+
+
 def _add_subjects(request: CleanRequest, files: Mapping[str, str]) -> CleanRequest:
     """Return the request with the subject files of a take, by the names of its subjects."""
     if not files:
@@ -121,19 +128,25 @@ def _run_stage(
     for task, result in run_tasks(connect(), run_people_job, tasks, progress.start_job, progress.show_message):
         if isinstance(result, dict):
             results[task.name] = cast("dict[str, Any]", result)
-        progress.finish_job(task.name, "" if isinstance(result, dict) else f"{task.name}: {result}")
+        else:  # a take that can be cleaned alone has not failed
+            progress.show_message(f"{task.name}: not in the {stage} ({result}) It is cleaned without the person's other takes.")
+        progress.finish_job(task.name, "")
     return {name: results[name] for name in requests if name in results}
 
 
 def run_people_job(function: str, request: Any, limits: JobLimits) -> dict[str, Any] | str:
     """Run a job of this module in a child process; return its result, or why there is none. Run by a worker.
 
-    A survey that reached a limit is recorded, so that it is repeated with other limits only.
+    A process that crashes is repeated `limits.retries` times. A survey that crashed or reached a limit is recorded, so that it is
+    repeated with other limits only.
     """
     outcome = run_in_child(function, {"request": request}, limits)
+    for _ in range(limits.retries):
+        if outcome.status == "crash":
+            outcome = run_in_child(function, {"request": request}, limits)
     if isinstance(outcome.value, dict):
         return cast("dict[str, Any]", outcome.value)
-    if function == SURVEY_FUNCTION and outcome.status in ("timeout", "memory"):
+    if function == SURVEY_FUNCTION and outcome.status in ("timeout", "memory", "crash"):
         path, key = _locate_record(request)
         _write_record(path, {"key": key, "files": [], "error": outcome.error, "limits": asdict(limits)})
     return outcome.error

@@ -43,3 +43,50 @@ def test_survey_that_reached_a_limit_is_repeated_with_other_limits_only(tmp_path
         limits = JobLimits(timeout_s)
         run_stage(lambda: None, "survey", session_people.SURVEY_FUNCTION, requests, limits, BatchProgress())
     assert surveyed == [1.0, 2.0]
+
+
+def test_survey_that_crashes_is_retried_and_does_not_count_as_a_failed_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    surveyed, failures, messages = list[str](), list[str](), list[str]()
+
+    class Progress(BatchProgress):
+        def finish_job(self, name: str, error: str = "") -> None:
+            failures.extend([error] if error else [])
+
+        def show_message(self, message: str) -> None:
+            messages.append(message)
+
+    def crash(_function: str, arguments: Any, _limits: JobLimits) -> JobOutcome:
+        surveyed.append(arguments["request"].take)
+        return JobOutcome("crash", None, "Its process crashed by SIGSEGV.")
+
+    def run_here(_client: Any, function: Any, tasks: Any, *_: Any) -> Any:
+        return [(task, function(*task.arguments)) for task in tasks]
+
+    monkeypatch.setattr(session_people, "run_in_child", crash)
+    monkeypatch.setattr(session_people, "run_tasks", run_here)
+    requests = {"a.c3d": CleanRequest("a.c3d", tmp_path / "a.c3d", tmp_path / "out", CleanOptions())}
+    arguments = ("survey", session_people.SURVEY_FUNCTION, requests, JobLimits(retries=2), Progress())
+    assert run_stage(lambda: None, *arguments) == {}
+    assert surveyed == ["a.c3d"] * 3
+    assert not failures
+    assert messages == [
+        "a.c3d: not in the survey (Its process crashed by SIGSEGV.) It is cleaned without the person's other takes."
+    ]
+    run_stage(lambda: None, *arguments)
+    assert len(surveyed) == 3
+    session_people.forget_results(tmp_path / "out", failed_only=True)
+    run_stage(lambda: None, *arguments)
+    assert len(surveyed) == 6
+
+
+def test_results_are_forgotten_without_resuming(tmp_path: Path) -> None:
+    folder = tmp_path / "people" / "surveys"
+    folder.mkdir(parents=True)
+    for name, text in (("a.json", '{"key": "1", "files": []}'), ("b.json", '{"key": "1", "limits": {}}')):
+        (folder / name).write_text(text, encoding="utf-8")
+    session_people.forget_results(tmp_path, failed_only=True)
+    assert [path.name for path in folder.iterdir()] == ["a.json"]
+    session_people.forget_results(tmp_path, failed_only=False)
+    assert not list(folder.iterdir())
