@@ -17,7 +17,8 @@ from mocapfix.result import CleaningResult
 
 ALL_FORMATS = OutputOptions(extra_formats=("gltf", "amc", "npz", "trc", "csv"))
 RUN_CLEAN = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background process ignores it
 from pathlib import Path
 import mocapfix.result
 from mocapfix.cli import app

@@ -103,9 +103,9 @@ def write_broken_file(folder, *keys, value=None, drop=False) -> Path:
 @pytest.mark.parametrize(
     ("keys", "value", "sentence"),
     [
-        (("changes", 1, "decision"), "rejct", "changes.1.decision: Input should be 'accept', 'reject' or 'keep'."),
-        (("changes", 1, "decision"), False, "changes.1.decision: Input should be 'accept', 'reject' or 'keep'."),
-        (("changes", 1, "kind"), "spyke", "changes.1.kind: Input should be 'gap', "),
+        (("changes", 1, "decision"), "rejct", "changes.1.decision: must be 'accept', 'reject' or 'keep'."),
+        (("changes", 1, "decision"), False, "changes.1.decision: must be 'accept', 'reject' or 'keep'."),
+        (("changes", 1, "kind"), "spyke", "changes.1.kind: must be 'gap', "),
         (("changes", 1, "markers"), ["C7", "NOSE"], "changes.1.markers: walk.c3d has no marker NOSE."),
         (("changes", 1, "markers"), [], "changes.1.markers: "),
         (("changes", 1, "markers"), "C7", "changes.1.markers: "),
