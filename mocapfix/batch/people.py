@@ -22,6 +22,10 @@ MIN_PAIR_LENGTH_M = 0.10
 MAX_BODY_DIFFERENCE = 0.06
 """Median relative difference of marker distances above which two bodies are clearly different, whatever their names. Markers that
 were attached again differ by half of it."""
+MAX_UNNAMED_DIFFERENCE = 0.03
+"""The same for takes that share only a folder. Two takes of one person with the markers left on differ by 0.003 to 0.017, the
+bodies of different people by 0.048 and more."""
+FOLDER_REASON = "folder of the takes"
 UNNAMED_PERSON = "person"
 
 
@@ -57,13 +61,14 @@ def group_people(surveys: Sequence[CalibrationFrames], names: Mapping[str, Seque
     for survey in surveys:
         has_session_name = survey.take in of_take and subject_counts[survey.take] == 1
         name, reason = (of_take[survey.take], "session file") if has_session_name else find_name(survey)
+        limit = MAX_UNNAMED_DIFFERENCE if reason == FOLDER_REASON else MAX_BODY_DIFFERENCE
         same_name = [g for g, (other, _, _) in enumerate(groups) if other.casefold() == name.casefold()]
-        fitting = [g for g in same_name if can_be_same(survey, groups[g][2])]
+        fitting = [g for g in same_name if can_be_same(survey, groups[g][2], limit)]
         if fitting:
             groups[fitting[0]][2].append(survey)
             continue
         groups.append((name, reason, [survey]))
-        if same_name:
+        if same_name and reason != FOLDER_REASON:
             other = groups[same_name[0]][2][0].take
             notes[len(groups) - 1] = [
                 f"{survey.take}: is named {name} like {other}, but in the same take or with another body: another person."
@@ -76,16 +81,19 @@ def find_name(survey: CalibrationFrames) -> tuple[str, str]:
     if survey.subject_name:
         return survey.subject_name, "prefix of the labels"
     folder = PurePosixPath(survey.take).parent.as_posix()
-    return (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), "folder of the takes"
+    return (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), FOLDER_REASON
 
 
-def can_be_same(survey: CalibrationFrames, others: Sequence[CalibrationFrames]) -> bool:
-    """Return whether a subject can be the person of other takes: in another take, with the same marker set and a similar body."""
+def can_be_same(survey: CalibrationFrames, others: Sequence[CalibrationFrames], limit: float) -> bool:
+    """Return whether a subject can be the person of other takes: in another take, with the same marker set and a similar body.
+
+    limit  greatest median relative difference of marker distances
+    """
     if any(other.take == survey.take or other.marker_set != survey.marker_set for other in others):
         return False
     differences = [compute_body_difference(survey, other) for other in others]
     known = [each for each in differences if each is not None]
-    return not known or float(np.median(known)) <= MAX_BODY_DIFFERENCE
+    return not known or float(np.median(known)) <= limit
 
 
 def compute_body_difference(first: CalibrationFrames, second: CalibrationFrames) -> float | None:

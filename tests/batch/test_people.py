@@ -33,6 +33,18 @@ def test_folders_name_people_without_prefix() -> None:
     assert [person.name for person in people] == ["jim", "ann"]
 
 
+def test_similar_bodies_need_a_name_to_be_joined() -> None:
+    def join(name: str) -> list[int]:
+        people = group_people(
+            [make_survey("a.c3d", name), make_survey("b.c3d", name, size=1.045, seed=1), make_survey("c.c3d", name)]
+        )
+        assert not any(person.notes for person in people)
+        return [len(person.takes) for person in people]
+
+    assert join("Jim") == [3]
+    assert join("") == [2, 1]
+
+
 def test_session_file_names_come_first() -> None:
     people = group_people([make_survey("a.c3d"), make_survey("b.c3d")], {"Jim": ["a.c3d"], "Ann": ["b.c3d"]})
     assert [person.name for person in people] == ["Jim", "Ann"]
