@@ -20,7 +20,7 @@ from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel, load_cmu31_body, restrict_body
 from mocapfix.solve import kinematics
 from mocapfix.state import CalibrationFit, CleaningState
-from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.sequences import sample_evenly, select_farthest_rows
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
@@ -116,12 +116,7 @@ def select_varied_poses(local_rotations: Float[np.ndarray, "N J 3 3"], rng: np.r
     flat = local_rotations[:, 1:].reshape(len(local_rotations), -1)
     if len(flat) <= MAX_CALIBRATION_FRAMES:
         return np.arange(len(flat))
-    chosen = [int(np.linalg.norm(flat - flat.mean(0), axis=1).argmin())]
-    nearest = np.full(len(flat), np.inf)
-    while len(chosen) < MAX_CALIBRATION_FRAMES // 2:
-        nearest = np.minimum(nearest, np.linalg.norm(flat - flat[chosen[-1]], axis=1))
-        nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
-        chosen.append(int(nearest.argmax()))
+    chosen = select_farthest_rows(flat, MAX_CALIBRATION_FRAMES // 2)
     rest = np.setdiff1d(np.arange(len(flat)), chosen)
     return np.sort(np.r_[chosen, rng.choice(rest, MAX_CALIBRATION_FRAMES - len(chosen), replace=False)])
 

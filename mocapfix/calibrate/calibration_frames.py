@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float, Int
 
+from mocapfix.calibrate.body_size import scale_skeleton
 from mocapfix.errors import ReadError
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.skeleton import BodyModel
@@ -59,9 +60,8 @@ class CalibrationFrames:
 
 def build_average_subject(frames: CalibrationFrames, body: BodyModel, size_ratio: float) -> Subject:
     """Return the average body at a size, with the markers of the frames."""
-    skeleton = body.skeleton
     return Subject(
-        skeleton=type(skeleton)(skeleton.names, skeleton.parents, skeleton.offsets * size_ratio, skeleton.ends * size_ratio),
+        skeleton=scale_skeleton(body.skeleton, size_ratio),
         marker_set=frames.marker_set,
         labels=frames.labels,
         joints=frames.joints,

@@ -22,6 +22,7 @@ from mocapfix.calibrate.take_differences import (
 from mocapfix.errors import TakeError
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body, restrict_body
+from mocapfix.stats.sequences import select_farthest_rows
 from mocapfix.subject import Subject
 
 MAX_JOINT_TAKES = 10
@@ -198,12 +199,7 @@ def thin_frames(take: CalibrationFrames, count: int) -> CalibrationFrames:
 
 def select_different(values: Float[np.ndarray, "N D"], count: int) -> Int[np.ndarray, " C"]:
     """Return the indices of rows: half of them by farthest-point selection, half evenly spaced among the others."""
-    chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin())]
-    nearest = np.full(len(values), np.inf)
-    while len(chosen) < count // 2:
-        nearest = np.minimum(nearest, np.linalg.norm(values - values[chosen[-1]], axis=1))
-        nearest[chosen[-1]] = -1.0
-        chosen.append(int(nearest.argmax()))
+    chosen = select_farthest_rows(values, count // 2)
     rest = np.setdiff1d(np.arange(len(values)), chosen)
     return np.r_[chosen, rest[np.linspace(0, len(rest) - 1, count - len(chosen)).astype(int)]]
 

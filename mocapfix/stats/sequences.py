@@ -1,4 +1,4 @@
-"""Statistics of sequences: runs in a mask, evenly spaced samples, and the cheapest path through states (Viterbi)."""
+"""Statistics of sequences: runs in a mask, evenly spaced samples, rows that differ most, and the cheapest path (Viterbi)."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -58,3 +58,17 @@ def find_cheapest_states(
     state_cost  (T, N) cost of each state in each frame
     """
     return compute_cheapest_states(step_cost, state_cost)
+
+
+def select_farthest_rows(values: Float[np.ndarray, "N D"], count: int) -> list[int]:
+    """Return the indices of rows that differ most: the one nearest to the mean, then each that is farthest from those before it.
+
+    count  at least one is returned, and at most N are different
+    """
+    chosen = [int(np.linalg.norm(values - values.mean(0), axis=1).argmin())]
+    nearest = np.full(len(values), np.inf)
+    while len(chosen) < count:
+        nearest = np.minimum(nearest, np.linalg.norm(values - values[chosen[-1]], axis=1))
+        nearest[chosen[-1]] = -1.0  # never selected again, even if all other distances are 0
+        chosen.append(int(nearest.argmax()))
+    return chosen

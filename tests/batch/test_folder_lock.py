@@ -27,8 +27,9 @@ def test_lock_of_a_dead_process_is_taken_over(tmp_path: Path) -> None:
         lock_batch_folder(tmp_path).__enter__()
         os._exit(0)
     os.waitpid(child, 0)
+    assert f"process {child}," in (tmp_path / ".batch.lock").read_text(encoding="utf-8")
     with lock_batch_folder(tmp_path):
-        pass
+        assert f"process {os.getpid()}," in (tmp_path / ".batch.lock").read_text(encoding="utf-8")
 
 
 def test_attempts_are_counted_until_they_are_cleared(tmp_path: Path) -> None:

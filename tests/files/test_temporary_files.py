@@ -76,3 +76,4 @@ def test_folder_without_a_lock_is_removed_if_it_is_empty(tmp_path: Path) -> None
 
 def test_folder_that_is_missing_is_ignored(tmp_path: Path) -> None:
     remove_abandoned_files(tmp_path / "none")
+    assert not (tmp_path / "none").exists()
