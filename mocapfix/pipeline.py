@@ -4,7 +4,7 @@
 stage takes a `CleaningState` and the `CleanOptions` and returns it with more fields filled. Animations: `mocapfix.animations`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -25,10 +25,9 @@ from mocapfix.initialise.initial_motion import initialise_body
 from mocapfix.labelling.requested_labels import describe_missing_labels, label_capture, label_take
 from mocapfix.marker_sets.library import choose_marker_set, describe_marker_set_match, load_requested_subject, resolve_subject
 from mocapfix.multi_subject import choose_subject, split_corrected_subjects, split_known_subjects
-from mocapfix.options import CleanOptions, SolveOptions, SubjectOptions
+from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.io import build_pose_model_loader
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
-from mocapfix.pose_prior.model import PoseModel
 from mocapfix.read.capture import read_capture
 from mocapfix.repair.apply_decisions import apply_decisions
 from mocapfix.repair.computed_points import update_computed_points
@@ -40,7 +39,7 @@ from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
 from mocapfix.skeleton import load_cmu31_body, restrict_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
-from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.solve.prior_conditioner import build_prior_conditioner
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -91,7 +90,7 @@ def clean(
         if results:  # an unlabelled trajectory assigned to one subject is not available to the next
             take = replace(take, unlabelled=results[-1].take.unlabelled)
         subject_timer = StageTimer(dict(timer.stage_seconds), progress)
-        conditioner = build_prior_conditioner(load_pose_model, options.solve)
+        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         state = replace(start_cleaning(take, options.subject, reviewed), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
     return results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
@@ -130,11 +129,6 @@ def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[Reviewed
         choice = find_own_marker_set(take, choice)
     known = choice.marker_set, choice.is_learned, choice.subject
     return CleaningState(take, DetectionState(take), *known, None, reviewed, build_fault_filter(take, reviewed), choice.notes)
-
-
-def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, options: SolveOptions) -> PriorConditioner | None:
-    """Return the pose prior as the solver uses it for one take; None without a prior."""
-    return PriorConditioner(load_pose_model, options.prior_scale) if load_pose_model else None
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
@@ -231,7 +225,7 @@ def inspect(
     capture, options = label_capture(capture, options, calibrate_takes)
     reports: list[InspectionReport] = []
     for take in split_corrected_subjects(capture, options)[0]:
-        conditioner = build_prior_conditioner(load_pose_model, options.solve)
+        conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         state = replace(start_cleaning(take, options.subject), prior_conditioner=conditioner)
         faults = detect_and_fit(state, options, timer).detection.faults
         marker_set = state.marker_set
@@ -279,22 +273,28 @@ def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_
 
     Raises TakeError if the take shows no body with a marker set.
     """
+    return [survey_subject(state, options, take_id) for state in find_bodies_to_calibrate(path, options)]
+
+
+def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[CleaningState]:
+    """Return the state of each subject in a take before its cleaning. Raises TakeError if none has a marker set."""
     capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
     capture = label_take(capture, load_requested_subject(options.subject))
-    found, notes = list[CalibrationFrames](), list[str]()
-    for take in split_known_subjects(capture, options.subject):
-        state = start_cleaning(take, options.subject)
-        if state.marker_set is None:
-            notes += state.notes[:1]
-            continue
-        detection = detect_on_trajectories(state, options).detection
-        shown = detection.take.select(state.marker_set.find_columns(take.labels), detection.inlier_mask)
-        body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
-        prior = load_mean_pose_prior("mean-pose", body.skeleton)
-        shown = replace(shown, subject_name=take.subject_name)
-        found.append(select_calibration_frames(take_id, shown, state.marker_set, body, prior))
+    states = [start_cleaning(take, options.subject) for take in split_known_subjects(capture, options.subject)]
+    found = [state for state in states if state.marker_set is not None]
     if not found:
-        raise TakeError(f"{capture.name}: {notes[0]} There is no body to calibrate.")
+        raise TakeError(f"{capture.name}: {states[0].notes[0]} There is no body to calibrate.")
     return found
+
+
+@limit_blas_threads
+def survey_subject(state: CleaningState, options: CleanOptions, take_id: str) -> CalibrationFrames:
+    """Return the best frames of one subject: its sound samples in frames that differ in pose. Raises TakeError."""
+    assert state.marker_set is not None
+    detection = detect_on_trajectories(state, options).detection
+    shown = detection.take.select(state.marker_set.find_columns(detection.take.labels), detection.inlier_mask)
+    body = restrict_body(load_cmu31_body(), set(state.marker_set.joints.tolist()))
+    prior = load_mean_pose_prior("mean-pose", body.skeleton)
+    return select_calibration_frames(take_id, shown, state.marker_set, body, prior)

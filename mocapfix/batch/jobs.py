@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
@@ -77,6 +78,19 @@ def try_to_hash(path: Path) -> str:
         return hash_file(path)
     except OSError:
         return ""
+
+
+def sort_by_size(requests: Sequence[CleanRequest]) -> list[CleanRequest]:
+    """Return requests in the order in which they are given out: large files first, so that the workers end together."""
+    return sorted(requests, key=lambda request: -measure_size(request.path))
+
+
+def measure_size(path: Path) -> int:
+    """Return the size of a file in bytes, 0 if it cannot be read."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def clean_take(request: CleanRequest, limits: JobLimits, function: str = CLEAN_FUNCTION) -> TakeRecord:

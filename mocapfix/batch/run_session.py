@@ -13,7 +13,7 @@ from mocapfix.batch.child_process import JobLimits
 from mocapfix.batch.cluster import ClusterOptions, has_dashboard, open_client
 from mocapfix.batch.content_hash import resolve_option_files
 from mocapfix.batch.folder_lock import lock_batch_folder
-from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, try_to_hash
+from mocapfix.batch.jobs import CLEAN_FUNCTION, CleanRequest, clean_take, find_current_record, sort_by_size, try_to_hash
 from mocapfix.batch.progress import BatchProgress
 from mocapfix.batch.records import TakeRecord, get_record_path, read_record
 from mocapfix.batch.session_people import assign_subjects, forget_results
@@ -145,7 +145,7 @@ def clean_takes_on_cluster(
 ) -> None:
     """Clean takes on the workers of a cluster and add their records."""
     progress.start_stage(CLEAN_STAGE, len(requests) + len(records), len(records))
-    tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in requests)
+    tasks = (Task(each.take, (each, settings.limits, settings.clean_function)) for each in sort_by_size(requests))
     by_take = {each.take: each for each in requests}
     for task, result in run_tasks(client, clean_take, tasks, progress.start_job, progress.show_message):
         record = result if isinstance(result, TakeRecord) else explain_lost_take(by_take[task.name], result)

@@ -13,7 +13,7 @@ import psutil
 from mocapfix.batch.records import read_records
 from mocapfix.bench.batch_takes import compose_batch_takes, find_differing_takes
 
-SAMPLE_INTERVAL_S = 0.5
+SAMPLE_INTERVAL_S = 2.0
 SINGLE_RUN_CODE = """
 import sys, time
 from pathlib import Path

@@ -131,3 +131,8 @@ class PriorConditioner:
         whitening = solve_triangular(factor, np.eye(len(sd)), lower=True)
         occluded = directions[occluded_joints].reshape(3 * len(occluded_joints), count)
         return ObservedErrors(joints, sd, whitening, occluded @ observed.T @ whitening.T @ whitening)
+
+
+def build_prior_conditioner(load_pose_model: Callable[[], PoseModel] | None, prior_scale: float) -> PriorConditioner | None:
+    """Return the pose prior as the solver uses it for one take; None without a prior."""
+    return PriorConditioner(load_pose_model, prior_scale) if load_pose_model else None

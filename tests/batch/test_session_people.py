@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from mocapfix.batch import session_people
+from mocapfix.batch import people_jobs, session_people
 from mocapfix.batch.child_process import JobLimits, JobOutcome
 from mocapfix.batch.jobs import CleanRequest
+from mocapfix.batch.people_file import read_people_file
 from mocapfix.batch.progress import BatchProgress
 from mocapfix.options import CleanOptions
 
@@ -36,12 +37,12 @@ def test_survey_that_reached_a_limit_is_repeated_with_other_limits_only(tmp_path
     def run_here(_client: Any, function: Any, tasks: Any, *_: Any) -> Any:
         return [(task, function(*task.arguments)) for task in tasks]
 
-    monkeypatch.setattr(session_people, "run_in_child", run_out_of_time)
+    monkeypatch.setattr(people_jobs, "run_in_child", run_out_of_time)
     monkeypatch.setattr(session_people, "run_tasks", run_here)
     requests = {"a.c3d": CleanRequest("a.c3d", tmp_path / "a.c3d", tmp_path / "out", CleanOptions())}
     for timeout_s in (1.0, 1.0, 2.0):
         limits = JobLimits(timeout_s)
-        run_stage(lambda: None, "survey", session_people.SURVEY_FUNCTION, requests, limits, BatchProgress())
+        run_stage(lambda: None, "survey", people_jobs.COMPARE_FUNCTION, requests, limits, BatchProgress())
     assert surveyed == [1.0, 2.0]
 
 
@@ -64,10 +65,10 @@ def test_survey_that_crashes_is_retried_and_does_not_count_as_a_failed_take(
     def run_here(_client: Any, function: Any, tasks: Any, *_: Any) -> Any:
         return [(task, function(*task.arguments)) for task in tasks]
 
-    monkeypatch.setattr(session_people, "run_in_child", crash)
+    monkeypatch.setattr(people_jobs, "run_in_child", crash)
     monkeypatch.setattr(session_people, "run_tasks", run_here)
     requests = {"a.c3d": CleanRequest("a.c3d", tmp_path / "a.c3d", tmp_path / "out", CleanOptions())}
-    arguments = ("survey", session_people.SURVEY_FUNCTION, requests, JobLimits(retries=2), Progress())
+    arguments = ("survey", people_jobs.COMPARE_FUNCTION, requests, JobLimits(retries=2), Progress())
     assert run_stage(lambda: None, *arguments) == {}
     assert surveyed == ["a.c3d"] * 3
     assert not failures
@@ -90,3 +91,31 @@ def test_results_are_forgotten_without_resuming(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["a.json"]
     session_people.forget_results(tmp_path, failed_only=False)
     assert not list(folder.iterdir())
+
+
+def test_people_with_one_take_are_not_surveyed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stages = dict[str, list[str]]()
+    sizes = {"a.c3d": 1.0, "b.c3d": 1.2, "c.c3d": 1.001}
+
+    def run(_connect: Any, stage: str, _function: str, requests: Any, *_: Any) -> dict[str, Any]:
+        stages[stage] = list(requests)
+        lengths = {f"A{i} B{i}": 0.2 + 0.01 * i for i in range(10)}
+        if stage == session_people.COMPARE_STAGE:
+            bodies = {take: {pair: size * length for pair, length in lengths.items()} for take, size in sizes.items()}
+            return {
+                take: {"bodies": [{"take": take, "subject_name": "", "marker_set": "cmu41", "distances_m": body}]}
+                for take, body in bodies.items()
+            }
+        if stage == session_people.SURVEY_STAGE:  # one fails
+            return {"a.c3d": {"key": "k", "subjects": {"": "a.npz"}}}
+        return {}
+
+    monkeypatch.setattr(session_people, "_run_stage", run)
+    (tmp_path / "out").mkdir()
+    requests = [CleanRequest(take, tmp_path / take, tmp_path / "out", CleanOptions()) for take in sizes]
+    found = session_people.assign_subjects(lambda: None, requests, {}, JobLimits(), BatchProgress())  # pyright: ignore
+    assert stages == {"compare": ["a.c3d", "b.c3d", "c.c3d"], "survey": ["a.c3d", "c.c3d"], "calibrate": []}
+    assert found == requests
+    people = read_people_file(tmp_path / "out")
+    assert people is not None
+    assert [sorted(person.takes) for person in people.people] == [["a.c3d", "c.c3d"], ["b.c3d"]]
