@@ -15,16 +15,17 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import BinaryIO, Literal, cast
 
-from mocapfix.batch.fork_server import ChildEnd, ChildReply, ForkRequest, read_message, write_message
+from mocapfix.batch.fork_server import kill_group
+from mocapfix.batch.job_messages import ChildReply, ForkRequest, JobEnd, read_message, write_message
 from mocapfix.errors import MocapfixError
 
 WATCH_INTERVAL_S = 0.1
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6 if hasattr(os, "sysconf") else 0.004
 DEFAULT_WARM_UP = "mocapfix.batch.jobs:load_everything"
+CLOSE_LIMIT_S = 2.0
 START_LIMIT_S = 600.0  # for a server: the first on a machine compiles the kernels
 SINGLE_THREAD_ENVIRONMENT = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "MOCAPFIX_NUM_THREADS"), "1"
@@ -83,12 +84,15 @@ class ForkServer:
         assert self._process.stdout is not None
         self._requests = cast("BinaryIO", self._process.stdin)
         self._replies = cast("BinaryIO", self._process.stdout)
+        self._has_killed_child = False
         self._receive(START_LIMIT_S)
 
     def run(self, function: str, arguments: Mapping[str, object], limits: JobLimits) -> JobOutcome:
         """Run a function ("module:name") in a child, and return how it ended."""
         start, reason, peak_mb = time.monotonic(), "", 0.0
-        write_message(self._requests, ForkRequest(function, pickle.dumps(dict(arguments)), limits.memory_mb))
+        request = ForkRequest(function, pickle.dumps(dict(arguments)), limits.memory_mb, self._has_killed_child)
+        write_message(self._requests, request)
+        self._has_killed_child = False
         child = self._receive()
         assert isinstance(child, int)
         while not self._wait(WATCH_INTERVAL_S):
@@ -102,8 +106,9 @@ class ForkServer:
                 reason = "memory"
             if reason:
                 kill_group(child)
+                self._has_killed_child = True
         end = self._receive()
-        assert isinstance(end, ChildEnd)
+        assert isinstance(end, JobEnd)
         seconds, peak_mb = time.monotonic() - start, max(peak_mb, end.peak_memory_mb)
         if reason == "timeout":
             return JobOutcome("timeout", None, f"It was ended after {limits.timeout_s:g} s (--timeout).", seconds, peak_mb)
@@ -113,16 +118,20 @@ class ForkServer:
             return JobOutcome("crash", None, describe_crash(end.wait_status), seconds, peak_mb)
         reply = pickle.loads(end.reply)
         assert isinstance(reply, ChildReply)
+        peak_mb = max(peak_mb, reply.peak_memory_mb)
         if reply.is_memory:
             return JobOutcome("memory", None, describe_memory_limit(limits), seconds, peak_mb)
         return JobOutcome("error" if reply.error else "done", reply.value, reply.error, seconds, peak_mb)
 
     def close(self) -> None:
         """End the server and its child."""
-        self._process.kill()
         self._requests.close()
+        try:
+            self._process.wait(CLOSE_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
         self._replies.close()
-        self._process.wait()
 
     @property
     def process_id(self) -> int:
@@ -188,13 +197,6 @@ def read_resident_mb(process: int) -> float:
         return psutil.Process(process).memory_info().rss / 1e6
     except psutil.Error:
         return 0.0
-
-
-def kill_group(process: int) -> None:
-    """Kill a child with all processes that it started."""
-    for kill in (os.killpg, os.kill):  # its group exists a moment later than itself
-        with suppress(ProcessLookupError, PermissionError):
-            kill(process, signal.SIGKILL)
 
 
 def describe_memory_limit(limits: JobLimits) -> str:

@@ -1,9 +1,10 @@
-"""The process that forks a child for each job: it has imported mocapfix and loaded its compiled kernels, once for all jobs.
+"""The process that forks children for jobs: it has imported mocapfix and loaded its compiled kernels, once for all jobs.
 
-`python -m mocapfix.batch.fork_server` reads requests from standard input and writes replies to standard output. A message is its
-length in four bytes and a pickle. It has one thread, so that a fork copies everything. For each `ForkRequest` it replies with the
-child's process number, and at the end of the child with a `ChildEnd`. When its standard input ends, because its worker has
-ended or was killed, it kills the running child and ends.
+`python -m mocapfix.batch.fork_server` reads requests from standard input and writes replies to standard output. It has one
+thread, so that a fork copies everything. For each `ForkRequest` it replies with the number of the child that runs the job, and at
+the job's end with a `JobEnd`. A child runs one job after the other: the memory that it has used is faster to use than new memory.
+It is replaced after an error, or when it holds much memory. When standard input ends, because the worker has ended or was killed,
+the server kills the child and ends.
 """
 
 import ctypes
@@ -13,80 +14,53 @@ import pickle
 import resource
 import select
 import signal
-import struct
 import sys
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
-LENGTH_FORMAT = ">I"
-READ_SIZE = 1 << 16  # bytes
+from mocapfix.batch.job_messages import ChildReply, ForkRequest, JobEnd, read_message, read_message_bytes, write_message
+
+MAXRSS_UNIT_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3  # bytes; kibibytes
 PR_SET_PDEATHSIG = 1  # of Linux: a signal to the child when its parent ends
 MEMORY_BACKSTOP_FACTOR = 2  # data that a child may reserve beyond that of the server, relative to its limit of resident memory
 STATUS_FILE = "/proc/self/statm"
-DATA_PAGES_COLUMN = 5
+RESIDENT_PAGES_COLUMN, DATA_PAGES_COLUMN = 1, 5
+PEAK_RESET_FILE, PEAK_RESET_COMMAND = "/proc/self/clear_refs", b"5"
+MAX_CHILD_JOBS = 100
+MAX_KEPT_MEMORY_SHARE = (
+    0.1  # of the memory limit: what a child may hold beyond the memory of the server and still run another job
+)
 
 
 @dataclass(frozen=True)
-class ForkRequest:
-    """A job for a child.
+class _Child:
+    """A child process, and the ends of the pipes to it and from it."""
 
-    function   "module:name" of a function
-    arguments  its arguments by name, pickled
-    memory_mb  limit of its resident memory
-    """
+    process: int
+    requests: BinaryIO
+    replies: BinaryIO
 
-    function: str
-    arguments: bytes
-    memory_mb: float
+    def end(self) -> tuple[int, float]:
+        """Kill the process with all that it started, if it runs; return its wait status and peak memory in MB."""
+        kill_group(self.process)
+        return self.wait()
 
-
-@dataclass(frozen=True)
-class ChildEnd:
-    """How a child ended.
-
-    wait_status     of os.waitpid
-    peak_memory_mb  greatest resident memory, with that of the libraries which it shares with the server
-    reply           what the child wrote: a pickled ChildReply; empty if it was killed
-    """
-
-    wait_status: int
-    peak_memory_mb: float
-    reply: bytes
+    def wait(self) -> tuple[int, float]:
+        """Wait until the process has ended; return its wait status and peak memory in MB."""
+        with suppress(BrokenPipeError):
+            self.requests.close()
+        self.replies.close()
+        _, wait_status, usage = os.wait4(self.process, 0)
+        return wait_status, usage.ru_maxrss * MAXRSS_UNIT_MB
 
 
-@dataclass(frozen=True)
-class ChildReply:
-    """What a child reports.
-
-    value      the function's result
-    error      the sentence of an error; "" if there was none
-    is_memory  whether the error is that no memory was left
-    """
-
-    value: object = None
-    error: str = ""
-    is_memory: bool = False
-
-
-def write_message(stream: BinaryIO, message: object) -> None:
-    """Write one message."""
-    data = pickle.dumps(message)
-    stream.write(struct.pack(LENGTH_FORMAT, len(data)) + data)
-    stream.flush()
-
-
-def read_message(stream: BinaryIO) -> object:
-    """Read one message. Raises EOFError if the stream has ended."""
-    header = stream.read(struct.calcsize(LENGTH_FORMAT))
-    if len(header) < struct.calcsize(LENGTH_FORMAT):
-        raise EOFError
-    (length,) = struct.unpack(LENGTH_FORMAT, header)
-    data = stream.read(length)
-    if len(data) < length:
-        raise EOFError
-    return pickle.loads(data)
+def kill_group(process: int) -> None:
+    """Kill a child with all processes that it started."""
+    for kill in (os.killpg, os.kill):  # its group exists a moment later than itself
+        with suppress(ProcessLookupError, PermissionError):
+            kill(process, signal.SIGKILL)
 
 
 def serve_forks() -> None:
@@ -101,64 +75,105 @@ def serve_forks() -> None:
     gc.disable()
     gc.freeze()  # the children share these objects' memory
     write_message(replies, os.getpid())
+    child: _Child | None = None
     with suppress(EOFError, BrokenPipeError):
         while True:
             request = read_message(requests)
             assert isinstance(request, ForkRequest)
-            _serve_one(request, requests, replies)
+            child = _serve_one(request, child, requests, replies)
+    if child:
+        child.end()
     os._exit(0)
 
 
-def _serve_one(request: ForkRequest, requests: BinaryIO, replies: BinaryIO) -> None:
-    """Fork a child and reply with its end. Raises EOFError if the worker has ended."""
-    read_end, write_end = os.pipe()
+def _serve_one(request: ForkRequest, child: _Child | None, requests: BinaryIO, replies: BinaryIO) -> _Child | None:
+    """Run a job in a child and reply with its end; return the child if it can run another. End with the worker."""
+    if child and (request.new_child or not _send(child, request)):
+        child.end()
+        child = None
+    if child is None:
+        child = _fork_child()
+        _send(child, request)
+    write_message(replies, child.process)
+    ready, _, _ = select.select([child.replies, requests], [], [])
+    if requests in ready:  # no request comes before the reply: the stream has ended
+        child.end()
+        os._exit(0)
+    try:
+        reply = read_message_bytes(child.replies)
+    except EOFError:
+        write_message(replies, JobEnd(*child.end(), b""))
+        return None
+    write_message(replies, JobEnd(0, 0.0, reply))
+    with suppress(EOFError):
+        if read_message(child.replies):
+            return child
+    child.wait()
+    return None
+
+
+def _send(child: _Child, request: ForkRequest) -> bool:
+    """Send a request to a child; return whether it has not ended."""
+    try:
+        write_message(child.requests, request)
+    except BrokenPipeError:
+        return False
+    return True
+
+
+def _fork_child() -> _Child:
+    """Fork a child that waits for requests."""
+    request_end, request_source = os.pipe()
+    reply_source, reply_end = os.pipe()
     server = os.getpid()
-    child = os.fork()
-    if not child:
-        os.close(read_end)
-        _run_child(request, server, write_end)
-    os.close(write_end)
-    write_message(replies, child)
-    reply = bytearray()
-    while True:
-        ready, _, _ = select.select([read_end, requests], [], [])
-        if requests in ready:  # no request comes before the reply: the stream has ended
-            with suppress(ProcessLookupError):
-                os.killpg(child, signal.SIGKILL)
-            with suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
-            raise EOFError
-        data = os.read(read_end, READ_SIZE)
-        if not data:
-            break
-        reply += data
-    os.close(read_end)
-    _, wait_status, usage = os.wait4(child, 0)
-    unit = 1e6 if sys.platform == "darwin" else 1e3 / 1.024  # bytes; kibibytes
-    write_message(replies, ChildEnd(wait_status, usage.ru_maxrss / unit, bytes(reply)))
+    process = os.fork()
+    if not process:
+        os.close(request_source)
+        os.close(reply_source)
+        _run_child(server, os.fdopen(request_end, "rb", buffering=0), os.fdopen(reply_end, "wb"))
+    os.close(request_end)
+    os.close(reply_end)
+    return _Child(process, os.fdopen(request_source, "wb"), os.fdopen(reply_source, "rb", buffering=0))
 
 
-def _run_child(request: ForkRequest, server: int, write_end: int) -> None:
-    """Run the job in the child and end the process."""
-    os.setsid()  # with all processes that it starts it can be killed as a group
-    _end_with_parent(server)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    with suppress(OSError, ValueError, OverflowError):
-        _limit_data(request.memory_mb)
-    module, _, name = request.function.partition(":")
+def _run_child(server: int, requests: BinaryIO, replies: BinaryIO) -> None:
+    """Run jobs in the child until it is not used any more, and end the process."""
     try:
-        arguments = pickle.loads(request.arguments)
-        reply = ChildReply(getattr(import_module(module), name)(**arguments))
-    except MemoryError:
-        reply = ChildReply(error="The memory limit was reached.", is_memory=True)
-    except BaseException as error:  # the server goes on
-        reply = ChildReply(error=describe_error(error))
-    try:
-        data = memoryview(pickle.dumps(reply))
-        while data:
-            data = data[os.write(write_end, data) :]
+        os.setsid()  # with all processes that it starts it can be killed as a group
+        _end_with_parent(server)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        first_memory = _read_memory()
+        for count in range(1, MAX_CHILD_JOBS + 1):
+            request = read_message(requests)
+            assert isinstance(request, ForkRequest)
+            with suppress(OSError, ValueError, OverflowError):
+                _limit_data(first_memory.data_bytes + int(MEMORY_BACKSTOP_FACTOR * request.memory_mb * 1e6))
+            reply = _run_job(request)
+            write_message(
+                replies, replace(reply, peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB)
+            )
+            gc.collect()
+            held_bytes = _read_memory().resident_bytes - first_memory.resident_bytes
+            is_small = held_bytes < MAX_KEPT_MEMORY_SHARE * request.memory_mb * 1e6
+            is_kept = is_small and not reply.error and count < MAX_CHILD_JOBS and _reset_peak_memory()
+            write_message(replies, is_kept)
+            if not is_kept:
+                break
     finally:
         os._exit(0)
+
+
+def _run_job(request: ForkRequest) -> ChildReply:
+    """Call the function of a request."""
+    module, _, name = request.function.partition(":")
+    try:
+        reply = ChildReply(getattr(import_module(module), name)(**pickle.loads(request.arguments)))
+        pickle.dumps(reply)
+    except MemoryError:
+        return ChildReply(error="The memory limit was reached.", is_memory=True)
+    except BaseException as error:  # the server goes on
+        return ChildReply(error=describe_error(error))
+    return reply
 
 
 def describe_error(error: BaseException) -> str:
@@ -183,16 +198,39 @@ def _end_with_parent(server: int) -> None:
             os._exit(1)
 
 
-def _limit_data(memory_mb: float) -> None:
+class _Memory(NamedTuple):
+    """Resident memory of this process, and what it has reserved for data."""
+
+    resident_bytes: int
+    data_bytes: int
+
+
+def _read_memory() -> _Memory:
+    """Return the memory of this process; zeros where the system does not tell."""
+    try:
+        with open(STATUS_FILE) as file:  # noqa: PTH123
+            pages = [int(word) for word in file.read().split()]
+    except FileNotFoundError:
+        return _Memory(0, 0)
+    size = resource.getpagesize()
+    return _Memory(pages[RESIDENT_PAGES_COLUMN] * size, pages[DATA_PAGES_COLUMN] * size)
+
+
+def _reset_peak_memory() -> bool:
+    """Let the peak memory of this process count from now; return whether the system can do so."""
+    try:
+        with open(PEAK_RESET_FILE, "wb") as file:  # noqa: PTH123
+            file.write(PEAK_RESET_COMMAND)
+    except OSError:
+        return False
+    return True
+
+
+def _limit_data(limit_bytes: int) -> None:
     """Limit the memory that this process can reserve, in case it grows faster than it is watched."""
-    with open(STATUS_FILE) as file:  # noqa: PTH123
-        pages = int(file.read().split()[DATA_PAGES_COLUMN])
-    limit = pages * resource.getpagesize() + int(MEMORY_BACKSTOP_FACTOR * memory_mb * 1e6)
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    _, hard_limit = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard_limit))
 
 
 if __name__ == "__main__":
-    # This module a second time, under its own name, so that the classes of pickled messages are the same in both processes.
-    from mocapfix.batch import fork_server
-
-    fork_server.serve_forks()
+    serve_forks()

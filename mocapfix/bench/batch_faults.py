@@ -50,4 +50,15 @@ def give_number() -> int:
     return 42
 
 
+def use_memory() -> None:
+    """Use 350 MB for a moment."""
+    np.ones(int(350e6 / 8))
+
+
+def hold_memory() -> None:
+    """Use 500 MB and never release it."""
+    _held.append(np.ones(int(500e6 / 8)))
+
+
+_held: list[np.ndarray] = []
 FAULTS = {"hang": hang, "grow": grow, "crash": crash}

@@ -59,6 +59,36 @@ def test_job_that_crashes_is_explained_and_the_server_goes_on(server: ForkServer
     assert server.run(f"{FAULTS}:give_number", {}, LIMITS).value == 42
 
 
+def test_child_runs_one_job_after_the_other(server: ForkServer) -> None:
+    children = [server.run("os:getpid", {}, LIMITS).value for _ in range(3)]
+    assert len(set(children)) == 1
+
+
+@pytest.mark.parametrize(
+    ("function", "limits", "status"),
+    [
+        ("fail", LIMITS, "error"),
+        ("crash", LIMITS, "crash"),
+        ("hang", JobLimits(timeout_s=0.2), "timeout"),
+        ("hold_memory", LIMITS, "done"),
+    ],
+)
+def test_child_is_replaced_after_an_error_or_with_much_memory(
+    server: ForkServer, function: str, limits: JobLimits, status: str
+) -> None:
+    before = server.run("os:getpid", {}, LIMITS).value
+    assert server.run(f"{FAULTS}:{function}", {}, limits).status == status
+    after = server.run("os:getpid", {}, LIMITS)
+    assert after.status == "done"
+    assert after.value != before
+
+
+def test_peak_memory_is_that_of_the_job_alone(server: ForkServer) -> None:
+    large = server.run(f"{FAULTS}:use_memory", {}, LIMITS).peak_memory_mb
+    small = server.run(f"{FAULTS}:give_number", {}, LIMITS).peak_memory_mb
+    assert large - small > 250
+
+
 def run_until_killed(server: ForkServer) -> None:
     with suppress(EOFError, BrokenPipeError):
         server.run(f"{FAULTS}:hang", {}, LIMITS)
