@@ -29,9 +29,13 @@ MIN_UNASSIGNED_MARKERS = 3
 def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...]:
     """Split a take as `split_subjects`, with the marker set and the name that the options give.
 
-    Raises TakeError where the options give one subject for a take of several.
+    Raises TakeError where the options give one subject for a take of several, or subjects of whom it shows none.
     """
     takes = split_subjects(take, load_requested_subject(options).marker_set, options.subject_prefix)
+    if isinstance(options.subject, tuple) and not any(choose_subject(each, options).subject for each in takes):
+        given = " and ".join(name for name, _ in options.subject)
+        shown = format_subject_names(takes) or take.main_subject or "no named subject"
+        raise TakeError(f"{take.name}: shows {shown}, but --subject is for {given}.")
     if options.subject is not None and not isinstance(options.subject, tuple) and len(takes) > 1:
         names = format_subject_names(takes)
         raise TakeError(
@@ -60,7 +64,7 @@ def choose_subject(take: Take, options: SubjectOptions) -> SubjectOptions:
     if not isinstance(options.subject, tuple):
         return options
     by_prefix = {prefix.casefold(): path for prefix, path in options.subject}
-    return replace(options, subject=by_prefix.get(take.subject_name.casefold()))
+    return replace(options, subject=by_prefix.get(take.main_subject.casefold()))
 
 
 def find_bodies(take: Take, marker_set: MarkerSet | None = None) -> tuple[str, ...]:

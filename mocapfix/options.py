@@ -54,7 +54,7 @@ class SubjectOptions(StageOptions):
         job_key="known_sets_only",
     )  # fmt: skip
     subject: "str | Path | Subject | tuple[tuple[str, Path], ...] | None" = define_option(
-        None, "--subject", "FILE", "subject file of a calibration", default_text="calibrated from the take"
+        None, "--subject", "FILE|NAME=FILE,...", "subject file, or one for each subject", default_text="calibrated from the take"
     )
     like: str | Path | None = define_option(
         None, "--like", "TAKE", "a labelled take of the same person, by which a take without labels is labelled",

@@ -18,7 +18,7 @@ from mocapfix.calibrate.calibration import calibrate_body, place_moved_markers, 
 from mocapfix.calibrate.calibration_frames import CalibrationFrames
 from mocapfix.calibrate.person_calibration import calibrate_person
 from mocapfix.detect.learned_set_trial import try_learned_set
-from mocapfix.detect.loop import detect_on_body, detect_on_trajectories
+from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
 from mocapfix.fill.gap_filling import check_fill_options, fill_gaps
 from mocapfix.initialise.initial_motion import initialise_body
@@ -44,7 +44,6 @@ from mocapfix.state import CleaningState, DetectionState
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-MIN_VISIBLE_MARKERS = 3  # in at least one frame: fewer do not determine the position of anything
 DEFAULT_OPTIONS = CleanOptions()
 # The matrices are small and the kernels have their own threads: threads of the BLAS library only slow them down.
 limit_blas_threads = threadpool_limits.wrap(limits=1, user_api="blas")
@@ -168,11 +167,7 @@ def detect_and_fit(state: CleaningState, options: CleanOptions, timer: StageTime
     first = state
     with timer("detect"):
         state = detect_on_trajectories(state, options)
-    if state.detection.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
-        raise TakeError(
-            f"{state.original_take.name}: no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated; "
-            "check the labels and the export."
-        )
+    check_visible_markers(state)
     if state.marker_set is None:
         return state
     max_rounds = 1 if options.initialise.is_fast else options.solve.max_solve_rounds
@@ -257,22 +252,27 @@ def calibrate_takes(
     Raises:
         TakeError: if there is no take, no marker set fits, marker sets differ, or one of several subjects is to be named.
     """
+    surveys = survey_person(paths, [Path(path).name for path in paths], options.change(**changed_options))
+    return calibrate_person(surveys, mean_pose_prior=mean_pose_prior).subject
+
+
+def survey_person(paths: Sequence[str | Path], ids: Sequence[str], options: CleanOptions) -> list[CalibrationFrames]:
+    """Return the best frames of each take of one person. Raises TakeError as `calibrate_takes`."""
     if not paths:
         raise TakeError("There is no take to calibrate from; name at least one.")
-    surveys = [survey_take(path, options.change(**changed_options), Path(path).name) for path in paths]
-    for path, found in zip(paths, surveys, strict=True):
+    surveys: list[CalibrationFrames] = []
+    for path, take_id in zip(paths, ids, strict=True):
+        found = survey_take(path, options, take_id)
         if len(found) > 1:
             names = " and ".join(frames.subject_name for frames in found)
             raise TakeError(f"{Path(path).name}: shows {names}; name the subject to calibrate with --subject-prefix.")
-    return calibrate_person([found[0] for found in surveys], mean_pose_prior=mean_pose_prior).subject
+        surveys += found
+    return surveys
 
 
 @limit_blas_threads
 def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_id: str = "") -> list[CalibrationFrames]:
-    """Return the best frames of each subject in a take, from which persons are calibrated.
-
-    Raises TakeError if the take shows no body with a marker set.
-    """
+    """Return the best frames of each subject in a take, from which persons are calibrated. Raises TakeError without a body."""
     return [survey_subject(state, options, take_id) for state in find_bodies_to_calibrate(path, options)]
 
 

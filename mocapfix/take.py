@@ -1,6 +1,7 @@
 """Marker takes: the trajectories of one recorded performance."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -124,6 +125,11 @@ class Take:
         prefixes = [label.rpartition(":")[0].strip() for label in self.labels]
         default = self.subject_names[0] if len(self.subject_names) == 1 and not any(prefixes) else ""
         return tuple(prefix or default for prefix in prefixes)
+
+    @property
+    def main_subject(self) -> str:
+        """Whose markers these are: the subject of most markers by their labels; "" if they name none."""
+        return self.subject_name or max(Counter(self.marker_subjects).items(), key=lambda each: each[1], default=("", 0))[0]
 
     @property
     def point_indices(self) -> Int[np.ndarray, " M"]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mocapfix import multi_subject, pipeline, synthetic
+from mocapfix.calibrate import subject_file
 from mocapfix.changes import UnfilledRun
 from mocapfix.errors import SceneError, TakeError, WriteError
 from mocapfix.faults import Fault, Faults, Fragment
@@ -305,6 +306,21 @@ def test_a_subject_file_needs_the_name_of_one_of_several_subjects(files, two):
         TakeError, match="shows Jim and Ann, but --subject describes one person; name that person with --subject-"
     ):
         pipeline.clean(files / "two.c3d", subject=two[0].subject_results[0].subject)
+
+
+def test_subject_files_of_other_people_are_refused(files, two, tmp_path):
+    subject_file.write_subject(tmp_path / "bob.yaml", two[0].subject_results[0].subject)
+    with pytest.raises(TakeError, match=r"two\.c3d: shows Jim and Ann, but --subject is for Bob\."):
+        pipeline.clean(files / "two.c3d", subject=(("Bob", tmp_path / "bob.yaml"),))
+
+
+def test_each_subject_may_have_a_subject_file(files, two, tmp_path):
+    subject_file.write_subject(tmp_path / "ann.yaml", two[0].subject_results[1].subject)
+    result = pipeline.clean(files / "two.c3d", subject=(("ann", tmp_path / "ann.yaml"),))
+    jim, ann, *_ = result.subject_results
+    known = subject_file.read_subject(tmp_path / "ann.yaml")
+    np.testing.assert_array_equal(ann.subject.skeleton.offsets, known.skeleton.offsets)
+    np.testing.assert_array_equal(jim.subject.skeleton.offsets, two[0].subject_results[0].subject.skeleton.offsets)
 
 
 def test_calibration_needs_the_name_of_one_of_several_subjects(files):

@@ -130,3 +130,10 @@ def test_indices_of_unlabelled_trajectories_follow_the_markers(take):
     unlabelled = Take(take.markers, ("*1", "*2"), 1.0)
     with_unlabelled = Take(take.markers, take.labels, 1.0, unlabelled=unlabelled)
     assert [with_unlabelled.get_label(i) for i in range(4)] == [*take.labels, "*1", "*2"]
+
+
+def test_main_subject_is_that_of_most_markers(take):
+    assert Take(take.markers, ("Jim:a", "prop"), 1.0, subject_names=("Jim", "Ann")).main_subject == "Jim"
+    assert Take(take.markers, ("Ann:a", "Ann:b"), 1.0, subject_name="part").main_subject == "part"
+    assert Take(take.markers, ("a", "b"), 1.0).main_subject == ""
+    assert Take(take.markers[:, :0], (), 1.0).main_subject == ""

@@ -6,7 +6,7 @@ Each job writes a record with its result, which is used again while its key is t
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mocapfix.batch.child_process import JobLimits, run_in_child
@@ -122,7 +122,7 @@ def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
     """Write the subject files of a person, unless they are there, and return the person's entry. Run in a child."""
     from mocapfix.calibrate.calibration_frames import read_calibration_frames
     from mocapfix.calibrate.person_calibration import calibrate_person
-    from mocapfix.calibrate.subject_file import write_subject
+    from mocapfix.calibrate.person_files import locate_person_files, write_person_files
 
     folder = request.output_folder / PEOPLE_FOLDER
 
@@ -130,23 +130,18 @@ def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
         frames = [read_calibration_frames(path) for path in request.frames]
         person = calibrate_person(frames, request.sessions)
         subject_name = {each.take: each.subject_name for each in frames}
-        main = folder / f"{request.name}.subject.yaml"
-        write_subject(main, person.subject)
-        take_files: dict[str, str] = {}
-        for take, subject in person.take_subjects.items():
-            path = folder / f"{request.name}.{PurePosixPath(take).with_suffix('').as_posix().replace('/', '-')}.subject.yaml"
-            write_subject(path, subject)
-            take_files[take] = path.relative_to(request.output_folder).as_posix()
+        files = locate_person_files(folder, request.name, person)
+        write_person_files(files, person)
         entry = PersonEntry(
             name=request.name,
             basis=request.basis,
             takes={take: subject_name[take] for take in sorted(person.takes)},
-            subject_file=main.relative_to(request.output_folder).as_posix(),
-            take_files=take_files,
+            subject_file=files.main.relative_to(request.output_folder).as_posix(),
+            take_files={take: path.relative_to(request.output_folder).as_posix() for take, path in files.by_take.items()},
             moved_markers=tuple(person.describe_moves()),
             rejected=person.rejected,
         )
-        return {"key": key, "files": [str(main)], "entry": entry.model_dump(mode="json")}
+        return {"key": key, "files": [str(files.main)], "entry": entry.model_dump(mode="json")}
 
     return _use_record(*locate_record(request), calibrate)
 

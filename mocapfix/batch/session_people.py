@@ -31,7 +31,7 @@ from mocapfix.batch.task_window import Task, run_tasks
 if TYPE_CHECKING:
     from distributed import Client
 
-    from mocapfix.batch.people import Person
+    from mocapfix.calibrate.people import Person
 
 COMPARE_STAGE, SURVEY_STAGE, CALIBRATE_STAGE = "compare", "survey", "calibrate"
 MIN_PERSON_TAKES = 2
@@ -52,8 +52,8 @@ def assign_subjects(
 
     Takes that cannot be surveyed, and people with one take, keep their options.
     """
-    from mocapfix.batch.people import group_people
     from mocapfix.calibrate.body_measurements import BodyMeasurements
+    from mocapfix.calibrate.people import group_people
 
     by_id = {request.take: request for request in requests}
     measured = _run_stage(connect, COMPARE_STAGE, COMPARE_FUNCTION, by_id, limits, progress)

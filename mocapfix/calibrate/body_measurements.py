@@ -27,13 +27,15 @@ class BodyMeasurements:
 
     Attributes:
         take: id of the take.
-        subject_name: name of the subject in the take; "" if its labels have none.
+        subject_name: name of the subject among several in the take; "" if it is the only one.
+        label_name: name of the person in the labels; "" if they have none.
         marker_set: name of the marker set.
         distances_m: median distance of markers on one segment or on neighbouring ones, by their labels joined with a space.
     """
 
     take: str
     subject_name: str
+    label_name: str
     marker_set: str
     distances_m: dict[str, float]
 
@@ -44,9 +46,8 @@ def measure_body(take_id: str, take: Take, marker_set: MarkerSet) -> BodyMeasure
     seen = np.flatnonzero(columns >= 0)
     markers = take.markers[sample_evenly(len(take.markers), MAX_MEASURED_FRAMES)][:, columns[seen]]
     labels = [marker_set.labels[k] for k in seen]
-    return BodyMeasurements(
-        take_id, take.subject_name, marker_set.name, measure_marker_distances(markers, labels, marker_set.joints[seen])
-    )
+    distances_m = measure_marker_distances(markers, labels, marker_set.joints[seen])
+    return BodyMeasurements(take_id, take.subject_name, take.main_subject, marker_set.name, distances_m)
 
 
 def measure_marker_distances(

@@ -10,15 +10,15 @@ import sys
 import threading
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import OverwriteOption, TakesArgument, build_options_argument, parse_options
 from mocapfix.cli.batch import run_batch
 from mocapfix.cli.bench import BENCH_COMMANDS
+from mocapfix.cli.calibrate import run_calibrate
 from mocapfix.cli.clean import print_summary, run_clean
 from mocapfix.cli.console import (
     EXIT_DONE,
@@ -36,13 +36,6 @@ from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS
 from mocapfix.cli.run import run_scene
 from mocapfix.cli.train import TRAIN_COMMANDS
 from mocapfix.errors import MocapfixError, OptionError, ReadError
-
-if TYPE_CHECKING:
-    CalibrateArguments = object
-else:
-    CalibrateArguments = build_options_argument(
-        ("read", "subject"), without=("subject", "like", "hierarchy"), default_texts={"subject_prefix": "the only subject"}
-    )
 
 
 def run_demo(
@@ -80,31 +73,6 @@ def run_demo(
     stdout_console.print(table)
     print_summary(json.loads(outputs["report.json"].read_text(encoding="utf-8")), outputs)
     print_line(f"To view it: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
-    return EXIT_DONE
-
-
-def run_calibrate(
-    takes: TakesArgument,
-    subject: Annotated[Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="SUBJECT.yaml", help="subject file to write")],
-    options: CalibrateArguments,
-    prior: Annotated[str, tyro.conf.arg(metavar="NAME|none", help="prior of the mean pose")] = "mean-pose",
-    overwrite: OverwriteOption = False,
-) -> int:
-    """Calibrate a person's bones and marker positions from takes, for `clean --subject`."""
-    from mocapfix import pipeline
-    from mocapfix.calibrate import subject_file
-    from mocapfix.files.output_files import check_outputs_absent
-
-    if not takes:
-        return print_usage_error("calibrate: name at least one take.")
-    parsed = parse_options(options)
-    check_outputs_absent([subject], overwrite)
-    with show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
-        progress("calibrate")
-        calibrated = pipeline.calibrate_takes(takes, parsed, mean_pose_prior=prior)
-        subject_file.write_subject(subject, calibrated)
-    size = f"{len(calibrated.labels)} markers on {len(calibrated.skeleton.names)} joints, from {calibrated.frame_count} frames"
-    print_line(f"{escape(str(subject))}: {size}.")
     return EXIT_DONE
 
 

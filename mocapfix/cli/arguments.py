@@ -65,12 +65,25 @@ def parse_options(arguments: object) -> CleanOptions:
     return CleanOptions(**stages)
 
 
+ARGUMENT_FORMS = {"frames": "FIRST:LAST, as in 100:250", "subject": "FILE, or NAME=FILE,... with a name only once"}
+
+
 def parse_frames(text: str) -> tuple[int, int] | None:
     """Return the first and the last frame that FIRST:LAST names, None for all frames. Raises ValueError."""
     first, colon, last = text.partition(":")
     if not colon:
         raise ValueError(text)
     return None if text == ":" else (int(first) if first else -FRAME_LIMIT, int(last) if last else FRAME_LIMIT)
+
+
+def parse_subject_files(text: str) -> str | tuple[tuple[str, Path], ...]:
+    """Return the subject file that a text names, or the files of several subjects: NAME=FILE,NAME=FILE. Raises ValueError."""
+    if "=" not in text or Path(text).is_file():
+        return text
+    pairs = [(name.strip(), file.strip()) for name, _, file in (part.partition("=") for part in text.split(","))]
+    if not all(name and file for name, file in pairs) or len({name.casefold() for name, _ in pairs}) < len(pairs):
+        raise ValueError(text)
+    return tuple((name.removesuffix(":"), Path(file)) for name, file in pairs)
 
 
 def split_names(texts: Iterable[str]) -> tuple[str, ...]:
@@ -125,9 +138,11 @@ def _parse_value(each: Field[Any], value: Any) -> Any:
             return parse_frames(value)
         if each.type == tuple[str, ...]:
             return split_names(value)
+        if each.name == "subject":
+            return parse_subject_files(value)
         if each.type == tuple[float, ...]:
             value = tuple(float(number) for number in split_names([value]))
     except ValueError:
-        form = "FIRST:LAST, as in 100:250" if each.name == "frames" else "numbers with commas between them"
+        form = ARGUMENT_FORMS.get(each.name, "numbers with commas between them")
         raise OptionError(each.name, option.flag, option.job_key, f"must be {form}, not {value!r}") from None
     return option.from_display(value)

@@ -16,6 +16,7 @@ from mocapfix.detect.mislabelled import detect_mislabelled
 from mocapfix.detect.round_memory import RoundMemory
 from mocapfix.detect.sample_faults import detect_sample_faults
 from mocapfix.detect.trajectory_segments import find_namesakes
+from mocapfix.errors import TakeError
 from mocapfix.faults import (
     EXTERNAL_FILL_KINDS,
     LABEL_KINDS,
@@ -33,6 +34,17 @@ from mocapfix.state import CleaningState, DetectionState
 from mocapfix.take import Take
 
 FaultFilter = Callable[[Fault], bool]
+MIN_VISIBLE_MARKERS = 3
+"""Inliers in at least one frame: fewer do not determine the position of anything."""
+
+
+def check_visible_markers(state: CleaningState) -> None:
+    """Raise TakeError if no frame shows enough markers after the detection."""
+    if state.detection.inlier_mask.sum(1).max() < MIN_VISIBLE_MARKERS:
+        raise TakeError(
+            f"{state.original_take.name}: no frame shows {MIN_VISIBLE_MARKERS} markers, so nothing can be estimated; "
+            "check the labels and the export."
+        )
 
 
 def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> CleaningState:

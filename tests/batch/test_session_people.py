@@ -103,7 +103,9 @@ def test_people_with_one_take_are_not_surveyed(tmp_path: Path, monkeypatch: pyte
         if stage == session_people.COMPARE_STAGE:
             bodies = {take: {pair: size * length for pair, length in lengths.items()} for take, size in sizes.items()}
             return {
-                take: {"bodies": [{"take": take, "subject_name": "", "marker_set": "cmu41", "distances_m": body}]}
+                take: {
+                    "bodies": [{"take": take, "subject_name": "", "label_name": "", "marker_set": "cmu41", "distances_m": body}]
+                }
                 for take, body in bodies.items()
             }
         if stage == session_people.SURVEY_STAGE:  # one fails

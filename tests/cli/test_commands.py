@@ -5,11 +5,12 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mocapfix.cli.arguments import parse_frames
+from mocapfix.cli.arguments import parse_frames, parse_subject_files
 from mocapfix.cli.console import COMPILATION_MESSAGE
 from mocapfix.kernels import precompilation
 from tests.c3d_files import c3d_bytes
@@ -217,6 +218,44 @@ def test_wrong_usage_is_status_2(mocapfix, arguments, sentence):
 )
 def test_frames_are_first_to_last(text, frames):
     assert parse_frames(text) == frames
+
+
+@pytest.mark.parametrize(
+    ("text", "files"),
+    [
+        ("jim.yaml", "jim.yaml"),
+        ("Jim=jim.yaml, Ann=a/ann.yaml", (("Jim", Path("jim.yaml")), ("Ann", Path("a/ann.yaml")))),
+        ("Jim:=jim.yaml", (("Jim", Path("jim.yaml")),)),
+    ],
+)
+def test_subject_files_may_be_named(text, files):
+    assert parse_subject_files(text) == files
+
+
+@pytest.mark.parametrize("text", ["Jim=", "=jim.yaml", "Jim=jim.yaml,ann.yaml", "Jim=a.yaml,jim=b.yaml"])
+def test_subject_files_without_names_are_wrong_usage(mocapfix, text):
+    status, _, err = mocapfix("clean", "a.c3d", "--subject", text)
+    assert status == 2
+    assert "--subject must be FILE, or NAME=FILE,... with a name only once" in flat(err.replace("│", " "))
+
+
+def test_file_with_an_equals_sign_is_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a=b.yaml").touch()
+    assert parse_subject_files("a=b.yaml") == "a=b.yaml"
+
+
+def test_calibrate_writes_a_file_for_each_person_into_a_folder(mocapfix, brief, tmp_path):
+    data = brief.path.read_bytes()
+    for name in ("a.c3d", "b.c3d"):
+        (tmp_path / name).write_bytes(data)
+    status, out, _ = mocapfix("calibrate", tmp_path / "a.c3d", tmp_path / "b.c3d", "-o", tmp_path / "people")
+    assert status == 0
+    assert [path.name for path in (tmp_path / "people").iterdir()] == ["person.subject.yaml"]
+    assert "person.subject.yaml: 41 markers on 31 joints" in flat(out)
+    status, _, err = mocapfix("calibrate", tmp_path / "a.c3d", "-o", tmp_path / "people")
+    assert status == 1
+    assert "person.subject.yaml: already exists" in flat(err)
 
 
 # bad input

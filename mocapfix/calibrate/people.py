@@ -74,8 +74,8 @@ def group_people(bodies: Sequence[BodyMeasurements], names: Mapping[str, Sequenc
 
 def find_name(body: BodyMeasurements) -> tuple[str, str]:
     """Return the name of the person in a take and where it is from: the prefix of the labels, or the folder of the take."""
-    if body.subject_name:
-        return body.subject_name, "prefix of the labels"
+    if body.label_name:
+        return body.label_name, "prefix of the labels"
     folder = PurePosixPath(body.take).parent.as_posix()
     return (UNNAMED_PERSON if folder == "." else folder.replace("/", "-")), FOLDER_REASON
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mocapfix.batch.people import group_people
 from mocapfix.calibrate.body_measurements import BodyMeasurements, measure_body
+from mocapfix.calibrate.people import group_people
 from mocapfix.marker_sets import load_marker_set
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
@@ -20,6 +20,21 @@ def measure(take: str, subject_name: str = "", size: float = 1.0, seed: int = 0)
 def test_prefixes_name_people() -> None:
     people = group_people([measure(f"day/{t}.c3d", name, seed=t) for t in range(3) for name in ("Jim", "Ann")])
     assert {person.name: len(person.takes) for person in people} == {"Jim": 3, "Ann": 3}
+
+
+def test_prefix_names_the_only_subject_of_a_take_too() -> None:
+    marker_set = load_marker_set("cmu41")
+    unnamed = measure("both.c3d").distances_m
+    labels = tuple(f"Jim:{label}" for label in marker_set.labels)
+    markers = load_cmu31_body().skeleton.rest_positions[marker_set.joints] + marker_set.marker_offsets
+    alone = measure_body("alone.c3d", Take(markers[None].repeat(5, 0), labels, 60.0), marker_set)
+    assert alone.subject_name == ""
+    assert alone.distances_m.keys() == unnamed.keys()
+    people = group_people([measure("both.c3d", "Ann", seed=1), measure("both.c3d", "Jim", seed=2), alone])
+    assert {person.name: [body.take for body in person.takes] for person in people} == {
+        "Ann": ["both.c3d"],
+        "Jim": ["both.c3d", "alone.c3d"],
+    }
 
 
 def test_folders_name_people_without_prefix() -> None:
