@@ -23,6 +23,7 @@ class Subject:
     joint_sd        (J,) m: standard deviation per axis of the joint position due to the calibration error, after the poses have
                     adapted; 0 for a nominal body, whose error is unknown
     marker_sd       (K,) m: the same for the marker as the body places it
+    notes           sentences for the reports of the takes that are cleaned with the subject
     """
 
     skeleton: Skeleton
@@ -34,6 +35,7 @@ class Subject:
     frame_count: int = 0
     joint_sd: Float[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0))
     marker_sd: Float[np.ndarray, " K"] = field(default_factory=lambda: np.zeros(0))
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, count in (("joint_sd", len(self.skeleton.names)), ("marker_sd", len(self.labels))):

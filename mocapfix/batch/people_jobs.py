@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from mocapfix.state import CleaningState
 
 PEOPLE_FOLDER = "people"
+RECORDS_FOLDER = ".records"
+"""in that folder: hidden, so that no outputs of a take are there, whatever its name"""
 COMPARE_FUNCTION = "mocapfix.batch.people_jobs:measure_recorded_take"
 SURVEY_FUNCTION = "mocapfix.batch.people_jobs:survey_recorded_take"
 CALIBRATE_FUNCTION = "mocapfix.batch.people_jobs:calibrate_recorded_person"
@@ -149,10 +151,15 @@ def calibrate_recorded_person(request: PersonRequest) -> dict[str, Any]:
 def locate_record(request: CleanRequest | SurveyRequest | PersonRequest) -> tuple[Path, str]:
     """Return the file with the result of a job, and the key of what the result depends on."""
     if isinstance(request, PersonRequest):
-        return request.output_folder / PEOPLE_FOLDER / f"{request.name}.json", f"{request.key} {request.basis}"
+        return locate_records(request.output_folder) / f"{request.name}.json", f"{request.key} {request.basis}"
     take, suffix = (request.take, ".survey.json") if isinstance(request, SurveyRequest) else (request, ".bodies.json")
     key = f"{try_to_hash(take.path)} {hash_options(take.options)} {get_version()}"
-    return take.output_folder / PEOPLE_FOLDER / "surveys" / f"{take.take}{suffix}", key
+    return locate_records(take.output_folder) / "takes" / f"{take.take}{suffix}", key
+
+
+def locate_records(output_folder: Path) -> Path:
+    """Return the folder with the records of the jobs in the output folder of a batch."""
+    return output_folder / PEOPLE_FOLDER / RECORDS_FOLDER
 
 
 def read_people_record(path: Path, key: str) -> dict[str, Any] | None:

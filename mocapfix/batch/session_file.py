@@ -9,15 +9,14 @@ from pydantic import Field
 
 from mocapfix.batch.take_list import (
     TAKE_SUFFIXES,
-    WILDCARDS,
     BatchTake,
     build_take_list,
-    resolve_folder,
+    make_absolute,
     select_matched_takes,
 )
 from mocapfix.errors import SceneError
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths
+from mocapfix.jobs.cleaning_job import build_job_model, build_job_options, expand_paths, has_wildcards
 from mocapfix.options import CleanOptions
 
 
@@ -52,7 +51,7 @@ def read_session_file(path: Path) -> Session:
     takes = build_take_list(expand_takes(path, header.takes, "takes"))
     ids = {take.path: take.id for take in takes}
     shown = {name: expand_takes(path, patterns, f"people.{name}") for name, patterns in header.people.items()}
-    people = {name: tuple(ids[each] for each in map(resolve_folder, paths) if each in ids) for name, paths in shown.items()}
+    people = {name: tuple(ids[each] for each in map(make_absolute, paths) if each in ids) for name, paths in shown.items()}
     return Session(header.title, takes, people, options)
 
 
@@ -64,7 +63,7 @@ def expand_takes(path: Path, names: Sequence[str], key: str) -> list[Path]:
     takes: list[Path] = []
     for name in names:
         found = expand_paths(path, [name], key)
-        if set(WILDCARDS) & set(name):
+        if has_wildcards(name) and not (path.parent / name).is_file():
             found = select_matched_takes(found, path.parent / name)
             if not found:
                 raise SceneError(f"{path}: {key}: {name!r} matches no take ({', '.join(TAKE_SUFFIXES)}).")

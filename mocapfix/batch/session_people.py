@@ -1,8 +1,8 @@
 """The stages of a session before its takes are cleaned: find out who is who, survey the takes of each person, and calibrate it.
 
-What the stages write is in DIR/people: in `surveys` the measurements of the bodies in each take, and the calibration frames of
-those takes whose person is in others too; a subject file for each person, and one for each take in which markers lie elsewhere.
-All of it is used again while takes, options and version are the same.
+What the stages write is in DIR/people: a subject file for each person, and one for each take in which markers lie elsewhere; in
+`.records` the measurements of the bodies in each take, and the calibration frames of takes whose person is in others too. All of
+it is used again while takes, options and version are the same.
 """
 
 import hashlib
@@ -17,11 +17,11 @@ from mocapfix.batch.people_file import PersonEntry, SessionPeople, write_people_
 from mocapfix.batch.people_jobs import (
     CALIBRATE_FUNCTION,
     COMPARE_FUNCTION,
-    PEOPLE_FOLDER,
     SURVEY_FUNCTION,
     PersonRequest,
     SurveyRequest,
     locate_record,
+    locate_records,
     read_people_record,
     run_people_job,
 )
@@ -103,7 +103,7 @@ def build_person_request(person: "Person", surveyed: Mapping[str, dict[str, Any]
 
 def forget_results(folder: Path, *, failed_only: bool) -> None:
     """Let the next batch survey the takes and calibrate the people of a folder again, or survey those whose survey failed."""
-    for path in (folder / PEOPLE_FOLDER).rglob("*.json"):
+    for path in locate_records(folder).rglob("*.json"):
         if not failed_only or b'"limits"' in path.read_bytes():
             path.unlink()
 

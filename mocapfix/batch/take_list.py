@@ -25,10 +25,15 @@ class BatchTake:
 
 @dataclass(frozen=True)
 class FoundTakes:
-    """The takes of a batch, and the files beside them that are no takes of their own."""
+    """The takes of a batch.
+
+    skipped     files beside them that are no takes of their own
+    unreadable  folders that cannot be read
+    """
 
     takes: tuple[BatchTake, ...]
     skipped: tuple[Path, ...] = ()
+    unreadable: tuple[Path, ...] = ()
 
 
 def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
@@ -41,11 +46,13 @@ def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
     """
     paths: list[Path] = []
     skipped: list[Path] = []
+    unreadable: list[Path] = []
     for source in sources:
         if Path(source).is_dir():
             found = find_folder_takes(Path(source), output_folder)
             paths += [take.path for take in found.takes]
             skipped += found.skipped
+            unreadable += found.unreadable
         elif Path(source).is_file():
             paths.append(Path(source))
         else:
@@ -54,14 +61,17 @@ def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
                 raise ReadError(f"{source}: no such take; name a folder, a file, a pattern or a session file (.yaml).")
             paths += matching
     root = Path(sources[0]) if len(sources) == 1 and Path(sources[0]).is_dir() else None
-    return FoundTakes(build_take_list(paths, root), tuple(skipped))
+    return FoundTakes(build_take_list(paths, root), tuple(skipped), tuple(unreadable))
 
 
 def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
-    """Return the captures in a folder and its folders. Raises ReadError if there is none."""
+    """Return the captures in a folder and its folders, also behind links to folders. Raises ReadError if there is none."""
     by_stem: dict[Path, list[Path]] = {}
-    for place, folders, names in os.walk(folder):
-        folders[:] = sorted(each for each in folders if is_input_folder(Path(place) / each, output_folder))
+    unreadable: list[Path] = []
+    visited = {folder.resolve()}
+    for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: unreadable.append(Path(error.filename))):
+        inputs = [each for each in sorted(folders) if is_input_folder(Path(place) / each, output_folder)]
+        folders[:] = [each for each in inputs if add_folder(visited, Path(place) / each)]
         shown = (Path(place) / name for name in names if not name.startswith("."))
         for path in remove_batch_outputs(path for path in shown if path.suffix.lower() in TAKE_SUFFIXES):
             by_stem.setdefault(path.with_suffix(""), []).append(path)
@@ -70,7 +80,15 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
     if not by_stem:
         raise ReadError(f"{folder}: holds no take ({', '.join(TAKE_SUFFIXES)}); name the folder with the captures.")
     takes = build_take_list((paths[0] for paths in by_stem.values()), folder)
-    return FoundTakes(takes, tuple(path for paths in by_stem.values() for path in paths[1:]))
+    return FoundTakes(takes, tuple(path for paths in by_stem.values() for path in paths[1:]), tuple(unreadable))
+
+
+def add_folder(visited: set[Path], folder: Path) -> bool:
+    """Add a folder to those that were visited; return whether it is new. A link may lead to a folder that is visited anyway."""
+    place = folder.resolve()
+    is_new = place not in visited
+    visited.add(place)
+    return is_new
 
 
 def is_input_folder(folder: Path, output_folder: Path) -> bool:
@@ -110,9 +128,9 @@ def expand_pattern(pattern: str) -> list[Path]:
     return select_matched_takes(Path(root or ".").glob(pattern.removeprefix(root)), Path(pattern))
 
 
-def resolve_folder(path: Path) -> Path:
-    """Return the absolute path of a file; a link keeps its own name and folder, by which the take is called."""
-    return path.parent.resolve() / path.name
+def make_absolute(path: Path) -> Path:
+    """Return the absolute path of a file or folder. Links keep their own names, by which takes are called."""
+    return Path(os.path.abspath(path))  # noqa: PTH100
 
 
 def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[BatchTake, ...]:
@@ -122,13 +140,13 @@ def build_take_list(paths: Iterable[Path], root: Path | None = None) -> tuple[Ba
 
     Raises ReadError if two takes would have the same output folder, or a name is not valid UTF-8.
     """
-    resolved = list(dict.fromkeys(resolve_folder(path) for path in paths))
-    for path in resolved:
+    absolute = list(dict.fromkeys(make_absolute(path) for path in paths))
+    for path in absolute:
         check_path_encoding(path)
-    if not resolved:
+    if not absolute:
         return ()
-    base = root.resolve() if root else Path(os.path.commonpath([path.parent for path in resolved]))
-    takes = sorted((BatchTake(path.relative_to(base).as_posix(), path) for path in resolved), key=lambda take: take.id)
+    base = make_absolute(root) if root else Path(os.path.commonpath([path.parent for path in absolute]))
+    takes = sorted((BatchTake(path.relative_to(base).as_posix(), path) for path in absolute), key=lambda take: take.id)
     by_folder: dict[str, BatchTake] = {}
     for take in takes:
         other = by_folder.setdefault(PurePosixPath(take.id).with_suffix("").as_posix().casefold(), take)

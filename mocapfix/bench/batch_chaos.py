@@ -14,6 +14,8 @@ from pathlib import Path
 
 import psutil
 
+from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
+from mocapfix.batch.people_jobs import RECORDS_FOLDER
 from mocapfix.batch.records import read_records
 from mocapfix.bench.batch_takes import compose_batch_takes, copy_takes, find_differing_takes
 
@@ -33,7 +35,7 @@ class ChaosResult:
 
     attempts       number of takes by the number of attempts at them
     client_errors  what the clients that ended by themselves with an error wrote last
-    leftovers      hidden files in the output folder, but the lock
+    leftovers      hidden files in the output folder, but the lock and the records of people
     """
 
     take_count: int
@@ -155,7 +157,7 @@ def measure_chaos(
         dict(kills),
         dict(Counter(record.attempts for record in records)),
         find_differing_takes(quiet, disturbed),
-        [str(path) for path in disturbed.rglob(".*") if path.name != ".batch.lock"],
+        [str(path) for path in disturbed.rglob(".*") if path.name not in (BATCH_LOCK_NAME, RECORDS_FOLDER)],
         errors,
         round(seconds, 1),
     )

@@ -69,6 +69,20 @@ class PersonCalibration:
             for each in self.moved
         ]
 
+    def describe_take(self, take: str) -> tuple[str, ...]:
+        """Return a sentence for each marker that lies elsewhere in a take, and one if all were attached again."""
+        index = self.takes.index(take)
+        moves = tuple(
+            f"Marker {self.subject.labels[each.marker]} lies {1e3 * each.distance_m:.0f} mm from its place in this person's "
+            "other takes: the place of this take was used."
+            for each in self.moved
+            if index in each.takes
+        )
+        again = (
+            "The markers lie elsewhere than in this person's first takes: they were attached again, and have places of their own."
+        )
+        return (*moves, again) if self.sessions.get(take) else moves
+
 
 def calibrate_person(
     takes: Sequence[CalibrationFrames], sessions: Sequence[str] | None = None, mean_pose_prior: str = "mean-pose"

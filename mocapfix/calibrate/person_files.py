@@ -1,6 +1,6 @@
 """The subject files of a calibrated person: one for all takes, and one for each take in which markers lie elsewhere."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from mocapfix.calibrate.person_calibration import PersonCalibration
@@ -31,7 +31,7 @@ def locate_person_files(folder: Path, name: str, person: PersonCalibration) -> P
 
 
 def write_person_files(files: PersonFiles, person: PersonCalibration) -> None:
-    """Write the subject files of a person. Raises WriteError."""
+    """Write the subject files of a person, those of single takes with notes on what lies elsewhere. Raises WriteError."""
     write_subject(files.main, person.subject)
     for take, path in files.by_take.items():
-        write_subject(path, person.take_subjects[take])
+        write_subject(path, replace(person.take_subjects[take], notes=person.describe_take(take)))

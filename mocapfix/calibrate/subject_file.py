@@ -46,6 +46,7 @@ def read_subject(path: str | Path) -> Subject:
         joint_sd=np.array([bone.sd for bone in bones], float),
         marker_sd=np.array([marker.sd for marker in markers], float),
         frame_count=model.frames,
+        notes=model.notes,
     )
 
 
@@ -71,7 +72,8 @@ def write_subject(path: str | Path, subject: Subject) -> None:
         markers[label] = InlineMapping(
             joint=names[joint], place=_round_lengths(offset), spread=_round_length(spread), sd=_round_length(sd)
         )
-    data = {"marker_set": subject.marker_set, "frames": int(subject.frame_count), "bones": bones, "markers": markers}
+    notes = {"notes": list(subject.notes)} if subject.notes else {}
+    data = {"marker_set": subject.marker_set, "frames": int(subject.frame_count), "bones": bones, "markers": markers, **notes}
     with replace_atomically(Path(path)) as new_file:
         new_file.write_text(SUBJECT_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
 
@@ -103,6 +105,7 @@ class _SubjectModel(StrictModel):
     frames: NonNegativeInt
     bones: dict[str, _BoneModel]
     markers: dict[str, _MarkerModel]
+    notes: tuple[str, ...] = ()
 
 
 def _check_bones(path: Path, bones: dict[str, _BoneModel]) -> None:

@@ -92,6 +92,8 @@ def run_batch(
     else:
         listed = find_takes(takes, output_folder)
         title, found, named_people = "", listed.takes, {}
+        for path in listed.unreadable:
+            print_error(f"{path}: cannot be read, so its takes are not cleaned; check its permissions.")
         for path in listed.skipped:
             print_line(f"{escape(str(path))}: not cleaned, since a file beside it with another suffix is the take.")
     load_requested_subject(parsed.subject)  # a name that is wrong is so for all takes

@@ -153,16 +153,23 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     return options
 
 
+def has_wildcards(name: str) -> bool:
+    """Return whether a name can stand for several files."""
+    return bool(set(name) & WILDCARD_CHARACTERS)
+
+
 def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
     """Return the files that names and wildcards mean beside the job at `path`, in their order, each once.
 
-    Raises SceneError, naming `key`, if a wildcard matches no file. A plain name may be that of a file that does not exist.
+    Raises SceneError, naming `key`, if a wildcard matches no file. A plain name may be that of a file that does not exist. The
+    name of a file that exists is no wildcard, whatever its characters.
     """
     found: dict[Path, None] = {}
     for name in names:
         root = Path(name).anchor
         folder, pattern = path.parent / root, name.removeprefix(root)
-        matching = sorted(folder.glob(pattern)) if set(pattern) & WILDCARD_CHARACTERS else [folder / pattern]
+        is_pattern = has_wildcards(pattern) and not (folder / pattern).is_file()
+        matching = sorted(folder.glob(pattern)) if is_pattern else [folder / pattern]
         if not matching:
             raise SceneError(f"{path}: {key}: no file in {folder} matches {name!r}.")
         found |= dict.fromkeys(matching)

@@ -265,7 +265,7 @@ def load_requested_subject(options: SubjectOptions) -> SubjectChoice:
     if subject is not None:
         if isinstance(subject, str | Path):
             subject = subject_file.read_subject(subject)
-        return SubjectChoice(subject, build_subject_marker_set(subject))
+        return SubjectChoice(subject, build_subject_marker_set(subject), subject.notes)
     return SubjectChoice(None, None if options.marker_set is None else load_marker_set(options.marker_set))
 
 

@@ -34,6 +34,14 @@ def test_patterns_match_neither_outputs_nor_other_files(tmp_path: Path) -> None:
         read_session_file(write_session(tmp_path, "takes: ['*.mp4']\n"))
 
 
+def test_name_of_a_file_is_no_pattern(tmp_path: Path) -> None:
+    for name in ("take[1].c3d", "take1.c3d"):
+        (tmp_path / name).touch()
+    session = read_session_file(write_session(tmp_path, "takes: ['take[1].c3d']\npeople: {Jim: ['take[1].c3d']}\n"))
+    assert [take.id for take in session.takes] == ["take[1].c3d"]
+    assert session.people == {"Jim": ("take[1].c3d",)}
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -83,7 +83,7 @@ def test_survey_that_crashes_is_retried_and_does_not_count_as_a_failed_take(
 
 
 def test_results_are_forgotten_without_resuming(tmp_path: Path) -> None:
-    folder = tmp_path / "people" / "surveys"
+    folder = people_jobs.locate_records(tmp_path)
     folder.mkdir(parents=True)
     for name, text in (("a.json", '{"key": "1", "files": []}'), ("b.json", '{"key": "1", "limits": {}}')):
         (folder / name).write_text(text, encoding="utf-8")
@@ -91,6 +91,14 @@ def test_results_are_forgotten_without_resuming(tmp_path: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["a.json"]
     session_people.forget_results(tmp_path, failed_only=False)
     assert not list(folder.iterdir())
+
+
+def test_outputs_of_a_take_named_like_the_folder_of_people_are_kept(tmp_path: Path) -> None:
+    output = tmp_path / "people" / "people.report.json"
+    output.parent.mkdir()
+    output.touch()
+    session_people.forget_results(tmp_path, failed_only=False)
+    assert output.exists()
 
 
 def test_people_with_one_take_are_not_surveyed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,3 +71,30 @@ def test_linked_take_keeps_the_name_and_folder_of_its_link(tmp_path: Path) -> No
     make_files(tmp_path, "store/4f2a.c3d", "session/run.c3d")
     (tmp_path / "session" / "walk.c3d").symlink_to(tmp_path / "store" / "4f2a.c3d")
     assert [take.id for take in find_takes([str(tmp_path / "session")], tmp_path / "out").takes] == ["run.c3d", "walk.c3d"]
+
+
+def test_links_to_folders_are_followed_once(tmp_path: Path) -> None:
+    session, store = tmp_path / "session", tmp_path / "store"
+    for folder in (session, store):
+        folder.mkdir()
+    (store / "walk.c3d").touch()
+    (session / "day2").symlink_to(store)
+    (session / "day3").symlink_to(store)
+    (store / "back").symlink_to(session)
+    assert [take.id for take in find_takes([str(session)], tmp_path / "out").takes] == ["day2/walk.c3d"]
+
+
+def test_folder_that_fails_to_open_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "walk.c3d").touch()
+    (tmp_path / "closed").mkdir()
+    scan = os.scandir
+
+    def refuse(path: str) -> object:
+        if Path(path).name == "closed":
+            raise PermissionError(13, "Permission denied", path)
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    found = find_takes([str(tmp_path)], tmp_path / "out")
+    assert found.unreadable == (tmp_path / "closed",)
+    assert [take.id for take in found.takes] == ["walk.c3d"]

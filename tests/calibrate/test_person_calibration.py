@@ -73,6 +73,9 @@ def test_moved_marker_is_found_and_has_a_place_of_its_own(surveys: list[Calibrat
     own = person.take_subjects["take3"].marker_offsets[k] - person.subject.marker_offsets[k]
     np.testing.assert_allclose(own, shift, atol=0.01)
     assert "LTHI" in person.describe_moves()[0]
+    (note,) = person.describe_take("take3")
+    assert note.startswith("Marker LTHI lies ")
+    assert not person.describe_take("take0")
 
 
 def test_markers_attached_again_have_places_for_each_session(surveys: list[CalibrationFrames]) -> None:
