@@ -4,6 +4,7 @@ The records are the whole state of a batch. A take whose record agrees with its 
 outputs exist, is not cleaned again.
 """
 
+import os
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
@@ -83,5 +84,11 @@ def read_record(path: Path) -> TakeRecord | None:
 
 def read_records(output_folder: Path) -> list[TakeRecord]:
     """Return all records in the folder of a batch, by the ids of their takes."""
-    found = (read_record(path) for path in sorted(output_folder.rglob(f"*{RECORD_SUFFIX}")))
+    found = (read_record(path) for path in list_record_paths(output_folder))
     return sorted((record for record in found if record), key=lambda record: record.take)
+
+
+def list_record_paths(output_folder: Path) -> list[Path]:
+    """Return the paths of all records in the folder of a batch. Folders that appear or vanish at this moment do no harm."""
+    walk = os.walk(output_folder, followlinks=True)
+    return sorted(Path(folder, name) for folder, _, names in walk for name in names if name.endswith(RECORD_SUFFIX))

@@ -16,7 +16,7 @@ import psutil
 
 from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
 from mocapfix.batch.people_jobs import RECORDS_FOLDER
-from mocapfix.batch.records import read_records
+from mocapfix.batch.records import list_record_paths, read_records
 from mocapfix.bench.batch_takes import compose_batch_takes, copy_takes, find_differing_takes
 
 DISTINCT_TAKES = 10
@@ -188,7 +188,7 @@ def run_disturbed(
             cluster.revive() if cluster.scheduler.poll() is not None else cluster.start_client()
         if cluster.workers.poll() is not None:  # they end some time after their scheduler
             cluster.start_workers()
-        done = sum(1 for _ in output_folder.rglob("*.record.json"))
+        done = len(list_record_paths(output_folder))
         report(f"{done} takes recorded, {sum(kills.values())} processes killed")
         while plan and plan[0][0] <= done and cluster.scheduler.poll() is None:
             if not cluster.kill(plan[0][1], generator):

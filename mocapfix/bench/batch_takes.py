@@ -31,7 +31,7 @@ def copy_takes(originals: Path, folder: Path, count: int) -> None:
 
 def hash_outputs(folder: Path) -> dict[str, str]:
     """Return the hashes of the outputs in the folder of one take by name, but of those that depend on the run."""
-    paths = sorted(path for path in folder.iterdir() if not path.name.endswith(RUN_DEPENDENT_SUFFIXES))
+    paths = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.endswith(RUN_DEPENDENT_SUFFIXES))
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 

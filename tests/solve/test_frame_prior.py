@@ -89,7 +89,8 @@ def test_sampled_frames_are_interpolated(scene):
     pose = get_poses(truth)
     model = load_pose_model("autoencoder", BODY.skeleton)
     every, some = build_term(model, problem, pose), build_term(model, problem, pose, frames=np.r_[0:119:6, 119])
-    np.testing.assert_allclose(some.rotations[::6], every.rotations[::6], atol=1e-9)
+    # The network computes in single precision, and rounds differently in batches of another size.
+    np.testing.assert_allclose(some.rotations[::6], every.rotations[::6], atol=1e-4)
     free = np.flatnonzero(BODY.free_joints)[1:]
     difference = Rotation.from_matrix(
         (some.rotations @ np.swapaxes(every.rotations, 2, 3))[:, free].reshape(-1, 3, 3)
