@@ -4,17 +4,14 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Fault, Fragment, MarkerShift
+from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS, Decision, Fault, Fragment, MarkerShift
 from mocapfix.stats.vectors import compute_lengths
 from mocapfix.take import Take
 
-# What a reviewer decides about a change (see `Change.decision`).
-Decision = Literal["accept", "reject", "keep"]
 # The frame and the marker of each of N samples.
 _SampleIndices = tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]
 

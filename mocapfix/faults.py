@@ -12,14 +12,16 @@ from mocapfix.take import Take
 FaultKind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
-    "swap", "mislabelled", "fragment", "moved", "drift",
+    "swap", "mislabelled", "fragment", "moved", "drift", "marked",
 ]  # fmt: skip
+Decision = Literal["accept", "reject", "keep"]
+"""what a reviewer decides about a change (see `mocapfix.changes.Change`)"""
 FragmentRelation = Literal["continues", "replaces", "doubles", "other"]
 
 # Missing samples.
 MISSING_KINDS: tuple[FaultKind, ...] = ("gap", "flicker", "leading gap", "trailing gap", "absent")
-# Samples that are present but wrong: the fill replaces them.
-REPLACED_SAMPLE_KINDS: tuple[FaultKind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost")
+# Samples that are present but wrong, or that a reviewer marked: the fill replaces them.
+REPLACED_SAMPLE_KINDS: tuple[FaultKind, ...] = ("spike", "pop", "flip", "jitter", "stuck", "ghost", "marked")
 # Samples that another program filled: reported, and on request replaced where the other markers contradict them.
 EXTERNAL_FILL_KINDS: tuple[FaultKind, ...] = ("straight", "computed")
 # Exchanged labels.

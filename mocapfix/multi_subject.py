@@ -18,8 +18,8 @@ from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, choose_marker_set, load_requested_subject
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
-from mocapfix.report.review_file import ReviewedChange, read_review_files, serialize_changes
 from mocapfix.result import CleaningResult
+from mocapfix.review.changes_file import Review, read_changes_files, serialize_changes
 from mocapfix.take import ComputedPoints, Take
 
 MIN_UNASSIGNED_MARKERS = 3
@@ -44,19 +44,17 @@ def split_known_subjects(take: Take, options: SubjectOptions) -> tuple[Take, ...
     return takes
 
 
-def split_corrected_subjects(
-    take: Take, options: CleanOptions
-) -> tuple[tuple[Take, ...], list[tuple[ReviewedChange, ...]], SubjectExchanges]:
+def split_corrected_subjects(take: Take, options: CleanOptions) -> tuple[tuple[Take, ...], list[Review], SubjectExchanges]:
     """Split a take as `split_known_subjects`, with the labels that its subjects exchanged exchanged back.
 
-    Returns the takes, the changes to each that a review declined, and the exchanges. Raises as `split_known_subjects`.
+    Returns the takes, the review of each, and the exchanges. Raises as `split_known_subjects`.
     """
     parts = split_known_subjects(take, options.subject)
-    reviewed_changes = read_review_files(options.review.review_files, parts, take.labels)
-    exchanges = correct_subject_labels(take, parts, reviewed_changes, options)
+    reviews = read_changes_files(options.review.review_files, parts, take.labels)
+    exchanges = correct_subject_labels(take, parts, reviews, options)
     if exchanges.faults:
         parts = tuple(exchanges.add_notes(part) for part in split_known_subjects(exchanges.take, options.subject))
-    return parts, reviewed_changes, exchanges
+    return parts, reviews, exchanges
 
 
 def choose_subject(take: Take, options: SubjectOptions) -> SubjectOptions:

@@ -34,9 +34,9 @@ from mocapfix.repair.computed_points import update_computed_points
 from mocapfix.report.build_report import build_inspection_report, build_report
 from mocapfix.report.notes import describe_computed_points, describe_up_axis
 from mocapfix.report.report import InspectionReport
-from mocapfix.report.review_file import ReviewedChange, build_fault_filter
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.result import CleaningResult
+from mocapfix.review.changes_file import NO_REVIEW, Review, build_review_filter
 from mocapfix.skeleton import load_cmu31_body, restrict_body
 from mocapfix.solve.motion_solver import complete_body, place_body, solve_body
 from mocapfix.solve.prior_conditioner import build_prior_conditioner
@@ -83,14 +83,14 @@ def clean(
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
     check_fill_options(capture, options.fill)
-    takes, reviewed_changes, exchanges = split_corrected_subjects(capture, options)
+    takes, reviews, exchanges = split_corrected_subjects(capture, options)
     results: list[CleaningResult] = []
-    for take, reviewed in zip(takes, reviewed_changes, strict=True):
+    for take, review in zip(takes, reviews, strict=True):
         if results:  # an unlabelled trajectory assigned to one subject is not available to the next
             take = replace(take, unlabelled=results[-1].take.unlabelled)
         subject_timer = StageTimer(dict(timer.stage_seconds), progress)
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
-        state = replace(start_cleaning(take, options.subject, reviewed), prior_conditioner=conditioner)
+        state = replace(start_cleaning(take, options.subject, review), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
     return results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
 
@@ -119,7 +119,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     return labelled
 
 
-def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[ReviewedChange, ...] = ()) -> CleaningState:
+def start_cleaning(take: Take, options: SubjectOptions, review: Review = NO_REVIEW) -> CleaningState:
     """Return the state in which the cleaning of one subject's take begins. Raises TakeError if the marker set does not fit it."""
     choice = resolve_subject(take, choose_subject(take, options))
     if choice.marker_set is None and not options.known_sets_only:
@@ -127,7 +127,7 @@ def start_cleaning(take: Take, options: SubjectOptions, reviewed: tuple[Reviewed
 
         choice = find_own_marker_set(take, choice)
     known = choice.marker_set, choice.is_learned, choice.subject
-    return CleaningState(take, DetectionState(take), *known, None, reviewed, build_fault_filter(take, reviewed), choice.notes)
+    return CleaningState(take, DetectionState(take), *known, None, review, build_review_filter(take, review), choice.notes)
 
 
 def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer) -> CleaningResult:
@@ -155,6 +155,7 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
         joint_position_world=body.solved_joint_positions if body else None,
         residual_m=state.residual_m,
         report=build_report(state, options, timer.stage_seconds),
+        review=state.review,
     )
 
 
@@ -225,12 +226,8 @@ def inspect(
         faults = detect_and_fit(state, options, timer).detection.faults
         marker_set = state.marker_set
         reason = describe_marker_set_match(marker_set, take.labels) if marker_set else choose_marker_set(take.labels).reason
-        name = marker_set.name if marker_set else None
-        reports.append(
-            build_inspection_report(
-                take, name, take, faults, [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
-            )
-        )
+        notes = [*take.notes, *describe_up_axis(take), *describe_computed_points(take), reason]
+        reports.append(build_inspection_report(take, marker_set and marker_set.name, take, faults, notes))
     return reports
 
 

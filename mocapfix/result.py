@@ -18,6 +18,7 @@ from mocapfix.options import OutputOptions
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
+from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.output_formats import (
@@ -51,6 +52,7 @@ class CleaningResult:
     joint_position_world  (T, J, 3) m, the solved joints; NaN for joints that the markers do not show; None without a body
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
     report           contents of the JSON report
+    review           what a reviewer decided after an earlier cleaning
     subject_results  results by subject of a take of several subjects. Their common result has no body of its own
     """
 
@@ -66,6 +68,7 @@ class CleaningResult:
     joint_position_world: Float[np.ndarray, "T J 3"] | None
     residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
+    review: Review = NO_REVIEW
     subject_results: tuple["CleaningResult", ...] = ()
 
     def write(

@@ -17,7 +17,7 @@ from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.marker_set import MarkerSet
 from mocapfix.motion import Motion, PoseEvidence
 from mocapfix.repair.moved_markers import MarkerEpochs, split_moved_markers
-from mocapfix.report.review_file import ReviewedChange
+from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.solve.frame_windows import FrameChanges
 from mocapfix.solve.prior_conditioner import PriorConditioner
 from mocapfix.stats.rigid_groups import RigidGroup
@@ -176,7 +176,7 @@ class CleaningState:
         has_learned_set: whether the marker set was learned from this take; it is withdrawn where it contradicts the take.
         known_subject: the subject from an earlier calibration; None: it is calibrated from the take.
         prior_conditioner: the trained pose prior; None: no prior is used.
-        reviewed_changes: the changes of an earlier cleaning that a reviewer declined.
+        review: what a reviewer decided about the changes of an earlier cleaning, and corrected.
         accepts_fault: False for a fault whose samples the reviewer decided to keep, or a marker shift that the reviewer declined.
         notes: sentences for the report.
         calibration: the calibration from the take. None where the subject is known, and after a correction of labels.
@@ -198,7 +198,7 @@ class CleaningState:
     has_learned_set: bool = False
     known_subject: Subject | None = None
     prior_conditioner: PriorConditioner | None = None
-    reviewed_changes: tuple[ReviewedChange, ...] = ()
+    review: Review = NO_REVIEW
     accepts_fault: Callable[[Fault], bool] = _accept_every_fault
     notes: tuple[str, ...] = ()
     calibration: CalibrationFit | None = None

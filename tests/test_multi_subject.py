@@ -16,8 +16,8 @@ from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.read.capture import read_take
 from mocapfix.repair.subject_exchanges import SubjectExchanges, correct_subject_labels
-from mocapfix.report.review_file import read_review_files
 from mocapfix.result import CleaningResult
+from mocapfix.review.changes_file import read_changes_files
 from mocapfix.take import Take
 from tests.conftest import build_c3d
 
@@ -288,17 +288,17 @@ def test_every_subject_has_a_review_file(files, two, tmp_path):
     edited = tmp_path / "mine.yaml"
     edited.write_text(text.replace("decision: accept", "decision: reject", 1))
     takes = [each.input_take for each in result.subject_results]
-    of_jim, of_ann, of_others = read_review_files([edited, outputs["Jim.changes.yaml"]], takes)
-    assert (len(of_jim), len(of_ann), len(of_others)) == (0, 1, 0)
-    assert takes[1].labels[of_ann[0].markers[0]] in ("Ann:LFIN", "Ann:RSHN")
+    of_jim, of_ann, of_others = read_changes_files([edited, outputs["Jim.changes.yaml"]], takes)
+    assert tuple(len(each.declined) for each in (of_jim, of_ann, of_others)) == (0, 1, 0)
+    assert takes[1].labels[of_ann.declined[0].markers[0]] in ("Ann:LFIN", "Ann:RSHN")
     with pytest.raises(SceneError, match=r"mine\.yaml is for two\.c3d \(Ann\) as well; give one of them"):
-        read_review_files([edited, outputs["Ann.changes.yaml"]], takes)
+        read_changes_files([edited, outputs["Ann.changes.yaml"]], takes)
     with pytest.raises(
-        SceneError, match=r"is for two\.c3d \(Ann\), not for two\.c3d \(Jim\); use the review file of this take\."
+        SceneError, match=r"is for two\.c3d \(Ann\), not for two\.c3d \(Jim\); use the changes file of this take\."
     ):
-        read_review_files([edited], takes[:1])
+        read_changes_files([edited], takes[:1])
     with pytest.raises(SceneError, match=r"\(Ann\), not for two\.c3d; .*, or select the subject with --subject-prefix\."):
-        read_review_files([edited], [result.input_take])
+        read_changes_files([edited], [result.input_take])
 
 
 def test_a_subject_file_needs_the_name_of_one_of_several_subjects(files, two):

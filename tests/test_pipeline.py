@@ -16,7 +16,7 @@ from mocapfix.calibrate import subject_file
 from mocapfix.errors import OptionError, TakeError, WriteError
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.read import capture
-from mocapfix.report import review_file
+from mocapfix.review import changes_file
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve import kinematics
 from mocapfix.stats.sequences import find_runs
@@ -299,7 +299,7 @@ def test_a_rejected_marker_shift_is_not_applied(shifted, tmp_path):
     result, _ = clean_shifted(shifted)
     path = tmp_path / "review.yaml"
     reviewed = [replace(each, decision="reject" if each.kind == "moved" else "accept") for each in result.changes]
-    review_file.write_review_file(path, result.input_take, reviewed)
+    changes_file.write_changes_file(path, result.input_take, reviewed)
     result, _ = clean_shifted(shifted, review_files=path)
     assert not result.faults.select_kinds("moved", "drift")
     assert {change.kind: change.decision for change in result.changes} == {"gap": "accept", "moved": "reject"}
@@ -474,7 +474,7 @@ def test_labels_exchanged_in_the_whole_take_are_corrected_or_reported_where_they
     visible = ~np.isnan(brief.markers[:, knee, 0])
     np.testing.assert_allclose(result.take.markers[visible, shoulder], brief.markers[visible, knee], atol=1e-6)
     assert result.subject_report["notes"] == []
-    review_file.write_review_file(review_path, result.input_take, [replace(change, decision="keep")])
+    changes_file.write_changes_file(review_path, result.input_take, [replace(change, decision="keep")])
     notes = " ".join(pipeline.clean(source, subject=subject, review_files=review_path).subject_report["notes"])
     for label in ("LKNE", "RSHO"):
         assert f"{label} is more than 60 mm from the body in most of its frames; check its label." in notes

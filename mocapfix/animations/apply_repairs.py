@@ -14,7 +14,7 @@ from mocapfix.changes import Change, UnfilledRun, find_unfilled_runs
 from mocapfix.faults import Fault, Faults, build_fault_mask
 from mocapfix.fill.gap_filling import compute_editable_mask, compute_gap_durations, explain_unfilled_samples
 from mocapfix.options import CleanOptions, FillOptions
-from mocapfix.report.review_file import ReviewedChange
+from mocapfix.review.declined_changes import ReviewedChange
 from mocapfix.take import Take
 
 LOST_KINDS = ("gap", "stuck")  # fault kinds whose values carry no information

@@ -34,11 +34,12 @@ from mocapfix.motion import FrameStatus, Motion
 from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.model import PoseModel
-from mocapfix.report import build_report, notes, review_file
+from mocapfix.report import build_report, notes
 from mocapfix.report.report import InspectionReport, Report
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
+from mocapfix.review.changes_file import read_changes_files, serialize_changes
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.patches import patch_animation
@@ -166,10 +167,14 @@ def clean_animation(
     """
     reject_marker_options(animation, options)
     check_fill_options(joint_points.build_joint_take(animation), options.fill, "joint")
-    reviewed = review_file.read_review_files(options.review.review_files, [joint_points.build_tip_take(animation)])[0]
+    review = read_changes_files(options.review.review_files, [joint_points.build_tip_take(animation)])[0]
+    if review.corrections:
+        raise TakeError(
+            f"{animation.name}: corrections in a changes file are for markers, and this is an animation; remove them."
+        )
     with timer("detect"):
         body, mapping_note = find_body(animation, options.subject.hierarchy)
-        faults = [fault for fault in detect_animation_faults(animation) if not any(each.keeps(fault) for each in reviewed)]
+        faults = [fault for fault in detect_animation_faults(animation) if not any(each.keeps(fault) for each in review.declined)]
     with timer("solve"):
         repair = repair_animation(
             animation.parents,
@@ -181,13 +186,13 @@ def clean_animation(
             body.build_pose_conditioner(load_pose_model, options.solve.prior_scale) if body else None,
         )
     with timer("fill"):
-        repaired = apply_repairs(animation, repair, faults, options, reviewed)
+        repaired = apply_repairs(animation, repair, faults, options, review.declined)
         body_motion = body.compute_motion(repaired.animation, repaired.joint_take) if body else None
     before, after = repaired.tips_before, repaired.tips_after
     report: Report = {
         "take": build_report.build_take_section(repaired.joint_take, None),
         "faults": build_report.build_fault_entries(before, repaired.faults),
-        "changes": review_file.serialize_changes(repaired.changes),
+        "changes": serialize_changes(repaired.changes),
         "subject": None,
         "solve": None,
         "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
@@ -210,6 +215,7 @@ def clean_animation(
         joint_position_world=None,
         residual_m=None,
         report=report,
+        review=review,
         input_animation=animation,
         animation=repaired.animation,
         joint_take=repaired.joint_take,

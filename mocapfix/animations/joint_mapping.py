@@ -15,7 +15,8 @@ from jaxtyping import Bool, Int
 from pydantic import Field
 
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.files.yaml_models import JointName, StrictModel, find_by_name, read_yaml_model
+from mocapfix.files.yaml_body_values import JointName
+from mocapfix.files.yaml_models import StrictModel, find_by_name, read_yaml_model
 from mocapfix.skeleton import load_cmu31_body
 
 IGNORED_CHARACTERS = re.compile(r"[\W_]+")  # in joint names

@@ -21,7 +21,7 @@ from mocapfix.marker_sets.library import load_marker_set
 from mocapfix.pose_prior.io import load_pose_model
 from mocapfix.read.amc import read_amc
 from mocapfix.read.capture import read_capture
-from mocapfix.report.review_file import read_review_file
+from mocapfix.review.changes_file import read_changes_file
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 from mocapfix.write.rig import load_rig
@@ -45,7 +45,7 @@ def read_job(path: Path) -> object:
 def read_changes(path: Path) -> object:
     """Read a changes file for the take of the seed file."""
     take = Take(np.zeros((SEED_FRAME_COUNT, 1, 3)), ("Jim:LFHD",), SEED_RATE_HZ)
-    return read_review_file(path, take)
+    return read_changes_file(path, take)
 
 
 READERS: Mapping[str, Callable[[Path], object]] = {

@@ -12,7 +12,7 @@ from mocapfix.calibrate.subject_file import write_subject
 from mocapfix.changes import Change, SampleState
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.motion import Motion
-from mocapfix.report.review_file import write_review_file
+from mocapfix.review.changes_file import write_changes_file
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.synthetic import compose_take
 from mocapfix.take import Take
@@ -66,7 +66,7 @@ def list_seed_files() -> tuple[SeedFile, ...]:
         SeedFile("capture", "walk.csv", _write_bytes("walk.csv", lambda path: write_csv(path, take))),
         SeedFile("capture", "walk.bvh", _write_bytes("walk.bvh", lambda path: write_bvh(path, body, motion, SEED_RATE_HZ))),
         SeedFile("subject", "subject.yaml", _write_bytes("subject.yaml", lambda path: write_subject(path, truth.subject))),
-        SeedFile("changes", "changes.yaml", _write_bytes("changes.yaml", lambda path: write_review_file(path, take, [change]))),
+        SeedFile("changes", "changes.yaml", _write_bytes("changes.yaml", lambda path: write_changes_file(path, take, [change]))),
     ]
     asf, amc = _write_motion_pair(body, motion)
     seeds += [SeedFile("capture", "walk.amc", amc, ("walk.asf", asf)), SeedFile("skeleton", "alone.asf", asf)]

@@ -7,7 +7,8 @@ from pydantic import Field, FiniteFloat, NonNegativeInt
 
 from mocapfix.errors import SceneError
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.files.yaml_models import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, read_yaml_model
+from mocapfix.files.yaml_body_values import JointName, Vector3
+from mocapfix.files.yaml_models import InlineMapping, StrictModel, dump_yaml, read_yaml_model
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.subject import Subject
 

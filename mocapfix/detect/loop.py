@@ -5,7 +5,6 @@ since a label error looks like every other fault; then swaps before spikes, and 
 further faults, so detection is repeated after it.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from mocapfix.detect.body_checks import detect_epoch_faults, find_unconfirmed_shifts
@@ -27,13 +26,12 @@ from mocapfix.faults import (
     Fragment,
     build_fault_mask,
 )
-from mocapfix.marker_set import MarkerSet
 from mocapfix.options import CleanOptions
-from mocapfix.repair.relabel import join_fragments, undo_label_exchanges
+from mocapfix.repair.relabel import join_fragments, relabel_samples, undo_label_exchanges
+from mocapfix.review.corrections import list_label_corrections, list_marked_faults
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.take import Take
 
-FaultFilter = Callable[[Fault], bool]
 MIN_VISIBLE_MARKERS = 3
 """Inliers in at least one frame: fewer do not determine the position of anything."""
 
@@ -48,14 +46,22 @@ def check_visible_markers(state: CleaningState) -> None:
 
 
 def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> CleaningState:
-    """Detect faults in the trajectories of the original take and correct its labels. Sets `detection` of the state."""
-    take, label_faults = state.original_take, list[Fault]()
+    """Detect faults in the trajectories of the original take and correct its labels. Sets `detection` of the state.
+
+    The corrections of a reviewer come first. Raises TakeError for corrections of keypoints.
+    """
     if state.marker_set and state.marker_set.point_sd:
+        if state.review.corrections:
+            name = state.original_take.name
+            raise TakeError(f"{name}: corrections in a changes file are for markers, and these are keypoints; remove them.")
         return detect_on_keypoints(state, options)
+    label_faults = list_label_corrections(state.review.corrections)
+    take = relabel_samples(state.original_take, label_faults)
     if state.marker_set:
-        mislabelled = detect_mislabelled(take, state.marker_set, state.known_subject)
-        label_faults = [fault for fault in mislabelled if state.accepts_fault(fault)]
-        take = undo_label_exchanges(take, label_faults)
+        found = detect_mislabelled(take, state.marker_set, state.known_subject)
+        mislabelled = [fault for fault in found if state.accepts_fault(fault)]
+        take = undo_label_exchanges(take, mislabelled)
+        label_faults += mislabelled
     for _ in range(options.detect.max_rounds):
         fragments = [fault for fault in detect_fragments(take) if state.accepts_fault(fault)]
         joined = join_fragments(take, fragments)
@@ -69,7 +75,7 @@ def detect_on_trajectories(state: CleaningState, options: CleanOptions) -> Clean
         take = undo_label_exchanges(joined, swaps)
         if not swaps:
             break
-    sample_faults = detect_remaining_faults(take, state.marker_set, state.accepts_fault, options)
+    sample_faults = detect_remaining_faults(take, state, options)
     replaced_kinds = (*REPLACED_SAMPLE_KINDS, *EXTERNAL_FILL_KINDS) if options.fill.refill else REPLACED_SAMPLE_KINDS
     return replace(state, detection=DetectionState(take, tuple(label_faults), sample_faults, replaced_kinds))
 
@@ -97,7 +103,7 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     take = undo_label_exchanges(detection.take, swaps)
     body_faults = (*(fault for fault in detection.body_faults if not fault.meets_mask(is_swapped)), *others)
     if swaps:
-        remaining = detect_remaining_faults(take, state.marker_set, state.accepts_fault, options)
+        remaining = detect_remaining_faults(take, state, options)
         sample_faults = remaining.add_faults(body_faults)
     else:
         sample_faults = detection.sample_faults.add_faults(others)
@@ -108,21 +114,20 @@ def detect_on_body(state: CleaningState, options: CleanOptions) -> CleaningState
     return replace(state, detection=advanced, calibration=None if swaps else state.calibration)
 
 
-def detect_remaining_faults(
-    take: Take, marker_set: MarkerSet | None, accepts_fault: FaultFilter, options: CleanOptions
-) -> Faults:
-    """Detect the faults of the samples of a take with correct labels.
+def detect_remaining_faults(take: Take, state: CleaningState, options: CleanOptions) -> Faults:
+    """Detect the faults of the samples of a take with correct labels, and add those that a reviewer marked.
 
     Samples that are to be replaced are set aside and detection is repeated, since they may hide others. Otherwise a second
     cleaning would find new faults. Markers whose labels name fragments of other markers are not judged.
     """
-    donors, known, memory = find_namesakes(take), Faults(), RoundMemory()
+    donors, memory = find_namesakes(take), RoundMemory()
+    known = Faults().add_faults(list_marked_faults(state.review.corrections))
     for _ in range(options.detect.max_rounds):
         remaining = replace(take, computed=take.visible & ~take.measured | known.compute_faulty_mask(take))
         faults = [
             fault
-            for fault in detect_sample_faults(remaining, marker_set, options.detect, memory).items
-            if fault.marker not in donors and accepts_fault(fault)
+            for fault in detect_sample_faults(remaining, state.marker_set, options.detect, memory).items
+            if fault.marker not in donors and state.accepts_fault(fault)
         ]
         replaced = [fault for fault in faults if fault.kind in REPLACED_SAMPLE_KINDS]
         others = Faults(tuple(fault for fault in faults if fault.kind not in REPLACED_SAMPLE_KINDS))

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from yaml.representer import SafeRepresenter
 
 from mocapfix.errors import SceneError
 from mocapfix.files.shipped import is_existing_file, read_yaml
-from mocapfix.skeleton import load_cmu31_body
 
 YamlModel = TypeVar("YamlModel", bound=BaseModel)
 NamedItem = TypeVar("NamedItem")
@@ -85,17 +84,6 @@ def find_by_name(
     if not is_existing_file(name_or_path):
         raise SceneError(f"{name_or_path}: no such {item_kind}; name one of {', '.join(shipped)}, or give a YAML file.")
     return read(Path(name_or_path))
-
-
-def _validate_joint_name(name: str) -> str:
-    names = load_cmu31_body().skeleton.names
-    if name not in names:
-        raise ValueError(f"there is no joint {name!r}; the joints are {', '.join(names)}")
-    return name
-
-
-Vector3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-JointName = Annotated[str, AfterValidator(_validate_joint_name)]
 
 
 class InlineMapping(dict[str, Any]):

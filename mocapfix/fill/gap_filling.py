@@ -20,6 +20,7 @@ from mocapfix.fill.marker_estimates import (
     estimate_missing_samples,
 )
 from mocapfix.fill.marker_speeds import measure_speed_limit
+from mocapfix.fill.requested_fills import FillRequest, explain_requested_fills, locate_requested_fills, use_requested_methods
 from mocapfix.fill.rigid_group_fill import estimate_from_rigid_groups, prefer_rigid_groups
 from mocapfix.options import CleanOptions, FillOptions
 from mocapfix.state import BodyFit, CleaningState, FillProposal
@@ -66,6 +67,7 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
         options.fill,
         is_partial_body=is_partial,
         rigid_groups=groups,
+        requests=locate_requested_fills(state.review.corrections, epochs),
     )
     is_kept = take.visible & ~take.measured
     is_kept[:, list(detection.donor_markers)] = True
@@ -105,6 +107,7 @@ def fill_take(
     *,
     is_partial_body: bool = False,
     rigid_groups: Sequence[RigidGroup] = (),
+    requests: Sequence[FillRequest] = (),
 ) -> FilledTake:
     """Fill or empty every sample that is not an inlier.
 
@@ -116,6 +119,7 @@ def fill_take(
         options: what may be edited and how certain an estimate must be.
         is_partial_body: whether the body has unsolved joints, or a marker set that was learned from this take.
         rigid_groups: groups of the take's markers that are rigid and not on the body.
+        requests: how a reviewer wants some samples to be filled.
     """
     is_editable = compute_editable_mask(take, options)
     is_wanted = ~is_inlier & is_editable
@@ -130,8 +134,12 @@ def fill_take(
     if rigid_groups:
         in_groups = estimate_from_rigid_groups(np.where(is_inlier[..., None], take.markers, np.nan), rigid_groups)
         estimate = prefer_rigid_groups(estimate, in_groups, ~is_inlier)
+    if requests:
+        inliers = np.where(is_inlier[..., None], take.markers, np.nan)
+        estimate = use_requested_methods(estimate, requests, inliers, body_estimate, take.rate)
     markers, sd, method = estimate
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
+    reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
     after = take.replace_markers(filled, np.where(is_filled, sd, np.nan))

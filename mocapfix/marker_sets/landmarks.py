@@ -8,7 +8,8 @@ from jaxtyping import Float
 from pydantic import PositiveFloat
 
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.files.yaml_models import JointName, StrictModel, Vector3, read_yaml_model
+from mocapfix.files.yaml_body_values import JointName, Vector3
+from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 
 LANDMARK_FILE = "skeletons/landmarks.yaml"
 MIRROR_X = np.array([-1.0, 1.0, 1.0])

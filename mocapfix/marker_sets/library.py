@@ -17,7 +17,8 @@ from mocapfix.calibrate import subject_file
 from mocapfix.errors import TakeError
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.files.yaml_models import InlineMapping, JointName, StrictModel, Vector3, dump_yaml, find_by_name, read_yaml_model
+from mocapfix.files.yaml_body_values import JointName, Vector3
+from mocapfix.files.yaml_models import InlineMapping, StrictModel, dump_yaml, find_by_name, read_yaml_model
 from mocapfix.marker_set import MarkerSet, fold_label, format_name_list
 from mocapfix.marker_sets.landmarks import Landmark, find_landmark
 from mocapfix.options import SubjectOptions
@@ -26,8 +27,7 @@ from mocapfix.stats.rigid_groups import MIN_GROUP_MARKERS
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 
-MARKER_OFFSET_DECIMALS = 4
-"""decimals of lengths in metres in a file; markers are placed less accurately than 0.1 mm"""
+MARKER_OFFSET_DECIMALS = 4  # of lengths in metres in a file: markers are placed less accurately than 0.1 mm
 
 
 @cache

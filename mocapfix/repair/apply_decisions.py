@@ -27,7 +27,8 @@ from mocapfix.faults import (
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.options import CleanOptions
 from mocapfix.repair.relabel import relabel_samples
-from mocapfix.report.review_file import ReviewIndex
+from mocapfix.review.corrections import list_label_corrections
+from mocapfix.review.declined_changes import ReviewIndex
 from mocapfix.state import CleaningState, DetectionState
 from mocapfix.take import Take
 
@@ -46,15 +47,16 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
     assert state.fill is not None
     original, detection, fill = state.original_take, state.detection, state.fill
     is_editable = compute_editable_mask(original, options.fill)
+    corrections = list_label_corrections(state.review.corrections)
     repairable = [fault for fault in detection.faults.items if _is_repairable(fault)]
     considered = [
         fault
         for fault in repairable
-        if _is_requested(fault, options.detect.repair_kinds)
+        if (_is_requested(fault, options.detect.repair_kinds) or fault in corrections)
         and _is_editable(fault, is_editable)
         and not _matches_estimate(fault, detection, fill.take)
     ]
-    reviewed = ReviewIndex(state.reviewed_changes)
+    reviewed = ReviewIndex(state.review.declined)
     decisions = {id(fault): next((each.decision for each in reviewed.find_matches(fault)), "accept") for fault in considered}
     accepted = [fault for fault in considered if decisions[id(fault)] == "accept"]
     declined = [fault for fault in considered if decisions[id(fault)] != "accept"]
@@ -70,7 +72,7 @@ def apply_decisions(state: CleaningState, options: CleanOptions) -> CleaningStat
     accepted_changes = build_changes(original, detection.take, cleaned, accepted, body_markers, methods)
     changes = sorted((*accepted_changes, *declined_changes), key=lambda each: (each[1].marker, each[1].first))
     found = {id(each) for _, fault in declined_changes for each in reviewed.find_matches(fault)}
-    not_found = [each.to_change() for each in state.reviewed_changes if id(each) not in found]
+    not_found = [each.to_change() for each in state.review.declined if id(each) not in found]
     reasons = np.where(fill.take.visible, "its change was not applied", fill.unfilled_reasons)
     return replace(
         state,
@@ -122,8 +124,8 @@ def _is_repairable(fault: Fault) -> bool:
 
 
 def _is_requested(fault: Fault, kinds: tuple[str, ...]) -> bool:
-    """Return whether the fault is of a kind to be repaired. A marker shift changes no sample and always passes."""
-    return not kinds or fault.kind in SHIFT_KINDS or ("gap" if fault.kind in MISSING_KINDS else fault.kind) in kinds
+    """Return whether the fault is of a kind to be repaired. Marker shifts, which change no sample, and marked stretches are."""
+    return not kinds or fault.kind in (*SHIFT_KINDS, "marked") or ("gap" if fault.kind in MISSING_KINDS else fault.kind) in kinds
 
 
 def _is_editable(fault: Fault, editable_mask: Bool[np.ndarray, "T M"]) -> bool:

@@ -12,7 +12,7 @@ from mocapfix.faults import MIN_LABEL_CONFIDENCE, Fault
 from mocapfix.fill.gap_filling import compute_editable_mask
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT
 from mocapfix.options import CleanOptions
-from mocapfix.report.review_file import ReviewedChange
+from mocapfix.review.changes_file import Review
 from mocapfix.take import Take
 
 
@@ -44,21 +44,21 @@ class SubjectExchanges:
 
 
 def correct_subject_labels(
-    take: Take, parts: Sequence[Take], reviewed_changes: Sequence[Sequence[ReviewedChange]], options: CleanOptions
+    take: Take, parts: Sequence[Take], reviews: Sequence[Review], options: CleanOptions
 ) -> SubjectExchanges:
     """Find the labels that subjects exchanged, and exchange them back.
 
     Args:
         take: The take of all subjects.
         parts: The takes of the subjects.
-        reviewed_changes: The declined changes of each part: these exchanges are left as they are.
+        reviews: The review of each part: exchanges that it declined are left as they are.
         options: `detect.repair_kinds`, `fill.keep` and `fill.frames` restrict what is changed.
     """
     names = [part.subject_name for part in parts if part.subject_name != UNASSIGNED_SUBJECT]
     if len(names) < 2 or (options.detect.repair_kinds and "swap" not in options.detect.repair_kinds):
         return SubjectExchanges(take, take)
     is_editable = compute_editable_mask(take, options.fill)
-    is_declined = _build_declined_filter(take, reviewed_changes)
+    is_declined = _build_declined_filter(take, reviews)
     faults: list[Fault] = []
     corrected = take
     for first, second in combinations(names, 2):
@@ -74,8 +74,8 @@ def correct_subject_labels(
     return SubjectExchanges(take, corrected, tuple(faults)) if faults else SubjectExchanges(take, take)
 
 
-def _build_declined_filter(take: Take, reviewed_changes: Sequence[Sequence[ReviewedChange]]) -> Callable[[Fault], bool]:
-    declined = [each for part in reviewed_changes for each in part if each.entry.kind == "swap"]
+def _build_declined_filter(take: Take, reviews: Sequence[Review]) -> Callable[[Fault], bool]:
+    declined = [each for review in reviews for each in review.declined if each.entry.kind == "swap"]
 
     def is_declined(fault: Fault) -> bool:
         labels = [take.labels[m] for m in fault.markers]

@@ -11,7 +11,7 @@ from mocapfix.faults import Fault, Faults
 from mocapfix.labelling.label_summary import build_labelling_section
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import NO_TRAINED_PRIOR, CleanOptions
-from mocapfix.report import notes, review_file
+from mocapfix.report import notes
 from mocapfix.report.report import (
     ComputedPointEntry,
     ErrorSummary,
@@ -24,6 +24,7 @@ from mocapfix.report.report import (
     SubjectSection,
     TakeSection,
 )
+from mocapfix.review.changes_file import serialize_changes
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.state import CleaningState
 from mocapfix.subject import Subject
@@ -225,7 +226,7 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
     report: Report = {
         "take": build_take_section(take, state.marker_set.name if state.marker_set else None, state.cleaned_take),
         "faults": build_fault_entries(take, detection.faults),
-        "changes": review_file.serialize_changes(state.changes),
+        "changes": serialize_changes(state.changes),
         "subject": build_subject_section(body.subject) if body else None,
         "solve": solve,
         "fill": build_fill_section(take, detection.take, state.cleaned_take, state.unfilled_runs, detection.donor_markers),

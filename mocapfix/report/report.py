@@ -2,8 +2,7 @@
 
 from typing import NotRequired, TypedDict
 
-from mocapfix.changes import Decision
-from mocapfix.faults import FaultKind
+from mocapfix.faults import Decision, FaultKind
 from mocapfix.labelling.label_summary import LabellingSection
 from mocapfix.take import ComputedEvidence
 

@@ -32,6 +32,7 @@ FAULT_KIND_NAMES = {
     "straight": ("straight-line fill", "straight-line fills"),
     "computed": ("fill by another program", "fills by another program"),
     "ghost": ("ghost marker", "ghost markers"),
+    "marked": ("stretch marked in review", "stretches marked in review"),
     "noise": ("noisy marker", "noisy markers"),
 }
 

@@ -12,7 +12,7 @@ from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.motion import Motion
 from mocapfix.options import OutputOptions
-from mocapfix.report import review_file
+from mocapfix.review.changes_file import CHANGES_SUFFIX, write_changes_file
 from mocapfix.skeleton import Skeleton
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -154,7 +154,7 @@ def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMot
 
 
 def _write_changes(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
-    review_file.write_review_file(target, result.input_take, result.changes)
+    write_changes_file(target, result.input_take, result.changes, result.review)
 
 
 def _write_recording(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -188,7 +188,7 @@ def _write_csv(target: Path, result: "CleaningResult", exported: ExportedMotion 
 BVH_FORMAT = OutputFormat("bvh", _write_bvh, needs_body=True)
 DEFAULT_FORMATS = (
     OutputFormat("subject.yaml", _write_subject, needs_body=True, needs_markers=True),
-    OutputFormat("changes.yaml", _write_changes),
+    OutputFormat(CHANGES_SUFFIX, _write_changes),
     OutputFormat("rrd", _write_recording, timer_stage="show"),
     OutputFormat("report.html", _write_html_report, timer_stage="show"),
     OutputFormat("report.json", _write_json_report),  # the last, so that it has the seconds of all others

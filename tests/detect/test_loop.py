@@ -180,7 +180,7 @@ def test_faults_hidden_by_replaced_samples_are_found(monkeypatch):
         return Faults((gap, *replaced))
 
     monkeypatch.setattr(loop, "detect_sample_faults", detect)
-    assert loop.detect_remaining_faults(TAKE, None, lambda fault: True, OPTIONS).items == (burst, spike, gap)
+    assert loop.detect_remaining_faults(TAKE, CleaningState(TAKE, DetectionState(TAKE)), OPTIONS).items == (burst, spike, gap)
     assert len(measured) == 3
     np.testing.assert_array_equal(np.flatnonzero(~measured[-1].all(1)), np.arange(10, 21))
     assert TAKE.computed is None

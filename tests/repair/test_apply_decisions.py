@@ -15,8 +15,9 @@ from mocapfix.fill.gap_filling import fill_gaps
 from mocapfix.options import CleanOptions, DetectOptions, FillOptions, SubjectOptions
 from mocapfix.read import capture
 from mocapfix.repair.apply_decisions import apply_decisions
-from mocapfix.report import review_file
 from mocapfix.report.stage_timer import StageTimer
+from mocapfix.review import changes_file, declined_changes, file_models
+from mocapfix.review.changes_file import Review
 from mocapfix.state import CleaningState, DetectionState, FillProposal
 from mocapfix.stats.sequences import find_runs
 from mocapfix.take import Take
@@ -46,7 +47,7 @@ def write_review(faulty, folder, **by_decision) -> Path:
     decision_by_id = {each: decision for decision, ids in by_decision.items() for each in ids}
     changes = [replace(change, decision=decision_by_id.get(change.id, "accept")) for change in faulty.result.changes]
     path = folder / "decided.changes.yaml"
-    review_file.write_review_file(path, faulty.result.input_take, changes)
+    changes_file.write_changes_file(path, faulty.result.input_take, changes)
     return path
 
 
@@ -96,9 +97,9 @@ def test_rejected_changes_are_not_made_and_nothing_else_differs(faulty, tmp_path
 def test_any_may_be_rejected_and_some_kinds_selected(faulty, filled_state, tmp_path_factory, rejected, only):
     folder = tmp_path_factory.mktemp("some")
     before = faulty.result.input_take
-    reviewed = review_file.read_review_file(write_review(faulty, folder, reject=rejected), before)
+    reviewed = changes_file.read_changes_file(write_review(faulty, folder, reject=rejected), before)
     options = CleanOptions(detect=DetectOptions(repair_kinds=tuple(only)))
-    state = apply_decisions(replace(filled_state, reviewed_changes=reviewed), options)
+    state = apply_decisions(replace(filled_state, review=reviewed), options)
     assert state.cleaned_take is not None
     write.patch_c3d(folder / "some.c3d", before, state.cleaned_take)
     made = {each for each in set(FAULTS) - rejected if not only or each.split("-")[0] in only}
@@ -150,7 +151,7 @@ def decide(before, detection, repaired, kinds=(), keep=(), reviewed=()):
     """Apply decisions to a repaired take; return the cleaned take and the changes."""
     methods = np.where(compare_samples(detection.take, repaired), "guessing", "")
     fill = FillProposal(repaired, np.full(before.visible.shape, "", object), methods, None)
-    state = CleaningState(before, detection, fill=fill, reviewed_changes=tuple(reviewed))
+    state = CleaningState(before, detection, fill=fill, review=Review(tuple(reviewed)))
     options = CleanOptions(detect=DetectOptions(repair_kinds=tuple(kinds)), fill=FillOptions(keep=tuple(keep)))
     state = apply_decisions(state, options)
     assert state.cleaned_take is not None
@@ -200,8 +201,8 @@ def test_gap_within_a_rejected_burst_is_filled():
     after, changes = decide(before, detection, repaired)
     assert {change.kind: change.samples for change in changes} == {"jitter": 8, "gap": 2}
     change = next(change for change in changes if change.kind == "jitter")
-    entry = review_file.ChangeModel.model_validate(review_file.serialize_changes([change])[0] | {"decision": "reject"})
-    rejected = review_file.ReviewedChange(entry, (0,), 5, 14)
+    entry = file_models.ChangeModel.model_validate(changes_file.serialize_changes([change])[0] | {"decision": "reject"})
+    rejected = declined_changes.ReviewedChange(entry, (0,), 5, 14)
     after, changes = decide(before, detection, repaired, reviewed=(rejected,))
     assert different(before, after) == {"A": [(8, 9)]}
     assert {change.kind: change.samples for change in changes} == {"jitter": 0, "gap": 2}

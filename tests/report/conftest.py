@@ -10,8 +10,8 @@ import pytest
 from mocapfix import changes, repair
 from mocapfix.faults import Fault, Faults, Fragment, MarkerShift
 from mocapfix.report.report import ErrorSummary, Report
-from mocapfix.report.review_file import serialize_changes
 from mocapfix.report.sample_states import CleaningComparison
+from mocapfix.review.changes_file import serialize_changes
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.take import Take
 

@@ -11,7 +11,7 @@ from mocapfix import changes
 from mocapfix.errors import WriteError
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.report.html_report import write_html_report
-from mocapfix.report.review_file import serialize_changes
+from mocapfix.review.changes_file import serialize_changes
 
 VOID_TAGS = {"meta", "br", "img", "link", "input"}
 

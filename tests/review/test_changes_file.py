@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from mocapfix.changes import Change, Decision, SampleState
 from mocapfix.errors import SceneError
 from mocapfix.faults import Fault, Fragment, MarkerShift
-from mocapfix.report.review_file import ReviewedChange, ReviewIndex, build_fault_filter, read_review_file, write_review_file
+from mocapfix.review.changes_file import Review, build_review_filter, read_changes_file, write_changes_file
+from mocapfix.review.declined_changes import ReviewedChange, ReviewIndex
 from mocapfix.take import Take
 
 FIRST_FRAME = 101
@@ -39,8 +40,12 @@ def build_change(kind="spike", markers=("C7",), first=110, last=112, decision: D
 
 def write_and_read(folder, *changes):
     path = folder / "walk.changes.yaml"
-    write_review_file(path, build_take(), changes)
-    return read_review_file(path, build_take())
+    write_changes_file(path, build_take(), changes)
+    return read_changes_file(path, build_take()).declined
+
+
+def review_changes(folder, *changes) -> Review:
+    return Review(write_and_read(folder, *changes))
 
 
 def test_declined_changes_have_indices_into_the_take(tmp_path):
@@ -87,7 +92,7 @@ def test_the_file_explains_the_decisions_and_has_the_takes_frame_numbers(tmp_pat
 def write_broken_file(folder, *keys, value=None, drop=False) -> Path:
     """Write a review file in which the value at `keys` is replaced or missing."""
     path = folder / "walk.changes.yaml"
-    write_review_file(path, build_take(), [build_change("gap", ("RBAC",)), build_change()])
+    write_changes_file(path, build_take(), [build_change("gap", ("RBAC",)), build_change()])
     data = yaml.safe_load(path.read_text(encoding="utf-8"))
     inner = data
     for key in keys[:-1]:
@@ -125,7 +130,7 @@ def write_broken_file(folder, *keys, value=None, drop=False) -> Path:
 def test_an_error_names_the_file_and_the_key(tmp_path, keys, value, sentence):
     path = write_broken_file(tmp_path, *keys, value=value)
     with pytest.raises(SceneError) as error:
-        read_review_file(path, build_take())
+        read_changes_file(path, build_take())
     assert str(error.value).startswith(f"{path}: {sentence}")
     assert str(error.value).endswith(".")
     assert "\n" not in str(error.value)
@@ -135,7 +140,7 @@ def test_an_error_names_the_file_and_the_key(tmp_path, keys, value, sentence):
 def test_a_missing_key_is_named(tmp_path, keys):
     path = write_broken_file(tmp_path, *keys, drop=True)
     with pytest.raises(SceneError, match=rf"{'.'.join(map(str, keys))}: is missing\.$"):
-        read_review_file(path, build_take())
+        read_changes_file(path, build_take())
 
 
 @pytest.mark.parametrize("text", ["", "take: [", "just words", "- a\n- list\n", "take: walk.c3d\n\tframes: 3\n", "\x00"])
@@ -143,14 +148,14 @@ def test_a_file_that_is_not_a_review_file_is_named(tmp_path, text):
     path = tmp_path / "walk.changes.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SceneError) as error:
-        read_review_file(path, build_take())
+        read_changes_file(path, build_take())
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(SceneError, match=r"gone\.yaml: "):
-        read_review_file(tmp_path / "gone.yaml", build_take())
+        read_changes_file(tmp_path / "gone.yaml", build_take())
 
 
 # the faults to which a decision applies
@@ -181,7 +186,7 @@ def test_index_finds_what_matches_a_fault(tmp_path_factory, intervals, first, le
 
 def test_kept_samples_have_no_faults(tmp_path):
     swap = build_change("swap", ("Jim:LFHD", "C7"), 110, 119, "keep")
-    is_accepted = build_fault_filter(build_take(), write_and_read(tmp_path, swap))
+    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, swap))
     assert not is_accepted(Fault("swap", 0, 9, 18, 0.1, "", 1.0, (1,)))
     assert not is_accepted(Fault("spike", 1, 18, 20, 0.1, ""))
     assert not is_accepted(Fragment("fragment", 2, 5, 10, 0.1, "", donor=1))
@@ -193,12 +198,12 @@ def test_kept_samples_have_no_faults(tmp_path):
 @pytest.mark.parametrize("decision", ["reject", "keep"])
 def test_a_declined_shift_is_not_detected_but_later_spikes_are(tmp_path, decision):
     shift = build_change("moved", ("C7",), 110, 150, decision)
-    is_accepted = build_fault_filter(build_take(), write_and_read(tmp_path, shift))
+    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, shift))
     assert not is_accepted(MarkerShift("moved", 1, 10, 49, 0.04, "", settled_frame=10))
     assert is_accepted(MarkerShift("moved", 2, 10, 49, 0.04, "", settled_frame=10))
     assert is_accepted(Fault("spike", 1, 20, 20, 0.1, ""))
 
 
 def test_a_rejected_change_still_has_its_fault(tmp_path):
-    is_accepted = build_fault_filter(build_take(), write_and_read(tmp_path, build_change()))
+    is_accepted = build_review_filter(build_take(), review_changes(tmp_path, build_change()))
     assert is_accepted(Fault("spike", 1, 9, 11, 0.1, ""))

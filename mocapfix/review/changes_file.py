@@ -1,0 +1,206 @@
+"""The changes file: all changes of a take as YAML, with a decision for each and the reviewer's own corrections.
+
+It is written by a cleaning, edited by hand or in the browser, and read by the next cleaning.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocapfix.changes import Change, list_affected_markers
+from mocapfix.errors import SceneError
+from mocapfix.faults import LABEL_KINDS, MISSING_KINDS, SHIFT_KINDS, Fault, Fragment
+from mocapfix.files.output_files import replace_atomically
+from mocapfix.files.yaml_lists import dump_yaml_list
+from mocapfix.files.yaml_models import InlineSequence, dump_yaml, read_yaml_model
+from mocapfix.report.report import ChangeEntry
+from mocapfix.review.corrections import Correction, build_corrected_label_mask, locate_correction
+from mocapfix.review.declined_changes import ReviewedChange, ReviewIndex
+from mocapfix.review.file_models import ChangeModel, ChangesFileModel, CorrectionModel
+from mocapfix.take import Take
+
+CHANGES_SUFFIX = "changes.yaml"
+CHANGES_FILE_HEADER = """\
+# Changes that mocapfix made to a take, interval by interval. Frame numbers are the file's own, inclusive.
+# To decline a change, edit its decision and clean the take again with --changes and this file:
+#   accept  apply the change
+#   reject  do not apply the change; the samples stay as they were, and nothing else is affected
+#   keep    do not apply the change; leave the samples as they are and use them in the solve
+# Corrections of your own, under the key corrections, are applied as well:
+#   - {kind: wrong, markers: [LKNE], first: 10, last: 20}             the samples are wrong: replace them
+#   - {kind: missing, markers: [LKNE], first: 10, last: 20}           remove the samples, and fill the gap
+#   - {kind: swap, markers: [LKNE, LSHN], first: 10, last: 20}        exchange the labels of two markers
+#   - {kind: assign, markers: [LKNE, "*12"], first: 10, last: 20}     give an unlabelled trajectory to a marker
+#   - {kind: fill, markers: [LKNE], first: 10, last: 20, method: M}   fill by M: spline, cluster, body or empty
+"""
+CHANGES_FILE_LINE_LENGTH = 120  # characters
+
+
+@dataclass(frozen=True)
+class Review:
+    """What a reviewer decided about a take.
+
+    declined      changes that are not made
+    corrections   the reviewer's own, in the order in which they are applied
+    reviewed_ids  ids of the changes on which a person has decided
+    notes         the reviewer's notes by id of the change
+    """
+
+    declined: tuple[ReviewedChange, ...] = ()
+    corrections: tuple[Correction, ...] = ()
+    reviewed_ids: frozenset[str] = frozenset()
+    notes: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+NO_REVIEW = Review()
+
+
+def write_changes_file(path: str | Path, take: Take, changes: Sequence[Change], review: Review = NO_REVIEW) -> None:
+    """Write the changes of a take, with what the reviewer noted on them and the corrections.
+
+    Raises WriteError if the folder cannot be written; an existing file stays as it is then.
+    """
+    entries: list[Mapping[str, Any]] = [
+        {**entry, **_describe_remarks(review.reviewed_ids, review.notes, entry["id"])} for entry in serialize_changes(changes)
+    ]
+    frames = (take.first_frame, take.get_frame_number(take.frame_count - 1))
+    text = format_changes_file(take.name, frames, entries, [each.entry for each in review.corrections])
+    with replace_atomically(Path(path)) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+
+
+def format_changes_file(
+    take: str, frames: tuple[int, int], changes: Sequence[Mapping[str, Any]], corrections: Sequence[CorrectionModel]
+) -> str:
+    """Return the text of a changes file."""
+    head = {"take": take, "frames": InlineSequence(frames)}
+    entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in changes]
+    text = CHANGES_FILE_HEADER + dump_yaml(head, CHANGES_FILE_LINE_LENGTH)
+    text += dump_yaml_list("changes", entries, CHANGES_FILE_LINE_LENGTH)
+    if corrections:
+        own = [each.model_dump(exclude_defaults=True) for each in corrections]
+        own = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in own]
+        text += dump_yaml_list("corrections", own, CHANGES_FILE_LINE_LENGTH)
+    return text
+
+
+def format_changes_model(file: ChangesFileModel) -> str:
+    """Return the text of a changes file with this content."""
+    entries = [each.model_dump(exclude={"reviewed", "note"}) | _describe_model_remarks(each) for each in file.changes]
+    return format_changes_file(file.take, file.frames, entries, file.corrections)
+
+
+def _describe_model_remarks(change: ChangeModel) -> dict[str, Any]:
+    return _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
+
+
+def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Return the keys of a change that a reviewer has decided on or noted."""
+    remarks: dict[str, Any] = {"reviewed": True} if name in reviewed_ids else {}
+    return remarks | ({"note": notes[name]} if notes.get(name) else {})
+
+
+def serialize_changes(changes: Sequence[Change]) -> list[ChangeEntry]:
+    """Return the changes as plain data, as in the changes file and the JSON report."""
+    return [
+        {
+            "id": change.id,
+            "kind": change.kind,
+            "markers": list(change.markers),
+            "first": change.first,
+            "last": change.last,
+            "samples": change.samples,
+            "why": change.why,
+            "method": change.method,
+            "before": {"missing": change.before.missing, "off_body_mm": change.before.off_body_mm},
+            "after": {"missing": change.after.missing, "off_body_mm": change.after.off_body_mm},
+            "predicted_mm": change.predicted_mm,
+            "decision": change.decision,
+        }
+        for change in changes
+    ]
+
+
+def read_changes_files(paths: Sequence[str | Path], takes: Sequence[Take], all_labels: Sequence[str] = ()) -> list[Review]:
+    """Return the review of each take, from the file on that take, if there is one.
+
+    `all_labels` are those of the file: a subject may exchange labels with another one.
+
+    Raises SceneError as `read_changes_file`, and if two files are on one take or a file is on none of them.
+    """
+    names = [take.name for take in takes]
+    path_by_take: dict[str, str | Path] = {}
+    for path in paths:
+        name = read_yaml_model(ChangesFileModel, Path(path)).take
+        if name not in names:
+            is_subject = any(name.startswith(f"{each} (") for each in names)
+            remedy = ", or select the subject with --subject-prefix" if is_subject else ""
+            raise SceneError(
+                f"{path}: take: the file is for {name}, not for {' or '.join(names)}; use the changes file of this take{remedy}."
+            )
+        if name in path_by_take:
+            raise SceneError(f"{path}: take: {path_by_take[name]} is for {name} as well; give one of them.")
+        path_by_take[name] = path
+    return [
+        read_changes_file(path_by_take[take.name], take, all_labels) if take.name in path_by_take else NO_REVIEW for take in takes
+    ]
+
+
+def read_changes_file(path: str | Path, take: Take, all_labels: Sequence[str] = ()) -> Review:
+    """Return the review in a changes file. Markers of other subjects have higher indices.
+
+    Raises SceneError with the file and the key if the file is invalid or is for another take.
+    """
+    file = read_yaml_model(ChangesFileModel, Path(path))
+    if file.take != take.name:
+        raise SceneError(f"{path}: take: the file is for {file.take}, not for {take.name}; use the changes file of this take.")
+    first, last = take.first_frame, take.get_frame_number(take.frame_count - 1)
+    if file.frames != (first, last):
+        raise SceneError(
+            f"{path}: frames: the file is for frames {file.frames[0]} to {file.frames[1]}; {take.name} has {first} to {last}."
+        )
+    count = len(take.labels) + (len(take.unlabelled.labels) if take.unlabelled else 0)
+    index_by_label = {label: count + index for index, label in enumerate(all_labels)}
+    index_by_label |= {take.get_label(index): index for index in reversed(range(count))}  # the first of equal labels
+    declined: list[ReviewedChange] = []
+    for n, entry in enumerate(file.changes):
+        if unknown := [label for label in entry.markers if label not in index_by_label]:
+            raise SceneError(f"{path}: changes.{n}.markers: {take.name} has no marker {', '.join(unknown)}.")
+        if not first <= entry.first <= entry.last <= last:
+            raise SceneError(f"{path}: changes.{n}: frames {entry.first} to {entry.last} are not in {take.name}.")
+        if entry.decision != "accept":
+            markers = tuple(index_by_label[label] for label in entry.markers)
+            declined.append(ReviewedChange(entry, markers, entry.first - first, entry.last - first))
+    corrections = (locate_correction(entry, take, f"{path}: corrections.{n}") for n, entry in enumerate(file.corrections))
+    reviewed_ids = frozenset(entry.id for entry in file.changes if entry.reviewed)
+    notes = {entry.id: entry.note for entry in file.changes if entry.note}
+    return Review(tuple(declined), tuple(corrections), reviewed_ids, notes)
+
+
+def build_review_filter(take: Take, review: Review) -> Callable[[Fault], bool]:
+    """Return the function that decides whether a fault may be detected.
+
+    Excluded are faults of samples that the review keeps as measured, marker shifts that it declines, and faults of labels that
+    the reviewer corrected.
+    """
+    count, index = len(take.labels), ReviewIndex(review.declined)
+    kept = np.zeros((take.frame_count, count), bool)
+    for each in review.declined:
+        if each.decision == "keep" and each.entry.kind not in (*MISSING_KINDS, *SHIFT_KINDS):
+            kept[each.first : each.last + 1, [m for m in each.markers if m < count]] = True
+    has_corrected_label = build_corrected_label_mask(review.corrections, kept.shape)
+
+    def is_accepted(fault: Fault) -> bool:
+        if fault.kind in MISSING_KINDS:
+            return True  # missing samples cannot be declared correct
+        if fault.kind in SHIFT_KINDS:
+            return not index.find_matches(fault)
+        samples = fault.frame_slice, list_affected_markers(fault, count)
+        if (fault.kind in LABEL_KINDS or isinstance(fault, Fragment)) and has_corrected_label[samples[0]][:, samples[1]].any():
+            return False
+        return not kept[samples[0]][:, samples[1]].any()
+
+    return is_accepted

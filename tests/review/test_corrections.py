@@ -1,0 +1,178 @@
+"""Corrections by a reviewer: what a changes file may name, and what a cleaning makes of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from mocapfix import pipeline
+from mocapfix.errors import SceneError
+from mocapfix.faults import Fault, Fragment
+from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
+from mocapfix.fill.requested_fills import EMPTY_REASON, FillRequest, explain_requested_fills, use_requested_methods
+from mocapfix.review.changes_file import Review, build_review_filter, read_changes_file, write_changes_file
+from mocapfix.review.corrections import locate_correction
+from mocapfix.review.file_models import CorrectionModel
+from mocapfix.synthetic import compose_take, write_synthetic_take
+from tests.review.test_changes_file import build_change, build_take
+
+SEED, DURATION_S, RATE_HZ = 4, 3.0, 60.0
+
+
+def build_correction(kind="wrong", markers=("C7",), first=110, last=119, **fields) -> CorrectionModel:
+    return CorrectionModel(kind=kind, markers=list(markers), first=first, last=last, **fields)
+
+
+def build_review(*entries) -> Review:
+    take = build_take()
+    return Review(corrections=tuple(locate_correction(entry, take, "file") for entry in entries))
+
+
+def test_corrections_notes_and_decisions_are_read_back_as_written(tmp_path):
+    entries = [
+        build_correction(note="it drifts: <b>really</b>"),
+        build_correction("missing"),
+        build_correction("swap", ("C7", "RBAC")),
+        build_correction("assign", ("C7", "*12")),
+        build_correction("fill", method="cluster"),
+    ]
+    review = replace(build_review(*entries), reviewed_ids=frozenset(["spike-C7-110"]), notes={"gap-RBAC-110": "a: note"})
+    changes = [build_change(), build_change("gap", ("RBAC",), decision="accept")]
+    path = tmp_path / "walk.changes.yaml"
+    write_changes_file(path, build_take(), changes, review)
+    again = read_changes_file(path, build_take())
+    assert [each.entry for each in again.corrections] == entries
+    assert [each.markers for each in again.corrections] == [(1,), (1,), (1, 2), (1, 3), (1,)]
+    assert {(each.first, each.last) for each in again.corrections} == {(9, 18)}
+    assert (again.reviewed_ids, again.notes) == (review.reviewed_ids, review.notes)
+    write_changes_file(tmp_path / "again.yaml", build_take(), changes, again)
+    assert (tmp_path / "again.yaml").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("entry", "sentence"),
+    [
+        ({"kind": "wrong", "markers": ["NOSE"]}, "corrections.0.markers: walk.c3d has no marker NOSE."),
+        ({"kind": "wrong", "markers": ["C7", "RBAC"]}, "corrections.0: wrong must name one marker."),
+        ({"kind": "wrong", "markers": []}, "corrections.0: wrong must name one marker."),
+        ({"kind": "swap", "markers": ["C7", "C7"]}, "corrections.0: swap must name two markers."),
+        ({"kind": "swap", "markers": ["C7", "*12"]}, "corrections.0.markers: swap must name labelled markers"),
+        ({"kind": "assign", "markers": ["C7", "RBAC"]}, "corrections.0.markers: RBAC is a labelled marker"),
+        ({"kind": "assign", "markers": ["*12", "C7"]}, "corrections.0.markers: assign must name labelled markers"),
+        ({"kind": "fill", "markers": ["C7"]}, "corrections.0: fill must have a method"),
+        ({"kind": "wrong", "markers": ["C7"], "method": "body"}, "corrections.0: only fill has a method."),
+        ({"kind": "fill", "markers": ["C7"], "method": "magic"}, "corrections.0.method: must be 'spline', "),
+        ({"kind": "wrong", "markers": ["C7"], "last": 151}, "corrections.0: frames 110 to 151 are not in walk.c3d"),
+        ({"kind": "wrong", "markers": ["C7"], "first": 120}, "corrections.0: frames 120 to 119 are not in walk.c3d"),
+        ({"kind": "wrng", "markers": ["C7"]}, "corrections.0.kind: must be "),
+        ({"kind": "wrong", "markers": ["C7"], "frame": 1}, "corrections.0.frame: there is no such key"),
+    ],
+)
+def test_an_error_in_a_correction_names_the_file_and_the_key(tmp_path, entry, sentence):
+    path = tmp_path / "walk.changes.yaml"
+    write_changes_file(path, build_take(), [build_change()])
+    data = yaml.safe_load(path.read_text(encoding="utf-8")) | {"corrections": [{"first": 110, "last": 119} | entry]}
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(SceneError) as error:
+        read_changes_file(path, build_take())
+    assert str(error.value).startswith(f"{path}: {sentence}")
+
+
+def test_corrected_labels_are_not_corrected_again():
+    is_accepted = build_review_filter(build_take(), build_review(build_correction("swap", ("C7", "RBAC"))))
+    assert not is_accepted(Fault("swap", 1, 12, 14, 0.1, "", other_markers=(2,)))
+    assert not is_accepted(Fragment("fragment", 0, 5, 10, 0.1, "", donor=1))
+    assert is_accepted(Fault("swap", 1, 19, 25, 0.1, "", other_markers=(2,)))
+    assert is_accepted(Fault("spike", 1, 12, 14, 0.1, ""))
+
+
+def test_requested_fills_take_the_place_of_the_combination():
+    """A parabola with a gap: a spline through it is exact, an empty one stays empty, and a body that is not there gives nothing."""
+    times = np.linspace(0, 1, 60)
+    path = np.stack([times, times**2, 1 - times], axis=1)
+    markers = np.stack([path, path + [0, 0, 1], path + [0, 1, 0]], axis=1)
+    markers[20:30] = np.nan
+    shape = markers.shape[:2]
+    estimate = build_marker_estimate(np.full(markers.shape, 9.0), np.full(shape, 0.01), FillMethod.CLUSTER)
+    requests = [FillRequest(0, 22, 27, "spline"), FillRequest(1, 20, 29, "empty"), FillRequest(2, 20, 29, "body")]
+    changed = use_requested_methods(estimate, requests, markers, None, 60.0)
+    np.testing.assert_allclose(changed.position[22:28, 0], path[22:28], atol=1e-9)
+    assert (changed.method[22:28, 0] == FillMethod.SPLINE).all()
+    assert (changed.position[20:22, 0] == 9.0).all()
+    assert np.isnan(changed.sd[20:30, 1:]).all()
+    reasons = explain_requested_fills(np.full(shape, "", object), requests, np.isnan(changed.sd))
+    assert set(reasons[20:30, 1]) == {EMPTY_REASON}
+    assert all("body" in reason for reason in reasons[20:30, 2])
+    assert not reasons[:, 0].any()
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A take with few faults: its path and its result."""
+    path = tmp_path_factory.mktemp("sound") / "walk.c3d"
+    truth = compose_take(seed=SEED, seconds=DURATION_S, rate=RATE_HZ)
+    write_synthetic_take(path, replace(truth, missing_mask=np.zeros_like(truth.missing_mask)))
+    result = pipeline.clean(path, prior="none")
+    return path, result
+
+
+def clean_with(sound, folder, *entries):
+    """Clean the take with corrections, given with frame indices; return the result."""
+    path, first = sound[0], sound[1]
+    number = first.input_take.first_frame
+    numbered = [entry.model_copy(update={"first": entry.first + number, "last": entry.last + number}) for entry in entries]
+    located = [locate_correction(entry, first.input_take, "file") for entry in numbered]
+    target = folder / "walk.changes.yaml"
+    write_changes_file(target, first.input_take, first.changes, Review(corrections=tuple(located)))
+    return pipeline.clean(path, prior="none", subject=first.subject, review_files=(target,))
+
+
+def test_marked_samples_are_estimated_and_nothing_else_changes(sound, tmp_path):
+    before = sound[1].take
+    wrong, missing = before.labels[3], before.labels[20]
+    result = clean_with(
+        sound, tmp_path, build_correction("wrong", (wrong,), 60, 79), build_correction("missing", (missing,), 90, 99)
+    )
+    is_measured = (sound[1].input_take.markers == before.markers).all(-1)
+    differs = (result.take.markers != before.markers).any(-1) & is_measured
+    expected = np.zeros_like(differs)
+    expected[60:80, 3] = expected[90:100, 20] = True
+    np.testing.assert_array_equal(differs, expected)
+    distance_m = np.linalg.norm(result.take.markers - before.markers, axis=-1)
+    assert 0 < distance_m[differs].max() < 0.02
+    marked = [change for change in result.changes if change.kind == "marked"]
+    assert [(change.markers, change.samples) for change in marked] == [((wrong,), 20), ((missing,), 10)]
+    assert [each.entry.kind for each in result.review.corrections] == ["wrong", "missing"]
+
+
+def test_a_requested_fill_is_used_or_the_samples_stay_empty(sound, tmp_path):
+    label = sound[1].take.labels[3]
+    marked = build_correction("wrong", (label,), 60, 79)
+    methods: dict[str, np.ndarray] = {}
+    for method in ("spline", "cluster", "body", "empty"):
+        result = clean_with(sound, tmp_path, marked, build_correction("fill", (label,), 60, 79, method=method))
+        methods[method] = result.take.markers[60:80, 3]
+        if method == "empty":
+            assert EMPTY_REASON in {run.reason for run in result.unfilled_runs}
+    assert np.isnan(methods.pop("empty")).all()
+    assert all(np.isfinite(positions).all() for positions in methods.values())
+    assert len({positions.tobytes() for positions in methods.values()}) == len(methods)
+
+
+def test_exchanged_labels_stay_exchanged(sound, tmp_path):
+    before = sound[1].take
+    one, other = before.labels.index("LKNE"), before.labels.index("RKNE")
+    result = clean_with(sound, tmp_path, build_correction("swap", ("LKNE", "RKNE"), 60, 99))
+    assert (result.take.source_points[60:100, one] == before.point_indices[other]).mean() > 0.9
+    swaps = [change for change in result.changes if change.kind in ("swap", "mislabelled")]
+    assert [(change.markers, change.samples) for change in swaps] == [(("LKNE", "RKNE"), 80)]
+
+
+def test_what_a_reviewer_requests_is_done_whatever_kinds_are_repaired(sound, tmp_path):
+    label = sound[1].take.labels[3]
+    clean_with(sound, tmp_path, build_correction("wrong", (label,), 60, 79), build_correction("swap", ("LKNE", "RKNE"), 60, 99))
+    result = pipeline.clean(
+        sound[0], prior="none", subject=sound[1].subject, review_files=(tmp_path / "walk.changes.yaml",), repair_kinds=("spike",)
+    )
+    assert {"marked", "swap"} <= {change.kind for change in result.changes}
