@@ -72,13 +72,13 @@ def clean(
     Raises:
         MocapfixError: with a sentence for a technician. Nothing is written.
     """
-    options = options.change(**changed_options)
+    options = requested = options.change(**changed_options)
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     timer = StageTimer(report_progress=progress)
     with timer("read"):
         capture = read_capture(path, options.read.up_axis)
     if isinstance(capture, Animation):
-        return clean_animation(capture, options, load_pose_model, timer)
+        return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
     reject_hierarchy(capture, options.subject)
     with timer("label"):
         capture, options = label_capture(capture, options, calibrate_takes)
@@ -92,7 +92,8 @@ def clean(
         conditioner = build_prior_conditioner(load_pose_model, options.solve.prior_scale)
         state = replace(start_cleaning(take, options.subject, review), prior_conditioner=conditioner)
         results.append(clean_subject(state, options, subject_timer))
-    return results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
+    result = results[0] if len(results) == 1 else multi_subject.merge_results(exchanges, tuple(results))
+    return replace(result, requested=requested)
 
 
 @limit_blas_threads

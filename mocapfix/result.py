@@ -12,20 +12,20 @@ from jaxtyping import Float
 from mocapfix.changes import Change, UnfilledRun
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
-from mocapfix.files.output_files import check_outputs_absent, make_output_folder, replace_together
+from mocapfix.files.output_files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.motion import Motion
-from mocapfix.options import OutputOptions
+from mocapfix.options import CleanOptions, OutputOptions
 from mocapfix.report.build_report import build_fill_section
 from mocapfix.report.report import MultiSubjectReport, Report
 from mocapfix.report.stage_timer import ProgressCallback, StageTimer
 from mocapfix.review.changes_file import NO_REVIEW, Review
+from mocapfix.review.clean_arguments import build_clean_arguments
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.output_formats import (
     OutputFormat,
     build_exported_motion,
     build_output_notes,
-    get_source_suffixes,
     list_output_formats,
     write_cleaned_copy,
 )
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
 
 DEFAULT_OUTPUT_OPTIONS = OutputOptions()
+DEFAULT_CLEAN_OPTIONS = CleanOptions()
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class CleaningResult:
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
     report           contents of the JSON report
     review           what a reviewer decided after an earlier cleaning
+    requested        the options with which the take was cleaned
     subject_results  results by subject of a take of several subjects. Their common result has no body of its own
     """
 
@@ -69,6 +71,7 @@ class CleaningResult:
     residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
     review: Review = NO_REVIEW
+    requested: CleanOptions = DEFAULT_CLEAN_OPTIONS
     subject_results: tuple["CleaningResult", ...] = ()
 
     def write(
@@ -92,7 +95,7 @@ class CleaningResult:
         targets = check_outputs_free(folder, stem, overwrite, self.input_take.path, options, subject_stems)
         make_output_folder(folder)
         with replace_together(targets, folder) as temporary:
-            self._write_files(temporary, options, report_progress)
+            self._write_files(temporary, folder, options, report_progress)
         paths = [path for result in results for path in result.get_output_paths(folder, options).values()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 
@@ -133,8 +136,14 @@ class CleaningResult:
     def _stem(self) -> str:
         return self.input_take.path.stem if self.input_take.path else "take"
 
-    def _write_files(self, folder: Path, options: OutputOptions, report_progress: ProgressCallback | None) -> None:
-        """Write the cleaned file of all subjects, then the other files of each."""
+    def _write_files(
+        self, folder: Path, final_folder: Path, options: OutputOptions, report_progress: ProgressCallback | None
+    ) -> None:
+        """Write the cleaned file of all subjects, then the other files of each, to be moved to the final folder."""
+        arguments: list[str] = []
+        if self.input_take.path:
+            requested = replace(self.requested, output=options)
+            arguments = build_clean_arguments(self.input_take.path, requested, final_folder, self._stem)
         results = self.subject_results or (self,)
         timers = [StageTimer(dict(result.subject_report["seconds"]), report_progress) for result in results]
         with timers[0]("write"):
@@ -143,17 +152,22 @@ class CleaningResult:
         for result, timer in zip(results, timers, strict=True):
             index = {int(m): k for k, m in enumerate(self.input_take.find_marker_indices(result.input_take))}
             unstorable = [(frame, index[m]) for frame, m in unstorable_samples if m in index]
-            result._write_subject_files(folder, options, timer, unstorable)
+            result._write_subject_files(folder, options, timer, unstorable, arguments)
 
     def _write_subject_files(
-        self, folder: Path, options: OutputOptions, timer: StageTimer, unstorable_samples: Sequence[tuple[int, int]]
+        self,
+        folder: Path,
+        options: OutputOptions,
+        timer: StageTimer,
+        unstorable_samples: Sequence[tuple[int, int]],
+        arguments: list[str],
     ) -> None:
         """Write all files but the cleaned one, which could not store some samples (frame, marker)."""
         with timer("write"):
             exported_motion = build_exported_motion(options, self.subject, self.motion, self.input_take.rate)
         report = self.subject_report
         notes = [*report["notes"], *build_output_notes(options, self.input_take, exported_motion is not None)]
-        final_report: Report = {**report, "seconds": timer.stage_seconds, "notes": notes}
+        final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final = replace(self, report=final_report)._drop_samples(unstorable_samples)
         for each in list_output_formats(options):
             if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):

@@ -1,24 +1,16 @@
 """Locks on the folder of a batch and on the outputs of a take, which end with the process that holds them, however it ends."""
 
 import os
-import socket
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
 from mocapfix.batch.records import get_take_folder
-from mocapfix.errors import WriteError
 from mocapfix.files.output_files import make_output_folder
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from mocapfix.files.process_lock import LOCK_TEXT_ENCODING, hold_process_lock, lock_open_file
 
 BATCH_LOCK_NAME = ".batch.lock"
 ATTEMPTS_SUFFIX = ".attempts"
-ENCODING = "utf-8"
 
 
 @contextmanager
@@ -28,32 +20,12 @@ def lock_batch_folder(folder: Path) -> Generator[None]:
     Raises WriteError, with the computer and the process that hold it, if another batch does.
     """
     make_output_folder(folder)
-    path = folder / BATCH_LOCK_NAME
-    try:
-        number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    except OSError as error:
-        raise WriteError(describe_lock_failure(path, error)) from error
-    try:
-        try:
-            _lock(number, wait=False)
-            text = f"computer {socket.gethostname()}, process {os.getpid()}, since {time.strftime('%Y-%m-%d %H:%M')}"
-            os.ftruncate(number, 0)
-            os.write(number, text.encode(ENCODING))
-        except BlockingIOError:
-            holder = path.read_text(encoding=ENCODING).strip() or "unknown process"
-            raise WriteError(
-                f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
-            ) from None
-        except OSError as error:
-            raise WriteError(describe_lock_failure(path, error)) from error
+
+    def describe_refusal(holder: str) -> str:
+        return f"{folder}: another batch is writing there ({holder}); wait for it, or choose another folder with --out."
+
+    with hold_process_lock(folder / BATCH_LOCK_NAME, describe_refusal):
         yield
-    finally:
-        os.close(number)
-
-
-def describe_lock_failure(path: Path, error: OSError) -> str:
-    """Return the sentence on a lock file that cannot be written or locked."""
-    return f"{path}: cannot be written ({error.strerror or error}); choose another folder with --out."
 
 
 class TakeAttempts:
@@ -73,7 +45,7 @@ class TakeAttempts:
     def begin(self, key: str) -> int:
         """Note that an attempt begins; return how many with this key have begun."""
         self._lines.append(key)
-        self._path.write_text("".join(f"{line}\n" for line in self._lines), encoding=ENCODING)
+        self._path.write_text("".join(f"{line}\n" for line in self._lines), encoding=LOCK_TEXT_ENCODING)
         return self.count(key)
 
     def clear(self) -> None:
@@ -91,21 +63,16 @@ def hold_take(output_folder: Path, take: str) -> Generator[TakeAttempts]:
     while True:
         number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            _lock(number, wait=True)
+            lock_open_file(number, wait=True)
             try:
                 is_current = os.fstat(number).st_ino == path.stat().st_ino
             except FileNotFoundError:  # the process that held the lock before has removed the file
                 is_current = False
             if is_current:
-                attempts = TakeAttempts(path, path.read_text(encoding=ENCODING).splitlines())
+                attempts = TakeAttempts(path, path.read_text(encoding=LOCK_TEXT_ENCODING).splitlines())
                 yield attempts
                 if not attempts.count_all():
                     attempts.clear()
                 return
         finally:
             os.close(number)
-
-
-def _lock(number: int, *, wait: bool) -> None:
-    if fcntl is not None:
-        fcntl.flock(number, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

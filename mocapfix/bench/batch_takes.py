@@ -1,10 +1,12 @@
 """Folders of composed takes for the benchmarks of batches, and the comparison of the outputs of two batches."""
 
 import hashlib
+import json
 import shutil
 from pathlib import Path
 
 from mocapfix.batch.records import RECORD_SUFFIX
+from mocapfix.review.take_files import JSON_REPORT_SUFFIX
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 RUN_DEPENDENT_SUFFIXES = (RECORD_SUFFIX, ".rrd")
@@ -30,9 +32,16 @@ def copy_takes(originals: Path, folder: Path, count: int) -> None:
 
 
 def hash_outputs(folder: Path) -> dict[str, str]:
-    """Return the hashes of the outputs in the folder of one take by name, but of those that depend on the run."""
+    """Return the hashes of the outputs in the folder of one take by name, but of those that depend on the run or its folders."""
     paths = sorted(path for path in folder.iterdir() if path.is_file() and not path.name.endswith(RUN_DEPENDENT_SUFFIXES))
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
+    return {path.name: hashlib.sha256(_read_output(path)).hexdigest() for path in paths}
+
+
+def _read_output(path: Path) -> bytes:
+    """Return the bytes of an output, of a report without the arguments, which name the input by its path."""
+    if not path.name.endswith(JSON_REPORT_SUFFIX):
+        return path.read_bytes()
+    return json.dumps({key: value for key, value in json.loads(path.read_bytes()).items() if key != "arguments"}).encode()
 
 
 def find_differing_takes(reference: Path, output_folder: Path) -> list[str]:

@@ -33,6 +33,7 @@ from mocapfix.cli.console import (
 from mocapfix.cli.inspect import run_inspect
 from mocapfix.cli.label import run_label
 from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS
+from mocapfix.cli.review import run_review, run_status
 from mocapfix.cli.run import run_scene
 from mocapfix.cli.train import TRAIN_COMMANDS
 from mocapfix.errors import MocapfixError, OptionError, ReadError
@@ -72,7 +73,8 @@ def run_demo(
         table.add_row(damage, *(f"{of_method[damage]:.1f}" for of_method in errors_mm.values()))
     stdout_console.print(table)
     print_summary(json.loads(outputs["report.json"].read_text(encoding="utf-8")), outputs)
-    print_line(f"To view it: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
+    print_line(f"To review the changes in the browser: mocapfix review {escape(str(output_folder / 'demo.mocapfix'))}")
+    print_line(f"To see the recording: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
     return EXIT_DONE
 
 
@@ -99,6 +101,8 @@ COMMANDS = {
     "clean": run_clean,
     "batch": run_batch,
     "view": run_view,
+    "review": run_review,
+    "status": run_status,
     "run": run_scene,
 }
 COMMAND_GROUPS = {

@@ -1,12 +1,15 @@
 """The terminal: where the commands print, how they show progress, and their exit statuses."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.markup import escape
+
+from mocapfix.files.progress_lines import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -38,6 +41,9 @@ def show_progress(name: str, *, needs_kernels: bool = False) -> Generator[Callab
                 compile_kernels_first(status.update)
                 are_compiled = True
             status.update(f"{escape(name)}: {stage}")
+            if os.environ.get(STAGE_LINES_VARIABLE):
+                sys.stderr.write(f"{STAGE_LINE_PREFIX}{stage}\n")
+                sys.stderr.flush()
 
         yield show_stage
 

@@ -125,3 +125,9 @@ def _get_umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
+    """Return the suffixes of the cleaned copy: that of the input, for AMC that of its skeleton too, for JSON that of a table."""
+    suffix = (source_path.suffix[1:].lower() if source_path else "") or "c3d"
+    return {"amc": ("amc", "asf"), "json": ("csv",)}.get(suffix, (suffix,))

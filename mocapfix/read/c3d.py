@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
-from mocapfix.files.layouts import C3D_BLOCK_BYTES, C3dLayout
+from mocapfix.files.layouts import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout
 from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
     METRES_PER_UNIT,
@@ -80,6 +80,20 @@ def read_c3d(path: Path, data: bytes) -> Take:
         notes=notes,
     )
     return add_other_points(take, types, lambda other: _convert_to_metres(values, visible, other, layout))
+
+
+def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
+    """Return the standard deviations per axis (m) that mocapfix stored in the file of a take for its fills, NaN elsewhere.
+
+    They are the residuals of samples to which no camera contributed; see `write.patches.patch_c3d`.
+    """
+    fill_sd = np.full(take.visible.shape, np.nan)
+    layout = take.layout
+    if not isinstance(layout, C3dLayout) or take.path is None or take.computed is None or not take.computed.any():
+        return fill_sd
+    words = _decode_values(layout, take.path.read_bytes())[..., 3][:, take.point_indices]
+    fill_sd[take.computed] = words[take.computed] % (MAX_RESIDUAL_COUNTS + 1) * (layout.scale_factor * layout.unit_m)
+    return fill_sd
 
 
 def get_screen_up_axis(screen_axis: str) -> UpAxis | None:

@@ -204,6 +204,7 @@ class Report(TypedDict):
     subject       None without a body
     solve         None without a body
     rigid_groups  props; without a body also segments that are rigid, if there are any
+    arguments     the input and the options of `mocapfix clean`, files relative to the folder of the report
     seconds       time by stage, and "total"
     notes         sentences on what else needs attention
     """
@@ -215,6 +216,7 @@ class Report(TypedDict):
     solve: SolveSection | None
     fill: FillSection
     rigid_groups: NotRequired[list[RigidGroupEntry]]
+    arguments: NotRequired[list[str]]
     seconds: dict[str, float]
     notes: list[str]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from mocapfix.calibrate import subject_file
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
+from mocapfix.files.output_files import get_source_suffixes
 from mocapfix.motion import Motion
 from mocapfix.options import OutputOptions
 from mocapfix.review.changes_file import CHANGES_SUFFIX, write_changes_file
@@ -98,12 +99,6 @@ def write_cleaned_copy(target: Path, before: Take, after: Take) -> list[tuple[in
     patch = patch_table if isinstance(before.layout, TableLayout) else patch_c3d
     unstorable = patch(target, append_computed_points(before), append_computed_points(after))
     return [(frame, marker) for frame, marker in unstorable if marker < len(before.labels)]
-
-
-def get_source_suffixes(source_path: Path | None) -> tuple[str, ...]:
-    """Return the suffixes of the cleaned copy: that of the input, for AMC that of its skeleton too, for JSON that of a table."""
-    suffix = (source_path.suffix[1:].lower() if source_path else "") or "c3d"
-    return {"amc": ("amc", "asf"), "json": ("csv",)}.get(suffix, (suffix,))
 
 
 def build_rig_format(rig: Rig) -> OutputFormat:

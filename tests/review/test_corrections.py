@@ -88,7 +88,7 @@ def test_corrected_labels_are_not_corrected_again():
 
 
 def test_requested_fills_take_the_place_of_the_combination():
-    """A parabola with a gap: a spline through it is exact, an empty one stays empty, and a body that is not there gives nothing."""
+    """A spline through a gap of a parabola is exact, an empty gap stays empty, and a body that is not there gives nothing."""
     times = np.linspace(0, 1, 60)
     path = np.stack([times, times**2, 1 - times], axis=1)
     markers = np.stack([path, path + [0, 0, 1], path + [0, 1, 0]], axis=1)

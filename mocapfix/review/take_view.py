@@ -1,0 +1,190 @@
+"""What the page of a review shows of a take: the markers before and after cleaning, the body, and the state of every sample."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+from mocapfix.animation import Animation
+from mocapfix.animations.joint_points import build_tip_take
+from mocapfix.errors import MocapfixError, ReadError
+from mocapfix.read.c3d import read_fill_sd
+from mocapfix.read.capture import read_capture
+from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
+from mocapfix.review.clean_arguments import find_argument
+from mocapfix.review.take_files import CleanedTake
+from mocapfix.stats.sequences import sample_evenly
+from mocapfix.take import Take
+from mocapfix.write.bvh import CENTIMETRE_M
+
+MAX_COMPARED_SAMPLES = 20_000
+"""samples that are compared with all others of their frame at a time"""
+NO_INPUT_NOTE = (
+    "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
+)
+LABELLED_NOTE = "The input file has no labels, so the markers before cleaning are shown without those that were filled."
+
+
+@dataclass(frozen=True)
+class TakeView:
+    """A take as the page shows it, T frames of M markers, U unlabelled trajectories and J joints, in metres, Y up.
+
+    before, after  positions, NaN where missing
+    unlabelled     positions of the unlabelled trajectories of the input
+    joints         positions of the joints of the body, and `bones` the indices of parent and child of each bone
+    sd             standard deviation per axis of the estimated samples, NaN for all others
+    states         SampleOutcome of each sample
+    notes          sentences on what is not shown
+    """
+
+    rate: float
+    first_frame: int
+    labels: tuple[str, ...]
+    unlabelled_labels: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    bones: tuple[tuple[int, int], ...]
+    before: Float32[np.ndarray, "T M 3"]
+    after: Float32[np.ndarray, "T M 3"]
+    unlabelled: Float32[np.ndarray, "T U 3"]
+    joints: Float32[np.ndarray, "T J 3"]
+    sd: Float32[np.ndarray, "T M"]
+    states: UInt8[np.ndarray, "T M"]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return len(self.after)
+
+    @cached_property
+    def floor_height_m(self) -> float:
+        """Height of the lowest marker in an ordinary frame, which is near the floor."""
+        sampled = self.after[sample_evenly(self.frame_count, 200), :, 1]
+        lowest = np.array([heights.min() for row in sampled if len(heights := row[np.isfinite(row)])])
+        return float(np.percentile(lowest, 5)) if len(lowest) else 0.0
+
+    def encode_frames(self, first: int, count: int) -> bytes:
+        """Return the samples of some frames as the page reads them: one array after the other, little-endian."""
+        frames = slice(max(first, 0), max(first, 0) + max(count, 0))
+        arrays = (self.before, self.after, self.unlabelled, self.joints, self.sd)
+        return b"".join(each[frames].astype("<f4", copy=False).tobytes() for each in arrays) + self.states[frames].tobytes()
+
+
+def load_take_view(take: CleanedTake) -> TakeView:
+    """Return what the page shows of a cleaned take. Raises ReadError if its files are damaged or do not belong together."""
+    up_axis = find_argument(take.arguments, "--up")
+    after, fill_sd, animation = _read_points(take.cleaned_path, up_axis)
+    notes: list[str] = []
+    before: Take | None = None
+    if take.input_path:
+        before, _, _ = _read_points(take.input_path, up_axis)
+        if before.frame_count != after.frame_count:
+            raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
+    else:
+        notes.append(NO_INPUT_NOTE.format(name=take.name))
+    after, fill_sd = _select_labels(after, fill_sd, take)
+    if before is not None:
+        try:
+            before, _ = _select_labels(before, fill_sd, take)
+        except ReadError:
+            before, notes = None, [*notes, LABELLED_NOTE]
+    is_estimated = np.isfinite(fill_sd)
+    if before is None:
+        before = replace(after, markers=np.where(is_estimated[..., None], np.nan, after.markers), unlabelled=None)
+    unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3))
+    joints, names, parents = _compute_joints(take, after, animation)
+    view = TakeView(
+        rate=after.rate,
+        first_frame=after.first_frame,
+        labels=after.labels,
+        unlabelled_labels=before.unlabelled.labels if before.unlabelled else (),
+        joint_names=names,
+        bones=tuple((int(parent), joint) for joint, parent in enumerate(parents) if parent >= 0),
+        before=before.markers.astype(np.float32),
+        after=after.markers.astype(np.float32),
+        unlabelled=unlabelled.astype(np.float32),
+        joints=joints.astype(np.float32),
+        sd=fill_sd.astype(np.float32),
+        states=np.zeros(fill_sd.shape, np.uint8),
+        notes=tuple(notes),
+    )
+    states = classify_shown_samples(view.before, view.after, view.unlabelled)
+    return replace(view, states=states, sd=np.where(find_estimated_samples(states), view.sd, np.float32(np.nan)))
+
+
+def classify_shown_samples(
+    before: Float32[np.ndarray, "T M 3"], after: Float32[np.ndarray, "T M 3"], unlabelled: Float32[np.ndarray, "T U 3"]
+) -> UInt8[np.ndarray, "T M"]:
+    """Return the SampleOutcome of each sample, from the positions alone.
+
+    A sample is of another label if a different trajectory of the input is at exactly its position in this frame.
+    """
+    was_visible, is_visible = np.isfinite(before[..., 0]), np.isfinite(after[..., 0])
+    is_same = (before == after).all(-1)
+    states = np.full(before.shape[:2], SampleOutcome.MEASURED, np.uint8)
+    states[~is_visible] = SampleOutcome.EMPTY
+    states[is_visible & ~was_visible] = SampleOutcome.FILLED
+    states[is_visible & was_visible & ~is_same] = SampleOutcome.REPLACED
+    in_input = np.concatenate([before, unlabelled], axis=1)
+    states[_find_positions(after, is_visible & ~is_same, in_input)] = SampleOutcome.RELABELLED
+    states[_find_positions(before, was_visible & ~is_visible, after)] = SampleOutcome.REASSIGNED
+    return states
+
+
+def _find_positions(
+    positions: Float32[np.ndarray, "T M 3"], selected: Bool[np.ndarray, "T M"], trajectories: Float32[np.ndarray, "T N 3"]
+) -> Bool[np.ndarray, "T M"]:
+    """Return which of the selected samples are exactly at the position of a trajectory in their frame."""
+    found = np.zeros(selected.shape, bool)
+    samples = np.argwhere(selected)
+    for part in np.array_split(samples, 1 + len(samples) // MAX_COMPARED_SAMPLES):
+        frames, markers = part[:, 0], part[:, 1]
+        found[frames, markers] = (trajectories[frames] == positions[frames, markers][:, None]).all(-1).any(-1)
+    return found
+
+
+def _read_points(path: Path, up_axis: str | None) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
+    """Return the points of a file, the standard deviations that it stores for fills, and its animation if it is one."""
+    try:
+        capture = read_capture(path, up_axis)
+    except MocapfixError as error:
+        raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
+    if isinstance(capture, Animation):
+        take = build_tip_take(capture)
+        return take, np.full(take.visible.shape, np.nan), capture
+    return capture, read_fill_sd(capture), None
+
+
+def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: CleanedTake) -> tuple[Take, Float[np.ndarray, "T M"]]:
+    """Return the markers that the report names, with their standard deviations. Raises ReadError if one is not there."""
+    index = {label: m for m, label in reversed(list(enumerate(take.labels)))}
+    labels = cast("list[str]", cleaned.report["take"].get("labels", list(take.labels)))
+    if cleaned.report["take"].get("animation"):
+        labels = list(take.labels)
+    if missing := [label for label in labels if label not in index]:
+        raise ReadError(f"{take.name}: has no marker {', '.join(missing[:3])}, which the report names; clean the take again.")
+    columns: Int[np.ndarray, " K"] = np.array([index[label] for label in labels], int)
+    selected = replace(take, markers=take.markers[:, columns], labels=tuple(labels), relabelled_points=None)
+    return selected, fill_sd[:, columns] if fill_sd.shape[1] == len(take.labels) else np.full(selected.visible.shape, np.nan)
+
+
+def _compute_joints(
+    take: CleanedTake, after: Take, animation: Animation | None
+) -> tuple[Float[np.ndarray, "T J 3"], tuple[str, ...], list[int]]:
+    """Return joint positions at the frames of the take in metres, names and parents; no joints without a body."""
+    shift_m = 0.0
+    if animation is None:
+        path = take.get_path("bvh")
+        if not path.is_file():
+            return np.zeros((after.frame_count, 0, 3)), (), []
+        written = read_capture(path)
+        assert isinstance(written, Animation)
+        animation = replace(written, unit_m=CENTIMETRE_M, rotation_y_up_file=np.eye(3))
+        shift_m = float(find_argument(take.arguments, "--floor") or 0.0)
+    frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
+    frames = np.minimum(frames, animation.frame_count - 1)
+    positions = animation.compute_world_poses()[0][frames] + [0.0, shift_m, 0.0]
+    return positions, animation.names, animation.parents.tolist()
