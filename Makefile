@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test bench docs install blender lint clean
+.PHONY: demo test bench docs install blender browser lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
@@ -32,6 +32,11 @@ install: $(VENV)/installed-dev
 # Blender as a Python module, for tests/blender. It has its own environment, since it needs Python 3.11 and its own version of NumPy.
 blender: .blender/installed
 
+# Chromium for tests/review/test_page.py, from the system's packages; without it these tests are skipped.
+browser:
+	@command -v chromium >/dev/null || (apt-get update -q && apt-get install -qy --no-install-recommends chromium) >/dev/null \
+		|| echo "Chromium could not be installed, so the tests of the review page are skipped; install it with the system's packages."
+
 lint: $(VENV)/installed-dev
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
@@ -45,7 +50,7 @@ clean:
 # installed at once: another call of pip takes ten seconds to look at what is there.
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(PIP_INSTALL) --editable .
+	$(PIP_INSTALL) --editable ".[review]"
 	touch $@
 
 $(VENV)/installed-dev: pyproject.toml constraints.txt

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mocapfix.review.review_session import Event, ReviewSession
 
 LOOPBACK = "127.0.0.1"
-ASSETS_FOLDER = Path(__file__).parent / "assets"
+ASSETS_FOLDER = Path(__file__).parent / "page"
 THREE_MODULE, THREE_PATH = "nicegui", Path("elements") / "scene" / "dist" / "index.js"
 """three.js with its orbit controls as one module, as NiceGUI ships it"""
 PAGE_CLOSED_LIMIT_S = 10.0
