@@ -314,6 +314,7 @@ def _open_loopback_socket(port: int) -> socket.socket:
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind((LOOPBACK, port))
+        opened.listen()
     except (OSError, OverflowError) as error:
         opened.close()
         problem = getattr(error, "strerror", None) or error

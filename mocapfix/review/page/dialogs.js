@@ -22,6 +22,7 @@ function show(dialog) {
     dialog.returnValue = "";
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
     dialog.showModal();
+    (dialog.querySelector("select, input, textarea") ?? dialog.querySelector("button.primary"))?.focus();
   });
 }
 

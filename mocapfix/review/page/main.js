@@ -50,7 +50,7 @@ class App {
     } catch (error) {
       this.cover(error.message);
     }
-    api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
+    this.events = api.followEvents((event) => this.receive(event), (isConnected) => this.showConnection(isConnected));
   }
 
   async openTake(id, frame = null) {
@@ -319,6 +319,7 @@ class App {
 
   cover(text) {
     this.hasEnded = true;
+    this.events?.close();
     find("cover").textContent = text;
     find("cover").hidden = false;
   }
