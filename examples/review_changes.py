@@ -11,11 +11,11 @@ path, folder = Path("review.c3d"), Path("review.mocapfix")
 write_synthetic_take(path, compose_take(seed=5, seconds=3.0))
 outputs = mocapfix.clean(path, prior="none").write(folder, overwrite=True)
 
-review_file = outputs["changes.yaml"]
-review = yaml.safe_load(review_file.read_text())
+changes_path = outputs["changes.yaml"]
+review = yaml.safe_load(changes_path.read_text())
 rejected = review["changes"][0]
 rejected["decision"] = "reject"  # or "keep": leave the samples as they are and use them in the solve
-review_file.write_text(yaml.safe_dump(review, sort_keys=False))
+changes_path.write_text(yaml.safe_dump(review, sort_keys=False))
 
-again = mocapfix.clean(path, prior="none", review_files=[review_file])
+again = mocapfix.clean(path, prior="none", review_files=[changes_path])
 print(f"rejected {rejected['id']}: {[c.decision for c in again.changes if c.id == rejected['id']]}")

@@ -73,8 +73,7 @@ def run_demo(
         table.add_row(damage, *(f"{of_method[damage]:.1f}" for of_method in errors_mm.values()))
     stdout_console.print(table)
     print_summary(json.loads(outputs["report.json"].read_text(encoding="utf-8")), outputs)
-    print_line(f"To review the changes in the browser: mocapfix review {escape(str(output_folder / 'demo.mocapfix'))}")
-    print_line(f"To see the recording: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
+    print_line(f"  To see the recording: mocapfix view {escape(str(output_folder / 'demo.mocapfix'))}")
     return EXIT_DONE
 
 

@@ -1,6 +1,7 @@
 """The command `mocapfix batch`: clean all takes of a session on the cores of this machine or on a cluster."""
 
 import os
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -119,6 +120,8 @@ def run_batch(
         f"{len(records) - failed_count:,} of {len(records):,} takes are done, {failed_count:,} failed. "
         f"Page: {escape(str(output_folder / PAGE_NAME))}"
     )
+    if failed_count < len(records):
+        print_line(f"To look at the changes in the browser: mocapfix review {escape(shlex.quote(str(output_folder)))}")
     return EXIT_FAILED if failed_count else EXIT_DONE
 
 

@@ -14,6 +14,7 @@ from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
 from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
 from mocapfix.cli.bench_prior_scope import run_bench_prior_scope
+from mocapfix.cli.bench_review import run_bench_review
 from mocapfix.cli.bench_session import run_bench_session
 from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_usage_error, show_progress, stdout_console
@@ -24,8 +25,7 @@ FAULT_COLUMNS = (
     ("false_alarms_per_minute", "false alarms per minute", ".1f"),
     ("predicted_mm", "predicted error, mm", ".1f"),
     ("true_mm", "true error, mm", ".1f"),
-)
-"""key of a result, heading and number format"""
+)  # key of a result, heading and number format
 CLEAN_COLUMNS = (
     ("seconds", "seconds", ".1f"),
     ("cpu_seconds", "processor seconds", ".1f"),
@@ -284,6 +284,7 @@ BENCH_COMMANDS = {
     "solver": run_bench_solver,
     "uncertainty": run_bench_uncertainty,
     "calibration": run_bench_calibration,
+    "review": run_bench_review,
     "stress": run_bench_stress,
     "faults": run_bench_faults,
     "labels": run_bench_labels,

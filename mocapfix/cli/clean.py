@@ -168,7 +168,9 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     if changes:
         prefix = ["--subject-prefix", subject_prefix] if subject_prefix else []
         arguments = escape(shlex.join([*prefix, "--changes", str(outputs["changes.yaml"]), "--overwrite"]))
-        print_line(f"  To undo a change, edit its decision in the changes file and clean again with {arguments}")
+        folder = escape(shlex.quote(str(outputs["changes.yaml"].parent)))
+        print_line(f"  To look at the changes in the browser, and reject some: mocapfix review {folder}")
+        print_line(f"  To undo a change by hand, edit its decision in the changes file and clean again with {arguments}")
 
 
 def print_output_files(outputs: Mapping[str, Path]) -> None:

@@ -64,7 +64,8 @@ def test_demo_compares_with_the_truth(mocapfix, tmp_path):
     assert len(rows) == 2
     for linear, cubic, ours in rows.values():
         assert ours < min(linear, cubic)
-    assert "To view it: mocapfix view" in flat(out)
+    assert "To see the recording: mocapfix view" in flat(out)
+    assert "mocapfix review" in flat(out)
 
 
 def test_inspect_lists_faults(mocapfix, brief):

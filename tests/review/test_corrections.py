@@ -13,14 +13,14 @@ from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
 from mocapfix.fill.requested_fills import EMPTY_REASON, FillRequest, explain_requested_fills, use_requested_methods
 from mocapfix.review.changes_file import Review, build_review_filter, read_changes_file, write_changes_file
 from mocapfix.review.corrections import locate_correction
-from mocapfix.review.file_models import CorrectionModel
+from mocapfix.review.file_models import CorrectionKind, CorrectionModel
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from tests.review.test_changes_file import build_change, build_take
 
 SEED, DURATION_S, RATE_HZ = 4, 3.0, 60.0
 
 
-def build_correction(kind="wrong", markers=("C7",), first=110, last=119, **fields) -> CorrectionModel:
+def build_correction(kind: CorrectionKind = "wrong", markers=("C7",), first=110, last=119, **fields) -> CorrectionModel:
     return CorrectionModel(kind=kind, markers=list(markers), first=first, last=last, **fields)
 
 

@@ -77,7 +77,8 @@ class App {
     const change = take.changes.find((each) => each.id === kept);
     const target = frame ?? (change ? this.middleOf(change) : 0);
     const load = this.samples.load(target, () => this.drawBlock(take, kept, target));
-    load.catch((error) => this.showStatus(error.message, true));
+    this.isComplete = false;
+    load.then(() => { this.isComplete = this.take === take; }).catch((error) => this.showStatus(error.message, true));
     this.showRun(take.run);
     renderDifference(find("difference"), take.difference, (id) => this.select(id));
   }
@@ -328,5 +329,5 @@ class App {
 Object.assign(App.prototype, correctionActions, outputActions, labelPlacement);
 
 const app = new App();
-window.review = { app, getFrameRate: () => app.playback.frameRate, getState: () => ({ frame: app.playback.frame, selected: app.selectedId, take: app.take }) };
+window.review = { app, getFrameRate: () => app.playback.frameRate, getState: () => ({ frame: app.playback.frame, selected: app.selectedId, take: app.take, isComplete: app.isComplete }) };
 app.start();

@@ -1,0 +1,51 @@
+"""Write the picture of the review page: `python docs/generate_review_picture.py`. Needs Chromium (`make browser`).
+
+The take is that of the demo, at a moment when an arm is lost. The page is in dark colours; with the argument "light" it is in
+light ones.
+"""
+
+import sys
+import threading
+from contextlib import chdir
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+from mocapfix.bench.review_page import CHROMIUM_ARGUMENTS, find_chromium
+from mocapfix.cli.app import run_demo
+from mocapfix.review.review_session import ReviewSession
+from mocapfix.review.server import ReviewServer
+
+TARGET = Path(__file__).parent.resolve() / "review-page.png"
+CHANGE = "gap-LWRA-121"
+PICTURE_COLOURS = 128
+
+
+def write_picture(theme: str, target: Path) -> None:
+    """Write the picture of the page, in the colours "dark" or "light"."""
+    with TemporaryDirectory() as folder, chdir(folder), sync_playwright() as playwright:
+        run_demo()
+        server = ReviewServer(ReviewSession(Path("demo.mocapfix")))
+        thread = threading.Thread(target=server.serve, daemon=True)
+        thread.start()
+        browser = playwright.chromium.launch(executable_path=find_chromium(), args=list(CHROMIUM_ARGUMENTS))
+        context = browser.new_context(viewport={"width": 1280, "height": 800}, bypass_csp=True, color_scheme=theme)
+        page = context.new_page()
+        page.goto(server.address)
+        page.wait_for_function("review.getState().isComplete")
+        page.keyboard.press("a")
+        page.wait_for_function("review.getState().take.changes.some(each => each.is_reviewed)")
+        page.evaluate("name => review.app.select(name)", CHANGE)
+        page.evaluate("review.app.scene.frameMarkers(null, [0.7, 0.25, 1])")
+        page.wait_for_timeout(500)
+        page.screenshot(path=target)
+        browser.close()
+        server.stop()
+        thread.join()
+    Image.open(target).convert("P", palette=Image.Palette.ADAPTIVE, colors=PICTURE_COLOURS).save(target, optimize=True)
+
+
+if __name__ == "__main__":
+    write_picture(sys.argv[1] if len(sys.argv) > 1 else "dark", TARGET)

@@ -1,0 +1,100 @@
+"""What the page shows of a take: its samples, their states, the body, and what it does without the input."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix import pipeline
+from mocapfix.animation import Animation
+from mocapfix.errors import ReadError
+from mocapfix.read.capture import read_capture
+from mocapfix.report.sample_states import SampleOutcome, classify_samples
+from mocapfix.review.open_take import OpenTake
+from mocapfix.review.take_files import find_cleaned_takes
+from mocapfix.review.take_view import NO_INPUT_NOTE, classify_shown_samples, load_take_view
+
+
+def test_states_are_those_of_the_cleaning(faulty, tmp_path: Path) -> None:
+    result = faulty.result
+    expected = classify_samples(result.input_take, result.relabelled_take, result.take, result.faults)
+    arrays = (result.input_take.markers, result.take.markers, result.input_take.unlabelled.markers)
+    states = classify_shown_samples(*(array.astype(np.float32) for array in arrays))
+    # Only the faults that were left as measured cannot be seen from the positions.
+    is_equal = (states == expected) | ((expected == SampleOutcome.SUSPECT) & (states == SampleOutcome.MEASURED))
+    assert is_equal.all()
+    assert {*np.unique(states)} >= {SampleOutcome.FILLED, SampleOutcome.REPLACED, SampleOutcome.RELABELLED}
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_unchanged_samples_are_measured_and_new_ones_filled(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before = rng.normal(size=(6, 4, 3)).astype(np.float32)
+    before[rng.random((6, 4)) < 0.3] = np.nan
+    after = before.copy()
+    is_missing = np.isnan(before[..., 0])
+    after[is_missing] = rng.normal(size=(int(is_missing.sum()), 3))
+    states = classify_shown_samples(before, after, np.zeros((6, 0, 3), np.float32))
+    np.testing.assert_array_equal(states, np.where(is_missing, SampleOutcome.FILLED, SampleOutcome.MEASURED))
+
+
+def test_joints_are_those_of_the_solved_body(cleaned_take: Path) -> None:
+    (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
+    view = load_take_view(take)
+    result = pipeline.clean(cleaned_take / "walk.c3d", prior="none")
+    assert result.subject
+    assert result.joint_position_world is not None
+    order = [view.joint_names.index(name) for name in result.subject.skeleton.names]
+    expected = result.joint_position_world
+    distance_m = np.linalg.norm(view.joints[:, order] - expected, axis=-1)
+    assert np.nanmax(distance_m) < 1e-4
+    sd = result.take.sample_sd
+    assert sd is not None
+    is_estimated = np.isfinite(sd)
+    np.testing.assert_array_equal(np.isfinite(view.sd), is_estimated)
+    assert np.abs(view.sd - sd)[is_estimated & (sd < 0.02)].max() < 1e-3  # residuals are stored in steps
+
+
+def test_without_the_input_only_the_cleaned_markers_are_shown(folder: Path) -> None:
+    (take,) = find_cleaned_takes(folder)
+    complete = load_take_view(take)
+    (folder.parent / "walk.c3d").unlink()
+    (take,) = find_cleaned_takes(folder)
+    view = load_take_view(take)
+    assert view.notes == (NO_INPUT_NOTE.format(name="walk.c3d"),)
+    np.testing.assert_array_equal(view.after, complete.after)
+    is_filled = complete.states == SampleOutcome.FILLED
+    assert np.isnan(view.before[is_filled]).all()
+    described = OpenTake(take, [take]).describe()
+    assert (described["can_clean"], "walk.c3d" in described["cannot_clean_reason"]) == (False, True)
+
+
+def test_files_that_do_not_belong_together_are_named(folder: Path, cleaned_take: Path) -> None:
+    path = folder / "walk.report.json"
+    report = json.loads(path.read_text(encoding="utf-8"))
+    report["take"]["labels"][0] = "NOSE"
+    path.write_text(json.dumps(report), encoding="utf-8")
+    (take,) = find_cleaned_takes(folder)
+    with pytest.raises(ReadError, match=r"walk\.c3d: has no marker NOSE, which the report names"):
+        load_take_view(take)
+    shutil.copy(cleaned_take / "walk.mocapfix" / "walk.report.json", path)
+    (folder / "walk.c3d").write_bytes(b"")
+    with pytest.raises(ReadError, match=r"walk\.c3d"):
+        load_take_view(take)
+
+
+def test_animation_is_shown_by_its_joints(cleaned_take: Path, tmp_path: Path) -> None:
+    path = tmp_path / "walk.bvh"
+    shutil.copy(cleaned_take / "walk.mocapfix" / "walk.bvh", path)
+    pipeline.clean(path, prior="none").write(tmp_path / "walk.mocapfix")
+    (take,) = find_cleaned_takes(tmp_path / "walk.mocapfix")
+    view = load_take_view(take)
+    animation = read_capture(path)
+    assert isinstance(animation, Animation)
+    assert view.frame_count == animation.frame_count
+    assert view.joint_names == animation.names
+    assert len(view.labels) == len(view.joint_names) + 1
