@@ -9,6 +9,7 @@ import threading
 from contextlib import chdir
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 from PIL import Image
 from playwright.sync_api import sync_playwright
@@ -23,7 +24,7 @@ CHANGE = "gap-LWRA-121"
 PICTURE_COLOURS = 128
 
 
-def write_picture(theme: str, target: Path) -> None:
+def write_picture(theme: Literal["dark", "light"], target: Path) -> None:
     """Write the picture of the page, in the colours "dark" or "light"."""
     with TemporaryDirectory() as folder, chdir(folder), sync_playwright() as playwright:
         run_demo()
@@ -48,4 +49,4 @@ def write_picture(theme: str, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    write_picture(sys.argv[1] if len(sys.argv) > 1 else "dark", TARGET)
+    write_picture("light" if "light" in sys.argv[1:] else "dark", TARGET)

@@ -319,6 +319,8 @@ def test_each_subject_may_have_a_subject_file(files, two, tmp_path):
     result = pipeline.clean(files / "two.c3d", subject=(("ann", tmp_path / "ann.yaml"),))
     jim, ann, *_ = result.subject_results
     known = subject_file.read_subject(tmp_path / "ann.yaml")
+    assert jim.subject
+    assert ann.subject
     np.testing.assert_array_equal(ann.subject.skeleton.offsets, known.skeleton.offsets)
     np.testing.assert_array_equal(jim.subject.skeleton.offsets, two[0].subject_results[0].subject.skeleton.offsets)
 

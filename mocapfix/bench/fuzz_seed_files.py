@@ -12,7 +12,9 @@ from mocapfix.calibrate.subject_file import write_subject
 from mocapfix.changes import Change, SampleState
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.motion import Motion
-from mocapfix.review.changes_file import write_changes_file
+from mocapfix.review.changes_file import Review, write_changes_file
+from mocapfix.review.corrections import locate_correction
+from mocapfix.review.file_models import CorrectionModel
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.synthetic import compose_take
 from mocapfix.take import Take
@@ -21,6 +23,11 @@ from mocapfix.write import write_asf_amc, write_bvh, write_c3d, write_csv, write
 SEED_FRAME_COUNT = 4
 SEED_MARKER_COUNT = 5
 SEED_RATE_HZ = 120.0
+SEED_CORRECTIONS = (
+    CorrectionModel(kind="wrong", markers=["Jim:LFHD"], first=1, last=2),
+    CorrectionModel(kind="swap", markers=["Jim:LFHD", "Jim:RFHD"], first=2, last=3, note="seen: twice"),
+    CorrectionModel(kind="fill", markers=["Jim:RFHD"], first=1, last=3, method="spline"),
+)
 SHIPPED_SEEDS = (
     "scenes/demo.yaml", "scenes/session.yaml", "scenes/keypoints-2d.yaml", "scenes/marker-sets/davis.yaml",
     "scenes/hierarchies/rokoko.yaml", "scenes/rigs/blender.yaml", "priors/pca.safetensors", "priors/twist.safetensors",
@@ -51,6 +58,7 @@ def list_seed_files() -> tuple[SeedFile, ...]:
     motion = truth.motion.select_frames(np.arange(3))
     before, after = SampleState(0, 9.0), SampleState(0, None)
     change = Change("spike-LFHD-2", "spike", ("Jim:LFHD",), 2, 3, 2, "0.1 m off", "body", before, after, 2.0)
+    review = Review(corrections=tuple(locate_correction(each, take, "seed") for each in SEED_CORRECTIONS))
     millimetres = np.where(np.isnan(markers), 0.0, 1000 * markers[..., [2, 0, 1]])
     texts = {
         "motive.csv": build_motive_text(millimetres, labels),
@@ -66,7 +74,11 @@ def list_seed_files() -> tuple[SeedFile, ...]:
         SeedFile("capture", "walk.csv", _write_bytes("walk.csv", lambda path: write_csv(path, take))),
         SeedFile("capture", "walk.bvh", _write_bytes("walk.bvh", lambda path: write_bvh(path, body, motion, SEED_RATE_HZ))),
         SeedFile("subject", "subject.yaml", _write_bytes("subject.yaml", lambda path: write_subject(path, truth.subject))),
-        SeedFile("changes", "changes.yaml", _write_bytes("changes.yaml", lambda path: write_changes_file(path, take, [change]))),
+        SeedFile(
+            "changes",
+            "changes.yaml",
+            _write_bytes("changes.yaml", lambda path: write_changes_file(path, take, [change], review)),
+        ),
     ]
     asf, amc = _write_motion_pair(body, motion)
     seeds += [SeedFile("capture", "walk.amc", amc, ("walk.asf", asf)), SeedFile("skeleton", "alone.asf", asf)]

@@ -1,5 +1,6 @@
 """The takes of a folder under review, and what happens to them, for all pages that show them."""
 
+import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from mocapfix.review.open_take import OpenTake
 from mocapfix.review.take_files import CleanedTake, find_cleaned_takes, find_takes_of_one_file
 
 Event = dict[str, Any]
+MAX_TAKES_READ_AT_ONCE = 30
 MAX_OPEN_VIEWS = 2
 """takes whose samples are kept in memory"""
 
@@ -30,6 +32,9 @@ class ReviewSession:
         self._open: dict[str, OpenTake] = {}
         self._lock = threading.RLock()
         self._listeners: list[Callable[[Event], None]] = []
+        self._summaries: dict[str, tuple[object, dict[str, Any]]] = {}
+        if len(self._takes) > MAX_TAKES_READ_AT_ONCE:
+            threading.Thread(target=self._read_summaries, daemon=True).start()
 
     @property
     def ids(self) -> list[str]:
@@ -59,12 +64,27 @@ class ReviewSession:
                 receive(event)
 
     def describe(self) -> dict[str, Any]:
-        """Return the list of takes with their states."""
+        """Return the list of takes with their states; those of a large session are read in the background and then announced."""
+        takes = list(self._takes.values())
+        reads_all = len(takes) <= MAX_TAKES_READ_AT_ONCE
         return {
             "folder": str(self.folder.resolve().name),
-            "is_batch": len(self._takes) > 1,
-            "takes": [describe_take(take) for take in self._takes.values()],
+            "is_batch": len(takes) > 1,
+            "takes": [self._summarise(take) if reads_all or take.id in self._summaries else name_take(take) for take in takes],
         }
+
+    def _read_summaries(self) -> None:
+        for take in list(self._takes.values()):
+            self._summarise(take)
+        self.announce({"type": "session"})
+
+    def _summarise(self, take: CleanedTake) -> dict[str, Any]:
+        """Return the entry of a take, from its files if they were changed since it was last read."""
+        key = [(stat.st_mtime_ns, stat.st_size) for path in (take.changes_path, take.approval_path) if (stat := stat_file(path))]
+        known = self._summaries.get(take.id)
+        if known is None or known[0] != key:
+            known = self._summaries[take.id] = (key, describe_take(take))
+        return known[1]
 
     def open_take(self, name: str) -> OpenTake:
         """Return a take under review. Raises ReadError if there is none of this id, or its files are damaged."""
@@ -123,21 +143,37 @@ class ReviewSession:
         self.announce({"type": "closing"})
 
 
+def stat_file(path: Path) -> os.stat_result | None:
+    """Return the status of a file, None if it is not there."""
+    try:
+        return path.stat()
+    except OSError:
+        return None
+
+
+def name_take(take: CleanedTake) -> dict[str, Any]:
+    """Return the entry of a take whose files have not been read."""
+    return {
+        "id": take.id,
+        "name": take.name,
+        "subject": take.subject,
+        "error": "",
+        "state": "",
+        "change_count": 0,
+        "reviewed_count": 0,
+        "worst_mm": None,
+        "approved_by": "",
+        "approved_at": "",
+    }
+
+
 def describe_take(take: CleanedTake) -> dict[str, Any]:
     """Return the entry of a take in the list of a session; one that cannot be read has its error."""
-    entry: dict[str, Any] = {"id": take.id, "name": take.name, "subject": take.subject, "error": ""}
+    entry = name_take(take)
     try:
         file, approval, revision = read_yaml_model(ChangesFileModel, take.changes_path), read_approval(take), hash_changes(take)
     except MocapfixError as error:
-        return entry | {
-            "state": "untouched",
-            "change_count": 0,
-            "reviewed_count": 0,
-            "worst_mm": None,
-            "approved_by": "",
-            "approved_at": "",
-            "error": str(error),
-        }
+        return entry | {"error": str(error)}
     state = determine_state(file, approval, revision)
     predicted = [change.predicted_mm for change in file.changes if change.predicted_mm is not None]
     return entry | {

@@ -12,6 +12,7 @@ from mocapfix.files.output_files import get_source_suffixes
 from mocapfix.review.changes_file import CHANGES_SUFFIX
 
 JSON_REPORT_SUFFIX = ".report.json"
+KEPT_REPORT_KEYS = ("take", "arguments", "notes")
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class CleanedTake:
     id         path of its outputs without their suffixes, relative to the folder that is reviewed, with "/"
     folder     of its outputs
     stem       of the names of its outputs
-    report     the JSON report
+    report     the parts of the JSON report that a review needs: a session may have thousands
     """
 
     id: str
@@ -92,8 +93,9 @@ def read_cleaned_take(root: Path, folder: Path, stem: str) -> CleanedTake:
     """Return the take whose outputs have a stem, in a folder below `root`. Raises ReadError if its report cannot be read."""
     path = folder / f"{stem}{JSON_REPORT_SUFFIX}"
     try:
-        report = json.loads(path.read_bytes())
-        take = CleanedTake((folder.relative_to(root) / stem).as_posix(), folder, stem, cast("dict[str, Any]", report))
+        report = cast("dict[str, Any]", json.loads(path.read_bytes()))
+        kept = {key: report[key] for key in KEPT_REPORT_KEYS if key in report}
+        take = CleanedTake((folder.relative_to(root) / stem).as_posix(), folder, stem, kept)
         Path(take.name, take.subject, *take.arguments)  # raises TypeError if they are no texts
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise ReadError(f"{path}: is damaged; clean the take again.") from error

@@ -259,6 +259,24 @@ def test_damaged_outputs_get_a_sentence(running: RunningServer) -> None:
     assert (running.folder / "walk.changes.yaml").read_text(encoding="utf-8") == "changes: 3"
 
 
+def test_large_session_is_listed_at_once_and_read_in_the_background(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocapfix.review.review_session.MAX_TAKES_READ_AT_ONCE", 2)
+    root = folder.parent
+    for n in range(4):
+        shutil.copytree(folder, root / f"take{n}")
+    events: list[dict[str, Any]] = []
+    session = ReviewSession(root)
+    session.add_listener(events.append)
+    assert len(session.describe()["takes"]) == 5
+    end = time.monotonic() + 30.0
+    while "untouched" not in {each["state"] for each in session.describe()["takes"][-1:]} and time.monotonic() < end:
+        time.sleep(0.05)
+    assert {each["state"] for each in session.describe()["takes"]} == {"untouched"}
+    session.approve("take2/walk", "Ann")
+    states = {each["id"]: each["state"] for each in session.describe()["takes"]}
+    assert states == dict.fromkeys(states, "untouched") | {"take2/walk": "approved"}
+
+
 def test_folder_without_takes_is_refused(tmp_path: Path) -> None:
     for folder in (tmp_path, tmp_path / "nothing"):
         with pytest.raises(ReadError, match="name the output folder"):
