@@ -21,6 +21,7 @@ from importlib import import_module
 from typing import BinaryIO, NamedTuple
 
 from mocapfix.batch.job_messages import ChildReply, ForkRequest, JobEnd, read_message, read_message_bytes, write_message
+from mocapfix.files.free_memory import return_free_memory
 
 MAXRSS_UNIT_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3  # bytes; kibibytes
 PR_SET_PDEATHSIG = 1  # of Linux: a signal to the child when its parent ends
@@ -152,8 +153,7 @@ def _run_child(server: int, requests: BinaryIO, replies: BinaryIO) -> None:
             write_message(
                 replies, replace(reply, peak_memory_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MAXRSS_UNIT_MB)
             )
-            gc.collect()
-            _return_free_memory()
+            return_free_memory()
             held_bytes = _read_memory().resident_bytes - first_memory.resident_bytes
             is_small = held_bytes < MAX_KEPT_MEMORY_SHARE * request.memory_mb * 1e6
             is_kept = is_small and not reply.error and count < MAX_CHILD_JOBS and _reset_peak_memory()
@@ -215,12 +215,6 @@ def _read_memory() -> _Memory:
         return _Memory(0, 0)
     size = resource.getpagesize()
     return _Memory(pages[RESIDENT_PAGES_COLUMN] * size, pages[DATA_PAGES_COLUMN] * size)
-
-
-def _return_free_memory() -> None:
-    """Return freed memory to the system, where the C library can do so (glibc)."""
-    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
-        trim(0)
 
 
 def _reset_peak_memory() -> bool:

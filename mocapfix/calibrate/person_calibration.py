@@ -17,6 +17,7 @@ from mocapfix.calibrate.take_differences import (
     compute_place_residuals,
     find_attached_again,
     find_moved_markers,
+    is_confirmed_move,
     number_places,
 )
 from mocapfix.errors import TakeError
@@ -111,7 +112,7 @@ def calibrate_person(
     if places.any():
         calibration = calibrate_jointly(chosen, places, body, prior, calibration)
     attachments = places[:, 0].copy() if places.size else np.zeros(len(chosen), int)
-    moved: list[MovedMarker] = []
+    moved, attached = list[MovedMarker](), places
     shortest_s = min(float(np.ptp(take.times_s)) for take in chosen)
     for _ in range(MAX_MOVE_ROUNDS):
         new = find_moved_markers(calibration.states, calibration.marker_offsets, places, shortest_s)
@@ -119,6 +120,10 @@ def calibrate_person(
             break
         moved += new
         places = number_places(new, places)
+        calibration = calibrate_jointly(chosen, places, body, prior, calibration)
+    confirmed = [each for each in moved if is_confirmed_move(each, calibration.marker_offsets)]
+    if len(confirmed) < len(moved):
+        moved, places = confirmed, number_places(confirmed, attached)
         calibration = calibrate_jointly(chosen, places, body, prior, calibration)
     if len(chosen) > 1:
         calibration = remove_noise_bias(calibration, chosen, places, body, prior)

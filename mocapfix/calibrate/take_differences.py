@@ -146,6 +146,18 @@ def find_moved_markers(
     return _drop_neighbours(found, places)
 
 
+def is_confirmed_move(move: MovedMarker, marker_offsets: Float[np.ndarray, "T K 3"]) -> bool:
+    """Return whether a marker still lies elsewhere in some takes after a calibration in which it may.
+
+    A marker beside one that moved may seem to move too, until the other one has a place of its own.
+
+    marker_offsets  metres, the calibrated places in each take
+    """
+    others = [t for t in range(len(marker_offsets)) if t not in move.takes]
+    own, usual = (np.median(marker_offsets[rows, move.marker], axis=0) for rows in (list(move.takes), others))
+    return bool(np.linalg.norm(own - usual) >= MIN_MOVE_M)
+
+
 def number_places(moved: Sequence[MovedMarker], places: Int[np.ndarray, "T K"]) -> Int[np.ndarray, "T K"]:
     """Return the place numbers with one more for each moved marker."""
     places = places.copy()

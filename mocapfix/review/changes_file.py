@@ -23,6 +23,7 @@ from mocapfix.review.file_models import ChangeModel, ChangesFileModel, Correctio
 from mocapfix.take import Take
 
 CHANGES_SUFFIX = "changes.yaml"
+CHANGES_KEY = "changes"
 CHANGES_FILE_HEADER = """\
 # Changes that mocapfix made to a take, interval by interval. Frame numbers are the file's own, inclusive.
 # To decline a change, edit its decision and clean the take again with --changes and this file:
@@ -76,10 +77,13 @@ def format_changes_file(
     take: str, frames: tuple[int, int], changes: Sequence[Mapping[str, Any]], corrections: Sequence[CorrectionModel]
 ) -> str:
     """Return the text of a changes file."""
-    head = {"take": take, "frames": InlineSequence(frames)}
-    entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in changes]
-    text = CHANGES_FILE_HEADER + dump_yaml(head, CHANGES_FILE_LINE_LENGTH)
-    text += dump_yaml_list("changes", entries, CHANGES_FILE_LINE_LENGTH)
+    return join_changes_file(take, frames, [_format_entries(changes)] if changes else [], corrections)
+
+
+def join_changes_file(take: str, frames: tuple[int, int], changes: Sequence[str], corrections: Sequence[CorrectionModel]) -> str:
+    """Return the text of a changes file, given the lines of its changes."""
+    text = CHANGES_FILE_HEADER + dump_yaml({"take": take, "frames": InlineSequence(frames)}, CHANGES_FILE_LINE_LENGTH)
+    text += f"{CHANGES_KEY}:\n" + "".join(changes) if changes else dump_yaml({CHANGES_KEY: []})
     if corrections:
         own = [each.model_dump(exclude_defaults=True) for each in corrections]
         own = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in own]
@@ -87,20 +91,21 @@ def format_changes_file(
     return text
 
 
-def format_changes_model(file: ChangesFileModel) -> str:
-    """Return the text of a changes file with this content."""
-    entries = [each.model_dump(exclude={"reviewed", "note"}) | _describe_model_remarks(each) for each in file.changes]
-    return format_changes_file(file.take, file.frames, entries, file.corrections)
-
-
-def _describe_model_remarks(change: ChangeModel) -> dict[str, Any]:
-    return _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
+def format_change(change: ChangeModel) -> str:
+    """Return the lines of one change in a changes file."""
+    remarks = _describe_remarks({change.id} if change.reviewed else (), {change.id: change.note}, change.id)
+    return _format_entries([change.model_dump(exclude={"reviewed", "note"}) | remarks])
 
 
 def _describe_remarks(reviewed_ids: frozenset[str] | set[str] | tuple[()], notes: Mapping[str, str], name: str) -> dict[str, Any]:
     """Return the keys of a change that a reviewer has decided on or noted."""
     remarks: dict[str, Any] = {"reviewed": True} if name in reviewed_ids else {}
     return remarks | ({"note": notes[name]} if notes.get(name) else {})
+
+
+def _format_entries(changes: Sequence[Mapping[str, Any]]) -> str:
+    entries = [{**entry, "markers": InlineSequence(entry["markers"])} for entry in changes]
+    return dump_yaml_list(CHANGES_KEY, entries, CHANGES_FILE_LINE_LENGTH).removeprefix(f"{CHANGES_KEY}:\n")
 
 
 def serialize_changes(changes: Sequence[Change]) -> list[ChangeEntry]:

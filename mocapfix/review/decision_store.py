@@ -11,7 +11,7 @@ from mocapfix.errors import MocapfixError, ReadError, SceneError
 from mocapfix.faults import Decision
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.files.yaml_models import read_yaml_model
-from mocapfix.review.changes_file import format_changes_model
+from mocapfix.review.changes_file import format_change, join_changes_file
 from mocapfix.review.file_models import MAX_NOTE_LENGTH, ChangesFileModel, CorrectionModel
 
 MAX_UNDO_STEPS = 1000
@@ -39,6 +39,7 @@ class DecisionStore:
         self.path = path
         self._check_correction = check_correction
         self._undo: list[ChangesFileModel] = []
+        self._lines: dict[int, str] = {}  # of the changes in the version, by their identity: most stay the same in an edit
         self._version = self._read()
 
     @property
@@ -62,6 +63,7 @@ class DecisionStore:
             return False
         self._version = self._read()
         self._undo.clear()
+        self._lines.clear()
         return True
 
     def decide(self, revision: str, ids: Sequence[str], decision: Decision) -> None:
@@ -120,9 +122,11 @@ class DecisionStore:
                 f"{self.path.name} was changed by another page, program or person; your last edit is not saved. "
                 "The page shows the file as it is now."
             )
-        data = format_changes_model(file).encode()
+        lines = {id(change): self._lines.get(id(change)) or format_change(change) for change in file.changes}
+        data = join_changes_file(file.take, file.frames, list(lines.values()), file.corrections).encode()
         with replace_atomically(self.path) as part:
             part.write_bytes(data)
+        self._lines = lines
         self._undo = [*self._undo[-MAX_UNDO_STEPS + 1 :], self.file]
         self._version = _Version(file, hashlib.sha256(data).hexdigest())
 

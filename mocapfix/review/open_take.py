@@ -14,7 +14,7 @@ from mocapfix.review.approvals import Approval, determine_state, read_approval, 
 from mocapfix.review.cleaning_run import CleaningRun, RunStatus, build_clean_command, explain_why_not, list_values
 from mocapfix.review.corrections import locate_correction
 from mocapfix.review.decision_store import DecisionStore
-from mocapfix.review.file_models import ChangeModel, CorrectionModel
+from mocapfix.review.file_models import ChangeModel, ChangesFileModel, CorrectionModel
 from mocapfix.review.take_files import CleanedTake, read_cleaned_take
 from mocapfix.review.take_view import TakeView, load_take_view
 from mocapfix.take import Take
@@ -92,28 +92,31 @@ class OpenTake:
                 **self.describe_review(),
             }
 
-    def describe_review(self) -> dict[str, Any]:
-        """Return the decisions as they are in the file."""
+    def describe_review(self, before: ChangesFileModel | None = None) -> dict[str, Any]:
+        """Return the decisions as they are in the file, of the changes only those that differ from the content before."""
         with self.lock:
             file, approval = self.store.file, read_approval(self.take)
             own = {(each.kind, tuple(each.markers), each.first) for each in file.corrections}
+            known = {id(change) for change in before.changes} if before else set[int]()
             return {
                 "revision": self.store.revision,
                 "state": determine_state(file, approval, self.store.revision),
-                "changes": [describe_change(change, own) for change in file.changes],
+                "changed" if before else "changes": [
+                    describe_change(change, own) for change in file.changes if id(change) not in known
+                ],
                 "corrections": [each.model_dump() for each in file.corrections],
                 "undo_count": self.store.undo_count,
                 "approval": self._describe_approval(approval),
             }
 
     def edit(self, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out an edit, and return the decisions after it.
+        """Carry out an edit, and return what it changed.
 
         Raises EditConflictError, WriteError while the take is being cleaned, SceneError for an edit that is not allowed.
         """
         with self.lock:
             self.check_not_running()
-            store = self.store
+            store, before = self.store, self.store.file
             match action:
                 case {"type": "decide", "ids": list() as ids, "decision": "accept" | "reject" | "keep" as decision}:
                     store.decide(revision, [str(each) for each in cast("list[object]", ids)], decision)
@@ -127,7 +130,7 @@ class OpenTake:
                     store.undo(revision)
                 case _:
                     raise SceneError("The page sent an edit that is not known; load it again.")
-            return self.describe_review()
+            return self.describe_review(before)
 
     def approve(self, name: str) -> dict[str, Any]:
         """Approve the take as it is. Raises as `edit`."""

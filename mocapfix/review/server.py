@@ -32,14 +32,14 @@ ASSETS_FOLDER = Path(__file__).parent / "page"
 THREE_MODULE, THREE_PATH = "nicegui", Path("elements") / "scene" / "dist" / "index.js"
 """three.js with its orbit controls as one module, as NiceGUI ships it"""
 PAGE_CLOSED_LIMIT_S = 10.0
-KEEP_ALIVE_S = 15.0
+KEEP_ALIVE_S = 3.0
 MAX_BODY_BYTES = 1_000_000
 SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
 Handler = Callable[[Request], Awaitable[Response]]

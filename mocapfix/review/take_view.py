@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from mocapfix.animation import Animation
 from mocapfix.animations.joint_points import build_tip_take
 from mocapfix.errors import MocapfixError, ReadError
+from mocapfix.files.free_memory import return_free_memory
 from mocapfix.read.c3d import read_fill_sd
 from mocapfix.read.capture import read_capture
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
@@ -20,6 +21,7 @@ from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import Take
 from mocapfix.write.bvh import CENTIMETRE_M
 
+JOINT_BLOCK_FRAMES = 1000
 MAX_COMPARED_SAMPLES = 20_000
 """samples that are compared with all others of their frame at a time"""
 NO_INPUT_NOTE = (
@@ -94,7 +96,7 @@ def load_take_view(take: CleanedTake) -> TakeView:
     is_estimated = np.isfinite(fill_sd)
     if before is None:
         before = replace(after, markers=np.where(is_estimated[..., None], np.nan, after.markers), unlabelled=None)
-    unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3))
+    unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3), np.float32)
     joints, names, parents = _compute_joints(take, after, animation)
     view = TakeView(
         rate=after.rate,
@@ -103,15 +105,16 @@ def load_take_view(take: CleanedTake) -> TakeView:
         unlabelled_labels=before.unlabelled.labels if before.unlabelled else (),
         joint_names=names,
         bones=tuple((int(parent), joint) for joint, parent in enumerate(parents) if parent >= 0),
-        before=before.markers.astype(np.float32),
-        after=after.markers.astype(np.float32),
-        unlabelled=unlabelled.astype(np.float32),
-        joints=joints.astype(np.float32),
-        sd=fill_sd.astype(np.float32),
+        before=before.markers.astype(np.float32, copy=False),
+        after=after.markers.astype(np.float32, copy=False),
+        unlabelled=unlabelled.astype(np.float32, copy=False),
+        joints=joints.astype(np.float32, copy=False),
+        sd=fill_sd.astype(np.float32, copy=False),
         states=np.zeros(fill_sd.shape, np.uint8),
         notes=tuple(notes),
     )
     states = classify_shown_samples(view.before, view.after, view.unlabelled)
+    return_free_memory()
     return replace(view, states=states, sd=np.where(find_estimated_samples(states), view.sd, np.float32(np.nan)))
 
 
@@ -153,9 +156,18 @@ def _read_points(path: Path, up_axis: str | None) -> tuple[Take, Float[np.ndarra
     except MocapfixError as error:
         raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
     if isinstance(capture, Animation):
-        take = build_tip_take(capture)
-        return take, np.full(take.visible.shape, np.nan), capture
-    return capture, read_fill_sd(capture), None
+        take = _drop_precision(build_tip_take(capture))
+        return take, np.full(take.visible.shape, np.nan, np.float32), capture
+    fill_sd = read_fill_sd(capture).astype(np.float32)
+    return _drop_precision(capture), fill_sd, None
+
+
+def _drop_precision(take: Take) -> Take:
+    """Return a take with positions in single precision, and without what the page does not show."""
+    loose = take.unlabelled
+    if loose is not None:
+        loose = Take(loose.markers.astype(np.float32), loose.labels, loose.rate, loose.first_frame)
+    return Take(take.markers.astype(np.float32), take.labels, take.rate, take.first_frame, take.path, unlabelled=loose)
 
 
 def _select_labels(take: Take, fill_sd: Float[np.ndarray, "T M"], cleaned: CleanedTake) -> tuple[Take, Float[np.ndarray, "T M"]]:
@@ -179,12 +191,16 @@ def _compute_joints(
     if animation is None:
         path = take.get_path("bvh")
         if not path.is_file():
-            return np.zeros((after.frame_count, 0, 3)), (), []
+            return np.zeros((after.frame_count, 0, 3), np.float32), (), []
         written = read_capture(path)
         assert isinstance(written, Animation)
         animation = replace(written, unit_m=CENTIMETRE_M, rotation_y_up_file=np.eye(3))
         shift_m = float(find_argument(take.arguments, "--floor") or 0.0)
     frames = np.rint(np.arange(after.frame_count) * (animation.rate / after.rate)).astype(int)
     frames = np.minimum(frames, animation.frame_count - 1)
-    positions = animation.compute_world_poses()[0][frames] + [0.0, shift_m, 0.0]
+    positions = np.zeros((after.frame_count, len(animation.names), 3), np.float32)
+    for first in range(0, len(frames), JOINT_BLOCK_FRAMES):  # the rotations of all frames need much memory
+        block = slice(first, first + JOINT_BLOCK_FRAMES)
+        positions[block] = animation.replace_values(animation.values[frames[block]]).compute_world_poses()[0]
+    positions[..., 1] += shift_m
     return positions, animation.names, animation.parents.tolist()

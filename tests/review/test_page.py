@@ -4,7 +4,9 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +14,8 @@ import yaml
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from mocapfix.review.changes_file import write_changes_file
+from mocapfix.review.review_session import ReviewSession
+from mocapfix.review.server import ReviewServer
 from tests.review.conftest import RunningServer
 from tests.review.test_changes_file import build_change
 
@@ -20,6 +24,7 @@ SOFTWARE_RENDERING = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader
 WAIT_MS = 60_000
 RUN_DEPENDENT_SUFFIXES = (".rrd", ".report.json", ".report.html", ".review.lock")
 
+expect.set_options(timeout=WAIT_MS)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: make browser")
 
 
@@ -218,6 +223,34 @@ def test_take_is_approved_by_keyboard(page: Page, running: RunningServer) -> Non
     press_and_wait(page, "a")
     expect(page.locator("#take-state")).to_have_text("in review")
     assert (running.folder / "walk.approval.json").is_file()
+
+
+def test_takes_of_a_session_are_opened_in_turn(browser: Browser, folder: Path, problems: list[str]) -> None:
+    shutil.copytree(folder, folder.parent / "second" / "run")
+    shutil.copytree(folder, folder.parent / "third")
+    session = ReviewSession(folder.parent)
+    assert session.ids == ["second/run/walk", "third/walk", "walk.mocapfix/walk"]
+    session.approve("third/walk", "Ann")
+    server = ReviewServer(session)
+    thread = threading.Thread(target=server.serve, daemon=True)
+    thread.start()
+    page = open_page(browser, RunningServer(server.address.rstrip("/"), folder, session, server), problems)
+    assert get_take(page)["id"] == "second/run/walk"
+    page.keyboard.press("t")
+    expect(page.locator('#takes .row[data-id="third/walk"]')).to_contain_text("approved")
+    page.keyboard.press("Escape")
+    page.keyboard.press("n")
+    page.wait_for_function("review.getState().take.id === 'walk.mocapfix/walk'")
+    wait_until_ready(page)
+    page.keyboard.press("t")
+    page.locator('#takes .row[data-id="third/walk"]').click()
+    expect(page.locator("#take-state")).to_have_text("approved by Ann")
+    wait_until_ready(page)
+    page.context.close()
+    server.stop()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert not problems
 
 
 def test_labels_and_notes_with_html_are_text(browser: Browser, running: RunningServer, problems: list[str]) -> None:

@@ -295,6 +295,20 @@ def test_server_ends_when_a_page_asks_for_it(folder: Path) -> None:
     assert not thread.is_alive()
 
 
+def test_server_ends_when_the_last_page_is_closed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mocapfix.review.server.PAGE_CLOSED_LIMIT_S", 0.5)
+    monkeypatch.setattr("mocapfix.review.server.KEEP_ALIVE_S", 0.2)
+    server = ReviewServer(ReviewSession(folder))
+    thread = threading.Thread(target=server.serve, daemon=True)
+    thread.start()
+    with urllib.request.urlopen(f"{server.address}api/events", timeout=30) as stream:
+        assert stream.readline() == b": open\n"
+        thread.join(1.5)
+        assert thread.is_alive()
+    thread.join(20.0)
+    assert not thread.is_alive()
+
+
 def test_killed_server_leaves_a_file_that_can_be_read(folder: Path) -> None:
     """Killed while decisions arrive one after the other: each that was confirmed is in the file."""
     command = [sys.executable, "-m", "mocapfix", "review", str(folder), "--no-browser"]

@@ -226,7 +226,9 @@ class App {
   }
 
   applyReview(take, review) {
-    Object.assign(take, review);
+    const { changed = [], ...rest } = review, byId = new Map(changed.map((each) => [each.id, each]));
+    Object.assign(take, rest);
+    if (byId.size) take.changes = take.changes.map((each) => byId.get(each.id) ?? each);
     if (take !== this.take) return;
     this.renderReview();
     const entry = this.session?.takes.find((each) => each.id === take.id);
