@@ -21,7 +21,7 @@ from mocapfix.review.server import ReviewServer
 
 TARGET = Path(__file__).parent.resolve() / "review-page.png"
 CHANGE = "gap-LWRA-121"
-PICTURE_COLOURS = 128
+PICTURE_COLOURS = 256
 
 
 def write_picture(theme: Literal["dark", "light"], target: Path) -> None:
@@ -45,7 +45,8 @@ def write_picture(theme: Literal["dark", "light"], target: Path) -> None:
         browser.close()
         server.stop()
         thread.join()
-    Image.open(target).convert("P", palette=Image.Palette.ADAPTIVE, colors=PICTURE_COLOURS).save(target, optimize=True)
+    picture = Image.open(target).convert("RGB")
+    picture.quantize(PICTURE_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from mocapfix.bench.session_takes import build_session_people
 from mocapfix.calibrate.calibration import select_calibration_frames
 from mocapfix.calibrate.calibration_frames import CalibrationFrames, read_calibration_frames, write_calibration_frames
 from mocapfix.calibrate.person_calibration import PersonCalibration, calibrate_person, join_marker_sets
+from mocapfix.calibrate.take_differences import MovedMarker, is_confirmed_move
 from mocapfix.errors import ReadError, TakeError
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.skeleton import load_cmu31_body
@@ -122,3 +123,11 @@ def test_damaged_archive_is_one_sentence(tmp_path: Path, spoil: Callable[[Path],
     spoil(tmp_path / "a.npz")
     with pytest.raises(ReadError, match="calibration frames"):
         read_calibration_frames(tmp_path / "a.npz")
+
+
+def test_move_is_confirmed_by_the_places_after_calibration() -> None:
+    offsets = np.zeros((4, 2, 3))
+    offsets[2:, 0] = [0.02, 0.0, 0.0]
+    offsets[3, 1] = [0.0, 0.012, 0.0]
+    assert is_confirmed_move(MovedMarker(0, (2, 3), 0.02), offsets)
+    assert not is_confirmed_move(MovedMarker(1, (3,), 0.017), offsets)

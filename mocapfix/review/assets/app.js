@@ -14,6 +14,9 @@ import { Playback, PlaybackBar } from "./playback.js";
 import { Samples } from "./samples.js";
 import { createScene } from "./empty-scene.js";
 
+/** How often the bar and the line in the curves move while playing, if drawing is slow. */
+const SLOW_UPDATE_MS = 90;
+
 export class App {
   constructor() {
     Object.assign(this, { session: null, take: null, samples: null, selected: null, correction: null, marker: -1, trajectory: null });
@@ -245,9 +248,17 @@ export class App {
   showFrame() {
     if (!this.samples) return;
     this.scene.showFrame(this.samples, this.frame, this.marker, this.listSelectedMarkers());
+    this.requestDraw();
+    const now = performance.now();
+    if (this.playback.isPlaying && this.scene.isSlow && now - this.placedAt < SLOW_UPDATE_MS) return;
+    this.placedAt = now;
+    this.showPlace();
+  }
+
+  /** Show the frame in the bar and in the curves. */
+  showPlace() {
     this.bar.update();
     this.curves.showFrame(this.frame);
-    this.requestDraw();
   }
 
   requestDraw() {
@@ -272,7 +283,7 @@ export class App {
       if (this.playback.isPlaying) this.scene.adapt(this.playback.countFrame(now));
     }
     if (this.playback.isPlaying || this.scene.turn) this.schedule();
-    else this.bar.update();
+    else this.showPlace();
   }
 
   report(text, isProblem = false) {
@@ -290,6 +301,7 @@ export class App {
   close() {
     this.isClosed = true;
     this.playback.pause();
+    for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
     this.connection.end();
   }
 

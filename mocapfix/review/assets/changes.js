@@ -29,7 +29,7 @@ export class ChangeList {
       const row = event.target.closest(".row");
       if (row) this.select(row.dataset.id);
     });
-    new ResizeObserver(() => this.render()).observe(element);
+    new ResizeObserver(() => this.reveal()).observe(element);
   }
 
   setTake(take) {
@@ -54,7 +54,7 @@ export class ChangeList {
     this.listed.sort(ORDERS[sort.value]);
     this.positions = new Map(this.listed.map((change, position) => [change.id, position]));
     const open = this.changes.filter((change) => !change.is_reviewed).length;
-    find("count").textContent = `${this.listed.length} of ${count(this.changes.length, "change")}, ${open} not reviewed`;
+    find("count").textContent = `${this.listed.length.toLocaleString("en")} of ${count(this.changes.length, "change")}, ${open.toLocaleString("en")} not reviewed`;
     this.empty.textContent = this.changes.length ? "No change passes the filters." : "The cleaning made no changes.";
     this.empty.hidden = this.listed.length > 0;
     this.render();
@@ -80,7 +80,10 @@ export class ChangeList {
   /** Scroll until the selected row and its reason are in view. */
   reveal() {
     const position = this.findPosition();
-    if (position < 0) return;
+    if (position < 0) {
+      this.render();
+      return;
+    }
     const { element } = this, top = position * ROW_PX, bottom = top + ROW_PX + this.detailHeight;
     if (top < element.scrollTop) element.scrollTop = top;
     else if (bottom > element.scrollTop + element.clientHeight) element.scrollTop = Math.min(top, bottom - element.clientHeight);

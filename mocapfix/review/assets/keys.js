@@ -68,7 +68,7 @@ export function listenForKeys(app) {
     }
     if (isUsed(event)) return;
     const entry = ACTIONS[nameKey(event)];
-    if (!entry || app.isClosed) return;
+    if (!entry || app.isClosed || app.connection.isLost) return;
     const [action, argument] = entry;
     event.preventDefault();
     if (event.repeat && !REPEATED.has(action)) return;

@@ -6,7 +6,7 @@ import { STATE } from "./samples.js";
 const COLOURS = { before: 0x6b7480, faulty: 0xff4f4f, relabelled: 0xa98bff, estimated: 0x2fd07a, unlabelled: 0xe0a030 };
 const THEMES = { dark: { back: 0x101418, after: 0xc9d0d8, grid: 0x39424c, bone: 0x4f8fd6 },
   light: { back: 0xe9edf1, after: 0x8d98a5, grid: 0xc3cad2, bone: 0x3f7fc4 } };
-const SIZES_M = { before: 0.026, after: 0.034, unlabelled: 0.022 };
+const SIZES_M = { before: 0.04, after: 0.05, unlabelled: 0.034 };
 const TRAIL_S = 0.5;
 const PICK_RADIUS_PX = 14;
 const SLOW_RENDER_MS = 24;
