@@ -44,7 +44,7 @@ def read_job(path: Path) -> object:
 
 def read_changes(path: Path) -> object:
     """Read a changes file for the take of the seed file."""
-    take = Take(np.zeros((SEED_FRAME_COUNT, 1, 3)), ("Jim:LFHD",), SEED_RATE_HZ)
+    take = Take(np.zeros((SEED_FRAME_COUNT, 2, 3)), ("Jim:LFHD", "Jim:RFHD"), SEED_RATE_HZ)
     return read_changes_file(path, take)
 
 

@@ -19,29 +19,20 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import ASGIApp, Receive, Scope, Send
 
 from mocapfix.errors import MocapfixError, ReadError, SceneError, WriteError
+from mocapfix.review.access_guard import SERVER_HOST, AccessGuard
 from mocapfix.review.decision_store import EditConflictError
 
 if TYPE_CHECKING:
     from mocapfix.review.review_session import Event, ReviewSession
 
-LOOPBACK = "127.0.0.1"
 ASSETS_FOLDER = Path(__file__).parent / "page"
 THREE_MODULE, THREE_PATH = "nicegui", Path("elements") / "scene" / "dist" / "index.js"
 """three.js with its orbit controls as one module, as NiceGUI ships it"""
 PAGE_CLOSED_LIMIT_S = 10.0
 KEEP_ALIVE_S = 3.0
 MAX_BODY_BYTES = 1_000_000
-SECURITY_HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "Cache-Control": "no-store",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "same-origin",
-    "X-Content-Type-Options": "nosniff",
-}
 Handler = Callable[[Request], Awaitable[Response]]
 
 
@@ -66,7 +57,7 @@ class ReviewServer:
     @property
     def address(self) -> str:
         """The address of the page, with its token."""
-        return f"http://{LOOPBACK}:{self.port}/{self._token}/"
+        return f"http://{SERVER_HOST}:{self.port}/{self._token}/"
 
     def serve(self) -> None:
         """Serve until the review is closed. Raises KeyboardInterrupt if it is interrupted."""
@@ -209,48 +200,6 @@ class ReviewServer:
         return StreamingResponse(iterate_events(), media_type="text/event-stream")
 
 
-class AccessGuard:
-    """Passes on requests with the token in their path, the right host and no other origin; refuses all others."""
-
-    def __init__(self, application: ASGIApp, port: int, token: str) -> None:
-        self._application, self._prefix = application, f"/{token}"
-        self._hosts = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            return
-        headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        refusal = self._find_refusal(scope, headers)
-        if refusal:
-            await JSONResponse({"error": refusal}, 403)(scope, receive, send)
-            return
-        path = scope["path"].removeprefix(self._prefix)
-
-        async def send_secured(message: Any) -> None:
-            if message["type"] == "http.response.start":
-                added = [(name.lower().encode(), value.encode()) for name, value in SECURITY_HEADERS.items()]
-                message = {**message, "headers": [*message.get("headers", []), *added]}
-            await send(message)
-
-        await self._application({**scope, "path": path, "raw_path": path.encode(), "root_path": ""}, receive, send_secured)
-
-    def _find_refusal(self, scope: Scope, headers: dict[str, str]) -> str:
-        """Return why a request is refused, "" if it is not."""
-        if headers.get("host", "") not in self._hosts:
-            return "This host is not served."
-        token = scope["path"].split("/")[1] if scope["path"].count("/") > 1 else ""
-        if not secrets.compare_digest(f"/{token}".encode(), self._prefix.encode()):
-            return "The address has no valid token; open the address that `mocapfix review` shows."
-        origin = headers.get("origin", "")
-        if origin and origin.removeprefix("http://") not in self._hosts:
-            return "Pages of other origins have no access."
-        if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
-            return "Pages of other origins have no access."
-        if scope["method"] == "POST" and headers.get("content-type", "").split(";")[0].strip() != "application/json":
-            return "Requests must be JSON."
-        return ""
-
-
 def check_server_installed() -> None:
     """Raise ReadError if three.js is not there."""
     find_three_module()
@@ -313,7 +262,7 @@ def _open_loopback_socket(port: int) -> socket.socket:
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        opened.bind((LOOPBACK, port))
+        opened.bind((SERVER_HOST, port))
         opened.listen()
     except (OSError, OverflowError) as error:
         opened.close()

@@ -22,7 +22,7 @@ from mocapfix.take import Take
 from mocapfix.write.bvh import CENTIMETRE_M
 
 JOINT_BLOCK_FRAMES = 1000
-MAX_COMPARED_SAMPLES = 20_000
+MAX_SAMPLES_COMPARED_AT_ONCE = 20_000
 """samples that are compared with all others of their frame at a time"""
 NO_INPUT_NOTE = (
     "The input file {name} is not where it was when the take was cleaned, so the markers before cleaning are not shown."
@@ -143,7 +143,7 @@ def _find_positions(
     """Return which of the selected samples are exactly at the position of a trajectory in their frame."""
     found = np.zeros(selected.shape, bool)
     samples = np.argwhere(selected)
-    for part in np.array_split(samples, 1 + len(samples) // MAX_COMPARED_SAMPLES):
+    for part in np.array_split(samples, 1 + len(samples) // MAX_SAMPLES_COMPARED_AT_ONCE):
         frames, markers = part[:, 0], part[:, 1]
         found[frames, markers] = (trajectories[frames] == positions[frames, markers][:, None]).all(-1).any(-1)
     return found

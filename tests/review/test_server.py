@@ -140,7 +140,7 @@ def test_an_edit_of_an_old_revision_gets_the_new_state(running: RunningServer) -
     assert "was changed by another page" in answer["error"]
 
 
-def test_pages_are_told_of_each_others_edits(running: RunningServer) -> None:
+def test_pages_receive_each_others_edits(running: RunningServer) -> None:
     events: list[dict[str, Any]] = []
     remove = running.session.add_listener(events.append)
     change = fetch(running, "takes/walk")["changes"][0]["id"]
