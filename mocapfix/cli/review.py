@@ -3,6 +3,7 @@
 import importlib.util
 import webbrowser
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli.arguments import JsonOption, describe_option
-from mocapfix.cli.console import EXIT_DONE, print_json, print_line, stdout_console
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_error, print_json, print_line, stdout_console
 from mocapfix.errors import ReadError
 
-REVIEW_LOCK_NAME = ".review.lock"
 REVIEW_PACKAGES = ("nicegui", "starlette", "uvicorn")
 
 FolderArgument = Annotated[
@@ -37,7 +37,7 @@ def run_review(
         raise ReadError(f"The review needs {' and '.join(missing)}; install it with: pip install 'mocapfix[review]'.")
     from mocapfix.batch.folder_lock import BATCH_LOCK_NAME
     from mocapfix.files.process_lock import hold_process_lock
-    from mocapfix.review.review_session import ReviewSession
+    from mocapfix.review.review_session import ReviewSession, describe_other_review
     from mocapfix.review.server import ReviewServer, check_server_installed
 
     check_server_installed()
@@ -49,13 +49,11 @@ def run_review(
             raise ReadError(f"{folder}: has no take {take!r}; its takes are {', '.join(session.ids[:20])}.")
         start = f"#{matching[0]}"
 
-    def describe_refusal(holder: str) -> str:
-        return f"{folder}: is being reviewed or cleaned by another process ({holder}); end that first."
-
     with ExitStack() as locks:
-        names = [REVIEW_LOCK_NAME, *([BATCH_LOCK_NAME] if (folder / BATCH_LOCK_NAME).exists() else [])]
-        for name in names:
-            locks.enter_context(hold_process_lock(folder / name, describe_refusal))
+        if (folder / BATCH_LOCK_NAME).exists():
+            locks.enter_context(hold_process_lock(folder / BATCH_LOCK_NAME, partial(describe_other_review, folder)))
+        if len(session.ids) == 1:
+            session.open_take(session.ids[0])  # refuses at once what another process reviews
         server = ReviewServer(session, port)
         print_line(f"Review of {escape(str(folder))}: {escape(server.address + start)}")
         print_line("End it with Ctrl-C, or by closing the page.")
@@ -83,6 +81,9 @@ def run_status(folder: FolderArgument, as_json: JsonOption = False) -> int:
         worst = "" if each["worst_mm"] is None else f"{each['worst_mm']:.1f}"
         approved = f"{each['approved_by']}, {each['approved_at'][:16].replace('T', ' ')}" if each["approved_by"] else ""
         counts = (str(each["change_count"]), str(each["reviewed_count"]))
-        table.add_row(escape(each["id"]), each["error"] or each["state"], *counts, worst, escape(approved))
+        table.add_row(escape(each["id"]), "unreadable" if each["error"] else each["state"], *counts, worst, escape(approved))
     stdout_console.print(table)
-    return EXIT_DONE
+    for each in takes:
+        if each["error"]:
+            print_error(each["error"])
+    return EXIT_FAILED if any(each["error"] for each in takes) else EXIT_DONE

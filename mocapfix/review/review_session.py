@@ -3,10 +3,13 @@
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mocapfix.errors import MocapfixError, ReadError
+from mocapfix.files.process_lock import hold_process_lock
 from mocapfix.files.yaml_models import read_yaml_model
 from mocapfix.review.approvals import determine_state, hash_changes, read_approval
 from mocapfix.review.cleaning_run import RunStatus
@@ -15,6 +18,7 @@ from mocapfix.review.open_take import OpenTake
 from mocapfix.review.take_files import CleanedTake, find_cleaned_takes, find_takes_of_one_file
 
 Event = dict[str, Any]
+REVIEW_LOCK_NAME = ".review.lock"
 MAX_TAKES_READ_AT_ONCE = 30
 MAX_OPEN_VIEWS = 2
 """takes whose samples are kept in memory"""
@@ -32,6 +36,7 @@ class ReviewSession:
         self._open: dict[str, OpenTake] = {}
         self._lock = threading.RLock()
         self._listeners: list[Callable[[Event], None]] = []
+        self._locks, self._held_folders = ExitStack(), set[Path]()
         self._summaries: dict[str, tuple[object, dict[str, Any]]] = {}
         if len(self._takes) > MAX_TAKES_READ_AT_ONCE:
             threading.Thread(target=self._read_summaries, daemon=True).start()
@@ -93,12 +98,20 @@ class ReviewSession:
                 raise ReadError(f"{name}: is no take of this review.")
             if name not in self._open:
                 take = self._takes[name]
+                self._hold_folder(take.folder)
                 self._open[name] = OpenTake(take, find_takes_of_one_file(take, list(self._takes.values())))
             opened = self._open.pop(name)
             self._open[name] = opened  # the last is the one that was used last
             for other in list(self._open.values())[:-MAX_OPEN_VIEWS]:
                 other.release_view()
             return opened
+
+    def _hold_folder(self, folder: Path) -> None:
+        """Hold the lock on the outputs of a take until the session ends. Raises WriteError if another process reviews them."""
+        folder = folder.resolve()
+        if folder not in self._held_folders:
+            self._locks.enter_context(hold_process_lock(folder / REVIEW_LOCK_NAME, partial(describe_other_review, folder)))
+            self._held_folders.add(folder)
 
     def edit(self, name: str, revision: str, action: Mapping[str, Any]) -> dict[str, Any]:
         """Edit the decisions on a take, and announce it. Raises as `OpenTake.edit`."""
@@ -141,6 +154,12 @@ class ReviewSession:
         for opened in list(self._open.values()):
             opened.cancel_cleaning()
         self.announce({"type": "closing"})
+        self._locks.close()
+
+
+def describe_other_review(folder: Path, holder: str) -> str:
+    """Return the sentence on a folder whose outputs another process reviews."""
+    return f"{folder}: is being reviewed or cleaned by another process ({holder}); end that first."
 
 
 def stat_file(path: Path) -> os.stat_result | None:

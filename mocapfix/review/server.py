@@ -33,6 +33,7 @@ THREE_MODULE, THREE_PATH = "nicegui", Path("elements") / "scene" / "dist" / "ind
 PAGE_CLOSED_LIMIT_S = 10.0
 KEEP_ALIVE_S = 3.0
 MAX_BODY_BYTES = 1_000_000
+MAX_PORT = 65_535
 Handler = Callable[[Request], Awaitable[Response]]
 
 
@@ -258,14 +259,16 @@ def _read_number(request: Request, key: str) -> int:
 
 
 def _open_loopback_socket(port: int) -> socket.socket:
-    """Return a socket on loopback. Raises WriteError if the port is used."""
+    """Return a socket on loopback. Raises WriteError if the port is used or no port."""
+    if not 0 <= port <= MAX_PORT:
+        raise WriteError(f"Port {port} cannot be used (ports are 0 to {MAX_PORT}); choose another with --port, or 0 for any.")
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind((SERVER_HOST, port))
         opened.listen()
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         opened.close()
-        problem = getattr(error, "strerror", None) or error
+        problem = error.strerror or error
         raise WriteError(f"Port {port} cannot be used ({problem}); choose another with --port, or 0 for any.") from error
     return opened

@@ -225,8 +225,8 @@ def test_cleaning_again_writes_what_the_command_line_writes(running: RunningServ
 
 def test_a_failed_cleaning_leaves_the_outputs_and_gives_its_sentence(running: RunningServer) -> None:
     (running.folder.parent / "walk.c3d").write_bytes(b"no capture")
-    outputs = {path.name: path.read_bytes() for path in running.folder.iterdir()}
     fetch(running, "session")
+    outputs = {path.name: path.read_bytes() for path in running.folder.iterdir() if path.name != ".review.lock"}
     request(f"{running.address}/api/takes/walk/clean", body={})
     status, data, _ = request(f"{running.address}/api/takes/walk")
     if status == 200:  # the input was read before it was damaged
@@ -235,7 +235,8 @@ def test_a_failed_cleaning_leaves_the_outputs_and_gives_its_sentence(running: Ru
         assert "walk.c3d" in run["message"]
     else:
         assert "walk.c3d" in json.loads(data)["error"]
-    assert {path.name: path.read_bytes() for path in running.folder.iterdir()} == outputs
+    left = {path.name: path.read_bytes() for path in running.folder.iterdir() if path.name != ".review.lock"}
+    assert left == outputs
 
 
 def test_approval_has_name_and_date_and_ends_with_the_next_edit(running: RunningServer) -> None:
@@ -334,6 +335,18 @@ def test_killed_server_leaves_a_file_that_can_be_read(folder: Path) -> None:
     declined = {each.entry.id for each in read_changes_file(folder / "walk.changes.yaml", capture).declined}
     assert set(confirmed) <= declined
     assert len(declined) <= len(set(confirmed)) + 1
+
+
+def test_take_is_reviewed_by_one_process(folder: Path) -> None:
+    """A review of the folder above is refused the take that another one has open."""
+    session = ReviewSession(folder)
+    session.open_take("walk")
+    above = ReviewSession(folder.parent)
+    with pytest.raises(WriteError, match="is being reviewed or cleaned by another process"):
+        above.open_take("walk.mocapfix/walk")
+    session.close()
+    above.open_take("walk.mocapfix/walk")
+    above.close()
 
 
 def test_second_review_of_a_folder_is_refused_and_status_lists_it(folder: Path) -> None:
