@@ -85,14 +85,16 @@ def read_c3d(path: Path, data: bytes) -> Take:
 def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
     """Return the standard deviations per axis (m) that mocapfix stored in the file of a take for its fills, NaN elsewhere.
 
-    They are the residuals of samples to which no camera contributed; see `write.patches.patch_c3d`.
+    They are the residuals of samples to which no camera contributed; see `write.patches.patch_c3d`. Infinite for those at the
+    largest residual that a file can store, which stands for all larger ones.
     """
     fill_sd = np.full(take.visible.shape, np.nan)
     layout = take.layout
     if not isinstance(layout, C3dLayout) or take.path is None or take.computed is None or not take.computed.any():
         return fill_sd
     words = _decode_values(layout, take.path.read_bytes())[..., 3][:, take.point_indices]
-    fill_sd[take.computed] = words[take.computed] % (MAX_RESIDUAL_COUNTS + 1) * (layout.scale_factor * layout.unit_m)
+    counts = words[take.computed] % (MAX_RESIDUAL_COUNTS + 1)
+    fill_sd[take.computed] = np.where(counts < MAX_RESIDUAL_COUNTS, counts * (layout.scale_factor * layout.unit_m), np.inf)
     return fill_sd
 
 

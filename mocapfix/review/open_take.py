@@ -52,7 +52,7 @@ class OpenTake:
         """What the page shows. Raises ReadError."""
         with self.lock:
             if self._view is None:
-                self._view = load_take_view(self.take)
+                self._view = load_take_view(self.take, self.store.file.changes)
             return self._view
 
     @property
@@ -177,7 +177,7 @@ class OpenTake:
         try:
             self.take = replace(read_cleaned_take(root, root, self.take.stem), id=self.take.id)
             self.store = DecisionStore(self.take.changes_path, self._check_correction)
-            self._view = load_take_view(self.take)
+            self._view = load_take_view(self.take, self.store.file.changes)
         except Exception as error:
             self._view = None
             return RunStatus("failed", message=f"The take was cleaned, but its outputs cannot be shown: {error}")

@@ -1,5 +1,6 @@
 """What the page of a review shows of a take: the markers before and after cleaning, the body, and the state of every sample."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from mocapfix.read.c3d import read_fill_sd
 from mocapfix.read.capture import read_capture
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
 from mocapfix.review.clean_arguments import find_argument
+from mocapfix.review.file_models import ChangeModel
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import Take
@@ -75,8 +77,13 @@ class TakeView:
         return b"".join(each[frames].astype("<f4", copy=False).tobytes() for each in arrays) + self.states[frames].tobytes()
 
 
-def load_take_view(take: CleanedTake) -> TakeView:
-    """Return what the page shows of a cleaned take. Raises ReadError if its files are damaged or do not belong together."""
+def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> TakeView:
+    """Return what the page shows of a cleaned take.
+
+    changes  those in its changes file: their predicted errors stand in for uncertainties that are too large for the cleaned file
+
+    Raises ReadError if its files are damaged or do not belong together.
+    """
     up_axis = find_argument(take.arguments, "--up")
     after, fill_sd, animation = _read_points(take.cleaned_path, up_axis)
     notes: list[str] = []
@@ -93,7 +100,7 @@ def load_take_view(take: CleanedTake) -> TakeView:
             before, _ = _select_labels(before, fill_sd, take)
         except ReadError:
             before, notes = None, [*notes, LABELLED_NOTE]
-    is_estimated = np.isfinite(fill_sd)
+    is_estimated = ~np.isnan(fill_sd)
     if before is None:
         before = replace(after, markers=np.where(is_estimated[..., None], np.nan, after.markers), unlabelled=None)
     unlabelled = before.unlabelled.markers if before.unlabelled else np.zeros((after.frame_count, 0, 3), np.float32)
@@ -115,7 +122,23 @@ def load_take_view(take: CleanedTake) -> TakeView:
     )
     states = classify_shown_samples(view.before, view.after, view.unlabelled)
     return_free_memory()
-    return replace(view, states=states, sd=np.where(find_estimated_samples(states), view.sd, np.float32(np.nan)))
+    sd = np.where(find_estimated_samples(states), replace_unstored_sd(view, changes), np.float32(np.nan))
+    return replace(view, states=states, sd=sd)
+
+
+def replace_unstored_sd(view: TakeView, changes: Sequence[ChangeModel]) -> Float32[np.ndarray, "T M"]:
+    """Return the standard deviations, with that of its change for each sample for which the file could store none (infinite).
+
+    The predicted error of a change is the root mean square of a distance, that of three axes.
+    """
+    sd = view.sd.copy()
+    for change in changes:
+        frames = slice(change.first - view.first_frame, change.last - view.first_frame + 1)
+        for m in (view.labels.index(label) for label in change.markers if label in view.labels):
+            if change.predicted_mm is not None:
+                part = sd[frames, m]
+                part[np.isposinf(part)] = change.predicted_mm / (1e3 * np.sqrt(3))
+    return np.where(np.isinf(sd), np.float32(np.nan), sd)
 
 
 def classify_shown_samples(

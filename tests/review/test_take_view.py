@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,12 @@ from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
 from mocapfix.read.capture import read_capture
 from mocapfix.report.sample_states import SampleOutcome, classify_samples
+from mocapfix.review.changes_file import serialize_changes
+from mocapfix.review.file_models import ChangeModel
 from mocapfix.review.open_take import OpenTake
 from mocapfix.review.take_files import find_cleaned_takes
-from mocapfix.review.take_view import NO_INPUT_NOTE, classify_shown_samples, load_take_view
+from mocapfix.review.take_view import NO_INPUT_NOTE, classify_shown_samples, load_take_view, replace_unstored_sd
+from tests.review.test_changes_file import build_change
 
 
 def test_states_are_those_of_the_cleaning(faulty, tmp_path: Path) -> None:
@@ -44,8 +48,8 @@ def test_unchanged_samples_are_measured_and_new_ones_filled(seed: int) -> None:
 
 def test_joints_are_those_of_the_solved_body(cleaned_take: Path) -> None:
     (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
-    view = load_take_view(take)
     result = pipeline.clean(cleaned_take / "walk.c3d", prior="none")
+    view = load_take_view(take, [ChangeModel.model_validate(each) for each in serialize_changes(result.changes)])
     assert result.subject
     assert result.joint_position_world is not None
     order = [view.joint_names.index(name) for name in result.subject.skeleton.names]
@@ -85,6 +89,22 @@ def test_files_that_do_not_belong_together_are_named(folder: Path, cleaned_take:
     (folder / "walk.c3d").write_bytes(b"")
     with pytest.raises(ReadError, match=r"walk\.c3d"):
         load_take_view(take)
+
+
+def test_uncertainty_that_the_file_cannot_store_is_that_of_its_change(cleaned_take: Path) -> None:
+    (take,) = find_cleaned_takes(cleaned_take / "walk.mocapfix")
+    view = load_take_view(take)
+    estimated = np.argwhere(np.isfinite(view.sd))
+    (frame, marker), (_, other) = estimated[0], estimated[-1]
+    sd = np.full_like(view.sd, np.nan)
+    sd[frame : frame + 2, marker] = [0.01, np.inf]
+    sd[frame, other] = np.inf
+    number = view.first_frame + int(frame)
+    change = build_change("gap", (view.labels[marker],), number, number + 1, predicted_mm=173.2)
+    model = ChangeModel.model_validate(serialize_changes([change])[0])
+    replaced = replace_unstored_sd(replace(view, sd=sd), [model])
+    np.testing.assert_allclose(replaced[frame : frame + 2, marker], [0.01, 0.1], rtol=1e-3)
+    assert np.isnan(replaced[frame, other])
 
 
 def test_animation_is_shown_by_its_joints(cleaned_take: Path, tmp_path: Path) -> None:

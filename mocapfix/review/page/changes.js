@@ -25,7 +25,7 @@ export function listChanges(changes, { kind, marker, decision, order }) {
 
 export class ChangeList {
   constructor(element, { onSelect }) {
-    Object.assign(this, { element, onSelect, rows: [], selectedId: null, rate: 1 });
+    Object.assign(this, { element, onSelect, rows: [], selectedId: null, rate: 1, prefix: "" });
     this.space = document.createElement("div");
     this.space.style.position = "relative";
     element.append(this.space);
@@ -37,8 +37,12 @@ export class ChangeList {
     new ResizeObserver(() => this.render()).observe(element);
   }
 
-  setRows(rows, selectedId, rate) {
-    Object.assign(this, { rows, selectedId, rate });
+  // Leaves out the name of the subject, if the take has one only.
+  shorten(label) { return this.prefix && label.startsWith(this.prefix) ? label.slice(this.prefix.length) : label; }
+
+  setRows(rows, selectedId, { rate, labels }) {
+    const prefixes = new Set(labels.map((label) => label.match(/^.*:/)?.[0]).filter(Boolean));
+    Object.assign(this, { rows, selectedId, rate, prefix: prefixes.size === 1 ? [...prefixes][0] : "" });
     this.render();
   }
 
@@ -86,9 +90,9 @@ export class ChangeList {
     row.title = `${change.kind}, ${change.markers.join(", ")}, ${frames}, ${seconds.toFixed(2)} s`;
     row.append(
       buildCell(change.kind),
-      buildCell((change.note ? "✎ " : "") + (change.is_correction ? "★ " : "") + change.markers.join(", ")),
+      buildCell((change.note ? "✎ " : "") + (change.is_correction ? "★ " : "") + change.markers.map((label) => this.shorten(label)).join(", ")),
       buildCell(frames, "number"),
-      buildCell(change.predicted_mm === null ? "" : `${change.predicted_mm.toFixed(1)} mm`, "number"),
+      buildCell(change.predicted_mm === null ? "" : `${change.predicted_mm.toFixed(change.predicted_mm < 100 ? 1 : 0)} mm`, "number"),
       buildCell(WORDS[change.decision] ?? change.decision, "decision"),
     );
     return row;

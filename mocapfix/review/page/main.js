@@ -241,7 +241,7 @@ class App {
     const filters = { kind: find("filter-kind").value, marker: find("filter-marker").value, decision: find("filter-decision").value, order: find("sort").value };
     const rows = listChanges(take.changes, filters), reviewed = take.changes.filter((each) => each.is_reviewed).length;
     find("takes-button").hidden = !this.session?.is_batch;
-    this.list.setRows(rows, this.selectedId, take.rate);
+    this.list.setRows(rows, this.selectedId, take);
     find("count").textContent = `${reviewed} of ${take.changes.length} reviewed`;
     find("take-state").textContent = take.state === "approved" ? `approved by ${take.approval.name}` : take.state;
     find("take-state").dataset.state = take.state;
