@@ -13,6 +13,7 @@ from jaxtyping import Bool
 from mocapfix.calibrate import refinement
 from mocapfix.calibrate.calibration import calibrate_subject, select_candidate_frames
 from mocapfix.calibrate.marker_attachment import AttachedMarkers, attach_markers, build_marker_atlas
+from mocapfix.errors import TakeError
 from mocapfix.marker_set import MarkerSet
 from mocapfix.marker_sets.library import load_whole_body_marker_sets
 from mocapfix.pose_prior.mean_pose import MeanPosePrior
@@ -71,7 +72,7 @@ def fit_marker_set(
     guess           an initial set of some of these markers, enough to determine a body
     label_log_odds  log odds that the guess names the correct segment
 
-    Raises TakeError if the guess does not fit a person's size.
+    Raises TakeError if the guess does not fit a person's size, or no marker moves with it.
     """
     atlas, frames = build_marker_atlas(load_whole_body_marker_sets()), select_candidate_frames(take.markers)
     frames = frames[sample_evenly(len(frames), MAX_ATTACHMENT_FRAMES)]
@@ -97,6 +98,8 @@ def fit_marker_set(
     for _ in range(MAX_ATTACHMENT_ROUNDS - 1):
         if marker_set.labels == previous.labels and (marker_set.joints == previous.joints).all():
             break
+        if not marker_set.labels:
+            raise TakeError(f"{take.name}: no marker set can be learned: no marker moves with the body that was assumed.")
         previous = marker_set
         fit, attachment, marker_set = calibrate_and_attach(marker_set)
     return MarkerSetFit(marker_set, fit.subject, attachment, fit.mean_residual_m, fit.joint_rotations)

@@ -26,6 +26,7 @@ RATE_PATTERN = re.compile(
     re.IGNORECASE,
 )
 MAX_BLANK_BYTE = 32  # bytes up to it separate tokens
+MAX_AMC_FRAME_NUMBER = 1e9
 DEFAULT_AMC_RATE_HZ = 120.0  # CMU's, except for some subjects at 60 Hz
 BONE_SECTION_KEYWORD = b":bonedata"
 AMC_KEYWORDS = (b":fully-specified", b":degrees", b":radians")  # at the beginning of a file; a cut-off one may have no more
@@ -175,7 +176,8 @@ def _locate_values(path: Path, tokens: TextTokens, skeleton: AsfSkeleton) -> tup
     is_bone_line = ~tokens.is_number[line_tokens]
     is_stray = ~tokens.is_number
     is_stray[line_tokens] = False
-    is_invalid_frame_line = ~is_bone_line & (token_counts != 1)
+    is_frame_number = np.abs(tokens.values[line_tokens]) <= MAX_AMC_FRAME_NUMBER
+    is_invalid_frame_line = ~is_bone_line & ((token_counts != 1) | ~is_frame_number)
     if is_stray.any() or is_invalid_frame_line.any():
         token = int(np.argmax(is_stray) if is_stray.any() else line_tokens[np.argmax(is_invalid_frame_line)])
         quoted = repr(tokens.get_text(token)[:MAX_QUOTED_CHARACTERS])

@@ -89,6 +89,12 @@ def test_too_few_markers_are_rejected(take):
         unlabelled_markers.guess_from_marker_cloud(few, NAMELESS[:12], BODY, POSES, LIMITS)
 
 
+def test_guess_with_which_no_marker_moves_is_rejected(truth, take, monkeypatch):
+    monkeypatch.setattr(marker_set_fit, "build_marker_set", lambda *_: part([]))
+    with pytest.raises(TakeError, match=r"no marker moves with the body that was assumed\.$"):
+        marker_set_fit.fit_marker_set(take, truth.labels, part(list(truth.labels)), 10.0, BODY, POSES)
+
+
 def test_markers_are_assigned_one_to_one():
     distance = np.array([[0.01, 0.02, 0.3], [0.0, 0.1, 0.3], [np.nan] * 3, [0.2, 0.2, 0.2]])
     assigned, misfit = unlabelled_markers.assign_nearest(distance, 0.15)

@@ -129,6 +129,7 @@ def test_the_asf_is_found_in_the_folder_of_the_amc(tmp_path):
         ("lfoot 7 8", "lfoot 7", "line 8: bone lfoot has 1 values and 2 degrees of freedom"),
         ("lfoot 7 8", "lfoot 7 x", "line 8: 'x' is given where"),
         ("lfoot 7 8", "1 2 3", "line 8: '1' is given where"),
+        ("lfoot 7 8\n", "lfoot 7 8\n" + 400 * "9" + "\n", "line 9: '9999"),
         ("lfoot 7 8", "lfoot 7 8\ntail 1", "line 9: bone tail is not in the skeleton"),
         (FRAMES, "", "has no frames"),
     ],
