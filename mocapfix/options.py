@@ -1,10 +1,7 @@
 """The options of cleaning a take: every option with its default, unit, range and help text, grouped by stage.
 
-This is the only place where an option is defined. The Python interface, the command line and the job files are built from it. It
-imports no numerical library, because the command line needs it to print its help.
-
-    options = CleanOptions(prior=PriorOptions(prior="none"), fill=FillOptions(max_gap_s=2.0))
-    options = build_clean_options(prior="none", max_gap_s=2.0)  # the same, by the names of the fields alone
+The Python interface, the command line and the job files are built from this. It imports no numerical library, because the command
+line needs it to print its help. Example: `build_clean_options(prior="none", max_gap_s=2.0)`.
 """
 
 from collections.abc import Iterator
@@ -13,23 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
 from mocapfix.errors import OptionError
+from mocapfix.files import option_choices as choices
 from mocapfix.files.option_definitions import StageOptions, define_option, list_options
 
 if TYPE_CHECKING:
     from mocapfix.subject import Subject
-
-DEFAULT_PRIOR_NAME = "autoencoder"
-PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR = "every-frame", "lost-limbs", "none"
-PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
-INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
-DEFAULT_INIT_METHOD = "hybrik-x"
-RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
-EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv")  # written on request (write.output_formats)
-REPAIRABLE_KINDS = (
-    "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
-)  # fmt: skip
-"""the kinds of fault that a repair can be restricted to; "gap" stands for every kind of missing samples (faults)"""
-MAX_OUTPUT_RATE_HZ = 1000.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +60,8 @@ class DetectOptions(StageOptions):
     """Fault detection."""
 
     repair_kinds: tuple[str, ...] = define_option(
-        (), "--only", "KIND,...", f"repair these kinds of fault only: {', '.join(REPAIRABLE_KINDS)}",
-        job_key="fill.only", default_text="all", choices=REPAIRABLE_KINDS,
+        (), "--only", "KIND,...", f"repair these kinds of fault only: {', '.join(choices.REPAIRABLE_KINDS)}",
+        job_key="fill.only", default_text="all", choices=choices.REPAIRABLE_KINDS,
     )  # fmt: skip
     max_rounds: int = define_option(
         3, "--detect-max-rounds", "N", "repeat detection on the trajectories at most this many times",
@@ -109,8 +94,9 @@ class InitialiseOptions(StageOptions):
     """Initialisation."""
 
     init_method: str = define_option(
-        DEFAULT_INIT_METHOD, "--init", "METHOD", f"how the first pose of each frame is found: {', '.join(INIT_METHODS)}",
-        job_key="start", choices=INIT_METHODS,
+        choices.DEFAULT_INIT_METHOD, "--init", "METHOD",
+        f"how the first pose of each frame is found: {', '.join(choices.INIT_METHODS)}",
+        job_key="start", choices=choices.INIT_METHODS,
     )  # fmt: skip
     is_fast: bool = define_option(
         False, "--fast", "", "preview: the first pose of each frame is the result, without iterations", job_key="fast",
@@ -124,23 +110,23 @@ class InitialiseOptions(StageOptions):
     @property
     def method_used(self) -> str:
         """The method of initialisation, for previews the learned one in place of the default."""
-        return "learned" if self.is_fast and self.init_method == DEFAULT_INIT_METHOD else self.init_method
+        return "learned" if self.is_fast and self.init_method == choices.DEFAULT_INIT_METHOD else self.init_method
 
 
 @dataclass(frozen=True)
 class PriorOptions(StageOptions):
     """Pose prior."""
 
-    prior: str = define_option(DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
+    prior: str = define_option(choices.DEFAULT_PRIOR_NAME, "--prior", "NAME|none", "trained pose prior", job_key="prior.name")
     prior_scope: str = define_option(
-        PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(PRIOR_SCOPES)}",
-        job_key="prior.scope", choices=PRIOR_SCOPES,
+        choices.PRIOR_LOST_LIMBS, "--prior-scope", "SCOPE", f"where the trained prior is used: {', '.join(choices.PRIOR_SCOPES)}",
+        job_key="prior.scope", choices=choices.PRIOR_SCOPES,
     )  # fmt: skip
 
     @property
     def name_used(self) -> str:
         """The name of the prior, "none" if it is used nowhere."""
-        return NO_TRAINED_PRIOR if self.prior_scope == NO_TRAINED_PRIOR else self.prior
+        return choices.NO_TRAINED_PRIOR if self.prior_scope == choices.NO_TRAINED_PRIOR else self.prior
 
 
 @dataclass(frozen=True)
@@ -195,6 +181,19 @@ class SolveOptions(StageOptions):
 
 
 @dataclass(frozen=True)
+class ContactOptions(StageOptions):
+    """Contacts with the floor."""
+
+    feet: str = define_option(
+        choices.FEET_SOFT, "--feet", "lock|soft|off", "standing feet: held at one place, smoothed, or left as solved",
+        job_key="contacts.feet", choices=choices.FEET_MODES,
+    )  # fmt: skip
+    write_events: bool = define_option(
+        False, "--events", "", "add foot strikes and foot offs to the EVENT group of the C3D", job_key="contacts.events",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class FillOptions(StageOptions):
     """Gap filling."""
 
@@ -242,16 +241,16 @@ class OutputOptions(StageOptions):
     """Output files."""
 
     extra_formats: tuple[str, ...] = define_option(
-        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(EXTRA_FORMAT_NAMES)}",
-        job_key="write.also", default_text="none", choices=EXTRA_FORMAT_NAMES,
+        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(choices.EXTRA_FORMAT_NAMES)}",
+        job_key="write.also", default_text="none", choices=choices.EXTRA_FORMAT_NAMES,
     )  # fmt: skip
     rigs: tuple[str, ...] = define_option(
-        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(RIG_NAMES)}, or a rig's .yaml",
+        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(choices.RIG_NAMES)}, or a rig's .yaml",
         job_key="write.bvh_for", default_text="none",
     )  # fmt: skip
     output_rate_hz: float | None = define_option(
         None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
-        default_text="that of the take", above=0.0, at_most=MAX_OUTPUT_RATE_HZ,
+        default_text="that of the take", above=0.0, at_most=1000.0,
     )  # fmt: skip
     floor_height_m: float = define_option(
         0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",
@@ -269,6 +268,7 @@ class CleanOptions:
     initialise: InitialiseOptions = InitialiseOptions()
     prior: PriorOptions = PriorOptions()
     solve: SolveOptions = SolveOptions()
+    contacts: ContactOptions = ContactOptions()
     fill: FillOptions = FillOptions()
     review: ReviewOptions = ReviewOptions()
     output: OutputOptions = OutputOptions()

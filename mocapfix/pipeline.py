@@ -17,6 +17,7 @@ from mocapfix.animations.clean import clean_animation, inspect_animation, reject
 from mocapfix.calibrate.calibration import calibrate_body, place_moved_markers, select_calibration_frames
 from mocapfix.calibrate.calibration_frames import CalibrationFrames
 from mocapfix.calibrate.person_calibration import calibrate_person
+from mocapfix.contacts.body_contacts import hold_standing_feet
 from mocapfix.detect.learned_set_trial import try_learned_set
 from mocapfix.detect.loop import check_visible_markers, detect_on_body, detect_on_trajectories
 from mocapfix.errors import TakeError
@@ -135,7 +136,7 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
     """Run all stages on the take of one subject."""
     state = detect_and_fit(state, options, timer)
     with timer("solve"):
-        state = complete_body(state, options)
+        state = hold_standing_feet(complete_body(state, options), options)
     with timer("fill"):
         state = fill_gaps(state, options)
         state = apply_decisions(state, options)
@@ -154,6 +155,7 @@ def clean_subject(state: CleaningState, options: CleanOptions, timer: StageTimer
         subject=body.subject if body else None,
         motion=body.motion if body else None,
         joint_position_world=body.solved_joint_positions if body else None,
+        contacts=body.contacts if body else None,
         residual_m=state.residual_m,
         report=build_report(state, options, timer.stage_seconds),
         review=state.review,

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.changes import Change, UnfilledRun
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.errors import WriteError
 from mocapfix.faults import Faults
+from mocapfix.files.layouts import C3dLayout
 from mocapfix.files.output_files import check_outputs_absent, get_source_suffixes, make_output_folder, replace_together
 from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions, OutputOptions
@@ -22,6 +24,7 @@ from mocapfix.review.changes_file import NO_REVIEW, Review
 from mocapfix.review.clean_arguments import build_clean_arguments
 from mocapfix.subject import Subject
 from mocapfix.take import Take
+from mocapfix.write.c3d_events import add_c3d_events
 from mocapfix.write.output_formats import (
     OutputFormat,
     build_exported_motion,
@@ -53,6 +56,7 @@ class CleaningResult:
     joint_position_world  (T, J, 3) m, the solved joints; NaN for joints that the markers do not show; None without a body
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN for other samples; None without a body
     report           contents of the JSON report
+    contacts         when joints of the body are in contact with the floor, and the events of gait; None without a body
     review           what a reviewer decided after an earlier cleaning
     requested        the options with which the take was cleaned
     subject_results  results by subject of a take of several subjects. Their common result has no body of its own
@@ -70,6 +74,7 @@ class CleaningResult:
     joint_position_world: Float[np.ndarray, "T J 3"] | None
     residual_m: Float[np.ndarray, "T M"] | None
     report: Report | MultiSubjectReport
+    contacts: BodyContacts | None = None
     review: Review = NO_REVIEW
     requested: CleanOptions = DEFAULT_CLEAN_OPTIONS
     subject_results: tuple["CleaningResult", ...] = ()
@@ -113,7 +118,13 @@ class CleaningResult:
 
         Returns the (frame, marker) indices of the samples that the file's format cannot store.
         """
-        return write_cleaned_copy(target, self.input_take, self.take)
+        unstorable = write_cleaned_copy(target, self.input_take, self.take)
+        layout = self.input_take.layout
+        if self.requested.contacts.write_events and isinstance(layout, C3dLayout):
+            results = self.subject_results or (self,)
+            events = [event for result in results if result.contacts for event in result.contacts.events]
+            add_c3d_events(target, layout.data_start_byte, events, self.input_take.first_frame, self.input_take.rate)
+        return unstorable
 
     @property
     def output_take(self) -> Take:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.changes import Change, UnfilledRun
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.detect.trajectory_segments import find_namesakes
 from mocapfix.faults import REPLACED_SAMPLE_KINDS, Fault, FaultKind, Faults
 from mocapfix.marker_set import MarkerSet
@@ -124,6 +125,7 @@ class BodyFit:
         marker_positions: metres: where the body carries its markers.
         detection: the detection whose inliers it was solved from; None for a body that is not solved again.
         evidence: what the solver needs to know of a solution to improve it.
+        contacts: when the body's joints are in contact with the floor; None before they are found.
     """
 
     subject: Subject
@@ -134,6 +136,7 @@ class BodyFit:
     marker_positions: Float[np.ndarray, "T K 3"]
     detection: DetectionState | None = None
     evidence: PoseEvidence | None = None
+    contacts: BodyContacts | None = None
 
     @property
     def solved_joint_positions(self) -> Float[np.ndarray, "T J 3"]:

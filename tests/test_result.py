@@ -9,7 +9,8 @@ import pytest
 from mocapfix import pipeline, write
 from mocapfix.errors import SceneError, WriteError
 from mocapfix.files.layouts import TableLayout
-from mocapfix.options import RIG_NAMES, OutputOptions
+from mocapfix.files.option_choices import RIG_NAMES
+from mocapfix.options import OutputOptions
 from mocapfix.read import capture
 from mocapfix.result import CleaningResult
 from mocapfix.write.output_formats import OPTIONAL_FORMATS, list_output_formats

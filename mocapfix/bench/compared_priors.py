@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float
 
 from mocapfix.bench.common_task import build_known_motion
 from mocapfix.errors import SceneError
+from mocapfix.files.option_choices import DEFAULT_PRIOR_NAME
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.kernels.forward_kinematics import KinematicTree
 from mocapfix.kernels.levenberg_marquardt import solve_frames
 from mocapfix.kernels.terms import PointTerm
-from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior.autoencoder import AutoencoderModel
 from mocapfix.pose_prior.io import MNN_IK, load_pose_model
 from mocapfix.pose_prior.model import PoseModel

@@ -15,7 +15,8 @@ import numpy as np
 
 from mocapfix.bench.fuzz_process import FuzzLimits
 from mocapfix.bench.strange_takes import STRANGE_RATES_HZ, STRANGENESSES, Strange, compose_strange_take
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES, build_clean_options
+from mocapfix.files.option_choices import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.options import build_clean_options
 from mocapfix.read.capture import read_capture
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.synthetic.motions import compose_motion

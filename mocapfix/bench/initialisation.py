@@ -40,11 +40,11 @@ from mocapfix.bench.initialisation_takes import (
     read_captures,
 )
 from mocapfix.bench.sound_takes import load_unseen_poses, sample_subject_poses
+from mocapfix.files.option_choices import INIT_METHODS
 from mocapfix.initialise import initial_motion
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.kernels.precompilation import count_cores
 from mocapfix.motion import Motion
-from mocapfix.options import INIT_METHODS
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.report.stage_timer import ProgressCallback
 from mocapfix.skeleton import load_cmu31_body

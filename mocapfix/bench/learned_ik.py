@@ -20,11 +20,11 @@ from mocapfix.bench.compared_priors import JointTask, solve_joint_task
 from mocapfix.bench.hybrik_tables import build_cmu41_subject
 from mocapfix.bench.smplify import optimise_poses
 from mocapfix.errors import ReadError
+from mocapfix.files.option_choices import DEFAULT_PRIOR_NAME
 from mocapfix.initialise.hybrik import solve_hybrik
 from mocapfix.learned_ik.network import IkNetwork, load_shipped_ik_network
 from mocapfix.learned_ik.position_smoothing import smooth_positions
 from mocapfix.learned_ik.regressor import PoseRegressor
-from mocapfix.options import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior.io import load_pose_model
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback

@@ -17,7 +17,7 @@ from mocapfix.bench.given_joints import (
 from mocapfix.bench.lost_limbs import measure_lost_limbs
 from mocapfix.bench.sound_takes import load_unseen_poses, sample_interleaved_poses, sample_subject_poses
 from mocapfix.errors import SceneError
-from mocapfix.options import DEFAULT_PRIOR_NAME
+from mocapfix.files.option_choices import DEFAULT_PRIOR_NAME
 from mocapfix.pose_prior.mean_pose import load_mean_pose_prior
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report.stage_timer import ProgressCallback

@@ -17,8 +17,9 @@ from jaxtyping import Bool
 from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.sound_takes import iterate_sound_takes
 from mocapfix.bench.uncertainty import damage_take
+from mocapfix.files.option_choices import PRIOR_SCOPES
 from mocapfix.marker_sets.library import load_marker_set, write_marker_set
-from mocapfix.options import PRIOR_SCOPES, CleanOptions
+from mocapfix.options import CleanOptions
 from mocapfix.result import CleaningResult
 from mocapfix.synthetic import SyntheticTake
 

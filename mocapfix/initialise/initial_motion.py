@@ -15,11 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 from scipy.spatial.transform import Rotation
 
+from mocapfix.files.option_choices import DEFAULT_INIT_METHOD
 from mocapfix.initialise import joint_positions
 from mocapfix.initialise.hybrik import HybrikVariant, solve_hybrik
 from mocapfix.initialise.segment_registration import register_poses
 from mocapfix.motion import FrameStatus, Motion
-from mocapfix.options import DEFAULT_INIT_METHOD, CleanOptions
+from mocapfix.options import CleanOptions
 from mocapfix.pose_prior.mean_pose import MeanPosePrior, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics

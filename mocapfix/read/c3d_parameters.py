@@ -79,7 +79,7 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         raise ValueError(f"unknown processor type {processor_type}")
     with warnings.catch_warnings(action="ignore"):
         # Buffered, because a BytesIO reads everything for the negative length in a broken chain of parameters.
-        reader = _LenientReader(io.BufferedReader(io.BytesIO(data)))
+        reader = LenientReader(io.BufferedReader(io.BytesIO(data)))
     header = reader.header
     first = _read_whole_number(reader, "TRIAL:ACTUAL_START_FIELD")
     last = _read_whole_number(reader, "TRIAL:ACTUAL_END_FIELD")
@@ -103,13 +103,13 @@ def _parse_parameters(data: bytes) -> C3dParameters:
         data_start_byte=C3D_BLOCK_BYTES * (data_block - 1),
         scale_factor=float(reader.point_scale),
         rate=float(reader.point_rate),
-        unit_name=next(iter(_read_texts(reader, "POINT:UNITS")), ""),
-        screen_axis="".join(_read_texts(reader, "POINT:Y_SCREEN")).upper(),
+        unit_name=next(iter(read_texts(reader, "POINT:UNITS")), ""),
+        screen_axis="".join(read_texts(reader, "POINT:Y_SCREEN")).upper(),
         labels=tuple(_read_text_series(reader, "POINT:LABELS")),
         descriptions=tuple(_read_descriptions(reader)),
         model_outputs=frozenset(_read_model_outputs(reader)),
         modelled_markers=frozenset(_read_listed_labels(reader, VICON_MARKER_GROUPS)),
-        subject_names=tuple(name for name in _read_texts(reader, "SUBJECTS:NAMES") if name),
+        subject_names=tuple(name for name in read_texts(reader, "SUBJECTS:NAMES") if name),
         first_frame=header.first_frame if first is None else first,
         header_frame_count=header_frame_count,
         declared_frame_count=declared_frame_count,
@@ -125,7 +125,7 @@ class _LenientGroup(c3d.Group):
             super().add_param(name, **value)
 
 
-class _LenientReader(c3d.Reader):
+class LenientReader(c3d.Reader):
     """The library's reader, without its checks for contradictions that do not matter here."""
 
     def add_group(self, *args: Any, **options: Any) -> c3d.Group:
@@ -137,7 +137,7 @@ class _LenientReader(c3d.Reader):
         """Check nothing: CMU's files disagree on the analog rate, and the rest is compared with the file's size instead."""
 
 
-def _read_whole_number(reader: _LenientReader, name: str) -> int | None:
+def _read_whole_number(reader: LenientReader, name: str) -> int | None:
     """Return a whole number stored as one 16-bit word, two (the low one first) or a float; None if there is none."""
     parameter = reader.get(name)
     if parameter is None or not parameter.bytes:
@@ -148,7 +148,8 @@ def _read_whole_number(reader: _LenientReader, name: str) -> int | None:
     return sum(int(word) << 16 * i for i, word in enumerate(words))
 
 
-def _read_texts(reader: _LenientReader, name: str) -> list[str]:
+def read_texts(reader: LenientReader, name: str) -> list[str]:
+    """Return the texts of a parameter, without blanks around them; none if there is no such parameter."""
     parameter = reader.get(name)
     if parameter is None:
         return []
@@ -156,16 +157,16 @@ def _read_texts(reader: _LenientReader, name: str) -> list[str]:
     return [text.strip(" \0\t\r\n") for text in texts]
 
 
-def _read_text_series(reader: _LenientReader, name: str) -> list[str]:
+def _read_text_series(reader: LenientReader, name: str) -> list[str]:
     """Return a list that is spread over NAME, NAME2, NAME3 ...: a parameter has at most 255 labels."""
-    texts, number = _read_texts(reader, name), 2
+    texts, number = read_texts(reader, name), 2
     while reader.get(f"{name}{number}") is not None:
-        texts += _read_texts(reader, f"{name}{number}")
+        texts += read_texts(reader, f"{name}{number}")
         number += 1
     return texts
 
 
-def _read_descriptions(reader: _LenientReader) -> list[str]:
+def _read_descriptions(reader: LenientReader) -> list[str]:
     """Return the descriptions of the points; none if they are in an unknown encoding."""
     try:
         return _read_text_series(reader, "POINT:DESCRIPTIONS")
@@ -173,11 +174,11 @@ def _read_descriptions(reader: _LenientReader) -> list[str]:
         return []
 
 
-def _read_model_outputs(reader: _LenientReader) -> list[str]:
+def _read_model_outputs(reader: LenientReader) -> list[str]:
     """Return the labels in POINT:ANGLES and similar lists; TYPE_GROUPS names further lists."""
-    groups = {*VICON_OUTPUT_GROUPS, *_read_texts(reader, "POINT:TYPE_GROUPS")} - {"", *VICON_MARKER_GROUPS}
+    groups = {*VICON_OUTPUT_GROUPS, *read_texts(reader, "POINT:TYPE_GROUPS")} - {"", *VICON_MARKER_GROUPS}
     return _read_listed_labels(reader, groups)
 
 
-def _read_listed_labels(reader: _LenientReader, groups: Iterable[str]) -> list[str]:
+def _read_listed_labels(reader: LenientReader, groups: Iterable[str]) -> list[str]:
     return [label for group in groups for label in _read_text_series(reader, f"POINT:{group}") if label]

@@ -8,9 +8,10 @@ from jaxtyping import Float
 
 from mocapfix.changes import UnfilledRun
 from mocapfix.faults import Fault, Faults
+from mocapfix.files.option_choices import NO_TRAINED_PRIOR
 from mocapfix.labelling.label_summary import build_labelling_section
 from mocapfix.motion import FrameStatus, Motion
-from mocapfix.options import NO_TRAINED_PRIOR, CleanOptions
+from mocapfix.options import CleanOptions
 from mocapfix.report import notes
 from mocapfix.report.report import (
     ComputedPointEntry,

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.files.option_choices import EXTRA_FORMAT_NAMES, RIG_NAMES
 from mocapfix.review.approvals import Approval, determine_state, read_approval, withdraw_approval, write_approval
 from mocapfix.review.cleaning_run import CleaningRun, RunStatus, build_clean_command, explain_why_not, list_values
 from mocapfix.review.corrections import locate_correction

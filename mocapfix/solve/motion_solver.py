@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.files.option_choices import PRIOR_EVERY_FRAME
 from mocapfix.motion import FrameStatus, Motion, PoseEvidence
-from mocapfix.options import PRIOR_EVERY_FRAME, CleanOptions, SolveOptions
+from mocapfix.options import CleanOptions, SolveOptions
 from mocapfix.pose_prior.mean_pose import JointLimits, MeanPosePrior, load_joint_limits, load_mean_pose_prior
 from mocapfix.skeleton import BodyModel
 from mocapfix.solve import kinematics

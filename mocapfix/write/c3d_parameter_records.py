@@ -31,26 +31,46 @@ def replace_point_parameters(head: bytes, labels: Sequence[str], *, has_same_poi
         labels: The labels of all points.
         has_same_points: Whether these are the points of the file, whose descriptions are then kept.
     """
-    first, order = C3D_BLOCK_BYTES * (head[0] - 1), "<"
-    if head[first + 3] == SGI_PROCESSOR:
-        order = ">"
-    records = _read_records(head, first + 4, order)
+    order = _find_byte_order(head)
+    records = read_parameter_records(head)
     point_group = next(-each.group for each in records if each.group < 0 and each.name == "POINT")
     texts = {"LABELS": [label.encode("utf-8") or b" " for label in labels]}
     if not has_same_points:
         texts["DESCRIPTIONS"] = [b" "] * len(labels)
     series = {f"{name}{number or ''}" for name in texts for number in (0, *range(2, MAX_SERIES_NUMBER))}
     kept = [each for each in records if each.group != point_group or each.name not in {*series, "USED", "DATA_START"}]
-    size = len(_join_records(kept, order)) + len(_build_point_records(point_group, texts, 0, order)) + 4
+    added = [_build_word("USED", point_group, len(labels), order), *_build_text_series(point_group, texts)]
+    start = bytearray(join_head(head, kept, added, point_group))
+    struct.pack_into(order + "H", start, POINT_COUNT_WORD, len(labels))
+    return bytes(start)
+
+
+def join_head(head: bytes, kept: Sequence[ParameterRecord], added: Sequence[ParameterRecord], point_group: int) -> bytes:
+    """Return the bytes before the data with other parameter records; POINT:DATA_START, not among them, is set.
+
+    The data begin later if the parameters need more blocks than there are before the data.
+    """
+    first, order = C3D_BLOCK_BYTES * (head[0] - 1), _find_byte_order(head)
+    data_start_bytes = len(_join_records([_build_word("DATA_START", point_group, 0, order)], order))
+    size = len(_join_records([*kept, *added], order)) + data_start_bytes + 2 + 4
     block_count = -(-size // C3D_BLOCK_BYTES)
     data_block = max(len(head) // C3D_BLOCK_BYTES, head[0] - 1 + block_count) + 1
-    built = _build_point_records(point_group, texts, data_block, order)
-    section = head[first : first + 2] + bytes([min(block_count, 255), head[first + 3]]) + _join_records(kept, order) + built
+    records = [*kept, *added, _build_word("DATA_START", point_group, data_block, order)]
+    section = head[first : first + 2] + bytes([min(block_count, 255), head[first + 3]]) + _join_records(records, order) + bytes(2)
     section = section.ljust(C3D_BLOCK_BYTES * block_count, b"\0")
     start = bytearray(head[:first])
-    struct.pack_into(order + "H", start, POINT_COUNT_WORD, len(labels))
     struct.pack_into(order + "H", start, DATA_BLOCK_WORD, data_block)
     return bytes(start + section).ljust(C3D_BLOCK_BYTES * (data_block - 1), b"\0")
+
+
+def _find_byte_order(head: bytes) -> str:
+    """Return the byte order of the numbers in the parameters, as for `struct`."""
+    return ">" if head[C3D_BLOCK_BYTES * (head[0] - 1) + 3] == SGI_PROCESSOR else "<"
+
+
+def read_parameter_records(head: bytes) -> list[ParameterRecord]:
+    """Return all groups and parameters in the bytes before the data of a C3D file."""
+    return _read_records(head, C3D_BLOCK_BYTES * (head[0] - 1) + 4, _find_byte_order(head))
 
 
 def _read_records(head: bytes, at: int, order: str) -> list[ParameterRecord]:
@@ -87,21 +107,27 @@ def _join_records(records: Sequence[ParameterRecord], order: str) -> bytes:
     return b"".join(each.name_bytes + struct.pack(order + "h", len(each.content) + 2) + each.content for each in records)
 
 
-def _build_point_records(group: int, texts: Mapping[str, Sequence[bytes]], data_block: int, order: str) -> bytes:
-    """Return the records of the number of points, the first block of data, and the texts of the points by parameter."""
-    records = [_build_word("USED", group, len(texts["LABELS"]), order), _build_word("DATA_START", group, data_block, order)]
+def _build_text_series(group: int, texts: Mapping[str, Sequence[bytes]]) -> list[ParameterRecord]:
+    """Return the records of the texts of the points, by the name of the parameter."""
+    records: list[ParameterRecord] = []
     for name, series in texts.items():
         for number, first in enumerate(range(0, max(len(series), 1), MAX_TEXTS_PER_PARAMETER)):
             part = series[first : first + MAX_TEXTS_PER_PARAMETER]
-            width = min(max(map(len, part), default=1), MAX_TEXTS_PER_PARAMETER)
-            content = struct.pack("bBBB", -1, 2, width, len(part)) + b"".join(text[:width].ljust(width) for text in part) + b"\0"
-            records.append(_build_record(f"{name}{number + 1 if number else ''}", group, content))
-    return _join_records(records, order) + bytes(2)
+            records.append(build_text_record(f"{name}{number + 1 if number else ''}", group, part))
+    return records
+
+
+def build_text_record(name: str, group: int, texts: Sequence[bytes]) -> ParameterRecord:
+    """Return the record of a list of at most MAX_TEXTS_PER_PARAMETER texts, padded to one length."""
+    width = min(max(map(len, texts), default=1), MAX_TEXTS_PER_PARAMETER)
+    content = struct.pack("bBBB", -1, 2, width, len(texts)) + b"".join(text[:width].ljust(width) for text in texts) + b"\0"
+    return build_record(name, group, content)
 
 
 def _build_word(name: str, group: int, value: int, order: str) -> ParameterRecord:
-    return _build_record(name, group, struct.pack("bB", 2, 0) + struct.pack(order + "H", value) + b"\0")
+    return build_record(name, group, struct.pack("bB", 2, 0) + struct.pack(order + "H", value) + b"\0")
 
 
-def _build_record(name: str, group: int, content: bytes) -> ParameterRecord:
+def build_record(name: str, group: int, content: bytes) -> ParameterRecord:
+    """Return the record of a parameter with a content: type, dimensions, values, description."""
     return ParameterRecord(name, group, struct.pack("bb", len(name), group) + name.encode(), content)

@@ -17,11 +17,13 @@ Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joint
     markers (F, M, 3)    cleaned markers, NaN where missing
     marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
     marker_rate     frames per second of the markers, always that of the take
+    contact_joints (C,)  joints that can be in contact;  contacts (F, C) whether each is, in the frames of the take
+    event_times (E,)  seconds after the first frame;  event_sides, event_kinds (E,) "left" or "right", "foot strike" or "foot off"
     label_confidence (F, M)  of a take that mocapfix labelled: the probability that the label of a sample is right, NaN for
                     samples that were not in the file
 
-A take whose file has labels has no label_confidence. A take without a body has no names, parents, offsets, ends, root,
-rotations, joints, joint_sd, solved_joints, status and status_texts.
+A take whose file has labels has no label_confidence. A take without a body has no contacts, events, names, parents, offsets,
+ends, root, rotations, joints, joint_sd, solved_joints, status and status_texts.
 """
 
 from pathlib import Path
@@ -29,6 +31,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import quaternions
 from mocapfix.motion import FrameStatus, Motion
@@ -47,6 +50,7 @@ def write_npz(
     motion: Motion | None = None,
     rate: float | None = None,
     solved_joints: Bool[np.ndarray, " J"] | None = None,
+    contacts: BodyContacts | None = None,
 ) -> None:
     """Write the markers of a take and, if there is a body, its motion.
 
@@ -57,6 +61,7 @@ def write_npz(
         motion: Its motion.
         rate: Frames per second of the motion; by default those of the take.
         solved_joints: The joints that the markers show; by default all.
+        contacts: The contacts of the body.
 
     Raises:
         WriteError: If `target` is not writable.
@@ -75,8 +80,20 @@ def write_npz(
         arrays["label_confidence"] = take.label_confidence
     if skeleton is not None and motion is not None:
         arrays |= _build_body_arrays(skeleton, motion, solved_joints)
+    if contacts is not None:
+        arrays |= _build_contact_arrays(contacts)
     with replace_atomically(Path(target)) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
+
+
+def _build_contact_arrays(contacts: BodyContacts) -> dict[str, np.ndarray]:
+    return {
+        "contact_joints": np.array(contacts.joints),
+        "contacts": contacts.is_contact,
+        "event_times": np.array([event.time_s for event in contacts.events], float),
+        "event_sides": np.array([event.side for event in contacts.events], str),
+        "event_kinds": np.array([event.kind for event in contacts.events], str),
+    }
 
 
 def _build_body_arrays(skeleton: Skeleton, motion: Motion, solved_joints: Bool[np.ndarray, " J"] | None) -> dict[str, np.ndarray]:

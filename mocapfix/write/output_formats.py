@@ -21,6 +21,7 @@ from mocapfix.write import rig
 from mocapfix.write.asf_amc import write_asf_amc
 from mocapfix.write.bvh import write_bvh, write_rig_bvh
 from mocapfix.write.c3d import write_c3d
+from mocapfix.write.contact_files import write_contacts, write_gait_events
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.npz import write_npz
 from mocapfix.write.patches import patch_c3d, patch_table
@@ -141,7 +142,15 @@ def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion 
         write_npz(target, take)
         return
     lowered = take.replace_markers(take.markers - [0.0, exported.floor_height_m, 0.0], take.sample_sd)
-    write_npz(target, lowered, exported.skeleton, exported.motion, exported.rate, exported.subject.solved_joints)
+    write_npz(
+        target,
+        lowered,
+        exported.skeleton,
+        exported.motion,
+        exported.rate,
+        exported.subject.solved_joints,
+        result.contacts,
+    )
 
 
 def _write_subject(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -166,6 +175,16 @@ def _write_html_report(target: Path, result: "CleaningResult", exported: Exporte
 
 def _write_json_report(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     target.write_text(json.dumps(result.report, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_contacts(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    if result.contacts is not None:
+        write_contacts(target, result.contacts, _require_motion(exported).rate)
+
+
+def _write_events(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+    if result.contacts is not None:
+        write_gait_events(target, result.contacts, result.input_take.first_frame)
 
 
 def _write_c3d(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -205,6 +224,8 @@ OPTIONAL_FORMATS = {
     ),
     "trc": OutputFormat("trc", _write_trc),
     "csv": OutputFormat("csv", _write_csv),
+    "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
+    "events": OutputFormat("events.csv", _write_events, needs_body=True),
 }
 
 

@@ -17,10 +17,10 @@ from pydantic import Field, PositiveFloat
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import SceneError, WriteError
+from mocapfix.files.option_choices import RIG_NAMES
 from mocapfix.files.shipped import find_shipped_folder, read_shipped_yaml
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
 from mocapfix.motion import Motion
-from mocapfix.options import RIG_NAMES
 from mocapfix.skeleton import Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.stats.rigid_alignment import compute_shortest_rotation

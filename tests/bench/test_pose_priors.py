@@ -8,8 +8,8 @@ import pytest
 from mocapfix.bench import compared_priors, pose_priors
 from mocapfix.cli import app
 from mocapfix.errors import SceneError
+from mocapfix.files.option_choices import DEFAULT_PRIOR_NAME
 from mocapfix.files.shipped import find_shipped_folder
-from mocapfix.options import DEFAULT_PRIOR_NAME
 from tests.train.motion_files import draw_motion, write_bvh
 
 ROW = {"position_mm", "rotation_deg", "position_sd", "rotation_sd"}

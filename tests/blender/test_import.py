@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocapfix.options import RIG_NAMES, OutputOptions
+from mocapfix.files.option_choices import RIG_NAMES
+from mocapfix.options import OutputOptions
 from mocapfix.write import rig
 
 ROOT = Path(__file__).parents[2]

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from mocapfix.options import EXTRA_FORMAT_NAMES, RIG_NAMES
+from mocapfix.files.option_choices import EXTRA_FORMAT_NAMES, RIG_NAMES
 from mocapfix.write.output_formats import OPTIONAL_FORMATS
 
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError, WriteError
+from mocapfix.files.option_choices import RIG_NAMES
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.motion import Motion
-from mocapfix.options import RIG_NAMES
 from mocapfix.read.bvh import read_bvh
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 from mocapfix.solve import kinematics

@@ -1,0 +1,137 @@
+"""A character: a tree of bones with its rest pose, the body segments that its bones form, and its motion.
+
+Inside the program lengths are metres, Y is up and axes are right-handed. A bone's local rotation maps its axes to its parent's
+and includes the rest rotation: in the rest pose the local rotations are `rest_rotations`, not the identity.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from mocapfix.animation import compose_transforms
+
+SIDES = ("left", "right")
+SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
+SEGMENTS = ("pelvis", "spine", "neck", "head", *(f"{side}_{segment}" for side in SIDES for segment in SIDE_SEGMENTS))
+"""The body segments that bones form."""
+TWISTING_SEGMENTS = tuple(f"{side}_{segment}" for side in SIDES for segment in ("upper_arm", "forearm", "thigh", "shin"))
+"""Segments that may have twist bones."""
+SINGLE_BONE_SEGMENTS = (
+    "pelvis", "head", *(f"{side}_{segment}" for side in SIDES for segment in ("clavicle", "hand", "foot", "toe")),
+)  # fmt: skip
+"""Segments of one bone; the others may have several: vertebrae, or parts of a limb that share its twist."""
+REQUIRED_SEGMENTS = (
+    "pelvis", *(f"{side}_{segment}" for side in SIDES for segment in ("upper_arm", "forearm", "thigh", "shin", "foot")),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BoneMapping:
+    """Which bones of a character form the segments of its body.
+
+    bones   segment (one of SEGMENTS) to the indices of its bones, from the pelvis outwards. The bones of a limb's segment lie one
+            after the other, and the last of them carries the next segment. Segments that a character lacks are missing
+    twists  segment (one of TWISTING_SEGMENTS) to the indices of bones beside the chain that only take a share of a twist, from
+            near to far
+    reason  sentence on how the mapping was found
+    """
+
+    bones: Mapping[str, tuple[int, ...]]
+    twists: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    reason: str = ""
+
+    @property
+    def missing_segments(self) -> list[str]:
+        """The segments without which a character cannot be posed and that this mapping lacks."""
+        return [segment for segment in REQUIRED_SEGMENTS if not self.bones.get(segment)]
+
+
+@dataclass(frozen=True)
+class Character:
+    """A tree of J bones in its rest pose, parents before children.
+
+    name            short name, part of the names of output files
+    names           J names of bones
+    parents         (J,) index of each bone's parent, -1 for the roots
+    rest_positions  (J, 3) m: each bone's head in its parent's axes (for a root: in the world), scales of the file multiplied out
+    rest_rotations  (J, 3, 3): each bone's axes to its parent's (for a root: to the world's)
+    tails           (J, 3) m: the tail of the bone in its own axes; NaN where the file has none and no child shows it
+    mapping         the segments of its body
+    scales          (J,) the length in metres of one unit of the file along each bone's own axes: translations of its children in
+                    the file are `rest_positions` divided by it
+    root_scale      metres in a unit of the file, for translations of the roots
+    rotation_y_up_file  (3, 3) from the file's axes to axes with Y up
+    limits_deg      bone to the (3, 2) least and greatest components of its rotation vector from the rest pose, in its parent's
+                    axes, in degrees
+    has_feet_flat   whether the soles lie flat in the rest pose; otherwise they do so when the shins are vertical
+    source          the file it was read from, None for a preset
+    """
+
+    name: str
+    names: tuple[str, ...]
+    parents: Int[np.ndarray, " J"]
+    rest_positions: Float[np.ndarray, "J 3"]
+    rest_rotations: Float[np.ndarray, "J 3 3"]
+    tails: Float[np.ndarray, "J 3"]
+    mapping: BoneMapping
+    scales: Float[np.ndarray, " J"]
+    root_scale: float = 1.0
+    rotation_y_up_file: Float[np.ndarray, "3 3"] = field(default_factory=lambda: np.eye(3))
+    limits_deg: Mapping[int, Float[np.ndarray, "3 2"]] = field(default_factory=dict)
+    has_feet_flat: bool = True
+    source: "CharacterSource | None" = None
+
+    def find_bone(self, name: str) -> int:
+        """Return the index of a bone. Raises ValueError for an unknown name."""
+        return self.names.index(name)
+
+    def compute_rest_pose(self) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, "J 3 3"]]:
+        """Compute the positions in metres and the rotations of the bones in the world, in the rest pose."""
+        position, rotation = compose_transforms(self.parents, self.rest_positions[None], self.rest_rotations[None])
+        return position[0], rotation[0]
+
+
+@dataclass(frozen=True)
+class CharacterSource:
+    """The file of a character, for writers that keep what is in it.
+
+    path  the file
+    data  its bytes
+    nodes (J,) index of each bone's node in a glTF file; empty for other formats
+    kind  "gltf", "bvh" or "yaml"
+    """
+
+    path: str
+    data: bytes
+    nodes: Int[np.ndarray, " _"]
+    kind: str
+
+
+@dataclass(frozen=True)
+class CharacterMotion:
+    """The motion of a character over T frames.
+
+    pelvis_position  (T, 3) m: the head of the pelvis bone in its parent's axes (for a root: in the world)
+    local_rotations  (T, J, 3, 3): each bone's axes to its parent's; bones that the motion does not turn keep their rest rotation
+    rate             frames per second
+    """
+
+    pelvis_position: Float[np.ndarray, "T 3"]
+    local_rotations: Float[np.ndarray, "T J 3 3"]
+    rate: float
+
+    @property
+    def frame_count(self) -> int:
+        """T."""
+        return len(self.pelvis_position)
+
+
+def compute_character_poses(
+    character: Character, motion: CharacterMotion
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
+    """Compute the positions in metres and the rotations of the bones in the world, in every frame."""
+    positions = np.tile(character.rest_positions, (motion.frame_count, 1, 1))
+    positions[:, character.mapping.bones["pelvis"][0]] = motion.pelvis_position
+    return compose_transforms(character.parents, positions, motion.local_rotations)

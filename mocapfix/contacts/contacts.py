@@ -1,0 +1,78 @@
+"""The contacts of a body with the floor, as later stages, reports and files use them."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from mocapfix.contacts.floor import NO_FLOOR, Floor
+from mocapfix.stats.sequences import find_runs
+
+FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
+"""the joints of each foot that can be in contact: the ankle stands for the heel, the toe base for the ball of the foot"""
+CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
+OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")
+"""knees and wrists, which are in contact in falls, rolls and crawls"""
+
+
+class GaitEvent(NamedTuple):
+    """One event of gait: the first or the last instant of a foot's contact.
+
+    side    "left" or "right"
+    kind    "foot strike" or "foot off"
+    time_s  seconds after the first frame, between frames where the source is finer than these
+    source  "markers", or "force plate"
+    """
+
+    side: str
+    kind: str
+    time_s: float
+    source: str
+
+
+@dataclass(frozen=True)
+class BodyContacts:
+    """When joints of a body are in contact.
+
+    joints      C names of joints of the skeleton
+    is_contact  (T, C): whether the joint stands on the floor or another surface
+    is_known    (T, C): whether markers show the position of the joint; otherwise the contact is inferred
+    floor       the floor on which they stand
+    rate        frames per second
+    events      events of gait, by time
+    """
+
+    joints: tuple[str, ...]
+    is_contact: Bool[np.ndarray, "T C"]
+    is_known: Bool[np.ndarray, "T C"]
+    floor: Floor
+    rate: float
+    events: tuple[GaitEvent, ...] = field(default=())
+
+    def list_intervals(self, joint: str) -> list[tuple[int, int]]:
+        """Return the contacts of a joint as (first, last) frames."""
+        return find_runs(self.is_contact[:, self.joints.index(joint)])
+
+    def find_foot_contact(self, side: str) -> Bool[np.ndarray, " T"]:
+        """Return whether any part of a foot is in contact (T,)."""
+        return self.is_contact[:, [self.joints.index(joint) for joint in FOOT_JOINTS[side]]].any(1)
+
+
+def build_no_contacts(frame_count: int, rate: float) -> BodyContacts:
+    """Return the contacts of a body whose feet no marker shows."""
+    nothing = np.zeros((frame_count, len(CONTACT_JOINTS)), bool)
+    return BodyContacts(CONTACT_JOINTS, nothing, nothing, NO_FLOOR, rate)
+
+
+class ContactPositions(NamedTuple):
+    """The positions from which contacts are detected.
+
+    position  (T, C, 3) m: joints, Y up
+    sd        (T, C) m: their standard deviation per axis
+    rate      frames per second
+    """
+
+    position: Float[np.ndarray, "T C 3"]
+    sd: Float[np.ndarray, "T C"]
+    rate: float

@@ -1,0 +1,57 @@
+"""Infer the contacts of a foot while no marker shows it: a foot that stands at one place before and after stood there between."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_dilation
+
+from mocapfix.stats.sequences import find_runs
+
+MAX_KNOWN_SD_M = 0.03
+"""Standard deviation above which a joint's position is never known."""
+MAX_SD_RATIO = 1.5
+"""Standard deviation, relative to the take's usual one, above which the joint lacks its markers."""
+BORDER_S = 0.03
+"""Time beside unknown frames in which the smoothness of the motion carries their error into known ones."""
+USUAL_SD_PERCENTILE = 25
+MAX_PLACE_CHANGE_M = 0.025
+"""Distance between the places before and after up to which they are one: a foot that stands rolls by 10 to 20 mm."""
+MAX_CERTAIN_GAP_S = 0.5
+"""A foot cannot step away and return to its place in this time."""
+MAX_OTHER_STEPS = 1
+"""Steps of the other foot in a longer gap, above which the person may be walking on the spot."""
+PLACE_WINDOW_S = 0.1
+"""Time over which the place beside a gap is averaged."""
+
+
+def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
+    """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
+    usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
+    is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_KNOWN_SD_M)
+    return ~binary_dilation(is_unknown, iterations=max(1, round(BORDER_S * rate)))
+
+
+def find_certain_occlusions(
+    is_standing: Bool[np.ndarray, " T"],
+    position: Float[np.ndarray, "T 3"],
+    is_known: Bool[np.ndarray, " T"],
+    other_standing: Bool[np.ndarray, " T"],
+    rate: float,
+) -> Bool[np.ndarray, " T"]:
+    """Return the unknown frames in which a joint must have stood all the time, since it stands at one place before and after.
+
+    is_standing     when it stands, found without the speed in unknown frames
+    position        (T, 3) m: of the joint; what it is in unknown frames is not used
+    other_standing  when the other foot stands
+    """
+    is_certain = np.zeros(len(is_known), bool)
+    window = max(1, round(PLACE_WINDOW_S * rate))
+    for first, last in find_runs(~is_known):
+        if first == 0 or last == len(is_known) - 1 or not is_standing[first - 1 : last + 2].all():
+            continue
+        before, after = slice(max(0, first - window), first), slice(last + 1, last + 1 + window)
+        places = [position[side][is_known[side] & is_standing[side]].mean(0) for side in (before, after)]
+        steps = len(find_runs(~other_standing[first : last + 1]))
+        is_short = last + 1 - first <= MAX_CERTAIN_GAP_S * rate
+        is_same_place = np.linalg.norm(places[1] - places[0]) <= MAX_PLACE_CHANGE_M
+        is_certain[first : last + 1] = is_same_place and (is_short or steps <= MAX_OTHER_STEPS)
+    return is_certain
