@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
@@ -16,6 +16,7 @@ from mocapfix.files.option_choices import FEET_LOCK, FEET_OFF
 from mocapfix.motion import Motion
 from mocapfix.options import CleanOptions
 from mocapfix.read.force_plates import read_force_plates
+from mocapfix.skeleton import Skeleton
 from mocapfix.solve import kinematics
 from mocapfix.state import BodyFit, CleaningState
 from mocapfix.take import Take
@@ -35,7 +36,17 @@ def hold_standing_feet(state: CleaningState, options: CleanOptions) -> CleaningS
         return replace(state, body=body)
     is_locked = options.contacts.feet == FEET_LOCK
     motion = hold_feet(body.subject.skeleton, body.motion, body.joint_positions, contacts, is_locked=is_locked)
-    return replace(state, body=move_body(body, motion))
+    moved = move_body(body, motion)
+    held = describe_held_feet(body.subject.skeleton, body.joint_positions, moved.joint_positions, options.contacts.feet)
+    return replace(state, body=replace(moved, contacts=replace(contacts, held_feet=held)))
+
+
+def describe_held_feet(
+    skeleton: Skeleton, before: Float[np.ndarray, "T J 3"], after: Float[np.ndarray, "T J 3"], mode: str
+) -> HeldFeet:
+    """Return what was done to the feet, from the positions (T, J, 3) in metres of the joints before and after."""
+    feet = [skeleton.names.index(joint) for joint in CONTACT_JOINTS]
+    return HeldFeet(mode, float(np.linalg.norm(after[:, feet] - before[:, feet], axis=-1).max(initial=0.0)))
 
 
 def are_feet_solved(body: BodyFit) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.contacts.floor import NO_FLOOR, Floor
+from mocapfix.files.option_choices import FEET_OFF
 from mocapfix.stats.sequences import find_runs
 
 FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "RightToeBase")}
@@ -31,6 +32,20 @@ class GaitEvent(NamedTuple):
     source: str
 
 
+class HeldFeet(NamedTuple):
+    """What was done to the feet of a motion that stand.
+
+    mode                    "soft", "lock", or "off" if they are as they were solved
+    largest_displacement_m  the farthest that a heel or a ball of a foot was moved
+    """
+
+    mode: str
+    largest_displacement_m: float
+
+
+NOT_HELD = HeldFeet(FEET_OFF, 0.0)
+
+
 @dataclass(frozen=True)
 class BodyContacts:
     """When joints of a body are in contact.
@@ -41,6 +56,7 @@ class BodyContacts:
     floor       the floor on which they stand
     rate        frames per second
     events      events of gait, by time
+    held_feet   what was done to the feet in contact
     """
 
     joints: tuple[str, ...]
@@ -49,6 +65,12 @@ class BodyContacts:
     floor: Floor
     rate: float
     events: tuple[GaitEvent, ...] = field(default=())
+    held_feet: HeldFeet = NOT_HELD
+
+    @property
+    def has_feet(self) -> bool:
+        """Whether markers show both feet at any time; otherwise there are no contacts and no floor."""
+        return bool(self.is_known[:, : len(CONTACT_JOINTS)].any())
 
     def list_intervals(self, joint: str) -> list[tuple[int, int]]:
         """Return the contacts of a joint as (first, last) frames."""
@@ -56,7 +78,7 @@ class BodyContacts:
 
     def find_foot_contact(self, side: str) -> Bool[np.ndarray, " T"]:
         """Return whether any part of a foot is in contact (T,)."""
-        return self.is_contact[:, [self.joints.index(joint) for joint in FOOT_JOINTS[side]]].any(1)
+        return np.any(self.is_contact[:, [self.joints.index(joint) for joint in FOOT_JOINTS[side]]], axis=1)
 
 
 def build_no_contacts(frame_count: int, rate: float) -> BodyContacts:

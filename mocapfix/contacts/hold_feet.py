@@ -25,17 +25,26 @@ LEG_ROTATION_SD_RAD = 0.05
 """Standard deviation of a leg's joint about its rotation before; of the root's rotation and position it is smaller."""
 ROOT_ROTATION_SD_RAD = 0.0005
 ROOT_SD_M = 0.001
+FIXED_ROOT_SHARE = 1e-3
+"""Share of these deviations by which a root that is fixed may move during the solve; it is where it was afterwards."""
 MIN_DISPLACEMENT_M = 2e-5
 """Displacement below which a frame is not solved."""
 MAX_ITERATIONS = 20
 
 
 def hold_feet(
-    skeleton: Skeleton, motion: Motion, joint_position: Float[np.ndarray, "T J 3"], contacts: BodyContacts, *, is_locked: bool
+    skeleton: Skeleton,
+    motion: Motion,
+    joint_position: Float[np.ndarray, "T J 3"],
+    contacts: BodyContacts,
+    *,
+    is_locked: bool,
+    is_root_fixed: bool = False,
 ) -> Motion:
     """Return the motion with standing feet held: at one place each (`is_locked`), or without the fast part of their motion.
 
     joint_position  (T, J, 3) m: of the motion
+    is_root_fixed   only the legs move; otherwise the root may move a little too
     """
     feet = np.array([skeleton.names.index(joint) for joint in CONTACT_JOINTS])
     feet_contacts = replace(
@@ -49,27 +58,33 @@ def hold_feet(
     if not len(frames):
         return motion
     target = joint_position[frames[:, None], feet] + displacement[frames]
-    root, local = solve_legs(skeleton, motion.select_frames(frames), feet, target)
+    moving = motion.select_frames(frames)
+    root, local = solve_legs(skeleton, moving, feet, target, root_share=FIXED_ROOT_SHARE if is_root_fixed else 1.0)
+    if is_root_fixed:
+        root, local[:, 0] = moving.root_position, moving.local_rotations[:, 0]
     root_position, local_rotations = motion.root_position.copy(), motion.local_rotations.copy()
     root_position[frames], local_rotations[frames] = root, local
     return replace(motion, root_position=root_position, local_rotations=local_rotations)
 
 
 def solve_legs(
-    skeleton: Skeleton, motion: Motion, feet: np.ndarray, target: Float[np.ndarray, "N C 3"]
+    skeleton: Skeleton, motion: Motion, feet: np.ndarray, target: Float[np.ndarray, "N C 3"], *, root_share: float = 1.0
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N J 3 3"]]:
-    """Return root positions in metres and local rotations of poses whose joints `feet` are at their targets, in metres."""
+    """Return root positions in metres and local rotations of poses whose joints `feet` are at their targets, in metres.
+
+    root_share  factor of the standard deviations of the root
+    """
     frame_count, joint_count = motion.local_rotations.shape[:2]
     is_free = np.isin(np.arange(joint_count), [0, *(skeleton.names.index(joint) for joint in LEG_JOINTS)])
     tree = KinematicTree(skeleton.parents, skeleton.offsets, is_free)
     root, local = motion.root_position.copy(), motion.local_rotations.copy()
     weight = np.full((frame_count, joint_count), LEG_ROTATION_SD_RAD**-2)
-    weight[:, 0] = ROOT_ROTATION_SD_RAD**-2
+    weight[:, 0] = (root_share * ROOT_ROTATION_SD_RAD) ** -2
     terms = (
         PointTerm(
             feet, np.zeros((len(feet), 3)), np.ascontiguousarray(target), np.full((frame_count, len(feet)), CONTACT_SD_M**-2)
         ),
-        TrackingTerm(motion.local_rotations, weight, motion.root_position, np.full(frame_count, ROOT_SD_M**-2)),
+        TrackingTerm(motion.local_rotations, weight, motion.root_position, np.full(frame_count, (root_share * ROOT_SD_M) ** -2)),
     )
     no_robust_scale, no_codes = np.array([np.inf]), np.zeros((frame_count, 0))
     status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
