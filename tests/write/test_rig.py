@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import SceneError, WriteError
-from mocapfix.files.option_choices import RIG_NAMES
+from mocapfix.files.option_choices import CHARACTER_PRESETS, RIG_NAMES
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.motion import Motion
 from mocapfix.read.bvh import read_bvh
@@ -39,7 +39,7 @@ for side in ("Left", "Right"):
 
 def test_shipped_rig_files_are_the_rig_names():
     names = {path.stem for path in (find_shipped_folder("scenes") / "rigs").glob("*.yaml")}
-    assert names == {*RIG_NAMES, "poses"}
+    assert names == {*RIG_NAMES, *CHARACTER_PRESETS, "poses"}
 
 
 @pytest.mark.parametrize("name", RIG_NAMES)
