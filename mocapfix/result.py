@@ -216,6 +216,7 @@ class CleaningResult:
             joints,
             self.residual_m,
             get_point_terms(self.take),
+            self.contacts,
         )
 
 

@@ -13,6 +13,7 @@ from mocapfix.labelling.label_summary import build_labelling_section
 from mocapfix.motion import FrameStatus, Motion
 from mocapfix.options import CleanOptions
 from mocapfix.report import notes
+from mocapfix.report.contact_section import build_contact_section, describe_contacts
 from mocapfix.report.report import (
     ComputedPointEntry,
     ErrorSummary,
@@ -25,6 +26,7 @@ from mocapfix.report.report import (
     SubjectSection,
     TakeSection,
 )
+from mocapfix.report.terms import MARKER_TERMS
 from mocapfix.review.changes_file import serialize_changes
 from mocapfix.solve.lost_in_sight import LostPart
 from mocapfix.state import CleaningState
@@ -221,6 +223,8 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             lost_parts=lost_parts,
         )
         body_notes = notes.build_body_notes(detection, detection.epochs, body, residual_m, lost_parts)
+        if body.contacts:
+            body_notes += describe_contacts(body.contacts, options.contacts.feet, options.output.floor_height_m, MARKER_TERMS)
     elif options.initialise.is_fast:
         body_notes.append(notes.NO_PREVIEW_NOTE)
     rigid_groups = _build_rigid_group_entries(state)
@@ -242,6 +246,8 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             *notes.describe_uncertain_fills(state.cleaned_take),
         ],
     }
+    if body and body.contacts:
+        report["contacts"] = build_contact_section(body.contacts, take)
     if rigid_groups:
         report["rigid_groups"] = rigid_groups
     return report

@@ -16,6 +16,7 @@ from mocapfix.report.change_list import (
     build_unchanged_list,
     build_unfilled_list,
 )
+from mocapfix.report.contact_timeline import ContactPart, build_contact_part
 from mocapfix.report.html_page import write_page
 from mocapfix.report.report import ErrorSummary, Report, SolveSection, SubjectSection
 from mocapfix.report.sample_states import CleaningComparison, SampleOutcome, classify_input_samples, find_estimated_samples
@@ -113,6 +114,7 @@ class ReportPage:
     time_ticks: list[TimeTick]
     residual_plot: ResidualPlot | None
     residual_curve_legend: Legend
+    contacts: ContactPart | None
     unfilled: TableList | None
     unchanged: TableList | None
     changes: TableList | None
@@ -158,6 +160,7 @@ def build_report_page(report: Report, comparison: CleaningComparison) -> ReportP
         time_ticks=build_time_ticks(comparison.input_take),
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         residual_curve_legend=RESIDUAL_CURVE_LEGEND,
+        contacts=build_contact_part(report.get("contacts"), comparison.contacts, comparison.input_take, comparison.terms),
         unfilled=build_unfilled_list(report["fill"]["unfilled"], comparison),
         unchanged=build_unchanged_list(comparison),
         changes=build_change_list(comparison),

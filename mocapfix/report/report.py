@@ -4,6 +4,7 @@ from typing import NotRequired, TypedDict
 
 from mocapfix.faults import Decision, FaultKind
 from mocapfix.labelling.label_summary import LabellingSection
+from mocapfix.report.contact_section import ContactSection
 from mocapfix.take import ComputedEvidence
 
 
@@ -203,6 +204,7 @@ class Report(TypedDict):
 
     subject       None without a body
     solve         None without a body
+    contacts      contacts with the floor, of a take or an animation with a body
     rigid_groups  props; without a body also segments that are rigid, if there are any
     arguments     the input and the options of `mocapfix clean`, files relative to the folder of the report
     seconds       time by stage, and "total"
@@ -215,6 +217,7 @@ class Report(TypedDict):
     subject: SubjectSection | None
     solve: SolveSection | None
     fill: FillSection
+    contacts: NotRequired[ContactSection]
     rigid_groups: NotRequired[list[RigidGroupEntry]]
     arguments: NotRequired[list[str]]
     seconds: dict[str, float]

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.changes import Change, list_affected_markers
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.faults import Fault, Faults, Fragment
 from mocapfix.report.terms import MARKER_TERMS, PointTerms
 from mocapfix.skeleton import Skeleton
@@ -118,6 +119,8 @@ class CleaningComparison:
     joint_position_world  (T, J, 3) m; None without a body
     residual_m       (T, M) distance of each inlier marker from the body in metres, NaN if unknown; None without a body
     terms            words for the points: markers, or joints of an animation
+    contacts         contacts of the body with the floor; None without a body
+    contact_position_world  (T, C, 3) m, their joints if `skeleton` is not the body's, as in an animation
     """
 
     input_take: Take
@@ -129,6 +132,16 @@ class CleaningComparison:
     joint_position_world: Float[np.ndarray, "T J 3"] | None = None
     residual_m: Float[np.ndarray, "T M"] | None = None
     terms: PointTerms = MARKER_TERMS
+    contacts: BodyContacts | None = None
+    contact_position_world: Float[np.ndarray, "T C 3"] | None = None
+
+    def locate_contacts(self) -> Float[np.ndarray, "T C 3"] | None:
+        """Return the positions in metres of the joints that can be in contact; None if they are not known."""
+        if self.contact_position_world is not None or self.contacts is None:
+            return self.contact_position_world
+        if self.skeleton is None or self.joint_position_world is None:
+            return None
+        return self.joint_position_world[:, [self.skeleton.names.index(joint) for joint in self.contacts.joints]]
 
     @cached_property
     def sample_states(self) -> Int[np.ndarray, "T M"]:
