@@ -1,0 +1,137 @@
+"""Solve the poses of a character's segments under terms that say what of the source's motion is kept.
+
+    orientation terms   pelvis, chest, head, hands and feet, in the world
+    direction terms     thighs, shins, upper arms and forearms
+    point terms         ankles and wrists at their targets
+    tracking term       the other rotations, and the pelvis at its height in leg lengths
+    joint limits        of the character, where it has them
+
+The weights are the same in all frames, so that no joint jumps where a contact begins or ends: a foot in contact has a target that
+stands still.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.characters.character import SIDES, Character
+from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
+from mocapfix.kernels.terms import DirectionTerm, JointLimitTerm, OrientationTerm, PointTerm, TrackingTerm, count_rows
+from mocapfix.retarget.solve_tree import SolveTree
+from mocapfix.solve.kinematics import Poses
+from mocapfix.solve.parallel import order_independently, run_over_frames
+
+ANKLE_SD_M = 0.0003
+WRIST_SD_M = 0.003
+PELVIS_SD_M = 0.006
+"""Standard deviations of positions about their targets."""
+ORIENTATION_SD_RAD = {"pelvis": 0.01, "chest": 0.05, "head": 0.02, "hand": 0.03, "foot": 0.005}
+"""Standard deviations of orientations in the world, by segment."""
+DIRECTION_SD_RAD = 0.1
+"""Standard deviation of the direction of a limb's bone."""
+TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}
+"""Standard deviations of rotations relative to the parent, by segment."""
+OTHER_TRACKING_SD_RAD = 0.3
+LIMIT_SD_RAD = 0.01
+"""Standard deviation of a joint's excess over its limits."""
+MAX_ITERATIONS = 30
+DIRECTED_BONES = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
+
+
+class SegmentTargets(NamedTuple):
+    """What is kept, over T frames.
+
+    rotation  (T, N, 3, 3): of the joints of a `SolveTree`, in the world; also the start of the solve
+    pelvis    (T, 3) m
+    points    segment (feet and hands) to (T, 3) m: where it shall begin
+    """
+
+    rotation: Float[np.ndarray, "T N 3 3"]
+    pelvis: Float[np.ndarray, "T 3"]
+    points: dict[str, Float[np.ndarray, "T 3"]]
+
+
+def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
+    """Return positions (T, 3) of the pelvis in metres and local rotations (T, N, 3, 3) that reach the targets."""
+    frame_count, joint_count = targets.rotation.shape[:2]
+    local = compute_local_rotations(tree, targets.rotation)
+    terms = (
+        _build_point_term(tree, targets),
+        _build_direction_term(tree, targets.rotation),
+        _build_orientation_term(tree, targets.rotation),
+        _build_tracking_term(tree, local, targets.pelvis),
+        _build_limit_term(tree, character),
+    )
+    root, start = targets.pelvis.copy(), local.copy()
+    no_robust_scale, no_codes = np.array([np.inf]), np.zeros((frame_count, 0))
+    status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
+    run_over_frames(
+        solve_frames, frame_count, tree.tree, terms, order_independently(frame_count, joint_count), no_robust_scale,
+        INITIAL_DAMPING_RATIO, MAX_ITERATIONS, count_rows(terms), root, start, no_codes, status, iterations,
+    )  # fmt: skip
+    return root, start
+
+
+def compute_local_rotations(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
+    """Return rotations relative to the parents, of rotations in the world."""
+    local = rotation.copy()
+    parents = tree.tree.parents
+    local[:, 1:] = np.swapaxes(rotation[:, parents[1:]], 2, 3) @ rotation[:, 1:]
+    return local
+
+
+def _get_base_segment(segment: str) -> str:
+    """Return a segment without its side and number."""
+    return segment.removeprefix("left_").removeprefix("right_").partition(".")[0]
+
+
+def _build_point_term(tree: SolveTree, targets: SegmentTargets) -> PointTerm:
+    joints = np.array([tree.find_joint(segment) for segment in targets.points])
+    measured = np.ascontiguousarray(np.stack(list(targets.points.values()), axis=1))
+    sd = np.array([ANKLE_SD_M if segment.endswith("foot") else WRIST_SD_M for segment in targets.points])
+    weight = np.tile(sd**-2, (len(measured), 1))
+    return PointTerm(joints, np.zeros((len(joints), 3)), measured, weight)
+
+
+def _build_direction_term(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> DirectionTerm:
+    joints: list[int] = []
+    axes: list[np.ndarray] = []
+    for side in SIDES:
+        for start, end in DIRECTED_BONES:
+            joint, tip = tree.find_joint(f"{side}_{start}"), tree.find_joint(f"{side}_{end}")
+            if joint >= 0 and tip >= 0 and np.linalg.norm(tree.tree.offsets[tip]) > 0 and tree.tree.parents[tip] == joint:
+                joints.append(joint)
+                axes.append(tree.tree.offsets[tip] / np.linalg.norm(tree.tree.offsets[tip]))
+    measured = np.ascontiguousarray((rotation[:, joints] @ np.array(axes)[:, :, None])[..., 0])
+    weight = np.full(measured.shape[:2], DIRECTION_SD_RAD**-2)
+    return DirectionTerm(np.array(joints), np.array(axes), measured, weight)
+
+
+def _build_orientation_term(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> OrientationTerm:
+    chest = max((k for k, segment in enumerate(tree.segments) if segment.startswith("spine.")), default=-1)
+    joints = [k for k, segment in enumerate(tree.segments) if _get_base_segment(segment) in ORIENTATION_SD_RAD]
+    sd = [ORIENTATION_SD_RAD[_get_base_segment(tree.segments[k])] for k in joints]
+    if chest >= 0:
+        joints.append(chest)
+        sd.append(ORIENTATION_SD_RAD["chest"])
+    weight = np.tile(np.array(sd) ** -2, (len(rotation), 1))
+    return OrientationTerm(np.array(joints), np.ascontiguousarray(rotation[:, joints]), weight)
+
+
+def _build_tracking_term(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"], pelvis: Float[np.ndarray, "T 3"]) -> TrackingTerm:
+    sd = np.array([TRACKING_SD_RAD.get(_get_base_segment(segment), OTHER_TRACKING_SD_RAD) for segment in tree.segments])
+    weight = np.where(np.arange(len(sd)) == 0, 0.0, sd**-2)[None]
+    return TrackingTerm(local, np.ascontiguousarray(weight), pelvis, np.full(len(pelvis), PELVIS_SD_M**-2))
+
+
+def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
+    """Return the limits of the joints about the rest pose, without any where the character has none."""
+    count = len(tree.bones)
+    rest = character.compute_rest_pose()[1][tree.bones]
+    low, high = np.full((count, 3), -np.inf), np.full((count, 3), np.inf)
+    for k, bone in enumerate(tree.bones.tolist()):
+        if bone in character.limits_deg:
+            low[k], high[k] = np.deg2rad(character.limits_deg[bone]).T
+    reference = compute_local_rotations(tree, rest[None])[0]
+    return JointLimitTerm(reference, low, high, LIMIT_SD_RAD**-2)

@@ -1,0 +1,121 @@
+"""Retarget a motion: pose a character like another one.
+
+segments = compute_segment_motion(...)    rotations of the source's body segments
+start    = spread_rotations(...)          the same segments of the target, its spine and neck bent alike
+targets  = compute_kept_positions(...)    pelvis and feet, scaled by the legs; compute_hand_targets(...)  hands
+poses    = solve_segments(...)            under terms for all of these
+motion   = compose_motion(...)            bones with their shares of the twist
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from mocapfix.characters.character import SIDES, Character, CharacterMotion
+from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
+from mocapfix.retarget.kept_hands import compute_hand_targets
+from mocapfix.retarget.kept_positions import compute_kept_positions
+from mocapfix.retarget.pose_segments import SegmentTargets, compute_local_rotations, solve_segments
+from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, resample_chain
+from mocapfix.retarget.solve_tree import SolveTree, build_solve_tree
+from mocapfix.retarget.twist_bones import compute_twisted_bones
+from mocapfix.solve.kinematics import compute_tree_poses
+
+
+def retarget_motion(
+    source: Character, motion: CharacterMotion, target: Character, *, floor_height_m: float = 0.0
+) -> CharacterMotion:
+    """Return the motion of a target character that moves like the source.
+
+    Both mappings must have all required segments. Places are scaled about the origin by the ratio of the legs' lengths.
+
+    floor_height_m  height of the source's floor; the target's is at height 0
+    """
+    source_frame, target_frame = build_body_frame(source), build_body_frame(target)
+    segments = compute_segment_motion(source_frame, motion)
+    tree = build_solve_tree(target_frame)
+    kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
+    rotation = spread_rotations(tree, segments)
+    points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
+    if source_frame.has_hands and target_frame.has_hands:
+        start = find_start_positions(tree, kept.pelvis, rotation)
+        hands = compute_hand_targets(source_frame, target_frame, dict(segments.position), start)
+        points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
+    pelvis, local = solve_segments(tree, target, SegmentTargets(rotation, kept.pelvis, points))
+    return compose_motion(target_frame, tree, pelvis, local, motion.rate)
+
+
+def spread_rotations(tree: SolveTree, segments: SegmentMotion) -> Float[np.ndarray, "T N 3 3"]:
+    """Return the world rotations of the bones of a solve tree that have the segments' rotations."""
+    counts = {chain: sum(segment.startswith(f"{chain}.") for segment in tree.segments) for chain in ("spine", "neck")}
+    spine = resample_chain(segments.spine, counts["spine"] + 1)
+    neck = resample_chain(segments.neck, counts["neck"] + 2)
+    rotations: list[Float[np.ndarray, "T 3 3"]] = []
+    for segment, standard in zip(tree.segments, tree.standard_rotations, strict=True):
+        name, _, number = segment.partition(".")
+        chain = {"spine": spine, "neck": neck}.get(name)
+        rotations.append((segments.rotation[name] if chain is None else chain[:, int(number) + 1]) @ standard)
+    return np.ascontiguousarray(np.stack(rotations, axis=1))
+
+
+def find_start_positions(
+    tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], rotation: Float[np.ndarray, "T N 3 3"]
+) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Return where each segment begins, in metres, before the solve."""
+    position = compute_tree_poses(tree.tree, pelvis, compute_local_rotations(tree, rotation))[0]
+    positions = {segment: position[:, k] for k, segment in enumerate(tree.segments)}
+    for chain in ("spine", "neck"):
+        if f"{chain}.0" in positions:
+            positions[chain] = positions[f"{chain}.0"]
+    return positions
+
+
+def compose_motion(
+    frame: BodyFrame, tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T N 3 3"], rate: float
+) -> CharacterMotion:
+    """Return the motion of all bones of a character, from the solved joints.
+
+    pelvis  (T, 3) m: in the world
+    local   (T, N, 3, 3): relative to the tree's parents
+    """
+    character = frame.character
+    _, world = compute_tree_poses(tree.tree, pelvis, local)
+    rotation = {
+        segment: world[:, k] @ tree.standard_rotations[k].T for k, segment in enumerate(tree.segments) if "." not in segment
+    }
+    chest = [k for k, segment in enumerate(tree.segments) if segment.startswith("spine.")]
+    for side in SIDES:
+        rotation.setdefault(
+            f"{side}_clavicle", world[:, chest[-1]] @ tree.standard_rotations[chest[-1]].T if chest else rotation["pelvis"]
+        )
+    placed = {int(bone): world[:, k] for k, bone in enumerate(tree.bones)} | compute_twisted_bones(frame, rotation)
+    rotations, above = build_local_rotations(character, placed, len(pelvis))
+    pelvis_bone = character.mapping.bones["pelvis"][0]
+    parent = int(character.parents[pelvis_bone])
+    position = pelvis
+    if parent >= 0:
+        position = np.einsum("tji,tj->ti", above[parent], pelvis - _find_position(frame, parent))
+    return CharacterMotion(position, rotations, rate)
+
+
+def build_local_rotations(
+    character: Character, placed: dict[int, Float[np.ndarray, "T 3 3"]], frame_count: int
+) -> tuple[Float[np.ndarray, "T J 3 3"], dict[int, Float[np.ndarray, "T 3 3"]]]:
+    """Return the local rotations of all bones, of which some are placed in the world, and the world rotations of parents.
+
+    Bones that are not placed keep their rest rotation relative to their parents.
+    """
+    local = np.tile(character.rest_rotations, (frame_count, 1, 1, 1))
+    is_parent = np.isin(np.arange(len(character.names)), character.parents)
+    world: dict[int, Float[np.ndarray, "T 3 3"]] = {}
+    for bone, parent in enumerate(character.parents.tolist()):
+        if bone in placed:
+            world[bone] = placed[bone]
+            local[:, bone] = np.swapaxes(world[parent], 1, 2) @ world[bone] if parent >= 0 else world[bone]
+        elif is_parent[bone]:
+            world[bone] = world[parent] @ local[:, bone] if parent >= 0 else local[:, bone]
+    return local, world
+
+
+def _find_position(frame: BodyFrame, bone: int) -> Float[np.ndarray, " 3"]:
+    """Return where a bone above the pelvis, which does not move, begins, in metres."""
+    return frame.rest_position[bone]
