@@ -12,9 +12,15 @@ from typing import TYPE_CHECKING, Literal, cast
 from mocapfix.errors import OptionError
 from mocapfix.files import option_choices as choices
 from mocapfix.files.option_definitions import StageOptions, define_option, list_options
+from mocapfix.files.output_options import OutputOptions
 
 if TYPE_CHECKING:
     from mocapfix.subject import Subject
+
+__all__ = [
+    "STAGE_OF_OPTION", "CleanOptions", "ContactOptions", "DetectOptions", "FillOptions", "InitialiseOptions", "OutputOptions",
+    "PriorOptions", "ReadOptions", "ReviewOptions", "SolveOptions", "SubjectOptions", "build_clean_options", "list_stages",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -233,28 +239,6 @@ class ReviewOptions(StageOptions):
     review_files: tuple[str | Path, ...] = define_option(
         (), "--changes", "FILE", "changes file of an earlier cleaning with your decisions; repeat for several subjects",
         default_text="none",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class OutputOptions(StageOptions):
-    """Output files."""
-
-    extra_formats: tuple[str, ...] = define_option(
-        (), "--also", "FORMAT,...", f"also write these formats: {', '.join(choices.EXTRA_FORMAT_NAMES)}",
-        job_key="write.also", default_text="none", choices=choices.EXTRA_FORMAT_NAMES,
-    )  # fmt: skip
-    rigs: tuple[str, ...] = define_option(
-        (), "--bvh-for", "PROGRAM,...", f"also write a BVH for each program: {', '.join(choices.RIG_NAMES)}, or a rig's .yaml",
-        job_key="write.bvh_for", default_text="none",
-    )  # fmt: skip
-    output_rate_hz: float | None = define_option(
-        None, "--fps", "N", "frame rate of the BVH and the other motion files", job_key="write.fps", unit="Hz",
-        default_text="that of the take", above=0.0, at_most=1000.0,
-    )  # fmt: skip
-    floor_height_m: float = define_option(
-        0.0, "--floor", "METRES", "height of the floor in the file; motion files have their floor at 0",
-        job_key="volume.floor", unit="m", is_finite=True,
     )  # fmt: skip
 
 

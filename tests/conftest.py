@@ -17,6 +17,7 @@ UNCHECKED_MODULES = (
     "kernels",  # compiled code
     "bench/compared_solvers.py",  # has a compiled function
     "options.py",  # accepts a single value for a tuple, and validates values itself
+    "files/output_options.py",
     "solve/constraint",  # accepts any constraints, which are validated when their terms are built
     "solve/single_pose.py",  # passes these constraints on
 )

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from mocapfix.options import STAGE_OF_OPTION, CleanOptions
 
-FILE_OPTION_NAMES = ("marker_set", "subject", "like", "hierarchy", "review_files", "rigs")
+FILE_OPTION_NAMES = ("marker_set", "subject", "like", "hierarchy", "review_files", "rigs", "characters", "character_map")
 """options that may name files"""
 
 

@@ -7,16 +7,8 @@ INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "regis
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
 CHARACTER_PRESETS = ("mixamo", "unreal")  # in scenes/rigs
-EXTRA_FORMAT_NAMES = (
-    "gltf",
-    "amc",
-    "npz",
-    "c3d",
-    "trc",
-    "csv",
-    "contacts",
-    "events",
-)  # written on request (write.output_formats)
+EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv", "contacts", "events", "fbx")
+"""formats that are written on request (write.output_formats)"""
 REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
 )  # fmt: skip

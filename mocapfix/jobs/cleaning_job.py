@@ -25,7 +25,7 @@ HeaderModel = TypeVar("HeaderModel", bound=StrictModel)
 WILDCARD_CHARACTERS = set("*?[")
 COMPOSED_FOLDER = "composed"
 """the folder for composed takes, within the output folder"""
-FILE_OPTIONS = ("marker_set", "hierarchy")
+FILE_OPTIONS = ("marker_set", "hierarchy", "characters", "character_map")
 """options that name something shipped or a file; a file beside the job takes precedence"""
 
 
@@ -138,8 +138,8 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     for each, option in _list_job_options():
         section, _, key = option.job_key.rpartition(".")
         value = values[section][key] if section else values[key]
-        if each.name in FILE_OPTIONS and value and is_existing_file(path.parent / value):
-            value = path.parent / value
+        if each.name in FILE_OPTIONS and value:
+            value = _find_beside_job(path, value)
         if value != option.to_display(each.default):
             given[each.name] = option.from_display(value)
     try:
@@ -151,6 +151,13 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     except MocapfixError as error:
         raise SceneError(f"{path}: write: {error}") from error
     return options
+
+
+def _find_beside_job(path: Path, value: Any) -> Any:
+    """Return a name, or each of several, as the path of a file beside the job if there is one."""
+    if isinstance(value, tuple):
+        return tuple(_find_beside_job(path, each) for each in cast("tuple[Any, ...]", value))
+    return path.parent / value if is_existing_file(path.parent / value) else value
 
 
 def has_wildcards(name: str) -> bool:
@@ -186,6 +193,7 @@ def _get_yaml_type(each: DataclassField[Any]) -> Any:
     """Return the type of an option's value in a job file."""
     finite: Any = FiniteFloat
     special: dict[Any, Any] = {float: finite, float | None: finite | None, str | Path | None: str | None}
+    special[tuple[str | Path, ...]] = tuple[str, ...]
     return next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
 
 
