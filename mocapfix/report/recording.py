@@ -11,6 +11,8 @@ Entities:
     missing/before|after  number of missing markers
     error/LABEL           distance of the marker from the body in millimetres, for the markers with the largest distances
 
+and those of contacts with the floor (see mocapfix.report.contact_recording).
+
 All data are sent as whole columns: strips in lists, or one call per frame, take about a hundred times longer. A frame without
 markers is a row without points; without such a row rerun keeps showing the previous frame.
 """
@@ -24,6 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 
 from mocapfix.files.output_files import replace_atomically
+from mocapfix.report.contact_recording import build_contact_views, log_contacts
 from mocapfix.report.sample_states import (
     AMBER,
     GREEN,
@@ -87,6 +90,8 @@ def write_recording(target: Path, comparison: CleaningComparison) -> None:
             writer.log_missing_counts(comparison.input_take, comparison.cleaned_take)
             if comparison.residual_m is not None:
                 writer.log_residuals(comparison.residual_m)
+            if comparison.contacts is not None and (contact_position := comparison.locate_contacts()) is not None:
+                log_contacts(writer, comparison.contacts, contact_position)
         finally:
             recording.disconnect()
         check_recording_complete(part)
@@ -226,7 +231,10 @@ def build_blueprint(comparison: CleaningComparison) -> "rrb.Blueprint":
         axis = rrb.ScalarAxis(range=(0, limit_mm), zoom_lock=False)
         name = "Largest distances from the body, mm"
         plots.append(rrb.TimeSeriesView(origin="error", name=name, axis_y=axis, plot_legend=legend))
-    beside = rrb.Vertical(*plots, row_shares=[3, 1, 2][: len(plots)])
+    shares, views = [3, 1, 2][: len(plots)], list[rrb.View | rrb.Container](plots)
+    if comparison.contacts is not None and (contact_views := build_contact_views(comparison.contacts)):
+        shares, views = [*shares, 2], [*views, rrb.Tabs(*contact_views)]
+    beside = rrb.Vertical(*views, row_shares=shares)
     time = rrb.TimePanel(timeline="time", state="collapsed", play_state="paused")
     return rrb.Blueprint(rrb.Horizontal(body, beside, column_shares=[3, 2]), time, collapse_panels=True)
 
