@@ -1,0 +1,132 @@
+"""Fewer keys for a motion, with a limit on the error of the interpolation between them, for curves that an animator can edit.
+
+The limit is an angle: of every bone relative to its parent, in every frame. For the position of the pelvis it is the distance
+that this angle means at the end of a leg, angle times leg length. Source of the keys' choice: `kernels/key_reduction.py`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from mocapfix.kernels import key_reduction, quaternions
+
+CONSTANT_TRACK_RAD = 1e-6
+"""a rotation that stays within this of its first frame has one key, also without key reduction"""
+
+
+@dataclass(frozen=True)
+class KeyReduction:
+    """What a reduction of keys came to, over all frames and bones.
+
+    limit_deg       the largest error that was allowed
+    max_error_deg   the largest error of a bone's rotation relative to its parent, measured
+    max_distance_m  the largest distance of a bone's head or tail from where it is without reduction, measured
+    key_count       number of keys written
+    sample_count    number of keys with one in every frame
+    """
+
+    limit_deg: float
+    max_error_deg: float
+    max_distance_m: float
+    key_count: int
+    sample_count: int
+
+    @property
+    def sentence(self) -> str:
+        """The result as a sentence for reports."""
+        share = 100 * self.key_count / max(self.sample_count, 1)
+        return (
+            f"{self.key_count:,} of {self.sample_count:,} keys are kept ({share:.0f} %); between them rotations are at most "
+            f"{self.max_error_deg:.2g} degrees off and bones {1000 * self.max_distance_m:.2g} mm."
+        )
+
+
+@dataclass(frozen=True)
+class MotionKeys:
+    """The curves of a motion over T frames, and which frames are keys.
+
+    bones          N indices of the bones with a curve
+    rotations      N arrays (T, 4) of their local rotations: unit quaternions x, y, z, w without sign flips
+    rotation_keys  N arrays (T,) bool
+    position       (T, 3) m: the curve of the pelvis or root
+    position_keys  (T,) bool
+    """
+
+    bones: tuple[int, ...]
+    rotations: tuple[Float[np.ndarray, "T 4"], ...]
+    rotation_keys: tuple[Bool[np.ndarray, " T"], ...]
+    position: Float[np.ndarray, "T 3"]
+    position_keys: Bool[np.ndarray, " T"]
+
+    @property
+    def key_count(self) -> int:
+        """Number of all keys."""
+        return int(sum(keys.sum() for keys in self.rotation_keys) + self.position_keys.sum())
+
+
+def reduce_rotation_keys(rotation: Float[np.ndarray, "T 4"], max_error_rad: float) -> Int[np.ndarray, " K"]:
+    """Return the frames of unit quaternions without sign flips between which interpolation stays within an angle of all frames.
+
+    The angle is kept with slerp and with normalised linear interpolation. One frame, the first, is enough for a curve that is
+    constant within the limit; all others keep the last one too.
+    """
+    return np.flatnonzero(key_reduction.select_rotation_keys(np.ascontiguousarray(rotation, float), float(max_error_rad)))
+
+
+def reduce_position_keys(position: Float[np.ndarray, "T 3"], max_error_m: float) -> Int[np.ndarray, " K"]:
+    """Return the frames between which linear interpolation stays within a distance of all frames: the first, last and others."""
+    return np.flatnonzero(key_reduction.select_position_keys(np.ascontiguousarray(position, float), float(max_error_m)))
+
+
+def select_motion_keys(
+    bones: Sequence[int],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    position: Float[np.ndarray, "T 3"],
+    max_error_rad: float | None,
+    leg_length_m: float,
+) -> MotionKeys:
+    """Select the keys of some bones of a motion and of its position.
+
+    Without a limit every frame is a key, except those of constant rotations. The position has at least its first and last frame:
+    they keep the length of the motion.
+    """
+    frame_count = len(position)
+    is_known = np.ones(frame_count, bool)
+    rotations = tuple(quaternions.extract_joint_quaternions(local_rotations, bone, is_known) for bone in bones)
+    if max_error_rad is None:
+        constant = [key_reduction.select_rotation_keys(rotation, CONSTANT_TRACK_RAD) for rotation in rotations]
+        keys = tuple(each if each.sum() == 1 else is_known for each in constant)
+        return MotionKeys(tuple(bones), rotations, keys, position, is_known)
+    keys = tuple(key_reduction.select_rotation_keys(rotation, float(max_error_rad)) for rotation in rotations)
+    position_keys = key_reduction.select_position_keys(np.ascontiguousarray(position, float), float(max_error_rad * leg_length_m))
+    return MotionKeys(tuple(bones), rotations, keys, position, position_keys)
+
+
+def measure_key_reduction(
+    keys: MotionKeys,
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    limit_rad: float,
+    compute_points: Callable[[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]], Float[np.ndarray, "T P 3"]],
+) -> KeyReduction:
+    """Measure the errors of a motion between its keys.
+
+    compute_points  the points of the body in the world, from the curve of the position and the local rotations of all bones
+    """
+    reduced = local_rotations.copy()
+    for bone, rotation, kept in zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True):
+        quaternions.store_joint_quaternions(key_reduction.interpolate_keys(rotation, kept, True), bone, reduced)
+    position = key_reduction.interpolate_keys(np.ascontiguousarray(keys.position, float), keys.position_keys, False)
+    difference = compute_points(position, reduced) - compute_points(keys.position, local_rotations)
+    errors = [
+        key_reduction.measure_key_error(rotation, kept, True)
+        for rotation, kept in zip(keys.rotations, keys.rotation_keys, strict=True)
+    ]
+    return KeyReduction(
+        limit_deg=float(np.degrees(limit_rad)),
+        max_error_deg=float(np.degrees(max(errors, default=0.0))),
+        max_distance_m=float(np.linalg.norm(difference, axis=-1).max(initial=0.0)),
+        key_count=keys.key_count,
+        sample_count=len(keys.position) * (len(keys.bones) + 1),
+    )
