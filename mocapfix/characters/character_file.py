@@ -60,6 +60,7 @@ class _CharacterBone(StrictModel):
     head: Vector3
     tail: Vector3 | None = None
     along: OwnAxis | None = None
+    second: OwnAxis | None = None
     toward: Vector3 | None = None
     rotation: Quaternion | None = None
     scale_m: PositiveFloat | None = None
@@ -89,9 +90,9 @@ class _CharacterModel(StrictModel):
 def read_character_file(path: Path) -> Character:
     """Read a character from a YAML file.
 
-    A tail that is not given is at the head of the first child. The own axes of a bone are those of `rotation` if given;
-    otherwise they follow the rule `axes` of the file, whose `along` and `toward` a bone may replace. A bone without length has
-    the axes of its parent. Without a rule the axes are parallel to the world's.
+    A tail that is not given is at the head of the first child; a tail at the bone's own head is none. The own axes of a bone are
+    those of `rotation` if given; otherwise they follow the rule `axes` of the file, whose keys a bone may replace. Under a rule,
+    a bone without a tail has the axes of its parent. Without a rule the axes are parallel to the world's.
 
     Returns:
         The character. Its mapping is empty if the file has no segments.
@@ -192,6 +193,7 @@ def _find_tails(model: _CharacterModel, parents: Int[np.ndarray, " J"], heads: F
             tails[bone] = each.tail
         elif len(children):
             tails[bone] = heads[children[0]]
+    tails[np.linalg.norm(tails - heads, axis=1) < MIN_BONE_LENGTH_M] = np.nan
     return tails
 
 
@@ -209,13 +211,13 @@ def _compute_world_rotations(
             rotations[bone] = _read_quaternion(path, f"bones.{bone}.rotation", each.rotation)
         elif model.axes is not None:
             vector = tails[bone] - heads[bone]
-            if np.linalg.norm(vector) > MIN_BONE_LENGTH_M:  # False for NaN
-                rule = (each.along or model.axes.along, model.axes.second, each.toward or model.axes.toward)
+            if not np.isnan(vector).any():
+                rule = (each.along or model.axes.along, each.second or model.axes.second, each.toward or model.axes.toward)
                 rotations[bone] = _apply_axes_rule(f"{path}: bones.{bone} ({each.name})", rule, vector)
             elif parents[bone] >= 0:
                 rotations[bone] = rotations[parents[bone]]
-        elif each.along is not None or each.toward is not None:
-            raise SceneError(f"{path}: bones.{bone}: `along` and `toward` need a rule under `axes`.")
+        elif each.along or each.second or each.toward:
+            raise SceneError(f"{path}: bones.{bone}: `along`, `second` and `toward` replace those of `axes`; give this key too.")
     return rotations
 
 

@@ -6,7 +6,7 @@ PRIOR_SCOPES = (PRIOR_EVERY_FRAME, PRIOR_LOST_LIMBS, NO_TRAINED_PRIOR)
 INIT_METHODS = ("hybrik-x", "hybrik-adaptive", "hybrik-naive", "learned", "registration", "previous")
 DEFAULT_INIT_METHOD = "hybrik-x"
 RIG_NAMES = ("3dsmax", "blender", "cmu", "motionbuilder")  # in scenes/rigs
-CHARACTER_PRESETS = ("mixamo", "unreal")  # in scenes/rigs
+CHARACTER_PRESETS = ("daz-g8", "daz-g9", "humanik", "metahuman", "mixamo", "rigify", "smpl", "unreal", "vrm")  # in scenes/rigs
 EXTRA_FORMAT_NAMES = ("gltf", "amc", "npz", "c3d", "trc", "csv", "contacts", "events", "fbx")
 """formats that are written on request (write.output_formats)"""
 REPAIRABLE_KINDS = (
