@@ -12,7 +12,7 @@ from mocapfix.take import Take
 FaultKind = Literal[
     "gap", "flicker", "leading gap", "trailing gap", "absent", "segment lost",
     "spike", "pop", "flip", "jitter", "noise", "stuck", "straight", "computed", "ghost",
-    "swap", "mislabelled", "fragment", "moved", "drift", "marked",
+    "swap", "mislabelled", "fragment", "moved", "drift", "marked", "foot slide",
 ]  # fmt: skip
 Decision = Literal["accept", "reject", "keep"]
 """what a reviewer decides about a change (see `mocapfix.changes.Change`)"""

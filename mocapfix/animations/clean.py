@@ -19,8 +19,10 @@ import numpy as np
 
 from mocapfix.animation import Animation
 from mocapfix.animations import joint_mapping, joint_points
+from mocapfix.animations.animation_contacts import find_animation_contacts
 from mocapfix.animations.apply_repairs import apply_repairs
 from mocapfix.animations.detect import detect_animation_faults, list_rotation_orders
+from mocapfix.animations.foot_lock import lock_feet
 from mocapfix.animations.joint_mapping import find_ancestor
 from mocapfix.animations.joint_points import build_joint_skeleton
 from mocapfix.animations.mapped_prior import MappedPriorConditioner
@@ -28,6 +30,7 @@ from mocapfix.animations.repair import repair_animation
 from mocapfix.animations.retarget import SkeletonAlignment, align_skeleton, convert_to_cmu31
 from mocapfix.errors import SceneError, TakeError
 from mocapfix.faults import Faults
+from mocapfix.files.option_choices import FEET_LOCK
 from mocapfix.files.option_definitions import StageOptions, list_options
 from mocapfix.fill.gap_filling import check_fill_options
 from mocapfix.motion import FrameStatus, Motion
@@ -35,11 +38,13 @@ from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.options import CleanOptions, SubjectOptions
 from mocapfix.pose_prior.model import PoseModel
 from mocapfix.report import build_report, notes
+from mocapfix.report.contact_section import build_contact_section, describe_contacts
 from mocapfix.report.report import InspectionReport, Report
 from mocapfix.report.stage_timer import StageTimer
 from mocapfix.report.terms import JOINT_TERMS
 from mocapfix.result import CleaningResult
 from mocapfix.review.changes_file import read_changes_files, serialize_changes
+from mocapfix.solve.kinematics import compute_world_poses
 from mocapfix.subject import Subject
 from mocapfix.take import Take
 from mocapfix.write.patches import patch_animation
@@ -82,7 +87,11 @@ class AnimationResult(CleaningResult):
     def comparison(self) -> "CleaningComparison":
         """The animation before and after cleaning, for the report and the recording."""
         skeleton, positions = build_joint_skeleton(self.animation)
-        return replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
+        comparison = replace(super().comparison, skeleton=skeleton, joint_position_world=positions)
+        if self.contacts is None or self.subject is None or self.motion is None:
+            return comparison
+        model, columns = self.subject.skeleton, [self.subject.skeleton.names.index(joint) for joint in self.contacts.joints]
+        return replace(comparison, contact_position_world=compute_world_poses(model, self.motion)[0][:, columns])
 
 
 MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "is_fast", "refill")
@@ -188,6 +197,15 @@ def clean_animation(
     with timer("fill"):
         repaired = apply_repairs(animation, repair, faults, options, review.declined)
         body_motion = body.compute_motion(repaired.animation, repaired.joint_take) if body else None
+    with timer("solve"):
+        contacts, contact_notes = None, list[str]()
+        if body and body_motion:
+            contacts = find_animation_contacts(repaired.animation, body.alignment, *body_motion)
+            if options.contacts.feet == FEET_LOCK and contacts.has_feet:
+                held = lock_feet(repaired, body.alignment, body_motion[1], contacts, options.fill, review.declined)
+                repaired, contacts, contact_notes = held
+                body_motion = body.compute_motion(repaired.animation, repaired.joint_take)
+            contact_notes += describe_contacts(contacts, contacts.held_feet.mode, options.output.floor_height_m, JOINT_TERMS)
     before, after = repaired.tips_before, repaired.tips_after
     report: Report = {
         "take": build_report.build_take_section(repaired.joint_take, None),
@@ -197,8 +215,10 @@ def clean_animation(
         "solve": None,
         "fill": build_report.build_fill_section(before, before, after, repaired.unfilled),
         "seconds": timer.stage_seconds,
-        "notes": [*animation.notes, mapping_note, *notes.describe_uncertain_fills(after, JOINT_TERMS)],
+        "notes": [*animation.notes, mapping_note, *notes.describe_uncertain_fills(after, JOINT_TERMS), *contact_notes],
     }
+    if contacts:
+        report["contacts"] = build_contact_section(contacts, before)
     if body and body_motion is None:
         report["notes"].append("Some values are missing and could not be estimated, so there is no motion of the body model.")
     subject, motion = body_motion or (None, None)
@@ -214,6 +234,7 @@ def clean_animation(
         motion=motion,
         joint_position_world=None,
         residual_m=None,
+        contacts=contacts,
         report=report,
         review=review,
         input_animation=animation,

@@ -1,6 +1,6 @@
 """The contacts of a body with the floor, as later stages, reports and files use them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ class GaitEvent(NamedTuple):
     side    "left" or "right"
     kind    "foot strike" or "foot off"
     time_s  seconds after the first frame, between frames where the source is finer than these
-    source  "markers", or "force plate"
+    source  "markers", "joints" of an animation, or "force plate"
     """
 
     side: str
@@ -71,6 +71,11 @@ class BodyContacts:
     def has_feet(self) -> bool:
         """Whether markers show both feet at any time; otherwise there are no contacts and no floor."""
         return bool(self.is_known[:, : len(CONTACT_JOINTS)].any())
+
+    def lower_floor(self, height_m: float) -> "BodyContacts":
+        """Return the contacts of a body that is lowered by a height in metres."""
+        levels = tuple(level - height_m for level in self.floor.level_heights_m)
+        return replace(self, floor=replace(self.floor, level_heights_m=levels)) if levels else self
 
     def list_intervals(self, joint: str) -> list[tuple[int, int]]:
         """Return the contacts of a joint as (first, last) frames."""

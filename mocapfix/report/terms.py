@@ -34,6 +34,7 @@ FAULT_KIND_NAMES = {
     "ghost": ("ghost marker", "ghost markers"),
     "marked": ("stretch marked in review", "stretches marked in review"),
     "noise": ("noisy marker", "noisy markers"),
+    "foot slide": ("sliding foot", "sliding feet"),
 }
 
 

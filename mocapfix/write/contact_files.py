@@ -1,15 +1,18 @@
 """Write the contacts of a body as JSON, and the events of gait as CSV.
 
-walk.contacts.json   {"LeftFoot": [[first, last], ...], "LeftToeBase": ..., ...}: frames of the motion files, from 0, inclusive.
+walk.contacts.json   {"LeftFoot": [[first, last], ...], "LeftToeBase": ..., ...}: frames of walk.bvh, from 0, inclusive.
                      LeftFoot stands for the heel, LeftToeBase for the ball of the foot; also knees (LeftLeg) and wrists
+                     (LeftHand), where the body has them
 walk.events.csv      time_s (after the first frame), frame (the file's own, with a fraction), side, event, source
 """
 
 import json
+import math
 from pathlib import Path
 
 from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.files.output_files import replace_atomically
+from mocapfix.write.resampling import FRAME_TOLERANCE
 
 EVENT_COLUMNS = ("time_s", "frame", "side", "event", "source")
 
@@ -24,7 +27,10 @@ def write_contacts(target: Path, contacts: BodyContacts, rate: float) -> None:
 def list_intervals_at_rate(contacts: BodyContacts, joint: str, rate: float) -> list[tuple[int, int]]:
     """Return the contacts of a joint as (first, last) frames at another rate; contacts between two frames are left out."""
     step = rate / contacts.rate
-    scaled = [(-int(-first * step // 1), int(last * step // 1)) for first, last in contacts.list_intervals(joint)]
+    scaled = [
+        (math.ceil(first * step - FRAME_TOLERANCE), math.floor(last * step + FRAME_TOLERANCE))
+        for first, last in contacts.list_intervals(joint)
+    ]
     return [(first, last) for first, last in scaled if first <= last]
 
 

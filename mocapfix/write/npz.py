@@ -17,13 +17,16 @@ Metres, seconds, radians, Y up, right-handed. With T frames of the body, J joint
     markers (F, M, 3)    cleaned markers, NaN where missing
     marker_sd (F, M)     predicted standard deviation per axis of the samples that mocapfix estimated, NaN elsewhere
     marker_rate     frames per second of the markers, always that of the take
-    contact_joints (C,)  joints that can be in contact;  contacts (F, C) whether each is, in the frames of the take
+    contact_joints (C,)  joints that can be in contact;  contacts (F, C) whether each is, in the frames of the take, as markers
+    contacts_known (F, C)  False where the joint is not seen and its contact is inferred
+    floor_heights (L,)  heights of the floor's levels at the origin;  floor_slope (2,) its rise in metres per metre along x and z
     event_times (E,)  seconds after the first frame;  event_sides, event_kinds (E,) "left" or "right", "foot strike" or "foot off"
+    event_sources (E,)  "markers", "joints" or "force plate"
     label_confidence (F, M)  of a take that mocapfix labelled: the probability that the label of a sample is right, NaN for
                     samples that were not in the file
 
-A take whose file has labels has no label_confidence. A take without a body has no contacts, events, names, parents, offsets,
-ends, root, rotations, joints, joint_sd, solved_joints, status and status_texts.
+A take whose file has labels has no label_confidence. A take without a body has no contacts, floor, events, names, parents,
+offsets, ends, root, rotations, joints, joint_sd, solved_joints, status and status_texts.
 """
 
 from pathlib import Path
@@ -90,9 +93,13 @@ def _build_contact_arrays(contacts: BodyContacts) -> dict[str, np.ndarray]:
     return {
         "contact_joints": np.array(contacts.joints),
         "contacts": contacts.is_contact,
+        "contacts_known": contacts.is_known,
+        "floor_heights": np.array(contacts.floor.level_heights_m, float),
+        "floor_slope": np.array([contacts.floor.slope_x, contacts.floor.slope_z]),
         "event_times": np.array([event.time_s for event in contacts.events], float),
         "event_sides": np.array([event.side for event in contacts.events], str),
         "event_kinds": np.array([event.kind for event in contacts.events], str),
+        "event_sources": np.array([event.source for event in contacts.events], str),
     }
 
 

@@ -149,7 +149,7 @@ def _write_npz(target: Path, result: "CleaningResult", exported: ExportedMotion 
         exported.motion,
         exported.rate,
         exported.subject.solved_joints,
-        result.contacts,
+        result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None,
     )
 
 
@@ -179,7 +179,8 @@ def _write_json_report(target: Path, result: "CleaningResult", exported: Exporte
 
 def _write_contacts(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
     if result.contacts is not None:
-        write_contacts(target, result.contacts, _require_motion(exported).rate)
+        is_source_bvh = BVH_FORMAT.suffix in get_source_suffixes(result.input_take.path)  # it keeps its rate
+        write_contacts(target, result.contacts, result.contacts.rate if is_source_bvh else _require_motion(exported).rate)
 
 
 def _write_events(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
