@@ -4,7 +4,7 @@ By default: Y up, facing +Z in the rest pose, in centimetres (BVH has no unit). 
 three. All rotations are Z Y X in degrees, R = Rz Ry Rx, continuous over time. A rig may have another unit and order.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -43,14 +43,32 @@ def write_bvh(
     Raises:
         WriteError: If `target` is not writable or a leaf of the skeleton has no end site.
     """
+    write_bvh_tree(target, skeleton, {0: motion.root_position}, motion.local_rotations, rate, unit_m, rotation_order)
+
+
+def write_bvh_tree(
+    target: Path,
+    skeleton: Skeleton,
+    positions: Mapping[int, Float[np.ndarray, "T 3"]],
+    local_rotations: Float[np.ndarray, "T J 3 3"],
+    rate: float,
+    unit_m: float = CENTIMETRE_M,
+    rotation_order: str = "ZYX",
+) -> None:
+    """Write a motion as `write_bvh` does, in which several joints may have position channels.
+
+    positions  joint to its positions (T, 3) in metres in its parent's axes; the root, joint 0, must have them
+    """
     joints = list(_iterate_depth_first(skeleton))
-    rotations = motion.local_rotations[:, [joint for joint, _ in joints]]
-    angles = np.degrees(compute_euler_angles(rotations, rotation_order))
-    channels = np.hstack([motion.root_position * (1 / unit_m), angles.reshape(motion.frame_count, -1)])
-    header = "".join(_build_hierarchy(target, skeleton, joints, unit_m, rotation_order))
-    header += f"MOTION\nFrames: {motion.frame_count}\nFrame Time: {1 / rate:.10f}\n"
+    angles = np.degrees(compute_euler_angles(local_rotations[:, [joint for joint, _ in joints]], rotation_order))
+    columns: list[np.ndarray] = []
+    for index, (joint, _) in enumerate(joints):
+        columns += [positions[joint] * (1 / unit_m)] if joint in positions else []
+        columns.append(angles[:, index])
+    header = "".join(_build_hierarchy(target, skeleton, joints, positions, unit_m, rotation_order))
+    header += f"MOTION\nFrames: {len(local_rotations)}\nFrame Time: {1 / rate:.10f}\n"
     with replace_atomically(Path(target)) as part:
-        part.write_bytes(header.encode("ascii") + format_rows(channels, BVH_DECIMALS))
+        part.write_bytes(header.encode("utf-8") + format_rows(np.hstack(columns), BVH_DECIMALS))
 
 
 def write_rig_bvh(target: Path, rig: Rig, skeleton: Skeleton, motion: Motion, rate: float) -> None:
@@ -79,7 +97,12 @@ def _iterate_depth_first(skeleton: Skeleton, joint: int = 0, depth: int = 0) -> 
 
 
 def _build_hierarchy(
-    target: Path, skeleton: Skeleton, joints: list[tuple[int, int]], unit_m: float, rotation_order: str
+    target: Path,
+    skeleton: Skeleton,
+    joints: list[tuple[int, int]],
+    positioned_joints: Collection[int],
+    unit_m: float,
+    rotation_order: str,
 ) -> Iterator[str]:
     """Yield the lines of the HIERARCHY section."""
     yield "HIERARCHY\n"
@@ -87,11 +110,12 @@ def _build_hierarchy(
     rotation_channels = " ".join(f"{axis}rotation" for axis in rotation_order)
     for (joint, depth), next_depth in zip(joints, depths[1:], strict=True):
         name, indent = skeleton.names[joint], "\t" * depth
-        position_channels = "Xposition Yposition Zposition " if depth == 0 else ""
+        is_positioned = joint in positioned_joints
+        position_channels = "Xposition Yposition Zposition " if is_positioned else ""
         offset = skeleton.offsets[joint] if depth else np.zeros(3)  # the position of the root is in its channels
         yield f"{indent}{'JOINT' if depth else 'ROOT'} {name}\n{indent}{{\n"
         yield f"{indent}\tOFFSET {_format_vector(offset, unit_m)}\n"
-        yield f"{indent}\tCHANNELS {6 if depth == 0 else 3} {position_channels}{rotation_channels}\n"
+        yield f"{indent}\tCHANNELS {6 if is_positioned else 3} {position_channels}{rotation_channels}\n"
         if next_depth <= depth:
             end = skeleton.ends[joint]
             if not np.linalg.norm(end) > 0:

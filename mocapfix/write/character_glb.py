@@ -1,0 +1,147 @@
+"""Write the motion of a character as binary glTF: into the user's own file, or with a test skin for a character without mesh.
+
+In the user's file, mesh, skin, materials, existing animations and everything unknown stay as they are: the animation is appended
+to the document, and its arrays to the binary chunk behind the old bytes.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
+from mocapfix.files.glb import GlbContent, build_glb, parse_glb
+from mocapfix.files.output_files import replace_atomically
+from mocapfix.write.gltf import GLTF_ASSET
+from mocapfix.write.gltf_buffer import GltfBuffer, add_animation
+from mocapfix.write.gltf_skin import add_test_skin
+from mocapfix.write.key_reduction import KeyReduction, MotionKeys, measure_key_reduction, select_motion_keys
+
+MIN_MOVED_ELEMENT = 1e-6
+"""difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
+LEG_SEGMENTS = ("thigh", "shin")
+
+
+def write_character_glb(
+    target: Path, character: Character, motion: CharacterMotion, take_name: str, key_error_rad: float | None = None
+) -> KeyReduction | None:
+    """Write the motion of a character as a GLB.
+
+    The animation has the rotations of the bones of all segments and of others that move, and the positions of the pelvis. A
+    rotation that does not change has one key.
+
+    Args:
+        target: The file.
+        character: The character. The file that it was read from, if that was a glTF, is kept; else it gets a test skin.
+        motion: Its motion.
+        take_name: Name of the animation; a number is appended if the file has an animation of that name.
+        key_error_rad: Write only the keys that keep every rotation within this angle, and the pelvis within the distance that
+            it means at the end of a leg (angle times leg length). Every frame by default.
+
+    Returns:
+        The errors of the reduction, None without one.
+
+    Raises:
+        WriteError: If `target` is not writable.
+    """
+    content, nodes = _open_document(character)
+    bones = list_moving_bones(character, motion)
+    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, key_error_rad, compute_leg_length(character))
+    pelvis = character.mapping.bones["pelvis"][0]
+    buffer = GltfBuffer(content.document, content.binary)
+    has_own_scale = character.source is not None and character.source.kind == "gltf"
+    position_scale = get_parent_scale(character, pelvis) if has_own_scale else 1.0
+    for bone in {pelvis, *bones}:
+        _replace_matrix(content.document["nodes"][nodes[bone]])
+    name = _make_name_unique(take_name, content.document.get("animations", []))
+    add_animation(buffer, name, keys, [int(nodes[bone]) for bone in bones], int(nodes[pelvis]), position_scale, motion.rate)
+    data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
+    with replace_atomically(Path(target)) as part:
+        part.write_bytes(data)
+    return None if key_error_rad is None else measure_character_keys(character, motion, keys, key_error_rad)
+
+
+def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
+    """Return the bones of all segments, their twist bones, and others that the motion turns from their rest rotation."""
+    mapped = {bone for group in (character.mapping.bones, character.mapping.twists) for chain in group.values() for bone in chain}
+    difference = np.abs(motion.local_rotations - character.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
+    return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
+
+
+def compute_leg_length(character: Character) -> float:
+    """Return the length of the longer leg in metres, from hip to ankle along the bones of thigh and shin."""
+    mapped, lengths = character.mapping.bones, [0.0]
+    for side in ("left", "right"):
+        chain = [bone for segment in LEG_SEGMENTS for bone in mapped.get(f"{side}_{segment}", ())]
+        inner = [*chain[1:], *mapped.get(f"{side}_foot", ())]
+        lengths.append(float(np.linalg.norm(character.rest_positions[inner], axis=1).sum()))
+    return max(lengths)
+
+
+def get_parent_scale(character: Character, bone: int) -> float:
+    """Return the metres in a unit of the file in which the position of a bone is given."""
+    parent = int(character.parents[bone])
+    return float(character.scales[parent]) if parent >= 0 else character.root_scale
+
+
+def measure_character_keys(character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float) -> KeyReduction:
+    """Measure the errors of a character's motion between its keys, at the heads and tails of all bones."""
+
+    def compute_points(position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T P 3"]:
+        heads, axes = compute_character_poses(character, CharacterMotion(position, rotations, motion.rate))
+        return np.concatenate([heads, heads + (axes @ np.nan_to_num(character.tails)[..., None])[..., 0]], axis=1)
+
+    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points)
+
+
+def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " J"]]:
+    """Return the content to which the animation is appended, and the node of each bone."""
+    source = character.source
+    if source is not None and source.kind == "gltf":
+        return parse_glb(Path(source.path), source.data), source.nodes
+    buffer = GltfBuffer(_build_skinned_document(character))
+    positions, rotations = character.compute_rest_pose()
+    has_child = np.isin(np.arange(len(positions)), character.parents)
+    tails = positions + np.einsum("jab,jb->ja", rotations, character.tails)
+    add_test_skin(buffer, character.parents, positions, rotations, np.where(has_child[:, None], np.nan, tails))
+    return GlbContent(buffer.document, buffer.finish()), np.arange(len(positions))
+
+
+def _build_skinned_document(character: Character) -> dict[str, Any]:
+    """Return a document with the bones as its first nodes, in metres, and a node for mesh 0 and skin 0."""
+    quaternions = Rotation.from_matrix(character.rest_rotations).as_quat()
+    nodes: list[dict[str, Any]] = [
+        {"name": name, "translation": position.tolist(), "rotation": quaternion.tolist()}
+        for name, position, quaternion in zip(character.names, character.rest_positions, quaternions, strict=True)
+    ]
+    for bone, parent in enumerate(character.parents):
+        if parent >= 0:
+            nodes[parent].setdefault("children", []).append(bone)
+    roots = np.flatnonzero(character.parents < 0).tolist()
+    nodes.append({"name": "Bones", "mesh": 0, "skin": 0})
+    scene_nodes = [*roots, len(nodes) - 1]
+    if len(roots) > 1:  # the joints of a skin need a common ancestor
+        nodes.append({"name": "Armature", "children": roots})
+        scene_nodes = [len(nodes) - 1, len(nodes) - 2]
+    return {"asset": GLTF_ASSET, "scene": 0, "scenes": [{"nodes": scene_nodes}], "nodes": nodes}
+
+
+def _replace_matrix(node: dict[str, Any]) -> None:
+    """Give the transform of a node as translation, rotation and scale: a node with a matrix cannot be animated."""
+    if "matrix" not in node:
+        return
+    matrix = np.array(node.pop("matrix"), float).reshape(4, 4).T
+    scales = np.linalg.norm(matrix[:3, :3], axis=0)
+    node["translation"] = matrix[:3, 3].tolist()
+    node["rotation"] = Rotation.from_matrix(matrix[:3, :3] / scales).as_quat().tolist()
+    node["scale"] = scales.tolist()
+
+
+def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
+    """Return the name, with a number behind it if an animation has that name."""
+    used = {animation.get("name") for animation in animations}
+    candidates = (name, *(f"{name}.{number:03d}" for number in range(1, len(used) + 2)))
+    return next(candidate for candidate in candidates if candidate not in used)
