@@ -74,7 +74,10 @@ def find_foot_contacts(positions: ContactPositions) -> BodyContacts:
 def find_frames_near_floor(
     position: Float[np.ndarray, "T 3"], is_standing: Bool[np.ndarray, " T"], floor: Floor
 ) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which a joint is about as high above a level of the floor as it is where it stands lowest."""
+    """Return the frames in which a joint is about as high above a level of the floor as it is where it stands lowest.
+
+    Each joint is compared with itself: an ankle is higher where a person stands on the toes of that foot alone.
+    """
     if not is_standing.any() or not floor.level_heights_m:
         return np.zeros(len(position), bool)
     height = floor.compute_height_above(position)

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
-from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
+from mocapfix.contacts.rigid_feet import restore_foot_length
 from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 from mocapfix.stats.smooth_paths import smooth_path
@@ -18,8 +19,10 @@ SOFT_SMOOTHING_S = 0.1
 """Standard deviation of the kernel that smooths a standing foot."""
 LOCK_EXTENSION_SPEED_M_S = 0.2
 """Speed up to which a lock extends beyond the contact: the foot is rolling on or off, in contact with the floor."""
-MAX_LOCK_EXTENSION_S = 0.1
-RETURN_TIME_S = 0.05
+MAX_LOCK_EXTENSION_S = 0.15
+MAX_LOCK_DISPLACEMENT_M = 0.035
+"""Distance from its mean place up to which a joint is held there; a foot that stands rolls by 10 to 20 mm."""
+RETURN_TIME_S = 0.06
 """Time constant with which a displacement begins before a contact and ends after it."""
 CONTACT_WEIGHT = 300.0
 """Weight of the displacement within contacts relative to that of no displacement between them."""
@@ -29,29 +32,39 @@ UP = 1
 def compute_foot_displacements(
     position: Float[np.ndarray, "T C 3"], contacts: BodyContacts, *, is_locked: bool
 ) -> Float[np.ndarray, "T C 3"]:
-    """Return the displacement in metres of each joint in contact, in every frame.
+    """Return the displacement in metres of each joint of the feet, in every frame.
 
-    position   (T, C, 3) m: the joints of `contacts`
+    position   (T, C, 3) m: the joints of `contacts`, which are CONTACT_JOINTS
     is_locked  hold each contact at one place; otherwise remove its fast motion
     """
-    displacement = np.zeros(position.shape)
-    for c in range(position.shape[1]):
-        is_contact, is_known, path = contacts.is_contact[:, c], contacts.is_known[:, c], position[:, c]
-        if is_locked:
-            is_contact = extend_contacts(is_contact, compute_speed(path, contacts.rate), contacts.rate)
-        if is_contact.any():
-            target = compute_target(path, is_contact, is_known, contacts.rate, is_locked=is_locked)
-            displacement[:, c] = smooth_displacement(target - path, is_contact, contacts.rate)
-    return displacement
+    is_held = contacts.is_contact.copy()
+    if is_locked:
+        for c in range(is_held.shape[1]):
+            is_held[:, c] = extend_contacts(is_held[:, c], compute_speed(position[:, c], contacts.rate), contacts.rate)
+    target = position.copy()
+    for c in np.flatnonzero(is_held.any(0)):
+        is_known = contacts.is_known[:, c]
+        target[:, c] = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, is_locked=is_locked)
+    pairs = [tuple(CONTACT_JOINTS.index(joint) for joint in joints) for joints in FOOT_JOINTS.values()]
+    share = np.zeros(is_held.shape)
+    for c in np.flatnonzero(is_held.any(0)):
+        wanted = np.column_stack([target[:, c] - position[:, c], np.ones(len(position))])
+        smooth = smooth_displacement(wanted, is_held[:, c], contacts.rate)
+        target[:, c], share[:, c] = position[:, c] + smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
+    for ankle, toe in pairs:
+        length_m = np.linalg.norm(position[:, toe] - position[:, ankle], axis=1)
+        shares = share[:, ankle], share[:, toe]
+        target[:, ankle], target[:, toe] = restore_foot_length(target[:, ankle], target[:, toe], shares, length_m)
+    return target - position
 
 
 def extend_contacts(is_contact: Bool[np.ndarray, " T"], speed: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
-    """Return the contacts, with the slow frames beside them; contacts stay apart from one another."""
+    """Return the contacts with the slow frames beside them; contacts between which the joint stays slow become one."""
     extended, reach = is_contact.copy(), round(MAX_LOCK_EXTENSION_S * rate)
     for first, last in find_runs(is_contact):
         for step, edge, stop in ((-1, first, max(0, first - reach)), (1, last, min(len(speed) - 1, last + reach))):
             t = edge
-            while t != stop and speed[t + step] < LOCK_EXTENSION_SPEED_M_S and not extended[t + step]:
+            while t != stop and speed[t + step] < LOCK_EXTENSION_SPEED_M_S:
                 t += step
                 extended[t] = True
     return extended
@@ -76,7 +89,7 @@ def compute_target(
         shown = np.stack([np.interp(frames[span], known, path[known, axis]) for axis in range(3)], axis=1)
         height = shown[:, UP].copy()
         if is_locked:
-            shown[:] = path[known].mean(0)
+            shown -= limit_length(shown - path[known].mean(0), MAX_LOCK_DISPLACEMENT_M)
         else:
             shown = gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
         shown[:, UP] = height
@@ -84,9 +97,15 @@ def compute_target(
     return target
 
 
+def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[np.ndarray, "T 3"]:
+    """Return vectors, those that are longer than the largest length shortened to it."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors * np.minimum(1, max_length / np.maximum(length, max_length))
+
+
 def smooth_displacement(
-    displacement: Float[np.ndarray, "T 3"], is_contact: Bool[np.ndarray, " T"], rate: float
-) -> Float[np.ndarray, "T 3"]:
+    displacement: Float[np.ndarray, "T D"], is_contact: Bool[np.ndarray, " T"], rate: float
+) -> Float[np.ndarray, "T D"]:
     """Return the smoothest displacement that is near the given one in contacts and near 0 between them.
 
     It minimises the integral of CONTACT_WEIGHT |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
