@@ -4,7 +4,7 @@ from typing import NotRequired, TypedDict
 
 from mocapfix.faults import Decision, FaultKind
 from mocapfix.labelling.label_summary import LabellingSection
-from mocapfix.report.contact_section import ContactSection
+from mocapfix.report.contact_entries import ContactSection
 from mocapfix.take import ComputedEvidence
 
 
