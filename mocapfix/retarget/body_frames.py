@@ -29,6 +29,10 @@ MAX_BALL_HEIGHT = 0.15
 DEFAULT_FOOT_LENGTH = 0.15
 """Distance from the ankle to the ball of the foot, as a share of the leg's length, of a foot without toes and tail."""
 DEFAULT_ANKLE_HEIGHT = 0.08
+PALM_SHARE = 0.7
+"""The middle of the hand, as a share of its bone, which ends at the knuckles."""
+DEFAULT_PALM = 0.13
+"""The same as a share of the arm's length, for a hand without a tail."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,16 @@ class BodyFrame:
         """Return a point of the rest pose relative to a segment's beginning, in the segment's axes, in metres."""
         bone = self.segment_bones[segment]
         return self.standard_rotations[bone] @ self.rest_rotation[bone].T @ (point - self.find_head(segment))
+
+    def compute_chain_offsets(self, segment: str, end: str | None = None) -> Float[np.ndarray, "n 3"]:
+        """Return the vectors from each bone of the spine or neck to the next, in the segments' axes, in metres.
+
+        The last is to the beginning of the segment `end`, if it is given and the character has it.
+        """
+        heads = [self.rest_position[bone] for bone in self.character.mapping.bones.get(segment, ())]
+        if end in self.segment_bones and heads:
+            heads.append(self.find_head(end))
+        return np.diff(np.reshape(heads, (-1, 3)), axis=0) @ self.facing if len(heads) > 1 else np.zeros((0, 3))
 
     def compute_length(self, start: str, end: str) -> float:
         """Return the mean over both sides of the distance in metres between the beginnings of two segments."""
@@ -105,6 +119,13 @@ class BodyFrame:
         if np.isfinite(vector).all() and vector[2] > length / 2:
             return vector
         return np.array([0.0, (DEFAULT_BALL_HEIGHT - DEFAULT_ANKLE_HEIGHT) * self.leg_length_m, length])
+
+    def compute_palm(self, side: str) -> Float[np.ndarray, " 3"]:
+        """Return the middle of a hand relative to the wrist, in the hand's axes, in metres, by the tail of its bone."""
+        hand = self.segment_bones[f"{side}_hand"]
+        tail = self.rest_position[hand] + self.rest_rotation[hand] @ self.character.tails[hand]
+        vector = self.compute_vector(f"{side}_hand", tail)
+        return PALM_SHARE * vector if np.isfinite(vector).all() else DEFAULT_PALM * self.arm_length_m * LIMB_DIRECTIONS[side]
 
     @property
     def ball_height_m(self) -> float:

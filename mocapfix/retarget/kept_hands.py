@@ -1,11 +1,13 @@
 """Where the hands of a character shall be.
 
 Away from the body a hand is where the arm's bones point as in the source: in the same direction from the shoulder, at the same
-share of the arm's length. Near a part of the body (thighs, trunk, head, the other forearm) it keeps its place beside that part:
-the vector from the nearest point of the part's axis. So a hand on a thigh stays on the thigh of a character with longer arms, and
-does not pass through it.
+share of the arm's length. Near a part of the body (thighs, trunk, head, the other forearm) the palm keeps its place beside that
+part: the vector from the nearest point of the part's axis. So a hand on a thigh stays on the thigh of a character with longer
+arms, and does not pass through it.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +15,15 @@ from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES
 from mocapfix.retarget.body_frames import BodyFrame
+from mocapfix.retarget.segment_motion import SegmentMotion
 
-NEAR_DISTANCE_M = 0.14
-"""Distance of a wrist from the axis of a part of the body up to which its place beside the part is kept."""
-FAR_DISTANCE_M = 0.35
+NEAR_DISTANCE = 0.3
+"""Distance of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept."""
+FAR_DISTANCE = 0.6
 """Distance from which only the arm's directions are kept."""
+NEARNESS_POWER = 4
+"""Power of the nearness with which the places beside several parts are weighted: the nearest part decides."""
+MIN_WEIGHT = 1e-12
 MAX_REACH = 0.999
 """Share of the arm's length up to which a hand's target is reached."""
 MIN_DISTANCE_M = 1e-6
@@ -30,44 +36,75 @@ class BodyPart(NamedTuple):
     end: str
 
 
-LEG_PARTS = {side: BodyPart(f"{side}_thigh", f"{side}_shin") for side in SIDES}
+LEG_PARTS = tuple(BodyPart(f"{side}_thigh", f"{side}_shin") for side in SIDES)
 TRUNK_PARTS = (BodyPart("pelvis", "neck"), BodyPart("neck", "head"))
-TRUNK_PARTS_WITHOUT_NECK = (BodyPart("pelvis", "head"),)
 
 
 def compute_hand_targets(
-    source: BodyFrame,
-    target: BodyFrame,
-    source_position: dict[str, Float[np.ndarray, "T 3"]],
-    target_position: dict[str, Float[np.ndarray, "T 3"]],
+    source: BodyFrame, target: BodyFrame, motion: SegmentMotion, target_position: Mapping[str, Float[np.ndarray, "T 3"]]
 ) -> dict[str, Float[np.ndarray, "T 3"]]:
     """Return by side where the wrists shall be, in metres.
 
-    source_position, target_position  segment to (T, 3) m: where it begins; the target's before its hands are placed
+    motion           of the source
+    target_position  segment to (T, 3) m: where it begins, before the hands are placed
     """
-    size_ratio = target.trunk_length_m / source.trunk_length_m  # of the thickness of the body
     arm_ratio = target.arm_length_m / source.arm_length_m
     targets: dict[str, Float[np.ndarray, "T 3"]] = {}
     for side, other in (("left", "right"), ("right", "left")):
-        wrist, shoulder = source_position[f"{side}_hand"], source_position[f"{side}_upper_arm"]
-        shoulder_target = target_position[f"{side}_upper_arm"]
-        free = shoulder_target + arm_ratio * (wrist - shoulder)
-        has_necks = "neck" in source_position and "neck" in target_position
-        trunk = TRUNK_PARTS if has_necks else TRUNK_PARTS_WITHOUT_NECK
-        parts = [*LEG_PARTS.values(), *trunk, BodyPart(f"{other}_forearm", f"{other}_hand")]
-        parts = [part for part in parts if all(end in source_position and end in target_position for end in part)]
-        total, weight_sum, largest = np.zeros_like(wrist), np.zeros(len(wrist)), np.zeros(len(wrist))
+        wrist, shoulder = motion.position[f"{side}_hand"], target_position[f"{side}_upper_arm"]
+        hand = motion.rotation[f"{side}_hand"]
+        from_wrist = hand @ target.compute_palm(side)
+        free = shoulder + arm_ratio * (wrist - motion.position[f"{side}_upper_arm"]) + from_wrist
+        palm = wrist + hand @ source.compute_palm(side)
+        parts = [*LEG_PARTS, *TRUNK_PARTS, BodyPart(f"{other}_forearm", f"{other}_hand")]
+        parts = [part for part in parts if all(end in motion.position and end in target_position for end in part)]
+        places = BesideParts.allocate(len(palm))
         for part in parts:
-            share, vector = find_nearest_point(wrist, source_position[part.start], source_position[part.end])
-            weight = compute_nearness(np.linalg.norm(vector, axis=1))
-            axis = target_position[part.end] - target_position[part.start]
-            total += weight[:, None] * (target_position[part.start] + share[:, None] * axis + size_ratio * vector)
-            weight_sum += weight
-            np.maximum(largest, weight, out=largest)
-        beside = total / np.maximum(weight_sum, MIN_DISTANCE_M)[:, None]
-        wanted = free + largest[:, None] * np.where(weight_sum[:, None] > 0, beside - free, 0.0)
-        targets[side] = limit_reach(wanted, shoulder_target, target.arm_length_m)
+            places.add(palm, [motion.position[end] for end in part], [target_position[end] for end in part], (source, target))
+        targets[side] = limit_reach(places.combine(free) - from_wrist, shoulder, target.arm_length_m)
     return targets
+
+
+@dataclass
+class BesideParts:
+    """The places of a palm beside the parts of a body, weighted by its nearness to each.
+
+    total    (T, 3) m: sum of the weighted places
+    weight   (T,) sum of the weights
+    nearest  (T,) nearness to the nearest part, from 0 to 1
+    """
+
+    total: Float[np.ndarray, "T 3"]
+    weight: Float[np.ndarray, " T"]
+    nearest: Float[np.ndarray, " T"]
+
+    @classmethod
+    def allocate(cls, frame_count: int) -> "BesideParts":
+        """Return no places."""
+        return cls(np.zeros((frame_count, 3)), np.zeros(frame_count), np.zeros(frame_count))
+
+    def add(
+        self,
+        palm: Float[np.ndarray, "T 3"],
+        source_ends: list[Float[np.ndarray, "T 3"]],
+        target_ends: list[Float[np.ndarray, "T 3"]],
+        frames: tuple[BodyFrame, BodyFrame],
+    ) -> None:
+        """Add the place beside a part, whose ends are given in the source and in the target."""
+        source, target = frames
+        share, vector = find_nearest_point(palm, *source_ends)
+        nearness = compute_nearness(np.linalg.norm(vector, axis=1) / source.trunk_length_m)
+        weight = nearness**NEARNESS_POWER
+        axis = target_ends[1] - target_ends[0]
+        place = target_ends[0] + share[:, None] * axis + target.trunk_length_m / source.trunk_length_m * vector
+        self.total += weight[:, None] * place
+        self.weight += weight
+        np.maximum(self.nearest, nearness, out=self.nearest)
+
+    def combine(self, free: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+        """Return the places of the palm: beside the parts where it is near one, `free` where it is near none."""
+        beside = self.total / np.maximum(self.weight, MIN_WEIGHT)[:, None]
+        return free + self.nearest[:, None] * np.where(self.weight[:, None] > MIN_WEIGHT, beside - free, 0.0)
 
 
 def find_nearest_point(
@@ -81,8 +118,8 @@ def find_nearest_point(
 
 
 def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Return 1 up to NEAR_DISTANCE_M, 0 from FAR_DISTANCE_M on, and a smooth step between."""
-    share = np.clip((FAR_DISTANCE_M - distance) / (FAR_DISTANCE_M - NEAR_DISTANCE_M), 0.0, 1.0)
+    """Return 1 up to NEAR_DISTANCE, 0 from FAR_DISTANCE on, and a smooth step between."""
+    share = np.clip((FAR_DISTANCE - distance) / (FAR_DISTANCE - NEAR_DISTANCE), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 

@@ -33,7 +33,7 @@ DIRECTION_SD_RAD = 0.1
 TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}
 """Standard deviations of rotations relative to the parent, by segment."""
 OTHER_TRACKING_SD_RAD = 0.3
-LIMIT_SD_RAD = 0.01
+LIMIT_SD_RAD = 0.1
 """Standard deviation of a joint's excess over its limits."""
 MAX_ITERATIONS = 30
 DIRECTED_BONES = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))

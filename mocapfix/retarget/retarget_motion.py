@@ -15,7 +15,7 @@ from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
 from mocapfix.retarget.kept_hands import compute_hand_targets
 from mocapfix.retarget.kept_positions import compute_kept_positions
 from mocapfix.retarget.pose_segments import SegmentTargets, compute_local_rotations, solve_segments
-from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, resample_chain
+from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, keep_chain_direction, resample_chain
 from mocapfix.retarget.solve_tree import SolveTree, build_solve_tree
 from mocapfix.retarget.twist_bones import compute_twisted_bones
 from mocapfix.solve.kinematics import compute_tree_poses
@@ -34,21 +34,28 @@ def retarget_motion(
     segments = compute_segment_motion(source_frame, motion)
     tree = build_solve_tree(target_frame)
     kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
-    rotation = spread_rotations(tree, segments)
+    rotation = spread_rotations(source_frame, target_frame, tree, segments)
     points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
         start = find_start_positions(tree, kept.pelvis, rotation)
-        hands = compute_hand_targets(source_frame, target_frame, dict(segments.position), start)
+        hands = compute_hand_targets(source_frame, target_frame, segments, start)
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     pelvis, local = solve_segments(tree, target, SegmentTargets(rotation, kept.pelvis, points))
     return compose_motion(target_frame, tree, pelvis, local, motion.rate)
 
 
-def spread_rotations(tree: SolveTree, segments: SegmentMotion) -> Float[np.ndarray, "T N 3 3"]:
-    """Return the world rotations of the bones of a solve tree that have the segments' rotations."""
-    counts = {chain: sum(segment.startswith(f"{chain}.") for segment in tree.segments) for chain in ("spine", "neck")}
-    spine = resample_chain(segments.spine, counts["spine"] + 1)
-    neck = resample_chain(segments.neck, counts["neck"] + 2)
+def spread_rotations(
+    source: BodyFrame, target: BodyFrame, tree: SolveTree, segments: SegmentMotion
+) -> Float[np.ndarray, "T N 3 3"]:
+    """Return the world rotations of the bones of a target's solve tree that have the source's segments' rotations."""
+    counts = {chain: len(target.character.mapping.bones.get(chain, ())) for chain in ("spine", "neck")}
+    spine, neck = resample_chain(segments.spine, counts["spine"] + 1), resample_chain(segments.neck, counts["neck"] + 2)
+    if spine.shape != segments.spine.shape:
+        offsets, source_offsets = target.compute_chain_offsets("spine"), source.compute_chain_offsets("spine")
+        spine[:, 1:-1] = keep_chain_direction(source_offsets, segments.spine[:, 1:-1], offsets, spine[:, 1:-1])
+    if neck.shape != segments.neck.shape:
+        offsets, source_offsets = target.compute_chain_offsets("neck", "head"), source.compute_chain_offsets("neck", "head")
+        neck[:, 1:-1] = keep_chain_direction(source_offsets, segments.neck[:, 1:-1], offsets, neck[:, 1:-1])
     rotations: list[Float[np.ndarray, "T 3 3"]] = []
     for segment, standard in zip(tree.segments, tree.standard_rotations, strict=True):
         name, _, number = segment.partition(".")

@@ -9,12 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDE_SEGMENTS, SIDES, CharacterMotion, compute_character_poses
 from mocapfix.retarget.body_frames import BodyFrame
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation
 
 PARENT_SEGMENTS = {
     "clavicle": "chest", "upper_arm": "clavicle", "forearm": "upper_arm", "hand": "forearm",
     "thigh": "pelvis", "shin": "thigh", "foot": "shin", "toe": "foot",
 }  # fmt: skip
 """The segment with which one that a body lacks moves; both of the same side, except pelvis and chest."""
+MIN_LENGTH_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,33 @@ def resample_chain(rotations: Float[np.ndarray, "T n 3 3"], count: int) -> Float
         low = min(int(place), last - 1)
         resampled[:, k] = interpolate_rotations(rotations[:, low], rotations[:, low + 1], place - low)
     return resampled
+
+
+def keep_chain_direction(
+    source_offsets: Float[np.ndarray, "n 3"],
+    source_rotations: Float[np.ndarray, "T n 3 3"],
+    offsets: Float[np.ndarray, "m 3"],
+    rotations: Float[np.ndarray, "T m 3 3"],
+) -> Float[np.ndarray, "T m 3 3"]:
+    """Return the rotations of a chain, turned together so that the chain points in the direction of another one.
+
+    offsets    from the beginning of each bone to that of the next, in its segment's axes, in metres
+    rotations  of these bones
+    """
+    if not len(offsets) or not len(source_offsets):
+        return rotations
+    wanted = np.einsum("tnij,nj->ti", source_rotations, source_offsets)
+    rest = compute_shortest_rotation(source_offsets.sum(0), offsets.sum(0))
+    reached = np.einsum("tnij,nj->ti", rotations, offsets @ rest)
+    return compute_shortest_rotations(reached, wanted)[:, None] @ rotations
+
+
+def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Return the smallest rotations from the directions of `before` to those of `after`; opposite directions are left."""
+    a, b = (each / np.maximum(np.linalg.norm(each, axis=1, keepdims=True), MIN_LENGTH_M) for each in (before, after))
+    quaternion = np.column_stack([np.cross(a, b), 1.0 + np.einsum("ti,ti->t", a, b)])
+    quaternion[quaternion[:, 3] < MIN_LENGTH_M] = [0.0, 0.0, 0.0, 1.0]
+    return Rotation.from_quat(quaternion).as_matrix()
 
 
 def interpolate_rotations(
