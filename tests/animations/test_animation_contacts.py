@@ -1,0 +1,112 @@
+"""Contacts of animations: those of the same motion on the body's own skeleton, without a change to the file."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mocapfix import pipeline, synthetic
+from mocapfix.animations.clean import AnimationResult
+from mocapfix.contacts.contacts import CONTACT_JOINTS
+from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.options import OutputOptions
+from mocapfix.read import bvh
+from mocapfix.solve import kinematics
+from mocapfix.write.bvh import write_bvh
+
+CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
+
+
+@pytest.fixture(scope="module")
+def truth() -> synthetic.SyntheticTake:
+    return synthetic.compose_take(seed=3, seconds=6.0)
+
+
+@pytest.fixture(scope="module")
+def path(truth, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("walk") / "walk.bvh"
+    write_bvh(path, truth.subject.skeleton, truth.motion, truth.rate)
+    return path
+
+
+@pytest.mark.parametrize("feet", ["soft", "off"])
+def test_contacts_are_those_of_the_body_and_the_file_is_unchanged(truth, path, tmp_path, feet):
+    result = pipeline.clean(path, feet=feet)
+    assert isinstance(result, AnimationResult)
+    outputs = result.write(tmp_path, options=OutputOptions(extra_formats=("contacts", "events", "npz"), output_rate_hz=60.0))
+    assert outputs["bvh"].read_bytes() == path.read_bytes()
+    joints = kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[0]
+    expected = find_contacts(truth.subject.skeleton, truth.motion, joints, truth.rate)
+    for joint in CONTACT_JOINTS:
+        column = result.contacts.joints.index(joint)
+        assert (result.contacts.is_contact[:, column] == expected.is_contact[:, column]).mean() > 0.995
+        assert len(expected.list_intervals(joint)) > 2
+    contacts = json.loads(outputs["contacts.json"].read_text())
+    assert contacts["LeftFoot"] == [list(each) for each in result.contacts.list_intervals("LeftFoot")]  # the BVH keeps its rate
+    report = result.report["contacts"]
+    assert report["feet"] == {"mode": "off", "largest_displacement_mm": 0.0}
+    assert {event["source"] for event in report["events"]} == {"joints"}
+    assert report["floor"]["height_m"] == pytest.approx(result.contacts.floor.height_m, abs=1e-4)
+    with np.load(outputs["npz"]) as arrays:
+        assert arrays["contacts"].shape[0] == len(arrays["markers"]) == 720
+        assert len(arrays["root"]) == 360
+
+
+def test_reports_of_animations_show_contacts_in_their_own_terms(path, tmp_path):
+    outputs = pipeline.clean(path).write(tmp_path)
+    page = outputs["report.html"].read_text()
+    assert "Contacts with the floor" in page
+    assert "Feet in contact are as they were in the file" in page
+    assert "marker" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL).replace("MarkerCurve", "")
+
+
+def test_events_follow_the_strikes_of_the_motion(truth, path):
+    contacts = pipeline.clean(path).contacts
+    strikes = [event for event in contacts.events if event.kind == "foot strike"]
+    assert len(strikes) >= 4
+    for event in strikes:  # a heel that strikes is low
+        heel = kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[0][
+            :, truth.subject.skeleton.find_joint("LeftFoot")
+        ]
+        assert np.isfinite(heel).all()
+        side_contact = contacts.find_foot_contact(event.side)
+        frame = round(event.time_s * truth.rate)
+        assert side_contact[frame : frame + round(0.25 * truth.rate)].any()
+        assert not side_contact[max(0, frame - round(0.1 * truth.rate)) : frame - round(0.05 * truth.rate)].all()
+
+
+def test_reference_pose_before_the_motion_has_no_contacts(truth, path, tmp_path):
+    lines = path.read_text().split("\n")
+    head = next(n for n, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    count = len(lines[head].split())
+    lines.insert(head, " ".join(["0"] * count))
+    (tmp_path / "posed.bvh").write_text("\n".join(lines).replace("Frames: 720", "Frames: 721"))
+    posed, plain = pipeline.clean(tmp_path / "posed.bvh").contacts, pipeline.clean(path).contacts
+    assert bvh.read_bvh(tmp_path / "posed.bvh").has_reference_pose
+    assert not posed.is_contact[0].any()
+    np.testing.assert_array_equal(posed.is_contact[1:], plain.is_contact)
+    times = [[event.time_s for event in each.events] for each in (plain, posed)]
+    np.testing.assert_allclose(np.array(times[1]) - 1 / 120, times[0], atol=1e-6)
+
+
+def test_a_figure_without_feet_has_no_contacts_and_a_note(path, tmp_path):
+    text = path.read_text()
+    for side in ("Left", "Right"):
+        for joint in ("Foot", "ToeBase"):
+            text = re.sub(rf"JOINT {side}{joint}\n", f"JOINT {side}Stump{joint[0]}\n", text)
+    (tmp_path / "stumps.bvh").write_text(text)
+    result = pipeline.clean(tmp_path / "stumps.bvh", feet="lock")
+    assert not result.contacts.is_contact.any()
+    assert result.report["contacts"]["joints"] == {}
+    assert any("The joints do not show both feet" in note for note in result.report["notes"])
+    assert result.changes == ()
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the real captures are not here")
+@pytest.mark.parametrize("name", ["cmu/02_01.bvh", "bvh-other/Male1_B3_Walk.bvh"])
+def test_captured_walks_have_steps_of_both_feet(name):
+    gait = pipeline.clean(CAPTURES / name).report["contacts"]["gait"]
+    assert gait["steps"] >= 4
+    assert 80 < gait["cadence_steps_per_min"] < 130
