@@ -19,7 +19,7 @@ from mocapfix.retarget.segment_motion import SegmentMotion
 
 NEAR_DISTANCE = 0.3
 """Distance of a palm from the axis of a part of the body, in lengths of the trunk, up to which its place beside it is kept."""
-FAR_DISTANCE = 0.6
+FAR_DISTANCE = 0.45
 """Distance from which only the arm's directions are kept."""
 NEARNESS_POWER = 4
 """Power of the nearness with which the places beside several parts are weighted: the nearest part decides."""
@@ -105,6 +105,38 @@ class BesideParts:
         """Return the places of the palm: beside the parts where it is near one, `free` where it is near none."""
         beside = self.total / np.maximum(self.weight, MIN_WEIGHT)[:, None]
         return free + self.nearest[:, None] * np.where(self.weight[:, None] > MIN_WEIGHT, beside - free, 0.0)
+
+
+def move_hands_out_of_thighs(
+    source: BodyFrame,
+    target: BodyFrame,
+    motion: SegmentMotion,
+    solved_position: Mapping[str, Float[np.ndarray, "T 3"]],
+    wanted: Mapping[str, Float[np.ndarray, "T 3"]],
+) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Return the targets of the wrists, moved so far that no palm is nearer to the axis of a thigh than in the source.
+
+    Distances are compared in lengths of the trunk, and only where they are less than NEAR_DISTANCE of these.
+
+    motion           of the source
+    solved_position  segment to (T, 3) m: where it begins in the solved poses of the target
+    wanted           (T, 3) m by side: the targets with which it was solved
+    """
+    ratio = target.trunk_length_m / source.trunk_length_m
+    moved = {side: wrist.copy() for side, wrist in wanted.items()}
+    for side, wrist in moved.items():
+        hand = motion.rotation[f"{side}_hand"]
+        palm = motion.position[f"{side}_hand"] + hand @ source.compute_palm(side)
+        solved_palm = solved_position[f"{side}_hand"] + hand @ target.compute_palm(side)
+        for start, end in LEG_PARTS:
+            vector = find_nearest_point(palm, motion.position[start], motion.position[end])[1]
+            solved_vector = find_nearest_point(solved_palm, solved_position[start], solved_position[end])[1]
+            least = ratio * np.minimum(np.linalg.norm(vector, axis=1), NEAR_DISTANCE * source.trunk_length_m)
+            distance = np.linalg.norm(solved_vector, axis=1)
+            outward = np.where(distance[:, None] > MIN_DISTANCE_M, solved_vector, vector)
+            outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_DISTANCE_M)
+            wrist += np.maximum(least - distance, 0.0)[:, None] * outward
+    return moved
 
 
 def find_nearest_point(

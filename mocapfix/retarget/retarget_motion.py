@@ -12,13 +12,18 @@ from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion
 from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
-from mocapfix.retarget.kept_hands import compute_hand_targets
+from mocapfix.retarget.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.retarget.kept_positions import compute_kept_positions
 from mocapfix.retarget.pose_segments import SegmentTargets, compute_local_rotations, solve_segments
 from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, keep_chain_direction, resample_chain
 from mocapfix.retarget.solve_tree import SolveTree, build_solve_tree
 from mocapfix.retarget.twist_bones import compute_twisted_bones
-from mocapfix.solve.kinematics import compute_tree_poses
+from mocapfix.solve.kinematics import Poses, compute_tree_poses
+
+MAX_SEPARATIONS = 3
+"""How often hands are moved out of thighs: the arms do not reach a new target at once, since other terms hold them back."""
+MIN_SEPARATION_M = 5e-4
+"""Movement of a hand's target below which a frame is not solved again."""
 
 
 def retarget_motion(
@@ -40,8 +45,32 @@ def retarget_motion(
         start = find_start_positions(tree, kept.pelvis, rotation)
         hands = compute_hand_targets(source_frame, target_frame, segments, start)
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
-    pelvis, local = solve_segments(tree, target, SegmentTargets(rotation, kept.pelvis, points))
+    targets = SegmentTargets(rotation, kept.pelvis, points)
+    pelvis, local = solve_segments(tree, target, targets)
+    if len(points) > len(kept.ankles):
+        pelvis, local = separate_hands_from_thighs((source_frame, target_frame), tree, segments, targets, (pelvis, local))
     return compose_motion(target_frame, tree, pelvis, local, motion.rate)
+
+
+def separate_hands_from_thighs(
+    frames: tuple[BodyFrame, BodyFrame], tree: SolveTree, segments: SegmentMotion, targets: SegmentTargets, poses: Poses
+) -> Poses:
+    """Solve the frames again in which a palm is nearer to a thigh than in the source, with targets farther from it."""
+    source, target = frames
+    wrists = {side: targets.points[f"{side}_hand"] for side in SIDES}
+    pelvis, local = poses[0].copy(), poses[1].copy()
+    for _ in range(MAX_SEPARATIONS):
+        position = name_positions(tree, compute_tree_poses(tree.tree, pelvis, local)[0])
+        moved = move_hands_out_of_thighs(source, target, segments, position, wrists)
+        is_moved = np.any([np.abs(moved[side] - wrists[side]).max(1) > MIN_SEPARATION_M for side in SIDES], axis=0)
+        if not is_moved.any():
+            break
+        wrists = moved
+        points = {name: place[is_moved] for name, place in targets.points.items()}
+        points |= {f"{side}_hand": wrists[side][is_moved] for side in SIDES}
+        again = SegmentTargets(targets.rotation[is_moved], targets.pelvis[is_moved], points)
+        pelvis[is_moved], local[is_moved] = solve_segments(tree, target.character, again)
+    return pelvis, local
 
 
 def spread_rotations(
@@ -68,7 +97,11 @@ def find_start_positions(
     tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], rotation: Float[np.ndarray, "T N 3 3"]
 ) -> dict[str, Float[np.ndarray, "T 3"]]:
     """Return where each segment begins, in metres, before the solve."""
-    position = compute_tree_poses(tree.tree, pelvis, compute_local_rotations(tree, rotation))[0]
+    return name_positions(tree, compute_tree_poses(tree.tree, pelvis, compute_local_rotations(tree, rotation))[0])
+
+
+def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Return the positions of the joints of a solve tree by segment; spine and neck are where their first bone begins."""
     positions = {segment: position[:, k] for k, segment in enumerate(tree.segments)}
     for chain in ("spine", "neck"):
         if f"{chain}.0" in positions:
