@@ -94,7 +94,7 @@ class AnimationResult(CleaningResult):
         return replace(comparison, contact_position_world=compute_world_poses(model, self.motion)[0][:, columns])
 
 
-MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "is_fast", "refill")
+MARKER_OPTIONS = ("marker_set", "subject", "subject_prefix", "init_method", "is_fast", "refill", "write_events")
 """the fields of options that have no use for joints"""
 
 
@@ -254,7 +254,7 @@ def inspect_animation(animation: Animation, options: CleanOptions) -> Inspection
 
 def reject_marker_options(animation: Animation, options: CleanOptions) -> None:
     """Raise TakeError if options are given that apply to markers only."""
-    stages: tuple[StageOptions, ...] = (options.subject, options.initialise, options.fill)
+    stages: tuple[StageOptions, ...] = (options.subject, options.initialise, options.contacts, options.fill)
     given = [
         option.flag
         for stage in stages

@@ -252,6 +252,7 @@ def test_invalid_files_and_options_are_refused(walk, mocapfix, tmp_path, brief):
     check_error(mocapfix("calibrate", walk.path, "-o", tmp_path / "s.yaml"), "is an animation without markers")
     check_error(mocapfix("marker-set", "learn", walk.path, "-o", tmp_path / "s.yaml"), "has joints and no markers to learn from")
     check_error(mocapfix(*clean, "--refill"), "has no markers; clean it without --refill")
+    check_error(mocapfix(*clean, "--events"), "has no markers; clean it without --events")
     check_error(mocapfix(*clean, "--keep", "Tail"), "has no joint Tail to keep; its joints are Hips")
     check_error(mocapfix(*clean, "--changes", wrong), "wrong.yaml: ")
     check_error(mocapfix("clean", walk.path, "--out", walk.path.parent), "would replace the input file")
