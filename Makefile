@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test bench docs install blender browser lint clean
+.PHONY: demo test bench docs install blender browser gltf-validator lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo
@@ -38,13 +38,16 @@ browser:
 	@command -v chromium >/dev/null || (apt-get update -q && apt-get install -qy --no-install-recommends chromium) >/dev/null \
 		|| echo "Chromium could not be installed, so the tests of the review page are skipped; install it with the system's packages."
 
+# Khronos' validator of glTF, for tests/write/test_character_glb.py, from npm; without it this test is skipped.
+gltf-validator: .gltf-validator/installed
+
 lint: $(VENV)/installed-dev
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/pyright
 
 clean:
-	rm -rf $(VENV) .blender dist site .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .blender .gltf-validator dist site .pytest_cache .ruff_cache .hypothesis
 	find mocapfix tests -name __pycache__ -prune -exec rm -rf {} +
 
 # These files are stamps: a second call installs nothing unless the requirements have changed. All tools for development are
@@ -63,3 +66,8 @@ $(VENV)/installed-dev: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .blender
 	.blender/bin/python -m pip install bpy==5.0.1
 	touch $@
+
+.gltf-validator/installed: Makefile
+	@mkdir -p .gltf-validator
+	@npm install --silent --no-fund --no-audit --prefix .gltf-validator gltf-validator@2.0.0-dev.3.10 && touch $@ \
+		|| echo "Khronos' validator could not be installed, so its test of glTF files is skipped; install Node.js with npm."

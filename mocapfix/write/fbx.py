@@ -86,7 +86,8 @@ def _select_last_animation(glb_path: Path) -> bytes:
 def _run_blender(command: Sequence[str], arguments: Sequence[str]) -> str | None:
     """Run the script in Blender. Return what went wrong as the end of a sentence, None if nothing did."""
     separator = [] if len(command) == 1 else ["--"]
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    is_own_python = command[0] == sys.executable
+    environment = {key: value for key, value in os.environ.items() if is_own_python or not key.startswith("PYTHON")}
     try:
         done = subprocess.run(
             [*command, str(EXPORT_SCRIPT), *separator, *arguments],

@@ -1,0 +1,59 @@
+"""Run by Blender's Python: import the written files of characters and return the positions of their bones."""
+
+import json
+import sys
+from pathlib import Path
+
+import bpy  # pyright: ignore[reportMissingImports]
+
+
+def open_file(path: str, scale: float, rate: float):
+    """Import a file into an empty scene; return its armature. Only BVH sets the rate of the scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if path.endswith(".bvh"):
+        bpy.ops.preferences.addon_enable(module="io_anim_bvh")
+        bpy.ops.import_anim.bvh(filepath=path, global_scale=scale, update_scene_fps=True)
+    elif path.endswith(".fbx"):
+        bpy.ops.preferences.addon_enable(module="io_scene_fbx")
+        bpy.ops.import_scene.fbx(filepath=path)
+    else:
+        bpy.context.scene.render.fps = round(rate)
+        bpy.ops.import_scene.gltf(filepath=path)
+    return next(each for each in bpy.data.objects if each.type == "ARMATURE")
+
+
+def select_action(armature, name: str) -> None:
+    """Make the action of an animation the active one."""
+    action = next((each for each in bpy.data.actions if each.name == name or each.name.startswith(f"{name}_")), None)
+    if action:
+        data = armature.animation_data
+        data.action = action
+        data.action_slot = next(slot for slot in action.slots if slot.target_id_type == "OBJECT")
+        for track in data.nla_tracks:
+            track.mute = True
+
+
+def read_heads(armature, frame: float) -> dict[str, list[float]]:
+    """Return the heads of the bones in the world, in metres, at a frame of the scene."""
+    bpy.context.scene.frame_set(int(frame), subframe=frame - int(frame))
+    return {bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones}
+
+
+def answer(job: dict) -> dict:
+    """Return heads in some frames of the motion, the rate, and the number of frames."""
+    armature, render = open_file(job["path"], job["scale"], job["rate"]), bpy.context.scene.render
+    if job["path"].endswith(".glb"):
+        select_action(armature, job["take"])
+    first, last = armature.animation_data.action.frame_range
+    return {
+        "rate": render.fps / render.fps_base,
+        "first": first,
+        "frames": last - first + 1,
+        "meshes": sum(each.type == "MESH" and bool(each.modifiers) for each in bpy.data.objects),
+        "heads": [read_heads(armature, first + frame) for frame in job["frames"]],
+    }
+
+
+if __name__ == "__main__":
+    jobs, target = map(Path, sys.argv[1:])
+    target.write_text(json.dumps([answer(job) for job in json.loads(jobs.read_text())]))

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from mocapfix.characters.character_reader import read_character
+from mocapfix.errors import ReadError
+from mocapfix.motion import Motion
+from mocapfix.write import write_bvh
+from tests.write.read_back import SKELETON, motion_of, smooth_rotations
+
+
+@pytest.fixture
+def motion() -> Motion:
+    return motion_of(smooth_rotations(0, 5, len(SKELETON.names), swing=0.3), np.full((5, 3), 0.9))
+
+
+def test_the_rest_pose_is_that_of_the_offsets(tmp_path, motion):
+    write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
+    character = read_character(tmp_path / "walk.bvh")
+    assert set(character.names) == set(SKELETON.names)
+    positions, rotations = character.compute_rest_pose()
+    expected = SKELETON.rest_positions - SKELETON.rest_positions[0]
+    for bone, name in enumerate(character.names):
+        joint = SKELETON.find_joint(name)
+        np.testing.assert_allclose(positions[bone], expected[joint], atol=1e-6)
+        parent = SKELETON.parents[joint]
+        assert parent < 0 or character.names[character.parents[bone]] == SKELETON.names[parent]
+    np.testing.assert_allclose(rotations, np.tile(np.eye(3), (len(rotations), 1, 1)))
+    np.testing.assert_allclose(character.scales, 0.01)
+    assert character.root_scale == 0.01
+    hand = character.find_bone("LeftHandIndex1")
+    np.testing.assert_allclose(character.tails[hand], SKELETON.ends[SKELETON.find_joint("LeftHandIndex1")], atol=1e-6)
+    knee = character.find_bone("LeftLeg")
+    np.testing.assert_allclose(character.tails[knee], SKELETON.offsets[SKELETON.find_joint("LeftFoot")], atol=1e-6)
+    assert character.source is not None
+    assert character.source.kind == "bvh"
+
+
+Z_UP = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 90
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Head
+  {
+    OFFSET 0 2 60
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 0 20
+    }
+  }
+  JOINT Foot
+  {
+    OFFSET 10 0 -80
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 -15 0
+    }
+  }
+}
+MOTION
+Frames: 1
+Frame Time: 0.01
+0 0 90 0 0 0 0 0 0 0 0 0
+"""
+
+
+def test_a_file_with_z_up_stands_with_y_up(tmp_path):
+    (tmp_path / "figure.bvh").write_text(Z_UP)
+    character = read_character(tmp_path / "figure.bvh")
+    positions, rotations = character.compute_rest_pose()
+    np.testing.assert_allclose(positions, [[0, 0.9, 0], [0.02, 1.5, 0], [0, 0.1, 0.1]], atol=1e-9)
+    foot = character.find_bone("Foot")
+    np.testing.assert_allclose(character.tails[foot], [0, -0.15, 0])  # in the bone's own axes
+    np.testing.assert_allclose(rotations[foot] @ character.tails[foot], [-0.15, 0, 0], atol=1e-9)
+
+
+def test_repeated_names_are_told_apart(tmp_path):
+    (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"))
+    assert read_character(tmp_path / "figure.bvh").names == ("Hips", "Head", "Head#2")
+
+
+def test_a_damaged_file_is_refused(tmp_path):
+    (tmp_path / "figure.bvh").write_text(Z_UP.replace("MOTION", "MOTI"))
+    with pytest.raises(ReadError, match=r"figure\.bvh"):
+        read_character(tmp_path / "figure.bvh")
