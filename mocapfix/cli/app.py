@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from mocapfix.cli.batch import run_batch
-from mocapfix.cli.bench import BENCH_COMMANDS
+from mocapfix.cli.bench_commands import BENCH_COMMANDS
 from mocapfix.cli.calibrate import run_calibrate
 from mocapfix.cli.clean import print_summary, run_clean
 from mocapfix.cli.console import (

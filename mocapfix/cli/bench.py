@@ -8,15 +8,6 @@ import tyro
 from rich.table import Table
 
 from mocapfix.cli.arguments import FlagOption, JsonOption
-from mocapfix.cli.bench_batch import BATCH_BENCH_COMMANDS
-from mocapfix.cli.bench_fuzz import run_bench_fuzz
-from mocapfix.cli.bench_labels import run_bench_labels
-from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
-from mocapfix.cli.bench_papers import run_bench_hands, run_bench_hybrik, run_bench_prior
-from mocapfix.cli.bench_prior_scope import run_bench_prior_scope
-from mocapfix.cli.bench_review import run_bench_review
-from mocapfix.cli.bench_session import run_bench_session
-from mocapfix.cli.bench_stress import run_bench_stress
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_usage_error, show_progress, stdout_console
 
 FAULT_COLUMNS = (
@@ -275,26 +266,3 @@ def run_bench_baseline(
     if unknown := [name for name in measured if name not in known]:
         stdout_console.print(f"Not in the baseline: {', '.join(unknown)}. Add them with --update.")
     return EXIT_FAILED if is_worse else EXIT_DONE
-
-
-BENCH_COMMANDS = {
-    "baseline": run_bench_baseline,
-    **BATCH_BENCH_COMMANDS,
-    "clean": run_bench_clean,
-    "solver": run_bench_solver,
-    "uncertainty": run_bench_uncertainty,
-    "calibration": run_bench_calibration,
-    "review": run_bench_review,
-    "stress": run_bench_stress,
-    "faults": run_bench_faults,
-    "labels": run_bench_labels,
-    "fuzz": run_bench_fuzz,
-    "files": run_bench_files,
-    "animations": run_bench_animations,
-    "hybrik": run_bench_hybrik,
-    "prior": run_bench_prior,
-    "prior-scope": run_bench_prior_scope,
-    "session": run_bench_session,
-    "hands": run_bench_hands,
-    "learned-ik": run_bench_learned_ik,
-}

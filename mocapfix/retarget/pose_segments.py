@@ -13,7 +13,7 @@ stands still.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from mocapfix.characters.character import SIDES, Character
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
@@ -50,6 +50,15 @@ class SegmentTargets(NamedTuple):
     rotation: Float[np.ndarray, "T N 3 3"]
     pelvis: Float[np.ndarray, "T 3"]
     points: dict[str, Float[np.ndarray, "T 3"]]
+
+    def replace_points(self, points: dict[str, Float[np.ndarray, "T 3"]]) -> "SegmentTargets":
+        """Return the targets with some points in place of those of the same segments."""
+        return self._replace(points=self.points | points)
+
+    def select_frames(self, is_selected: Bool[np.ndarray, " T"]) -> "SegmentTargets":
+        """Return the targets of some frames."""
+        points = {segment: place[is_selected] for segment, place in self.points.items()}
+        return SegmentTargets(self.rotation[is_selected], self.pelvis[is_selected], points)
 
 
 def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:

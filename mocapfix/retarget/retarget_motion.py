@@ -7,6 +7,8 @@ poses    = solve_segments(...)            under terms for all of these
 motion   = compose_motion(...)            bones with their shares of the twist
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -26,6 +28,29 @@ MIN_SEPARATION_M = 5e-4
 """Movement of a hand's target below which a frame is not solved again."""
 
 
+@dataclass(frozen=True)
+class RetargetProblem:
+    """What is kept of a source's motion on a target character, and what is needed to solve it.
+
+    source, target  the two bodies
+    segments        the source's segments in every frame
+    tree            the target's joints
+    targets         for `solve_segments`
+    """
+
+    source: BodyFrame
+    target: BodyFrame
+    segments: SegmentMotion
+    tree: SolveTree
+    targets: SegmentTargets
+
+    @property
+    def wrists(self) -> dict[str, Float[np.ndarray, "T 3"]]:
+        """The targets of the wrists in metres, by side; empty if a body lacks hands."""
+        points = self.targets.points
+        return {side: points[f"{side}_hand"] for side in SIDES if f"{side}_hand" in points}
+
+
 def retarget_motion(
     source: Character, motion: CharacterMotion, target: Character, *, floor_height_m: float = 0.0
 ) -> CharacterMotion:
@@ -35,42 +60,44 @@ def retarget_motion(
 
     floor_height_m  height of the source's floor; the target's is at height 0
     """
+    problem = build_retarget_problem(source, motion, target, floor_height_m=floor_height_m)
+    problem, (pelvis, local) = solve_retarget_problem(problem)
+    return compose_motion(problem.target, problem.tree, pelvis, local, motion.rate)
+
+
+def build_retarget_problem(
+    source: Character, motion: CharacterMotion, target: Character, *, floor_height_m: float = 0.0
+) -> RetargetProblem:
+    """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
-    segments = compute_segment_motion(source_frame, motion)
-    tree = build_solve_tree(target_frame)
+    segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
     kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
-        start = find_start_positions(tree, kept.pelvis, rotation)
-        hands = compute_hand_targets(source_frame, target_frame, segments, start)
+        start = compute_tree_poses(tree.tree, kept.pelvis, compute_local_rotations(tree, rotation))[0]
+        hands = compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
-    targets = SegmentTargets(rotation, kept.pelvis, points)
-    pelvis, local = solve_segments(tree, target, targets)
-    if len(points) > len(kept.ankles):
-        pelvis, local = separate_hands_from_thighs((source_frame, target_frame), tree, segments, targets, (pelvis, local))
-    return compose_motion(target_frame, tree, pelvis, local, motion.rate)
+    return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))
 
 
-def separate_hands_from_thighs(
-    frames: tuple[BodyFrame, BodyFrame], tree: SolveTree, segments: SegmentMotion, targets: SegmentTargets, poses: Poses
-) -> Poses:
-    """Solve the frames again in which a palm is nearer to a thigh than in the source, with targets farther from it."""
-    source, target = frames
-    wrists = {side: targets.points[f"{side}_hand"] for side in SIDES}
-    pelvis, local = poses[0].copy(), poses[1].copy()
-    for _ in range(MAX_SEPARATIONS):
+def solve_retarget_problem(problem: RetargetProblem) -> tuple[RetargetProblem, Poses]:
+    """Return the solved poses, and the problem with the targets of hands that were moved.
+
+    Frames in which a palm is nearer to a thigh than in the source are solved again, with targets farther from it.
+    """
+    tree, targets, wrists = problem.tree, problem.targets, problem.wrists
+    pelvis, local = solve_segments(tree, problem.target.character, targets)
+    for _ in range(MAX_SEPARATIONS if wrists else 0):
         position = name_positions(tree, compute_tree_poses(tree.tree, pelvis, local)[0])
-        moved = move_hands_out_of_thighs(source, target, segments, position, wrists)
+        moved = move_hands_out_of_thighs(problem.source, problem.target, problem.segments, position, wrists)
         is_moved = np.any([np.abs(moved[side] - wrists[side]).max(1) > MIN_SEPARATION_M for side in SIDES], axis=0)
         if not is_moved.any():
             break
         wrists = moved
-        points = {name: place[is_moved] for name, place in targets.points.items()}
-        points |= {f"{side}_hand": wrists[side][is_moved] for side in SIDES}
-        again = SegmentTargets(targets.rotation[is_moved], targets.pelvis[is_moved], points)
-        pelvis[is_moved], local[is_moved] = solve_segments(tree, target.character, again)
-    return pelvis, local
+        targets = targets.replace_points({f"{side}_hand": wrist for side, wrist in wrists.items()})
+        pelvis[is_moved], local[is_moved] = solve_segments(tree, problem.target.character, targets.select_frames(is_moved))
+    return replace(problem, targets=targets), (pelvis, local)
 
 
 def spread_rotations(
@@ -91,13 +118,6 @@ def spread_rotations(
         chain = {"spine": spine, "neck": neck}.get(name)
         rotations.append((segments.rotation[name] if chain is None else chain[:, int(number) + 1]) @ standard)
     return np.ascontiguousarray(np.stack(rotations, axis=1))
-
-
-def find_start_positions(
-    tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], rotation: Float[np.ndarray, "T N 3 3"]
-) -> dict[str, Float[np.ndarray, "T 3"]]:
-    """Return where each segment begins, in metres, before the solve."""
-    return name_positions(tree, compute_tree_poses(tree.tree, pelvis, compute_local_rotations(tree, rotation))[0])
 
 
 def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dict[str, Float[np.ndarray, "T 3"]]:
