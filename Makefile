@@ -30,7 +30,11 @@ docs: $(VENV)/installed-dev
 
 install: $(VENV)/installed-dev
 
-# Blender as a Python module, for tests/blender. It has its own environment, since it needs Python 3.11 and its own version of NumPy.
+# The Blender add-on as an extension, dist/mocapfix_blender-VERSION.zip. It needs no packages.
+addon:
+	$(PYTHON) addon/build_addon.py dist
+
+# Blender as a Python module, for tests/blender and tests/addon. It has its own environment, since it needs Python 3.11 and its own version of NumPy.
 blender: .blender/installed
 
 # Chromium for tests/review/test_page.py, from the system's packages; without it these tests are skipped.
