@@ -26,8 +26,9 @@ from mocapfix.retarget.retarget_motion import build_retarget_problem, compose_mo
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 
 SKATE_RATE_HZ = 30.0
-MAX_STANDING_STEP_M = 0.025
-"""Movement of a standing foot from one of 30 frames a second to the next from which it skates."""
+MAX_STANDING_STEP_M = 0.005
+"""Movement of a foot in contact from one of 30 frames a second to the next from which it skates. Papers that have no contacts
+count 25 mm of any foot below 50 mm, which feet that swing low exceed."""
 TOUCHING_DISTANCE_M = 0.115
 """Distance of a palm from the axis of a thigh below which they penetrate, of a person of average size."""
 MAX_MOTIONS = 40

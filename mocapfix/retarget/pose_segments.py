@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from mocapfix.characters.character import SIDES, Character
+from mocapfix.characters.character import SIDES, TWISTING_SEGMENTS, Character
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
 from mocapfix.kernels.terms import DirectionTerm, JointLimitTerm, OrientationTerm, PointTerm, TrackingTerm, count_rows
 from mocapfix.retarget.solve_tree import SolveTree
@@ -135,12 +135,17 @@ def _build_tracking_term(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"], p
 
 
 def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
-    """Return the limits of the joints about the rest pose, without any where the character has none."""
+    """Return the limits of the joints about the rest pose, without any where the character has none.
+
+    Limits of a limb's bones that share its twist are for their shares, so they do not apply to the joint.
+    """
+    chains = [character.mapping.bones.get(segment, ()) for segment in TWISTING_SEGMENTS]
+    shared = {bone for chain in chains if len(chain) > 1 for bone in chain}
     count = len(tree.bones)
     rest = character.compute_rest_pose()[1][tree.bones]
     low, high = np.full((count, 3), -np.inf), np.full((count, 3), np.inf)
     for k, bone in enumerate(tree.bones.tolist()):
-        if bone in character.limits_deg:
+        if bone in character.limits_deg and bone not in shared:
             low[k], high[k] = np.deg2rad(character.limits_deg[bone]).T
     reference = compute_local_rotations(tree, rest[None])[0]
     return JointLimitTerm(reference, low, high, LIMIT_SD_RAD**-2)
