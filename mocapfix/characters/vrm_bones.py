@@ -63,6 +63,7 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
     """Build the mapping of the humanoid bones of a VRM.
 
     A bone between two humanoid bones of one limb belongs to the segment of the upper one, and takes a share of its rotation.
+    Between spine and head the bones above the arms belong to the neck.
 
     Args:
         nodes: The nodes of the file.
@@ -73,6 +74,8 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
         ReadError: If a bone is missing or used twice, or not below the one before it.
     """
     segment_of = {node: SEGMENTS_OF_VRM_BONES[name] for name, node in vrm_bones.items()}
+    arms = [vrm_bones[f"{side}UpperArm"] for side in SIDES if f"{side}UpperArm" in vrm_bones]
+    arm_carriers = {above for arm in arms for above in nodes.list_ancestors(arm)}
     segments: dict[str, list[int]] = {}
     for name, segment in SEGMENTS_OF_VRM_BONES.items():
         if name in vrm_bones:
@@ -82,7 +85,8 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
         for above in nodes.list_ancestors(node):
             if above in segment_of:
                 if segment in SEGMENTS_BELOW.get(segment_of[above], ()):
-                    segments[segment_of[above]] += between
+                    for bone in between:
+                        segments.setdefault(_choose_segment(segment_of[above], bone, arm_carriers), []).append(bone)
                 break
             between.append(above)
     place = {node: bone for bone, node in enumerate(bones)}
@@ -98,3 +102,8 @@ def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str
         )
     except SceneError as error:
         raise ReadError(str(error)) from error
+
+
+def _choose_segment(upper_segment: str, bone: int, arm_carriers: set[int]) -> str:
+    """Return the segment of a bone between a humanoid bone of `upper_segment` and the next one."""
+    return "neck" if upper_segment == "spine" and arm_carriers and bone not in arm_carriers else upper_segment

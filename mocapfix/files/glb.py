@@ -4,6 +4,7 @@ Source: Khronos, glTF 2.0, section 4 (GLB File Format).
 """
 
 import json
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,8 +83,12 @@ def parse_gltf_document(path: Path, data: bytes) -> dict[str, Any]:
     def refuse_constant(text: str) -> NoReturn:
         raise ValueError(f"{text} is not a number of JSON")
 
+    def parse_finite(text: str) -> float:
+        number = float(text)
+        return number if math.isfinite(number) else refuse_constant(text)
+
     try:
-        document = json.loads(data.decode("utf-8-sig"), parse_constant=refuse_constant)
+        document = json.loads(data.decode("utf-8-sig"), parse_constant=refuse_constant, parse_float=parse_finite)
     except UnicodeDecodeError as error:
         raise ReadError(f"{path}: its JSON is not valid UTF-8 at byte {error.start}; export it again.") from error
     except json.JSONDecodeError as error:
@@ -99,8 +104,10 @@ def parse_gltf_document(path: Path, data: bytes) -> dict[str, Any]:
 
 def build_glb(content: GlbContent) -> bytes:
     """Return the bytes of a GLB. Raises WriteError if they are more than the format can hold."""
-    text = json.dumps(content.document, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    encoded = text.encode("utf-8", "surrogatepass")
+    try:
+        encoded = json.dumps(content.document, ensure_ascii=False, separators=(",", ":")).encode()
+    except UnicodeEncodeError:  # half of a surrogate pair, which only an escape can give
+        encoded = json.dumps(content.document, separators=(",", ":")).encode()
     chunks = [(JSON_CHUNK, encoded + b" " * (-len(encoded) % CHUNK_ALIGNMENT))]
     if content.binary:
         chunks.append((BINARY_CHUNK, content.binary + bytes(-len(content.binary) % CHUNK_ALIGNMENT)))

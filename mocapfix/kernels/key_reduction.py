@@ -148,14 +148,17 @@ def measure_key_error(values, kept, are_rotations):
 
 
 @compile_kernel
-def interpolate_keys(values, kept, are_rotations):
-    """Return curves like `values` (T, D) between the kept frames: slerp for quaternions, else linear; constant after the last."""
+def interpolate_keys(values, kept, on_arc):
+    """Return curves like `values` (T, D) between the kept frames, constant after the last one.
+
+    on_arc  values are quaternions, and interpolation is slerp; otherwise it is linear, and quaternions are not normalised
+    """
     out = values.copy()
     first = 0
     for last in range(1, len(values)):
         if not kept[last]:
             continue
-        angle = math.acos(min(_compute_cosine(values, first, last), 1.0)) if are_rotations else 0.0
+        angle = math.acos(min(_compute_cosine(values, first, last), 1.0)) if on_arc else 0.0
         sine = math.sin(angle)
         for t in range(first + 1, last):
             after = (t - first) / (last - first)

@@ -142,6 +142,7 @@ def _replace_matrix(node: dict[str, Any]) -> None:
 
 def _make_name_unique(name: str, animations: Iterable[dict[str, Any]]) -> str:
     """Return the name, with a number behind it if an animation has that name."""
-    used = {animation.get("name") for animation in animations}
+    names = [animation.get("name") for animation in animations]
+    used = {each for each in names if isinstance(each, str)}
     candidates = (name, *(f"{name}.{number:03d}" for number in range(1, len(used) + 2)))
     return next(candidate for candidate in candidates if candidate not in used)

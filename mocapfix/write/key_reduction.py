@@ -22,7 +22,8 @@ class KeyReduction:
 
     limit_deg       the largest error that was allowed
     max_error_deg   the largest error of a bone's rotation relative to its parent, measured
-    max_distance_m  the largest distance of a bone's head or tail from where it is without reduction, measured
+    max_distance_m  the largest distance of a bone's head or tail from where it is without reduction, measured with slerp and with
+                    normalised linear interpolation
     key_count       number of keys written
     sample_count    number of keys with one in every frame
     """
@@ -114,11 +115,13 @@ def measure_key_reduction(
 
     compute_points  the points of the body in the world, from the curve of the position and the local rotations of all bones
     """
-    reduced = local_rotations.copy()
-    for bone, rotation, kept in zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True):
-        quaternions.store_joint_quaternions(key_reduction.interpolate_keys(rotation, kept, True), bone, reduced)
+    points, distance_m = compute_points(keys.position, local_rotations), 0.0
     position = key_reduction.interpolate_keys(np.ascontiguousarray(keys.position, float), keys.position_keys, False)
-    difference = compute_points(position, reduced) - compute_points(keys.position, local_rotations)
+    reduced = local_rotations.copy()
+    for on_arc in (True, False):
+        for bone, rotation, kept in zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True):
+            quaternions.store_joint_quaternions(key_reduction.interpolate_keys(rotation, kept, on_arc), bone, reduced)
+        distance_m = max(distance_m, np.linalg.norm(compute_points(position, reduced) - points, axis=-1).max(initial=0.0))
     errors = [
         key_reduction.measure_key_error(rotation, kept, True)
         for rotation, kept in zip(keys.rotations, keys.rotation_keys, strict=True)
@@ -126,7 +129,7 @@ def measure_key_reduction(
     return KeyReduction(
         limit_deg=float(np.degrees(limit_rad)),
         max_error_deg=float(np.degrees(max(errors, default=0.0))),
-        max_distance_m=float(np.linalg.norm(difference, axis=-1).max(initial=0.0)),
+        max_distance_m=float(distance_m),
         key_count=keys.key_count,
         sample_count=len(keys.position) * (len(keys.bones) + 1),
     )

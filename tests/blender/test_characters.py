@@ -19,6 +19,7 @@ from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.write.character_bvh import write_character_bvh
 from mocapfix.write.character_glb import write_character_glb
 from mocapfix.write.fbx import BLENDER_VARIABLE, write_character_fbx
+from mocapfix.write.key_reduction import KeyReduction
 from tests.characters.character_files import build_figure_character, build_mixamo_glb, build_motion, build_vrm, map_figure
 
 ROOT = Path(__file__).parents[2]
@@ -31,6 +32,8 @@ MAX_HEAD_ERROR_M = 1e-4
 USER_FILES = {"user-mixamo": build_mixamo_glb, "user-vrm": lambda: build_vrm(1)}
 CHARACTERS = (*USER_FILES, "figure", *CHARACTER_PRESETS)
 FILES = [f"{name}.{suffix}" for name in CHARACTERS for suffix in ("glb", "bvh")]
+REDUCED = "user-vrm.reduced.glb"
+KEY_ERROR_RAD = np.radians(5)
 FBX_CHARACTERS = ("user-mixamo", "unreal")
 
 
@@ -41,6 +44,7 @@ class WrittenCharacter:
     character: Character
     motion: CharacterMotion
     bvh_unit_m: float
+    folder: Path
 
 
 def load(name: str, folder: Path) -> Character:
@@ -69,32 +73,40 @@ def written(tmp_path_factory) -> dict[str, WrittenCharacter]:
         motion = build_motion(character, FRAME_COUNT, RATE_HZ)
         write_character_glb(folder / f"{name}.glb", character, motion, "take")
         write_character_bvh(folder / f"{name}.bvh", character, motion)
-        characters[name] = WrittenCharacter(character, motion, find_bvh_unit(character))
+        characters[name] = WrittenCharacter(character, motion, find_bvh_unit(character), folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(BLENDER_VARIABLE, str(PYTHON))
         for name in FBX_CHARACTERS:
             assert write_character_fbx(folder / f"{name}.fbx", folder / f"{name}.glb", RATE_HZ) is None
-    characters["folder"] = folder  # pyright: ignore[reportArgumentType]
     return characters
 
 
 @pytest.fixture(scope="module")
-def opened(written) -> dict[str, dict]:
+def reduction(written) -> KeyReduction:
+    """What the reduction of the keys of REDUCED came to."""
+    each = written["user-vrm"]
+    reduction = write_character_glb(each.folder / REDUCED, each.character, each.motion, "take", KEY_ERROR_RAD)
+    assert reduction is not None
+    return reduction
+
+
+@pytest.fixture(scope="module")
+def opened(written, reduction) -> dict[str, dict]:
     """Blender's scene of every file. One process imports all: its start takes longer than an import."""
-    folder = written["folder"]
-    files = [*FILES, *(f"{name}.fbx" for name in FBX_CHARACTERS)]
+    folder = written["figure"].folder
+    files = [*FILES, REDUCED, *(f"{name}.fbx" for name in FBX_CHARACTERS)]
     jobs = [
         {
             "path": str(folder / file),
             "scale": written[file.partition(".")[0]].bvh_unit_m,
             "rate": RATE_HZ,
-            "frames": FRAMES,
+            "frames": range(FRAME_COUNT) if file == REDUCED else FRAMES,
             "take": "take",
         }
         for file in files
     ]
     jobs_path, answers = folder / "jobs.json", folder / "answers.json"
-    jobs_path.write_text(json.dumps(jobs))
+    jobs_path.write_text(json.dumps(jobs, default=list))
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     process = subprocess.run(
         [PYTHON, Path(__file__).with_name("inside_characters.py"), jobs_path, answers],
@@ -132,3 +144,16 @@ def test_motion_has_its_rate_and_length(opened, file):
 @pytest.mark.parametrize("name", CHARACTERS)
 def test_a_character_has_a_mesh(opened, name):
     assert opened[f"{name}.glb"]["meshes"] == 1
+
+
+def test_reduced_keys_keep_the_stated_distance_in_blender(opened, written, reduction):
+    """Blender interpolates the components of quaternions and normalises them."""
+    each = written["user-vrm"]
+    positions, _ = compute_character_poses(each.character, each.motion)
+    largest = 0.0
+    for frame, heads in enumerate(opened[REDUCED]["heads"]):
+        for name, head in heads.items():
+            x, y, z = positions[frame, each.character.find_bone(name)]
+            largest = max(largest, float(np.linalg.norm(np.array(head) - [x, -z, y])))
+    assert 1e-3 < largest <= reduction.max_distance_m + MAX_HEAD_ERROR_M
+    assert reduction.key_count < 0.8 * reduction.sample_count

@@ -100,6 +100,12 @@ def test_bones_between_humanoid_bones_belong_to_the_upper_segment(tmp_path):
     assert spine == [f"J_{node_of(FIGURE.names.index(name))}" for name in ("Spine", "Spine1", "Spine2")]
 
 
+def test_without_a_humanoid_neck_the_bones_above_the_arms_are_the_neck(tmp_path):
+    data = edit_glb(build_vrm(1), lambda document: document["extensions"]["VRMC_vrm"]["humanoid"]["humanBones"].pop("neck"))
+    mapping = read(tmp_path, data).mapping.bones
+    assert (len(mapping["spine"]), len(mapping["neck"])) == (3, 1)
+
+
 def test_a_humanoid_bone_without_skin_is_a_bone(tmp_path):
     def edit(document):
         document["skins"][0]["joints"].remove(node_of(FIGURE.names.index("LeftToeBase")))

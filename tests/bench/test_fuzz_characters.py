@@ -1,0 +1,29 @@
+"""A slice of the fuzzing of characters."""
+
+from collections import Counter
+from pathlib import Path
+
+from mocapfix.bench.fuzz_characters import build_character_case, list_character_seeds
+from mocapfix.bench.fuzz_process import FuzzLimits, try_case
+
+CASES = 250
+FOUND_SEEDS = (19, 1037)
+"""names of animations that are lists or objects"""
+
+
+def test_valid_files_are_read_and_written(tmp_path: Path) -> None:
+    assert [case.run(tmp_path) for case in list_character_seeds()] == ["read", "written", "written", "written"]
+
+
+def test_damaged_characters_are_written_or_refused(tmp_path: Path) -> None:
+    outcomes: Counter[str] = Counter()
+    for seed in (*range(CASES), *FOUND_SEEDS):
+        outcome, _, finding = try_case(build_character_case(seed), seed, FuzzLimits(), tmp_path)
+        assert finding is None
+        outcomes[outcome] += 1
+    assert min(outcomes[kind] for kind in ("read", "written", "refused")) > CASES // 50
+
+
+def test_cases_are_the_same_for_the_same_seed() -> None:
+    assert build_character_case(5) == build_character_case(5)
+    assert build_character_case(5) != build_character_case(6)
