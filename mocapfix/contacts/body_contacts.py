@@ -10,7 +10,7 @@ from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
 from mocapfix.contacts.hold_feet import hold_feet
-from mocapfix.contacts.plate_contacts import find_plate_contacts, replace_marker_events
+from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, replace_marker_events
 from mocapfix.files.layouts import C3dLayout
 from mocapfix.files.option_choices import FEET_LOCK, FEET_OFF
 from mocapfix.motion import Motion
@@ -27,18 +27,20 @@ def hold_standing_feet(state: CleaningState, options: CleanOptions) -> CleaningS
     body = state.body
     if body is None:
         return state
-    rate = state.original_take.rate
-    contacts = find_contacts(body.subject.skeleton, body.motion, body.solved_joint_positions, rate)
-    if are_feet_solved(body):
-        contacts = add_gait_events(contacts, body, state.solver_take.markers, state.original_take)
-    body = replace(body, contacts=contacts)
-    if options.contacts.feet == FEET_OFF or not contacts.is_contact.any():
-        return replace(state, body=body)
+    skeleton, standing = body.subject.skeleton, find_body_contacts(body, state.original_take.rate)
+    contacts = add_gait_events(standing, body, state.solver_take.markers, state.original_take)
+    if options.contacts.feet == FEET_OFF or not standing.is_contact.any():
+        return replace(state, body=replace(body, contacts=contacts))
     is_locked = options.contacts.feet == FEET_LOCK
-    motion = hold_feet(body.subject.skeleton, body.motion, body.joint_positions, contacts, is_locked=is_locked)
+    motion = hold_feet(skeleton, body.motion, body.joint_positions, standing, is_locked=is_locked)
     moved = move_body(body, motion)
-    held = describe_held_feet(body.subject.skeleton, body.joint_positions, moved.joint_positions, options.contacts.feet)
+    held = describe_held_feet(skeleton, body.joint_positions, moved.joint_positions, options.contacts.feet)
     return replace(state, body=replace(moved, contacts=replace(contacts, held_feet=held)))
+
+
+def find_body_contacts(body: BodyFit, rate: float) -> BodyContacts:
+    """Return when joints of a solved body stand, by its motion alone; `rate` in frames per second."""
+    return find_contacts(body.subject.skeleton, body.motion, body.solved_joint_positions, rate)
 
 
 def describe_held_feet(
@@ -55,13 +57,23 @@ def are_feet_solved(body: BodyFit) -> bool:
 
 
 def add_gait_events(contacts: BodyContacts, body: BodyFit, markers: Float[np.ndarray, "T K 3"], take: Take) -> BodyContacts:
-    """Return the contacts with the events of gait, from markers (T, K, 3) in the body's order and the take's force plates."""
+    """Return the contacts with the events of gait, and both as force plates show them where a foot stands on one.
+
+    markers  (T, K, 3) m, in the body's order, NaN if missing or faulty
+    take     whose file may have force plates
+
+    A body without both feet has no events.
+    """
+    if not are_feet_solved(body):
+        return contacts
     feet = build_foot_points(body.extended_subject, body.motion, markers, body.marker_positions)
-    events = detect_gait_events(feet, contacts.rate)
-    if isinstance(take.layout, C3dLayout) and take.path is not None:
-        plates = read_force_plates(take.labelled_file or take.path.read_bytes(), take.layout)
-        events = replace_marker_events(events, find_plate_contacts(plates, feet, contacts.rate))
-    return replace(contacts, events=events)
+    contacts = replace(contacts, events=detect_gait_events(feet, contacts.floor, contacts.rate))
+    if not isinstance(take.layout, C3dLayout) or take.path is None:
+        return contacts
+    plates = read_force_plates(take.labelled_file or take.path.read_bytes(), take.layout)
+    on_plates = find_plate_contacts(plates, feet, contacts.floor, contacts.rate)
+    aligned = align_contacts_with_plates(contacts, on_plates)
+    return replace(aligned, events=replace_marker_events(contacts.events, on_plates))
 
 
 def move_body(body: BodyFit, motion: Motion) -> BodyFit:

@@ -59,7 +59,7 @@ def find_foot_contacts(positions: ContactPositions) -> BodyContacts:
     joined = is_standing.copy()
     columns = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
     for side, other in (("left", "right"), ("right", "left")):
-        other_standing = is_standing[:, columns[other]].any(1)
+        other_standing = np.any(is_standing[:, columns[other]], axis=1)
         for c in columns[side]:
             is_certain = find_certain_occlusions(is_standing[:, c], position[:, c], is_known[:, c], other_standing, rate)
             joined[:, c] = detect_standing(speed[:, c], rate, is_certain) | is_certain

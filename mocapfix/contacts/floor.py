@@ -12,7 +12,7 @@ TOE_HEIGHT_M = 0.025
 MAX_LEVEL_DEVIATION_M = 0.06
 """Largest height of a standing joint above its level; half a low step."""
 MAX_SUPPORT_ABOVE_OTHER_M = 0.02
-"""Height of a toe above the other up to which its foot may bear the weight on a level."""
+"""Height of a toe above that of the other foot, where both stand, up to which its foot may bear the weight on a level."""
 MIN_LEVEL_STEP_M = 0.1
 """Smallest height of a step between two levels."""
 MIN_LEVEL_S = 0.3
@@ -65,7 +65,7 @@ NO_FLOOR = Floor(0.0, 0.0, ())
 def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[np.ndarray, "T N"], rate: float) -> Floor:
     """Estimate the floor from the toes of a person's feet; NO_FLOOR if they never stand.
 
-    A level that is higher than the lowest one counts if a foot stands on it while the other foot is not lower: a foot that is
+    A level that is higher than the lowest one counts if a foot stands on it while the other does not stand lower: a foot that is
     held still in the air, beside a foot on the floor, is on no level.
 
     toe_position, is_standing  of both feet
@@ -76,9 +76,10 @@ def estimate_floor(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[n
     places = _average_places(toe_position, is_standing)
     slope_x, slope_z = _fit_slope(places)
     height = toe_position[..., 1] - slope_x * toe_position[..., 0] - slope_z * toe_position[..., 2]
-    is_support = is_standing & (height <= height.min(1, keepdims=True) + MAX_SUPPORT_ABOVE_OTHER_M)
+    lowest_standing = np.where(is_standing, height, np.inf).min(1, keepdims=True)
+    is_support = is_standing & (height <= lowest_standing + MAX_SUPPORT_ABOVE_OTHER_M)
     levels: list[float] = []
-    remaining = np.sort(height[is_support if is_support.any() else is_standing])
+    remaining = np.sort(height[is_support])
     while len(remaining) >= (MIN_LEVEL_S * rate if levels else 1):
         near = remaining[remaining <= remaining[0] + 2 * MAX_LEVEL_DEVIATION_M]
         base = float(np.percentile(near, BASE_PERCENTILE))

@@ -15,7 +15,7 @@ from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 from mocapfix.stats.smooth_paths import smooth_path
 
-SOFT_SMOOTHING_S = 0.1
+SOFT_SMOOTHING_S = 0.3
 """Standard deviation of the kernel that smooths a standing foot."""
 LOCK_EXTENSION_SPEED_M_S = 0.2
 """Speed up to which a lock extends beyond the contact: the foot is rolling on or off, in contact with the floor."""

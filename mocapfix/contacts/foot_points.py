@@ -41,7 +41,7 @@ def build_foot_points(
     """
     skeleton = subject.skeleton
     position, rotation = kinematics.compute_world_poses(skeleton, motion)
-    visible = np.isfinite(markers).all(-1)
+    visible = np.all(np.isfinite(markers), axis=-1)
     shown = np.where(visible[..., None], markers, body_markers)
     points: dict[str, FootPoints] = {}
     for side, joints in FOOT_JOINTS.items():

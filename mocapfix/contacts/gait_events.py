@@ -10,15 +10,16 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, binary_opening
-from scipy.signal import butter, filtfilt, find_peaks
+from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 
 NEAR_FLOOR_M = 0.05
-"""Height of a point of the foot above its lowest 5 % below which it is near the floor."""
+"""Height of a point of the foot above its lowest 5 % while it is slow, below which it is near the floor."""
 NEAR_FLOOR_SPEED_M_S = 0.8
 LOWEST_PERCENTILE = 5.0
 MIN_CONTACT_S = 0.06
@@ -28,23 +29,25 @@ LOWPASS_HZ = 25.0
 MAX_LOWPASS_SHARE = 0.4
 """The same at most, as a share of the frame rate."""
 STRIKE_WINDOW_S = (0.08, 0.06)
-OFF_WINDOW_S = (0.04, 0.1)
+OFF_WINDOW_S = (0.06, 0.15)
 """Seconds before and after the ends of a contact in which its events are searched."""
 MAX_STRIKE_HEIGHT_M = 0.03
 """Height of the point that strikes above its low places in the contact."""
-OFF_PEAK_SHARE = 0.8
-"""Share of the peak of the toes' acceleration that is reached when the foot leaves."""
+MIN_STRIKE_ACCELERATION_M_S2 = 2.0
+"""Vertical acceleration below which there was no impact, or smoothing of the markers has removed it."""
+PEAK_SHARE = 0.9
+"""Share of a peak of acceleration that is reached at an event: the force begins, and ends, before the peak."""
 MIN_FRAMES = 30
 """Frames below which no acceleration is computed."""
 
 
-def detect_gait_events(feet: Mapping[str, FootPoints], rate: float) -> tuple[GaitEvent, ...]:
+def detect_gait_events(feet: Mapping[str, FootPoints], floor: Floor, rate: float) -> tuple[GaitEvent, ...]:
     """Return the events of all feet by time, from the markers. Contacts at the ends of the take have one event only."""
     events: list[GaitEvent] = []
     for side, points in feet.items():
         if len(points.heel) < MIN_FRAMES:
             continue
-        is_near = find_foot_near_floor(points, rate)
+        is_near = find_foot_near_floor(points, floor, rate)
         acceleration = [compute_acceleration(path, rate) for path in points]
         for first, last in find_runs(is_near):
             if first > 0:
@@ -54,12 +57,14 @@ def detect_gait_events(feet: Mapping[str, FootPoints], rate: float) -> tuple[Gai
     return tuple(sorted(events, key=lambda event: event.time_s))
 
 
-def find_foot_near_floor(points: FootPoints, rate: float) -> Bool[np.ndarray, " T"]:
-    """Return the frames in which the heel or the toes are low and slow."""
+def find_foot_near_floor(points: FootPoints, floor: Floor, rate: float) -> Bool[np.ndarray, " T"]:
+    """Return the frames in which the heel or the toes are low above a level of the floor, and slow."""
     is_near = np.zeros(len(points.heel), bool)
     for path in points:
-        height = path[:, 1] - np.percentile(path[:, 1], LOWEST_PERCENTILE)
-        is_near |= (height < NEAR_FLOOR_M) & (compute_speed(path, rate) < NEAR_FLOOR_SPEED_M_S)
+        height = floor.compute_height_above(path)
+        is_slow = compute_speed(path, rate) < NEAR_FLOOR_SPEED_M_S
+        if is_slow.any():
+            is_near |= is_slow & (height < np.percentile(height[is_slow], LOWEST_PERCENTILE) + NEAR_FLOOR_M)
     length = max(1, round(MIN_CONTACT_S * rate))
     structure = np.ones(length + 1, bool)
     padded = np.pad(is_near, len(structure), mode="edge")
@@ -70,45 +75,52 @@ def find_foot_near_floor(points: FootPoints, rate: float) -> Bool[np.ndarray, " 
 def compute_acceleration(path: Float[np.ndarray, "T 3"], rate: float) -> Float[np.ndarray, "T 3"]:
     """Return the acceleration in m/s^2 of a path in metres, filtered without delay."""
     cutoff_hz = min(LOWPASS_HZ, MAX_LOWPASS_SHARE * rate)
-    b, a = butter(2, cutoff_hz / (rate / 2))
-    smooth = filtfilt(b, a, path, axis=0)
+    sections = butter(2, cutoff_hz / (rate / 2), output="sos")
+    smooth = sosfiltfilt(sections, path, axis=0)
     return np.gradient(np.gradient(smooth, 1 / rate, axis=0), 1 / rate, axis=0)
 
 
 def find_strike(points: FootPoints, acceleration: list[Float[np.ndarray, "T 3"]], contact: tuple[int, int], rate: float) -> float:
-    """Return the time in seconds of the greatest peak of vertical acceleration about the beginning of a contact."""
+    """Return the time in seconds at which the floor stops the heel or the toes, about the beginning of a contact.
+
+    Where the markers were smoothed so much that no impact is left in their height, it is where the lower point stops sliding.
+    """
     first, last = contact
     start = max(1, first - round(STRIKE_WINDOW_S[0] * rate))
     stop = min(len(points.heel) - 2, first + round(STRIKE_WINDOW_S[1] * rate))
     best_frame, best_value, best_signal = first, 0.0, acceleration[0][:, 1]
+    heights_at_first: list[float] = []
     for path, signal in zip(points, (each[:, 1] for each in acceleration), strict=True):
         heights = np.sort(path[first : last + 1, 1])
         low = float(np.median(heights[: max(1, len(heights) // 3)]))
+        heights_at_first.append(path[first, 1] - low)
         for frame in start + find_peaks(signal[start : stop + 1])[0]:
             if signal[frame] > best_value and path[frame, 1] < low + MAX_STRIKE_HEIGHT_M:
                 best_frame, best_value, best_signal = int(frame), float(signal[frame]), signal
-    return interpolate_peak(best_signal, best_frame) / rate if best_value > 0 else first / rate
+    if best_value < MIN_STRIKE_ACCELERATION_M_S2:
+        size = np.linalg.norm(acceleration[int(np.argmin(heights_at_first))], axis=1)
+        best_frame, best_signal = find_highest_peak(size, start, stop), size
+    return first / rate if best_frame is None else find_rise(best_signal, best_frame) / rate
+
+
+def find_highest_peak(signal: Float[np.ndarray, " T"], start: int, stop: int) -> int | None:
+    """Return the frame of the highest peak from `start` to `stop`; None without a peak."""
+    peaks = start + find_peaks(signal[start : stop + 1])[0]
+    return int(peaks[signal[peaks].argmax()]) if len(peaks) else None
 
 
 def find_off(toe_acceleration: Float[np.ndarray, "T 3"], last: int, rate: float) -> float:
     """Return the time in seconds at which the toes' acceleration reaches most of its peak, about the end of a contact."""
     size = np.linalg.norm(toe_acceleration, axis=1)
     start = max(1, last - round(OFF_WINDOW_S[0] * rate))
-    peaks = start + find_peaks(size[start : min(len(size) - 2, last + round(OFF_WINDOW_S[1] * rate)) + 1])[0]
-    if not len(peaks):
-        return last / rate
-    peak = int(peaks[size[peaks].argmax()])
-    level, frame = OFF_PEAK_SHARE * size[peak], peak
-    while frame > 1 and size[frame - 1] > level:
+    peak = find_highest_peak(size, start, min(len(size) - 2, last + round(OFF_WINDOW_S[1] * rate)))
+    return last / rate if peak is None else find_rise(size, peak) / rate
+
+
+def find_rise(signal: Float[np.ndarray, " T"], peak: int) -> float:
+    """Return the frame, with a fraction, at which a signal reaches most of a peak."""
+    level, frame = PEAK_SHARE * signal[peak], peak
+    while frame > 1 and level < signal[frame - 1] <= signal[peak]:
         frame -= 1
-    before, at = size[frame - 1], size[frame]
-    return (frame - 1 + (level - before) / (at - before)) / rate if at > level > before else frame / rate
-
-
-def interpolate_peak(signal: Float[np.ndarray, " T"], frame: int) -> float:
-    """Return the place of a peak between frames, by a parabola through three samples."""
-    if not 0 < frame < len(signal) - 1:
-        return float(frame)
-    before, at, after = signal[frame - 1 : frame + 2]
-    curvature = before - 2 * at + after
-    return frame + 0.5 * (before - after) / curvature if curvature < 0 else float(frame)
+    before, at = signal[frame - 1], signal[frame]
+    return frame - 1 + float((level - before) / (at - before)) if at > level > before else float(frame)

@@ -27,7 +27,7 @@ def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool
     """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
     usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
     is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_KNOWN_SD_M)
-    return ~binary_dilation(is_unknown, iterations=max(1, round(BORDER_S * rate)))
+    return np.logical_not(binary_dilation(is_unknown, iterations=max(1, round(BORDER_S * rate))))
 
 
 def find_certain_occlusions(

@@ -1,17 +1,20 @@
-"""The contacts of feet with force plates, which are more precise than those from markers.
+"""The contacts of feet with force plates, which are more precise than those from markers and replace these.
 
 A plate counts only for a foot that is on it with heel and toes, while the other foot is not: the force of a foot that is partly
 beside its plate begins too late, and that of two feet ends too late.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool
 
-from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
+from mocapfix.contacts.gait_events import find_foot_near_floor
 from mocapfix.read.force_plates import ForcePlate
 from mocapfix.stats.sequences import find_runs
 
@@ -32,21 +35,23 @@ class PlateContact(NamedTuple):
     off_s: float
 
 
-def find_plate_contacts(plates: Sequence[ForcePlate], feet: Mapping[str, FootPoints], rate: float) -> list[PlateContact]:
+def find_plate_contacts(
+    plates: Sequence[ForcePlate], feet: Mapping[str, FootPoints], floor: Floor, rate: float
+) -> list[PlateContact]:
     """Return the contacts of single feet with plates; `rate` is that of the feet's points, in frames per second."""
+    is_near = {side: find_foot_near_floor(points, floor, rate) for side, points in feet.items()}
     contacts: list[PlateContact] = []
     for plate in plates:
+        on_plate = {side: _find_points_on_plate(points, plate) & is_near[side][:, None] for side, points in feet.items()}
         is_loaded = np.abs(plate.vertical_force_n) > LOAD_N
         for first, last in find_runs(is_loaded):
             if last + 1 - first < MIN_LOAD_S * plate.rate:
                 continue
-            middle = (first + last) / 2 / plate.rate * rate
-            on_plate = {side: _count_points_on_plate(points, plate, round(middle)) for side, points in feet.items()}
-            sides = [side for side, count in on_plate.items() if count == len(FootPoints._fields)]
-            if len(sides) == 1 and sum(on_plate.values()) == len(FootPoints._fields):
+            side = _find_single_foot(on_plate, first / plate.rate * rate, last / plate.rate * rate)
+            if side is not None:
                 strike_s = first / plate.rate if first > 0 else np.nan
                 off_s = (last + 1) / plate.rate if last < len(is_loaded) - 1 else np.nan
-                contacts.append(PlateContact(sides[0], strike_s, off_s))
+                contacts.append(PlateContact(side, strike_s, off_s))
     return contacts
 
 
@@ -66,6 +71,29 @@ def replace_marker_events(events: Sequence[GaitEvent], contacts: Sequence[PlateC
     return tuple(sorted([*kept, *measured], key=lambda event: event.time_s))
 
 
+def align_contacts_with_plates(contacts: BodyContacts, plate_contacts: Sequence[PlateContact]) -> BodyContacts:
+    """Return contacts in which each foot on a plate begins and ends with the load: the heel begins, the ball of the foot ends."""
+    is_contact = contacts.is_contact.copy()
+    for side, strike_s, off_s in plate_contacts:
+        first = 0 if np.isnan(strike_s) else int(np.ceil(strike_s * contacts.rate))
+        last = len(is_contact) - 1 if np.isnan(off_s) else min(int(off_s * contacts.rate), len(is_contact) - 1)
+        heel, ball = (is_contact[:, contacts.joints.index(joint)] for joint in FOOT_JOINTS[side])
+        is_down = np.flatnonzero(heel[first : last + 1] | ball[first : last + 1])
+        begin, end = (first + is_down[0], first + is_down[-1]) if len(is_down) else (last + 1, last)
+        heel[first:begin] = True
+        ball[end + 1 : last + 1] = True
+        ball[first : last + 1] |= ~heel[first : last + 1]
+        for column in (heel, ball):
+            _clear_run(column[:first][::-1])
+            _clear_run(column[last + 1 :])
+    return replace(contacts, is_contact=is_contact)
+
+
+def _clear_run(is_contact: Bool[np.ndarray, " T"]) -> None:
+    """Set the values of the run at the beginning to False, in place."""
+    is_contact[: int(np.argmin(is_contact)) if not is_contact.all() else len(is_contact)] = False
+
+
 def _is_same(event: GaitEvent, other: GaitEvent) -> bool:
     is_near = abs(event.time_s - other.time_s) < MAX_EVENT_DISTANCE_S
     return is_near and (event.side, event.kind) == (other.side, other.kind)
@@ -76,16 +104,27 @@ def _is_within(event: GaitEvent, contact: PlateContact) -> bool:
     return event.side == contact.side and contact.strike_s < event.time_s < contact.off_s
 
 
-def _count_points_on_plate(points: FootPoints, plate: ForcePlate, frame: int) -> int:
-    """Return how many points of a foot are above a plate in a frame."""
-    if not 0 <= frame < len(points.heel):
-        return 0
-    return sum(_is_inside(path[frame, [0, 2]], plate.corners[:, [0, 2]]) for path in points)
+def _find_single_foot(on_plate: Mapping[str, Bool[np.ndarray, "T 2"]], start_frame: float, stop_frame: float) -> str | None:
+    """Return the side of the foot that loads a plate between two frames, alone and with heel and toes; None without one.
+
+    on_plate  by side, whether heel and toes are above the plate while the foot is near the floor
+    """
+    span = slice(int(np.ceil(start_frame)), int(stop_frame) + 1)
+    third = (stop_frame - start_frame) / 3
+    middle = slice(round(start_frame + third), round(stop_frame - third) + 1)
+    sides = [side for side, points in on_plate.items() if points[span].any()]
+    if len(sides) != 1 or not len(on_plate[sides[0]][middle]) or not on_plate[sides[0]][middle].all():
+        return None
+    return sides[0]
 
 
-def _is_inside(point: Float[np.ndarray, " 2"], corners: Float[np.ndarray, "4 2"]) -> bool:
-    """Return whether a point is inside a convex polygon."""
+def _find_points_on_plate(points: FootPoints, plate: ForcePlate) -> Bool[np.ndarray, "T 2"]:
+    """Return whether each point of a foot is above a plate, a convex polygon."""
+    corners = plate.corners[:, [0, 2]]
     edges = np.roll(corners, -1, axis=0) - corners
-    offsets = point - corners
-    cross = edges[:, 0] * offsets[:, 1] - edges[:, 1] * offsets[:, 0]
-    return bool((cross >= 0).all() or (cross <= 0).all())
+    inside: list[Bool[np.ndarray, " T"]] = []
+    for path in points:
+        offsets = path[:, None, [0, 2]] - corners
+        cross = edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0]
+        inside.append(np.all(cross >= 0, axis=1) | np.all(cross <= 0, axis=1))
+    return np.stack(inside, axis=1)
