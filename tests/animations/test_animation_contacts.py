@@ -14,6 +14,7 @@ from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.options import OutputOptions
 from mocapfix.read import bvh
 from mocapfix.solve import kinematics
+from mocapfix.stats.sequences import find_runs
 from mocapfix.write.bvh import write_bvh
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -59,22 +60,17 @@ def test_reports_of_animations_show_contacts_in_their_own_terms(path, tmp_path):
     page = outputs["report.html"].read_text()
     assert "Contacts with the floor" in page
     assert "Feet in contact are as they were in the file" in page
-    assert "marker" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL).replace("MarkerCurve", "")
+    assert "marker" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
 
 
 def test_events_follow_the_strikes_of_the_motion(truth, path):
     contacts = pipeline.clean(path).contacts
     strikes = [event for event in contacts.events if event.kind == "foot strike"]
     assert len(strikes) >= 4
-    for event in strikes:  # a heel that strikes is low
-        heel = kinematics.compute_world_poses(truth.subject.skeleton, truth.motion)[0][
-            :, truth.subject.skeleton.find_joint("LeftFoot")
-        ]
-        assert np.isfinite(heel).all()
-        side_contact = contacts.find_foot_contact(event.side)
-        frame = round(event.time_s * truth.rate)
-        assert side_contact[frame : frame + round(0.25 * truth.rate)].any()
-        assert not side_contact[max(0, frame - round(0.1 * truth.rate)) : frame - round(0.05 * truth.rate)].all()
+    for event in strikes:
+        is_contact, frame = contacts.find_foot_contact(event.side), round(event.time_s * truth.rate)
+        starts = [first for first, last in find_runs(is_contact) if last > frame]
+        assert abs(starts[0] - frame) < 0.2 * truth.rate  # the foot stops later than it strikes
 
 
 def test_reference_pose_before_the_motion_has_no_contacts(truth, path, tmp_path):

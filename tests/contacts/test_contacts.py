@@ -1,0 +1,50 @@
+"""Contacts as later stages use them: intervals, feet, a lowered floor, and what was done to the feet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix import pipeline
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, build_no_contacts
+from mocapfix.contacts.floor import NO_FLOOR, Floor
+
+
+@pytest.fixture
+def contacts() -> BodyContacts:
+    is_contact = np.zeros((100, 4), bool)
+    is_contact[10:20, 0] = is_contact[15:30, 1] = is_contact[90:, 3] = True
+    return BodyContacts(CONTACT_JOINTS, is_contact, np.ones((100, 4), bool), Floor(0.01, 0.0, (0.1, 0.4)), 100.0)
+
+
+def test_intervals_are_inclusive(contacts):
+    assert [contacts.list_intervals(joint) for joint in CONTACT_JOINTS] == [[(10, 19)], [(15, 29)], [], [(90, 99)]]
+
+
+def test_a_foot_is_in_contact_with_heel_or_ball(contacts):
+    assert np.flatnonzero(contacts.find_foot_contact("left")).tolist() == list(range(10, 30))
+    assert np.flatnonzero(contacts.find_foot_contact("right")).tolist() == list(range(90, 100))
+
+
+def test_a_lowered_floor_keeps_its_slope(contacts):
+    lowered = contacts.lower_floor(0.1)
+    assert lowered.floor.level_heights_m == pytest.approx((0.0, 0.3))
+    assert lowered.floor.slope_x == 0.01
+    assert replace(contacts, floor=NO_FLOOR).lower_floor(0.1).floor is NO_FLOOR
+
+
+def test_a_body_without_feet_has_none(contacts):
+    assert contacts.has_feet
+    assert not build_no_contacts(10, 100.0).has_feet
+
+
+@pytest.mark.parametrize("mode", ["soft", "off", "lock"])
+def test_what_was_done_to_the_feet_is_known(brief, mode):
+    result = pipeline.clean(brief.path, subject=brief.subject, feet=mode)
+    other = pipeline.clean(brief.path, subject=brief.subject, feet="off")
+    feet = [result.subject.skeleton.names.index(joint) for joint in CONTACT_JOINTS]
+    moved_m = np.linalg.norm((result.joint_position_world - other.joint_position_world)[:, feet], axis=-1).max()
+    assert result.contacts.held_feet.mode == mode
+    assert result.contacts.held_feet.largest_displacement_m == pytest.approx(moved_m, abs=1e-9)
+    assert (moved_m > 0) == (mode != "off")
+    assert result.report["contacts"]["feet"]["largest_displacement_mm"] == pytest.approx(moved_m * 1e3, abs=0.006)
