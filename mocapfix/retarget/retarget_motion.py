@@ -153,7 +153,7 @@ def compose_motion(
     parent = int(character.parents[pelvis_bone])
     position = pelvis
     if parent >= 0:
-        position = np.einsum("tji,tj->ti", above[parent], pelvis - _find_position(frame, parent))
+        position = np.einsum("tji,tj->ti", above[parent], pelvis - frame.rest_position[parent])
     return CharacterMotion(position, rotations, rate)
 
 
@@ -174,8 +174,3 @@ def build_local_rotations(
         elif is_parent[bone]:
             world[bone] = world[parent] @ local[:, bone] if parent >= 0 else local[:, bone]
     return local, world
-
-
-def _find_position(frame: BodyFrame, bone: int) -> Float[np.ndarray, " 3"]:
-    """Return where a bone above the pelvis, which does not move, begins, in metres."""
-    return frame.rest_position[bone]

@@ -1,0 +1,75 @@
+"""Where the hands shall be."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.characters.character import CharacterMotion
+from mocapfix.retarget.body_frames import build_body_frame
+from mocapfix.retarget.kept_hands import (
+    NEAR_DISTANCE,
+    compute_hand_targets,
+    compute_nearness,
+    find_nearest_point,
+    limit_reach,
+    move_hands_out_of_thighs,
+)
+from mocapfix.retarget.segment_motion import compute_segment_motion
+from tests.retarget.walking_body import load_walk, scale_limbs
+
+
+@given(st.integers(0, 2**31))
+def test_nearest_point_is_nearer_than_any_other_of_the_line(seed):
+    rng = np.random.default_rng(seed)
+    point, start, end = rng.normal(size=(3, 1, 3))
+    share, vector = find_nearest_point(point, start, end)
+    assert 0 <= share[0] <= 1
+    shares = np.linspace(0, 1, 101)[:, None]
+    assert np.linalg.norm(vector) <= np.linalg.norm(point - start - shares * (end - start), axis=1).min() + 1e-12
+
+
+def test_nearness_falls_from_one_to_zero():
+    values = compute_nearness(np.linspace(0, 1, 50))
+    assert values[0] == 1.0
+    assert values[-1] == 0.0
+    assert (np.diff(values) <= 0).all()
+
+
+def test_target_out_of_reach_is_moved_towards_the_shoulder():
+    limited = limit_reach(np.array([[2.0, 0, 0], [0.1, 0, 0]]), np.zeros((2, 3)), 0.5)
+    assert np.linalg.norm(limited[0]) == pytest.approx(0.4995)
+    np.testing.assert_array_equal(limited[1], [0.1, 0, 0])
+
+
+def pose_t(frames: int = 1):
+    """Return the average body in its rest pose: a T-pose, its hands far from everything."""
+    character, motion = load_walk()
+    rest = np.tile(character.rest_rotations, (frames, 1, 1, 1))
+    return character, CharacterMotion(np.tile([0.0, 1.0, 0.0], (frames, 1)), rest, motion.rate)
+
+
+def test_free_hand_keeps_direction_and_share_of_the_arm():
+    character, motion = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    segments = compute_segment_motion(source, motion)
+    hands = compute_hand_targets(source, target, segments, segments.position)
+    shoulder = segments.position["left_upper_arm"][0]
+    expected = shoulder + 1.3 * (segments.position["left_hand"][0] - shoulder)
+    np.testing.assert_allclose(hands["left"][0], expected, atol=2e-3)  # a thousandth of the arm is kept back from its full reach
+
+
+def test_palm_that_came_too_near_to_a_thigh_is_moved_out():
+    character, motion = pose_t()
+    frame = build_body_frame(character)
+    segments = compute_segment_motion(frame, motion)
+    positions = dict(segments.position)
+    hand = segments.rotation["left_hand"]
+    middle = (positions["left_thigh"] + positions["left_shin"]) / 2
+    positions["left_hand"] = middle + [0.05, 0.0, 0.0] - hand @ frame.compute_palm("left")
+    wanted = {"left": positions["left_hand"], "right": positions["right_hand"]}
+    moved = move_hands_out_of_thighs(frame, frame, segments, positions, wanted)
+    np.testing.assert_array_equal(moved["right"], wanted["right"])
+    palm = moved["left"] + hand @ frame.compute_palm("left")
+    distance = np.linalg.norm(find_nearest_point(palm, positions["left_thigh"], positions["left_shin"])[1])
+    assert distance == pytest.approx(NEAR_DISTANCE * frame.trunk_length_m, rel=0.05)
