@@ -3,7 +3,7 @@
 Each take is cleaned whole, and with the markers of its feet lost while these stand, once for each way to hold feet.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +30,8 @@ WHOLE, LOST_FEET = "whole", "feet lost"
 HELD_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
 KNEES = ("LeftLeg", "RightLeg")
 HORIZONTAL = (0, 2)
+WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")
+"""quantities of which the largest value of all takes counts"""
 MM = 1e3
 
 
@@ -171,3 +173,11 @@ def compute_fill_error(truth: SyntheticTake, result: "CleaningResult") -> float:
     columns = [result.take.bare_labels.index(label) for label in truth.labels]
     error = np.linalg.norm(result.take.markers[:, columns] - truth.marker_positions, axis=-1)[truth.missing_mask]
     return float(MM * np.nanmean(error)) if len(error) and np.isfinite(error).any() else np.nan
+
+
+def average_errors(errors: Sequence[HeldFeetErrors], quantity: str) -> float:
+    """Return the mean of a quantity over takes, of the largest ratios and of sinking the largest; NaN without any value."""
+    values = np.array([getattr(each, quantity) for each in errors], float)
+    if not np.isfinite(values).any():
+        return np.nan
+    return float(np.nanmax(values) if quantity in WORST_QUANTITIES else np.nanmean(values))
