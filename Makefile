@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 PIP_INSTALL := $(VENV)/bin/python -m pip install --constraint constraints.txt
 
-.PHONY: demo test bench docs install blender browser gltf-validator lint clean
+.PHONY: demo test bench docs install addon blender browser gltf-validator lint clean
 
 demo: $(VENV)/installed
 	$(VENV)/bin/mocapfix demo

@@ -10,7 +10,7 @@ from .bvh_file import read_bvh_body
 from .clean_arguments import DEFAULT_FEET, FEET_ITEMS, build_arguments, get_output_folder, resolve_take
 from .keyframes import ActionWriter
 from .marker_empties import build_markers
-from .process import CleaningProcess, ProcessError
+from .process import CleaningProcess, ProcessError, make_temporary_folder
 from .process_operator import ProcessOperator
 from .solved_take import SolvedTake, read_solved_takes
 from .timeline import compute_scene_frames, mark_uncertain_stretches, set_rate_and_range
@@ -66,20 +66,17 @@ class MOCAPFIX_OT_import_take(ProcessOperator, bpy.types.Operator, ImportHelper)
                 take, self.options, frame_rate=self.frame_rate, feet=self.feet, use_decisions=self.use_decisions
             )
         except ProcessError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            return self.fail(error)
         self._take, self._started = take, time.time() - 1.0  # times of files may be rounded to seconds
-        return self.start(context, arguments, get_output_folder(take) if self.keep_files else None)
+        return self.start(context, arguments, make_temporary_folder(), get_output_folder(take) if self.keep_files else None)
 
     def finish(self, context, process: CleaningProcess) -> None:
         """Build what mocapfix has written."""
         takes = [self._use_own_skeleton(each, process) for each in read_solved_takes(process.output_folder, self._started)]
-        stretch_count = 0
         if self.set_scene:
             length = max(each.frame_count for each in takes)
             set_rate_and_range(context.scene, takes[0].rate, self.start_frame, length)
-        for each in takes:
-            stretch_count += self._build_take(context, each)
+        stretch_count = sum(self._build_take(context, each) for each in takes)
         self._report_result(takes, stretch_count)
 
     def _use_own_skeleton(self, take: SolvedTake, process: CleaningProcess) -> SolvedTake:

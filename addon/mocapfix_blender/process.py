@@ -57,18 +57,24 @@ def find_executable(given: str) -> str:
     raise ProcessError("mocapfix was not found; install it and give the path of its program in the add-on's preferences.")
 
 
+def make_temporary_folder() -> Path:
+    """Make a folder for the files of one process."""
+    return Path(tempfile.mkdtemp(prefix="mocapfix-blender-"))
+
+
 class CleaningProcess:
     """A running `mocapfix clean`, which writes its outputs into a temporary folder unless its arguments name another."""
 
-    def __init__(self, executable: str, arguments: list[str], output_folder: Path | None = None) -> None:
+    def __init__(self, executable: str, arguments: list[str], temporary: Path, output_folder: Path | None = None) -> None:
         """Start the process.
 
         arguments      those after `clean`, without the output folder
+        temporary      folder of `make_temporary_folder`, which is removed with the process
         output_folder  folder for the outputs, in which files are replaced; None for a temporary one
 
         Raises ProcessError if it cannot be started.
         """
-        self._temporary = Path(tempfile.mkdtemp(prefix="mocapfix-blender-"))
+        self._temporary = temporary
         self.output_folder = output_folder or self._temporary / "out"
         self.stage_text = "starting"
         self.fraction = 0.0

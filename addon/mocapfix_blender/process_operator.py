@@ -1,5 +1,6 @@
 """What operators that run mocapfix have in common: progress, cancelling, and errors as one sentence."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,12 +22,13 @@ class ProcessOperator:
     _timer = None
     report: Callable[[set[str], str], None]
 
-    def start(self, context, arguments: list[str], output_folder: Path | None = None) -> set[str]:
-        """Start the process; without a window wait for it and finish."""
+    def start(self, context, arguments: list[str], temporary: Path, output_folder: Path | None = None) -> set[str]:
+        """Start the process; without a window wait for it and finish. Arguments are those of CleaningProcess."""
         try:
-            process = CleaningProcess(get_executable(context), arguments, output_folder)
+            process = CleaningProcess(get_executable(context), arguments, temporary, output_folder)
         except ProcessError as error:
-            return self._fail(error)
+            shutil.rmtree(temporary, ignore_errors=True)
+            return self.fail(error)
         if bpy.app.background or context.window is None:
             process.wait()
             return self._end(context, process)
@@ -64,19 +66,20 @@ class ProcessOperator:
         """Bring the results of the ended process into the scene."""
         raise NotImplementedError
 
+    def fail(self, error: ProcessError) -> set[str]:
+        """Report an error as one sentence."""
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+
     def _end(self, context, process: CleaningProcess) -> set[str]:
         try:
             process.check_result()
             self.finish(context, process)
         except ProcessError as error:
-            return self._fail(error)
+            return self.fail(error)
         finally:
             process.remove_files()
         return {"FINISHED"}
-
-    def _fail(self, error: ProcessError) -> set[str]:
-        self.report({"ERROR"}, str(error))
-        return {"CANCELLED"}
 
     def _show_progress(self, context, process: CleaningProcess) -> None:
         context.window_manager.progress_update(round(100 * process.fraction))
