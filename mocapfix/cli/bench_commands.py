@@ -11,6 +11,7 @@ from mocapfix.cli.bench import (
     run_bench_uncertainty,
 )
 from mocapfix.cli.bench_batch import BATCH_BENCH_COMMANDS
+from mocapfix.cli.bench_contacts import run_bench_contacts
 from mocapfix.cli.bench_fuzz import run_bench_fuzz
 from mocapfix.cli.bench_labels import run_bench_labels
 from mocapfix.cli.bench_learned_ik import run_bench_learned_ik
@@ -40,6 +41,7 @@ BENCH_COMMANDS = {
     "prior-scope": run_bench_prior_scope,
     "retarget": run_bench_retarget,
     "session": run_bench_session,
+    "contacts": run_bench_contacts,
     "hands": run_bench_hands,
     "learned-ik": run_bench_learned_ik,
 }
