@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import compose_transforms
 from mocapfix.animations.rotation_repair import FrameSpan, make_quaternions_continuous
 from mocapfix.solve import occluded_joints
 from mocapfix.stats import constant_offsets
 from mocapfix.stats.gaussian_process import StateCovariance, compute_matern_52, fit_gaussian_process
 from mocapfix.stats.sequences import sample_evenly
+from mocapfix.stats.transform_trees import compose_transforms
 
 INTERPOLATION_TIMESCALE_S = 0.45
 """Time scale of the interpolated signals."""

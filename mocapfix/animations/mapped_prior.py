@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import compose_transforms
 from mocapfix.animations import retarget
 from mocapfix.animations.joint_mapping import find_ancestor
 from mocapfix.animations.retarget import SkeletonAlignment
@@ -14,6 +13,7 @@ from mocapfix.kernels import quaternions
 from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.transform_trees import compose_transforms
 
 
 @dataclass(frozen=True, kw_only=True)

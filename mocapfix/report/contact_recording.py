@@ -8,7 +8,7 @@ Entities:
     events               events of gait, as a log
 """
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -35,6 +35,7 @@ CONTACT_STATES = ("none", "inferred", "contact")
 STATE_RGBA = np.array([0x333A43FF, INFERRED_CONTACT_COLOUR, CONTACT_COLOUR], np.uint32)
 
 
+@runtime_checkable
 class TakeRecording(Protocol):
     """A recording with the time columns of a take."""
 
