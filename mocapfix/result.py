@@ -28,10 +28,10 @@ from mocapfix.write.c3d_events import add_c3d_events
 from mocapfix.write.output_formats import (
     OutputFormat,
     build_exported_motion,
-    build_output_notes,
     list_output_formats,
     write_cleaned_copy,
 )
+from mocapfix.write.output_notes import build_output_notes
 
 if TYPE_CHECKING:
     from mocapfix.report.sample_states import CleaningComparison
@@ -101,7 +101,7 @@ class CleaningResult:
         make_output_folder(folder)
         with replace_together(targets, folder) as temporary:
             self._write_files(temporary, folder, options, report_progress)
-        paths = [path for result in results for path in result.get_output_paths(folder, options).values()]
+        paths = [path for result in results for path in result.get_output_paths(folder, options).values() if path.exists()]
         return {path.name.removeprefix(f"{stem}."): path for path in paths}
 
     def get_output_paths(self, folder: Path, options: OutputOptions = DEFAULT_OUTPUT_OPTIONS) -> dict[str, Path]:
@@ -183,7 +183,8 @@ class CleaningResult:
         for each in list_output_formats(options):
             if self._can_write(each) and each.suffix not in get_source_suffixes(self.input_take.path):
                 with timer(each.timer_stage):
-                    each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", final, exported_motion)
+                    sentences = each.write_file(folder / f"{self.input_take.output_stem}.{each.suffix}", final, exported_motion)
+                    final.subject_report["notes"].extend(sentences or ())
 
     def _drop_samples(self, unstorable_samples: Sequence[tuple[int, int]]) -> "CleaningResult":
         """Return the result without the samples (frame, marker) that the cleaned file cannot store."""

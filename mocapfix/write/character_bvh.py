@@ -15,7 +15,7 @@ from mocapfix.characters.character import Character, CharacterMotion, compute_ch
 from mocapfix.files.glb import parse_glb
 from mocapfix.skeleton import Skeleton
 from mocapfix.write.bvh import CENTIMETRE_M, write_bvh_tree
-from mocapfix.write.character_glb import get_parent_scale
+from mocapfix.write.character_bones import get_parent_scale
 
 BVH_UNITS_M = (1.0, 0.01, 0.001, 0.0254)
 UNIT_TOLERANCE = 1e-4
@@ -24,7 +24,7 @@ DEFAULT_END_FRACTION = 0.3
 """length of a last bone without a tail, as a fraction of its parent's"""
 MIN_END_M = 0.01
 """and at least so much"""
-NAME_SEPARATORS = re.compile(r"[\s{}]+")
+BVH_NAME_SEPARATORS = re.compile(r"[\s{}]+")
 """what a name in a BVH must not have"""
 
 
@@ -43,10 +43,10 @@ def write_character_bvh(target: Path, character: Character, motion: CharacterMot
     rest_positions, rest_rotations = (each[bones] for each in character.compute_rest_pose())
     positions, rotations = (each[:, bones] for each in compute_character_poses(character, motion))
     turned = rotations @ rest_rotations.swapaxes(-1, -2)
-    names = [NAME_SEPARATORS.sub("_", character.names[bone]) for bone in bones]
+    names = [BVH_NAME_SEPARATORS.sub("_", character.names[bone]) for bone in bones]
     tails = np.einsum("jab,jb->ja", rest_rotations, character.tails[bones])
     if (parents < 0).sum() > 1:
-        names = [NAME_SEPARATORS.sub("_", character.name) or "Root", *names]
+        names = [BVH_NAME_SEPARATORS.sub("_", character.name) or "Root", *names]
         parents = np.concatenate([[-1], parents + 1])
         rest_positions, tails = (np.concatenate([np.zeros((1, 3)), each]) for each in (rest_positions, tails))
         positions = np.concatenate([np.zeros((motion.frame_count, 1, 3)), positions], axis=1)

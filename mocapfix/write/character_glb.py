@@ -15,14 +15,11 @@ from scipy.spatial.transform import Rotation
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
 from mocapfix.files.glb import GlbContent, build_glb, parse_glb
 from mocapfix.files.output_files import replace_atomically
-from mocapfix.write.gltf import GLTF_ASSET
-from mocapfix.write.gltf_buffer import GltfBuffer, add_animation
+from mocapfix.write.character_bones import compute_leg_length, get_parent_scale, list_moving_bones
+from mocapfix.write.gltf_animation import add_animation
+from mocapfix.write.gltf_buffer import GLTF_ASSET, GltfBuffer
 from mocapfix.write.gltf_skin import add_test_skin
 from mocapfix.write.key_reduction import KeyReduction, MotionKeys, measure_key_reduction, select_motion_keys
-
-MIN_MOVED_ELEMENT = 1e-6
-"""difference of an element of a rotation matrix from the rest pose, from which a bone without segment gets a curve"""
-LEG_SEGMENTS = ("thigh", "shin")
 
 
 def write_character_glb(
@@ -62,29 +59,6 @@ def write_character_glb(
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
     return None if key_error_rad is None else measure_character_keys(character, motion, keys, key_error_rad)
-
-
-def list_moving_bones(character: Character, motion: CharacterMotion) -> list[int]:
-    """Return the bones of all segments, their twist bones, and others that the motion turns from their rest rotation."""
-    mapped = {bone for group in (character.mapping.bones, character.mapping.twists) for chain in group.values() for bone in chain}
-    difference = np.abs(motion.local_rotations - character.rest_rotations).max(axis=(0, 2, 3), initial=0.0)
-    return sorted(mapped.union(np.flatnonzero(difference > MIN_MOVED_ELEMENT).tolist()))
-
-
-def compute_leg_length(character: Character) -> float:
-    """Return the length of the longer leg in metres, from hip to ankle along the bones of thigh and shin."""
-    mapped, lengths = character.mapping.bones, [0.0]
-    for side in ("left", "right"):
-        chain = [bone for segment in LEG_SEGMENTS for bone in mapped.get(f"{side}_{segment}", ())]
-        inner = [*chain[1:], *mapped.get(f"{side}_foot", ())]
-        lengths.append(float(np.linalg.norm(character.rest_positions[inner], axis=1).sum()))
-    return max(lengths)
-
-
-def get_parent_scale(character: Character, bone: int) -> float:
-    """Return the metres in a unit of the file in which the position of a bone is given."""
-    parent = int(character.parents[bone])
-    return float(character.scales[parent]) if parent >= 0 else character.root_scale
 
 
 def measure_character_keys(character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float) -> KeyReduction:

@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from mocapfix.characters.character import Character, CharacterMotion
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels import quaternions
-from mocapfix.write.character_glb import list_moving_bones
+from mocapfix.write.character_bones import list_moving_bones
 
 CHARACTER_NPZ_FORMAT = "mocapfix character 1"
 CHARACTER_NPZ_UNITS = "metres, seconds; Y up, right-handed; quaternions x, y, z, w; rotations to the parent's axes"

@@ -60,8 +60,9 @@ def write_character_fbx(target: Path, glb_path: Path, rate: float) -> str | None
         return f"{target.name} was not written, because FBX needs Blender and it was not found; {remedy}."
     with make_scratch_folder() as folder:
         source, exported = folder / "character.glb", folder / "character.fbx"
-        source.write_bytes(_select_last_animation(glb_path))
-        problem = _run_blender(command, [str(source), str(exported), repr(float(rate))])
+        data, name = _select_last_animation(glb_path)
+        source.write_bytes(data)
+        problem = _run_blender(command, [str(source), str(exported), repr(float(rate)), name])
         if problem is None and not exported.exists():
             problem = "Blender wrote no file"
         if problem:
@@ -71,16 +72,15 @@ def write_character_fbx(target: Path, glb_path: Path, rate: float) -> str | None
     return None
 
 
-def _select_last_animation(glb_path: Path) -> bytes:
-    """Return the bytes of a GLB with its last animation alone, so that Blender does not choose another one."""
+def _select_last_animation(glb_path: Path) -> tuple[bytes, str]:
+    """Return the bytes of a GLB with its last animation alone, so that Blender does not choose another one, and its name."""
     try:
         content = parse_glb(glb_path, glb_path.read_bytes())
     except OSError as error:
         raise WriteError(f"{glb_path}: cannot be read ({error.strerror}), so no FBX can be written.") from error
-    document = content.document
-    if "animations" in document:
-        document["animations"] = document["animations"][-1:]
-    return build_glb(GlbContent(document, content.binary, content.other_chunks))
+    animation = content.document["animations"][-1]
+    document = content.document | {"animations": [animation]}
+    return build_glb(GlbContent(document, content.binary, content.other_chunks)), animation["name"]
 
 
 def _run_blender(command: Sequence[str], arguments: Sequence[str]) -> str | None:

@@ -1,7 +1,7 @@
 """Run by Blender: import a GLB with one animation and export it as FBX. `fbx.py` starts it in a process of its own.
 
-    python fbx_export.py IN.glb OUT.fbx RATE
-    blender --background --factory-startup --python fbx_export.py -- IN.glb OUT.fbx RATE
+    python fbx_export.py IN.glb OUT.fbx RATE NAME
+    blender --background --factory-startup --python fbx_export.py -- IN.glb OUT.fbx RATE NAME
 
 The motion is sampled in every frame, at the rate of the take. No bones are added at the ends of limbs.
 """
@@ -16,15 +16,16 @@ MAX_RATE_DENOMINATOR = 1001
 MAX_BLENDER_FPS = 32767
 
 
-def export_fbx(source: str, target: str, rate: float) -> None:
-    """Import a GLB into an empty scene at `rate` frames per second, and export it as FBX."""
+def export_fbx(source: str, target: str, rate: float, name: str) -> None:
+    """Import a GLB into an empty scene at `rate` frames per second, and export it as FBX with an animation of a name."""
     bpy: Any = importlib.import_module("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.preferences.addon_enable(module="io_scene_gltf2")
     bpy.ops.preferences.addon_enable(module="io_scene_fbx")
     scene = bpy.context.scene
     scene.render.fps, scene.render.fps_base = split_rate(rate)
-    bpy.ops.import_scene.gltf(filepath=source)
+    bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True)
+    scene.name = name  # the exporter names the animation after it
     ranges = [action.frame_range for action in bpy.data.actions]
     scene.frame_start = round(min((each[0] for each in ranges), default=0))
     scene.frame_end = round(max((each[1] for each in ranges), default=0))
@@ -52,4 +53,4 @@ def split_rate(rate: float) -> tuple[int, float]:
 
 if __name__ == "__main__":
     arguments = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    export_fbx(arguments[0], arguments[1], float(arguments[2]))
+    export_fbx(arguments[0], arguments[1], float(arguments[2]), arguments[3])

@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from mocapfix.animation import compose_transforms
 from mocapfix.files.glb import GlbContent, build_glb
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.motion import Motion
 from mocapfix.skeleton import Skeleton
-from mocapfix.write.gltf_buffer import GltfBuffer, add_animation
+from mocapfix.stats.transform_trees import compose_transforms
+from mocapfix.write.gltf_animation import add_animation
+from mocapfix.write.gltf_buffer import GLTF_ASSET, GltfBuffer
 from mocapfix.write.gltf_skin import add_test_skin
 from mocapfix.write.key_reduction import KeyReduction, measure_key_reduction, select_motion_keys
-
-GLTF_ASSET = {"version": "2.0", "generator": "mocapfix"}
 
 
 def write_gltf(

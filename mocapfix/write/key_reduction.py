@@ -14,6 +14,8 @@ from mocapfix.kernels import key_reduction, quaternions
 
 CONSTANT_TRACK_RAD = 1e-6
 """a rotation that stays within this of its first frame has one key, also without key reduction"""
+FRAMES_AT_ONCE = 256
+"""of which points are computed: their arrays fit in the processor's cache"""
 
 
 @dataclass(frozen=True)
@@ -115,21 +117,25 @@ def measure_key_reduction(
 
     compute_points  the points of the body in the world, from the curve of the position and the local rotations of all bones
     """
-    points, distance_m = compute_points(keys.position, local_rotations), 0.0
+    distance_m = 0.0
     position = key_reduction.interpolate_keys(np.ascontiguousarray(keys.position, float), keys.position_keys, False)
-    reduced = local_rotations.copy()
-    for on_arc in (True, False):
-        for bone, rotation, kept in zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True):
-            quaternions.store_joint_quaternions(key_reduction.interpolate_keys(rotation, kept, on_arc), bone, reduced)
-        distance_m = max(distance_m, np.linalg.norm(compute_points(position, reduced) - points, axis=-1).max(initial=0.0))
-    errors = [
-        key_reduction.measure_key_error(rotation, kept, True)
-        for rotation, kept in zip(keys.rotations, keys.rotation_keys, strict=True)
+    tracks = list(zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True))
+    curves = [
+        [key_reduction.interpolate_keys(rotation, kept, on_arc) for _, rotation, kept in tracks] for on_arc in (True, False)
     ]
+    for start in range(0, len(position), FRAMES_AT_ONCE):
+        frames = slice(start, start + FRAMES_AT_ONCE)
+        points, reduced = compute_points(keys.position[frames], local_rotations[frames]), local_rotations[frames].copy()
+        for rotations in curves:
+            for bone, rotation in zip(keys.bones, rotations, strict=True):
+                quaternions.store_joint_quaternions(rotation[frames], bone, reduced)
+            difference = compute_points(position[frames], reduced) - points
+            distance_m = max(distance_m, float(np.linalg.norm(difference, axis=-1).max(initial=0.0)))
+    errors = [key_reduction.measure_key_error(rotation, kept, True) for _, rotation, kept in tracks]
     return KeyReduction(
         limit_deg=float(np.degrees(limit_rad)),
         max_error_deg=float(np.degrees(max(errors, default=0.0))),
-        max_distance_m=float(distance_m),
+        max_distance_m=distance_m,
         key_count=keys.key_count,
         sample_count=len(keys.position) * (len(keys.bones) + 1),
     )

@@ -1,13 +1,16 @@
 """The formats of output files, one entry each, and which of them the options select."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mocapfix.calibrate import subject_file
+from mocapfix.characters.character_choice import load_character
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.output_files import get_source_suffixes
@@ -21,11 +24,12 @@ from mocapfix.write import rig
 from mocapfix.write.asf_amc import write_asf_amc
 from mocapfix.write.bvh import write_bvh, write_rig_bvh
 from mocapfix.write.c3d import write_c3d
+from mocapfix.write.character_files import CharacterFiles, write_skeleton_fbx
 from mocapfix.write.contact_files import write_contacts, write_gait_events
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.npz import write_npz
 from mocapfix.write.patches import patch_c3d, patch_table
-from mocapfix.write.resampling import is_frame_subset, resample_motion
+from mocapfix.write.resampling import resample_motion
 from mocapfix.write.rig import Rig
 from mocapfix.write.source_file import append_computed_points
 from mocapfix.write.text_tables import write_csv, write_trc
@@ -45,12 +49,14 @@ class ExportedMotion:
         motion: The motion at the output rate, with the floor at height 0.
         rate: Frames per second.
         floor_height_m: Height of the floor in the take.
+        key_error_deg: Largest error of a rotation in files with reduced keys; None for a key in every frame.
     """
 
     subject: Subject
     motion: Motion
     rate: float
     floor_height_m: float = 0.0
+    key_error_deg: float | None = None
 
     @property
     def skeleton(self) -> Skeleton:
@@ -64,7 +70,8 @@ class OutputFormat:
 
     Attributes:
         suffix: Suffix of the file, which follows the stem of the input.
-        write_file: Writes a result to a path, with the motion at the output rate if the take has a body.
+        write_file: Writes a result to a path, with the motion at the output rate if the take has a body, and returns sentences
+            for the report.
         companion_suffixes: Suffixes of files that `write_file` writes beside it.
         needs_body: Whether the format is written only if the take has a body.
         needs_markers: Whether the format is written only if the subject has markers.
@@ -73,7 +80,7 @@ class OutputFormat:
     """
 
     suffix: str
-    write_file: Callable[[Path, "CleaningResult", ExportedMotion | None], object]
+    write_file: Callable[[Path, "CleaningResult", ExportedMotion | None], Sequence[str] | None]
     companion_suffixes: tuple[str, ...] = ()
     needs_body: bool = False
     needs_markers: bool = False
@@ -125,9 +132,28 @@ def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion 
     write_bvh(target, exported.skeleton, exported.motion, exported.rate)
 
 
-def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
+def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
     exported = _require_motion(exported)
-    write_gltf(target, exported.skeleton, exported.motion, exported.rate)
+    key_error_rad = None if exported.key_error_deg is None else float(np.deg2rad(exported.key_error_deg))
+    reduction = write_gltf(target, exported.skeleton, exported.motion, exported.rate, key_error_rad)
+    return [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
+
+
+def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+    exported = _require_motion(exported)
+    return write_skeleton_fbx(target, exported.skeleton, exported.motion, exported.rate, exported.key_error_deg)
+
+
+def build_character_format(files: CharacterFiles) -> OutputFormat:
+    """Return the format of the files of a character."""
+
+    def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+        exported = _require_motion(exported)
+        floor_height_m = result.contacts.floor.height_m if result.contacts else exported.floor_height_m
+        return files.write(target, exported.skeleton, exported.motion, exported.rate, floor_height_m - exported.floor_height_m)
+
+    first, *others = files.suffixes
+    return OutputFormat(first, write_file, tuple(others), needs_body=True)
 
 
 def _write_amc(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> None:
@@ -227,6 +253,7 @@ OPTIONAL_FORMATS = {
     "csv": OutputFormat("csv", _write_csv),
     "contacts": OutputFormat("contacts.json", _write_contacts, needs_body=True),
     "events": OutputFormat("events.csv", _write_events, needs_body=True),
+    "fbx": OutputFormat("fbx", _write_fbx, needs_body=True),
 }
 
 
@@ -234,11 +261,17 @@ OPTIONAL_FORMATS = {
 def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
     """Return the formats of all files that are to be written, in this order.
 
-    Raises SceneError if there is no such rig, WriteError if two formats would write the same file.
+    Raises SceneError if there is no such rig or character, ReadError if the file of a character is unreadable, WriteError if two
+    formats would write the same file.
     """
+    has_fbx = "fbx" in options.extra_formats
+    characters = [
+        build_character_format(CharacterFiles(load_character(each, options.character_map), options.key_error_deg, has_fbx))
+        for each in dict.fromkeys(options.characters)
+    ]
     rigs = [build_rig_format(rig.load_rig(name)) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
-    formats = (BVH_FORMAT, *rigs, *extra, *DEFAULT_FORMATS)
+    formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
     suffixes = [suffix for each in formats for suffix in each.all_suffixes]
     if repeated := [suffix for suffix in suffixes if suffixes.count(suffix) > 1]:
         raise WriteError(f"Two of the requested files would both have the suffix .{repeated[0]}; request one of them.")
@@ -261,31 +294,5 @@ def build_exported_motion(
     output_rate, floor_height_m = options.output_rate_hz or rate, options.floor_height_m
     if floor_height_m:
         motion = replace(motion, root_position=motion.root_position - [0.0, floor_height_m, 0.0])
-    return ExportedMotion(subject, resample_motion(motion, rate, output_rate), output_rate, floor_height_m)
-
-
-def build_output_notes(options: OutputOptions, take: Take, has_body: bool) -> list[str]:
-    """Return sentences about requested formats, formats that are not written, and a changed rate or height."""
-    is_animation = take.point_kind == "joint"
-    requested = [
-        each
-        for each in list_output_formats(options)
-        if each not in (BVH_FORMAT, *DEFAULT_FORMATS) and each.suffix not in get_source_suffixes(take.path)
-    ]
-    notes = [f"{each.suffix} {each.usage_note}" for each in requested if each.usage_note and (has_body or not each.needs_body)]
-    reason = "the joints could not be identified" if is_animation else "the take has no body"
-    notes += [f"{each.suffix} is not written: {reason}." for each in requested if each.needs_body and not has_body]
-    if isinstance(take.layout, TableLayout) and not take.layout.has_field_per_sample:
-        is_json = take.path is not None and take.path.suffix.lower() == ".json"
-        kind = "is JSON" if is_json else "lists only visible markers"
-        notes.append(f"{take.name} {kind}, so the cleaned markers are written as a plain table.")
-    output_rate = options.output_rate_hz
-    if has_body and output_rate and output_rate != take.rate:
-        is_subset = is_frame_subset(take.rate, output_rate)
-        method = f"one of {take.rate / output_rate:.0f} solved frames" if is_subset else "splines between the solved frames"
-        other = "the cleaned file keeps" if is_animation else "markers keep"
-        notes.append(f"Motion files have {output_rate:g} frames per second ({method}); {other} {take.rate:g}.")
-    if has_body and options.floor_height_m:
-        other = "the cleaned file" if is_animation else "the markers"
-        notes.append(f"Motion files are {options.floor_height_m:g} m lower than {other}, so that their floor is at height 0.")
-    return notes
+    resampled = resample_motion(motion, rate, output_rate)
+    return ExportedMotion(subject, resampled, output_rate, floor_height_m, options.key_error_deg)

@@ -1,0 +1,40 @@
+"""Load the character that an option names, with the mapping of its bones: that of its file, an edited one, or one that is found."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from mocapfix.characters.bone_mapping import map_bones
+from mocapfix.characters.character import Character
+from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.characters.character_reader import read_character
+from mocapfix.characters.mapping_file import read_mapping_file
+from mocapfix.errors import SceneError
+from mocapfix.files.option_choices import CHARACTER_PRESETS
+
+UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")
+"""in the name of a character, which is part of the names of files"""
+
+
+def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None) -> Character:
+    """Load a preset by its name, or the character in a file, with all segments that retargeting needs.
+
+    mapping_path  an edited mapping of its bones, in place of the one that the character has
+
+    Raises:
+        ReadError, SceneError: If there is no such character, its file is invalid, or its bones do not form a body.
+    """
+    if str(name_or_path) in CHARACTER_PRESETS:
+        character = load_character_preset(str(name_or_path))
+    else:
+        path = Path(name_or_path)
+        if not path.suffix and not path.exists():
+            choices = ", ".join(CHARACTER_PRESETS)
+            raise SceneError(f"There is no character {str(name_or_path)!r}; choose one of {choices}, or give a file.")
+        character = read_character(path)
+        character = replace(character, name=UNUSABLE_CHARACTERS.sub("-", path.stem).strip("-") or "character")
+    if mapping_path is not None:
+        return replace(character, mapping=read_mapping_file(Path(mapping_path), character))
+    if character.mapping.missing_segments:
+        character = replace(character, mapping=map_bones(character))
+    return character
