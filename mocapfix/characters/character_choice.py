@@ -1,4 +1,4 @@
-"""Load the character that an option names, with the mapping of its bones: that of its file, an edited one, or one that is found."""
+"""Load the character that an option names, with the mapping of its bones: of its file, an edited one, or one that is found."""
 
 import re
 from dataclasses import replace
