@@ -3,7 +3,7 @@
 from functools import cache
 
 from mocapfix.characters.character import Character
-from mocapfix.characters.character_file import read_character_file
+from mocapfix.characters.character_yaml import read_character_yaml
 from mocapfix.errors import SceneError
 from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.files.shipped import find_shipped_folder
@@ -20,4 +20,4 @@ def load_character_preset(name: str) -> Character:
     """
     if name not in CHARACTER_PRESETS:
         raise SceneError(f"There is no character preset {name!r}; choose one of {', '.join(CHARACTER_PRESETS)}, or give a file.")
-    return read_character_file(find_shipped_folder("scenes") / "rigs" / f"{name}.yaml")
+    return read_character_yaml(find_shipped_folder("scenes") / "rigs" / f"{name}.yaml")

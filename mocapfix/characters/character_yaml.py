@@ -1,19 +1,269 @@
-"""Read a character from a YAML file, with or without the segments of its body."""
+"""Character files: the bones, rest pose, segments and joint limits of a character as YAML.
+
+The presets in scenes/rigs have this form, and so have armatures that the Blender add-on writes. Positions are in metres in the
+world, Y up, in a rest pose that faces +Z, so that the character's left is +X, whatever axes and units its program has.
+"""
 
 from pathlib import Path
+from typing import Annotated, Literal
 
-from mocapfix.characters.character import Character
-from mocapfix.characters.character_file import read_character_file
+import numpy as np
+from jaxtyping import Float, Int
+from pydantic import BeforeValidator, Field, FiniteFloat, PositiveFloat
+from scipy.spatial.transform import Rotation
+
+from mocapfix.characters.character import BoneMapping, Character, CharacterSource
+from mocapfix.characters.segment_bones import build_bone_mapping
 from mocapfix.errors import SceneError
+from mocapfix.files.output_files import replace_atomically
+from mocapfix.files.yaml_models import InlineMapping, InlineSequence, StrictModel, dump_yaml, read_yaml_model
+
+ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
+MIN_BONE_LENGTH_M = 1e-6
+"""shorter bones have no direction"""
+MIN_SIDE_SINE = 1e-3
+"""sine of the angle between a bone and the direction of its second axis, below which that direction determines no rotation"""
+POSITION_DECIMALS, ROTATION_DECIMALS = 7, 9
+"""of the written positions in metres and quaternions"""
+CHARACTER_FILE_HEADER = """\
+# A character of mocapfix: the bones of an armature in its rest pose and the segments of the body that they form.
+# head, tail: positions in metres in the world, Y up; the rest pose faces +Z, the character's left is +X.
+# rotation: quaternion [w, x, y, z] from the bone's own axes to the world's. segments: their bones from the pelvis outwards.
+# twists: bones beside the chain that take a share of its twist. limits: least and greatest components, in degrees, of a bone's
+# rotation vector from the rest pose, in its parent's axes.
+"""
+
+
+def _wrap_name(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+OwnAxis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
+BoneNames = Annotated[tuple[str, ...], BeforeValidator(_wrap_name)]
+Position = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+AngleRange = tuple[FiniteFloat, FiniteFloat]
+Quaternion = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class _AxesModel(StrictModel):
+    """The bones' own axes by a rule: `along` points to the tail, `second` as near to the world's direction `toward` as it can."""
+
+    along: OwnAxis
+    second: OwnAxis
+    toward: Position
+
+
+class _CharacterBone(StrictModel):
+    name: str = Field(min_length=1)
+    parent: str | None
+    head: Position
+    tail: Position | None = None
+    along: OwnAxis | None = None
+    second: OwnAxis | None = None
+    toward: Position | None = None
+    rotation: Quaternion | None = None
+    scale_m: PositiveFloat | None = None
+
+
+class _LimitModel(StrictModel):
+    x: AngleRange
+    y: AngleRange
+    z: AngleRange
+
+
+class _CharacterModel(StrictModel):
+    kind: Literal["character"]
+    name: str = Field(pattern=r"^\w[\w.-]*$")
+    title: str = ""
+    unit_m: PositiveFloat = 1.0
+    up: Literal["Y", "Z"] = "Y"
+    file_rotation: Quaternion | None = None
+    feet_flat: bool = True
+    axes: _AxesModel | None = None
+    bones: tuple[_CharacterBone, ...] = Field(min_length=1)
+    segments: dict[str, BoneNames] = Field(default_factory=dict)
+    twists: dict[str, BoneNames] = Field(default_factory=dict)
+    limits: dict[str, _LimitModel] = Field(default_factory=dict)
 
 
 def read_character_yaml(path: str | Path) -> Character:
-    """Read a character from a YAML file of the form of the presets in scenes/rigs.
+    """Read a character from a YAML file.
+
+    A tail that is not given is at the head of the first child; a tail at the bone's own head is none. The own axes of a bone are
+    those of `rotation` if given; otherwise they follow the rule `axes` of the file, whose keys a bone may replace. Under a rule,
+    a bone without a tail has the axes of its parent. Without a rule the axes are parallel to the world's.
+
+    Returns:
+        The character. Its mapping is empty if the file has no segments.
 
     Raises:
         SceneError: If the file is invalid. The message gives the file and the key.
     """
-    character = read_character_file(Path(path))
-    if not character.mapping.bones:
-        raise SceneError(f"{path}: segments: is missing; give the bones of each segment of the body.")
-    return character
+    path = Path(path)
+    model = read_yaml_model(_CharacterModel, path)
+    names, parents = _check_tree(path, model)
+    heads = np.array([bone.head for bone in model.bones])
+    tails = _find_tails(model, parents, heads)
+    rotations = _compute_world_rotations(path, model, parents, heads, tails)
+    mapping = BoneMapping({})
+    if model.segments:
+        reason = f"{model.title or model.name}: the segments of the character file."
+        mapping = build_bone_mapping(names, parents, model.segments, model.twists, reason=reason, source=str(path))
+    is_root = (parents < 0)[:, None]
+    parent_heads = np.where(is_root, 0.0, heads[parents])
+    parent_rotations = np.where(is_root[..., None], np.eye(3), rotations[parents])
+    rotation_y_up_file = ROTATION_Y_UP_Z_UP if model.up == "Z" else np.eye(3)
+    if model.file_rotation is not None:
+        rotation_y_up_file = _read_quaternion(path, "file_rotation", model.file_rotation)
+    return Character(
+        name=model.name,
+        names=names,
+        parents=parents,
+        rest_positions=np.einsum("jba,jb->ja", parent_rotations, heads - parent_heads),
+        rest_rotations=parent_rotations.swapaxes(-1, -2) @ rotations,
+        tails=np.einsum("jba,jb->ja", rotations, tails - heads),
+        mapping=mapping,
+        scales=np.array([bone.scale_m or model.unit_m for bone in model.bones]),
+        root_scale=model.unit_m,
+        rotation_y_up_file=rotation_y_up_file.copy(),
+        limits_deg=_read_limits(path, model, names),
+        has_feet_flat=model.feet_flat,
+        source=CharacterSource(str(path), path.read_bytes(), np.zeros(0, int), "yaml"),
+    )
+
+
+def write_character_yaml(target: str | Path, character: Character) -> None:
+    """Write a character as YAML that `read_character_yaml` reads: positions to 0.1 micrometres, axes as quaternions.
+
+    Raises WriteError if the folder cannot be written; an existing file is then left unchanged.
+    """
+    heads, rotations = character.compute_rest_pose()
+    tails = heads + np.einsum("jab,jb->ja", rotations, character.tails)
+    bones: list[InlineMapping] = []
+    for bone, name in enumerate(character.names):
+        parent = int(character.parents[bone])
+        entry = InlineMapping(name=name, parent=character.names[parent] if parent >= 0 else None, head=_round(heads[bone]))
+        if not np.isnan(tails[bone]).any():
+            entry["tail"] = _round(tails[bone])
+        entry["rotation"] = _format_quaternion(rotations[bone])
+        if character.scales[bone] != character.root_scale:
+            entry["scale_m"] = float(character.scales[bone])
+        bones.append(entry)
+    segments, twists = (
+        {segment: InlineSequence(character.names[bone] for bone in chain) for segment, chain in group.items()}
+        for group in (character.mapping.bones, character.mapping.twists)
+    )
+    limits = {
+        character.names[bone]: InlineMapping(
+            {axis: InlineSequence(map(float, angles)) for axis, angles in zip("xyz", limit, strict=True)}
+        )
+        for bone, limit in character.limits_deg.items()
+    }
+    data = {
+        "kind": "character",
+        "name": character.name,
+        "unit_m": float(character.root_scale),
+        "file_rotation": _format_quaternion(character.rotation_y_up_file),
+        "feet_flat": bool(character.has_feet_flat),
+        "bones": bones,
+        **{key: value for key, value in (("segments", segments), ("twists", twists), ("limits", limits)) if value},
+    }
+    with replace_atomically(Path(target)) as new_file:
+        new_file.write_text(CHARACTER_FILE_HEADER + dump_yaml(data), encoding="utf-8", newline="\n")
+
+
+def _check_tree(path: Path, model: _CharacterModel) -> tuple[tuple[str, ...], Int[np.ndarray, " J"]]:
+    """Return names and parents, after checking that bones are unique and listed after their parents."""
+    indices: dict[str, int] = {}
+    for bone, each in enumerate(model.bones):
+        if each.name in indices:
+            raise SceneError(f"{path}: bones.{bone}: the name {each.name!r} is used twice; bones have names of their own.")
+        if each.parent is not None and each.parent not in indices:
+            raise SceneError(f"{path}: bones.{bone}: the parent {each.parent!r} of {each.name!r} must be listed before it.")
+        indices[each.name] = bone
+    parents = [-1 if each.parent is None else indices[each.parent] for each in model.bones]
+    return tuple(indices), np.array(parents)
+
+
+def _find_tails(model: _CharacterModel, parents: Int[np.ndarray, " J"], heads: Float[np.ndarray, "J 3"]) -> np.ndarray:
+    tails = np.full_like(heads, np.nan)
+    for bone, each in enumerate(model.bones):
+        children = np.flatnonzero(parents == bone)
+        if each.tail is not None:
+            tails[bone] = each.tail
+        elif len(children):
+            tails[bone] = heads[children[0]]
+    tails[np.linalg.norm(tails - heads, axis=1) < MIN_BONE_LENGTH_M] = np.nan
+    return tails
+
+
+def _compute_world_rotations(
+    path: Path,
+    model: _CharacterModel,
+    parents: Int[np.ndarray, " J"],
+    heads: Float[np.ndarray, "J 3"],
+    tails: Float[np.ndarray, "J 3"],
+) -> Float[np.ndarray, "J 3 3"]:
+    """Compute the rotations from the bones' own axes to the world's."""
+    rotations = np.tile(np.eye(3), (len(heads), 1, 1))
+    for bone, each in enumerate(model.bones):
+        if each.rotation is not None:
+            rotations[bone] = _read_quaternion(path, f"bones.{bone}.rotation", each.rotation)
+        elif model.axes is not None:
+            vector = tails[bone] - heads[bone]
+            if not np.isnan(vector).any():
+                rule = (each.along or model.axes.along, each.second or model.axes.second, each.toward or model.axes.toward)
+                rotations[bone] = _apply_axes_rule(f"{path}: bones.{bone} ({each.name})", rule, vector)
+            elif parents[bone] >= 0:
+                rotations[bone] = rotations[parents[bone]]
+        elif each.along or each.second or each.toward:
+            raise SceneError(f"{path}: bones.{bone}: `along`, `second` and `toward` replace those of `axes`; give this key too.")
+    return rotations
+
+
+def _apply_axes_rule(
+    place: str, rule: tuple[OwnAxis, OwnAxis, Position], vector: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation whose first own axis points along a vector and whose second points toward a direction."""
+    along, second, toward = _build_own_axis(rule[0]), _build_own_axis(rule[1]), np.array(rule[2])
+    direction = vector / np.linalg.norm(vector)
+    toward = toward / max(float(np.linalg.norm(toward)), MIN_BONE_LENGTH_M)
+    side = toward - direction * (direction @ toward)
+    if np.linalg.norm(side) < MIN_SIDE_SINE or along @ second != 0:
+        raise SceneError(f"{place}: its second axis is along the bone; give the bone another `toward`, or a `rotation`.")
+    side /= np.linalg.norm(side)
+    own = np.stack([along, second, np.cross(along, second)], 1)
+    world = np.stack([direction, side, np.cross(direction, side)], 1)
+    return world @ own.T
+
+
+def _build_own_axis(axis: OwnAxis) -> Float[np.ndarray, " 3"]:
+    return np.eye(3)["XYZ".index(axis[-1])] * (-1.0 if axis.startswith("-") else 1.0)
+
+
+def _read_limits(path: Path, model: _CharacterModel, names: tuple[str, ...]) -> dict[int, Float[np.ndarray, "3 2"]]:
+    limits: dict[int, Float[np.ndarray, "3 2"]] = {}
+    for name, limit in model.limits.items():
+        if name not in names:
+            raise SceneError(f"{path}: limits.{name}: there is no such bone in this file; check its spelling.")
+        limits[names.index(name)] = np.array([limit.x, limit.y, limit.z])
+        for axis, (least, greatest) in zip("xyz", limits[names.index(name)], strict=True):
+            if not least <= 0.0 <= greatest:
+                raise SceneError(f"{path}: limits.{name}.{axis}: must be the least and the greatest angle, with 0 between them.")
+    return limits
+
+
+def _read_quaternion(path: Path, key: str, values: Quaternion) -> Float[np.ndarray, "3 3"]:
+    if not np.linalg.norm(values) > 0.5:
+        raise SceneError(f"{path}: {key}: is no rotation; give a quaternion of length 1, [w, x, y, z].")
+    return Rotation.from_quat(values, scalar_first=True).as_matrix()
+
+
+def _format_quaternion(rotation: Float[np.ndarray, "3 3"]) -> InlineSequence:
+    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True)
+    return InlineSequence(round(float(each), ROTATION_DECIMALS) + 0.0 for each in quaternion)
+
+
+def _round(vector: Float[np.ndarray, " 3"]) -> InlineSequence:
+    return InlineSequence(round(float(each), POSITION_DECIMALS) + 0.0 for each in vector)

@@ -76,6 +76,23 @@ def is_below(bone: int, above: int, parents: Int[np.ndarray, " J"]) -> bool:
     return bone >= 0
 
 
+def list_path(bone: int, above: int, parents: Int[np.ndarray, " J"]) -> list[int]:
+    """Return the bones from the child of `above` (-1: from a root) down to `bone`."""
+    path: list[int] = []
+    while bone not in (above, -1):
+        path.insert(0, int(bone))
+        bone = int(parents[bone])
+    return path
+
+
+def find_common_ancestor(bones: Sequence[int], parents: Int[np.ndarray, " J"]) -> int:
+    """Return the lowest bone that is each of some bones or above it, -1 if they have none in common."""
+    candidate = bones[0]
+    while candidate >= 0 and not all(bone == candidate or is_below(bone, candidate, parents) for bone in bones):
+        candidate = int(parents[candidate])
+    return candidate
+
+
 def _check_segment_names(segments: Mapping[str, Sequence[str]], twists: Mapping[str, Sequence[str]], source: str) -> None:
     for segment, bones in segments.items():
         if segment not in SEGMENTS:
