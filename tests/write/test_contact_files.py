@@ -140,7 +140,7 @@ def test_each_of_several_people_has_files(tmp_path):
         assert "Contacts with the floor" in outputs[f"{name}.report.html"].read_text()
 
 
-def test_a_take_whose_feet_are_not_seen_has_empty_files_and_a_note(tmp_path):
+def test_a_take_without_visible_feet_has_empty_files_and_a_note(tmp_path):
     truth = synthetic.compose_take(seed=3, seconds=1.5)
     kept = [m for m, label in enumerate(truth.labels) if label[1:] not in ("ANK", "HEE", "TOE", "MT5")]
     (tmp_path / "walk.c3d").write_bytes(build_c3d(truth.marker_positions[:, kept], [truth.labels[m] for m in kept]))
