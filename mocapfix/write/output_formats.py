@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mocapfix.calibrate import subject_file
-from mocapfix.characters.character_choice import load_character
 from mocapfix.errors import WriteError
 from mocapfix.files.layouts import TableLayout
 from mocapfix.files.output_files import get_source_suffixes
@@ -24,7 +23,6 @@ from mocapfix.write import rig
 from mocapfix.write.asf_amc import write_asf_amc
 from mocapfix.write.bvh import write_bvh, write_rig_bvh
 from mocapfix.write.c3d import write_c3d
-from mocapfix.write.character_files import CharacterFiles, write_skeleton_fbx
 from mocapfix.write.contact_files import write_contacts, write_gait_events
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.npz import write_npz
@@ -140,12 +138,19 @@ def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion
 
 
 def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
+    from mocapfix.write.character_files import write_skeleton_fbx
+
     exported = _require_motion(exported)
     return write_skeleton_fbx(target, exported.skeleton, exported.motion, exported.rate, exported.key_error_deg)
 
 
-def build_character_format(files: CharacterFiles) -> OutputFormat:
-    """Return the format of the files of a character."""
+def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
+    """Return the format of the files of a character. Raises ReadError or SceneError if there is no such character."""
+    from mocapfix.characters.character_choice import load_character  # few cleanings need it
+    from mocapfix.write.character_files import CharacterFiles
+
+    character = load_character(name_or_path, options.character_map)
+    files = CharacterFiles(character, options.key_error_deg, has_fbx="fbx" in options.extra_formats)
 
     def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
         exported = _require_motion(exported)
@@ -264,11 +269,7 @@ def list_output_formats(options: OutputOptions) -> tuple[OutputFormat, ...]:
     Raises SceneError if there is no such rig or character, ReadError if the file of a character is unreadable, WriteError if two
     formats would write the same file.
     """
-    has_fbx = "fbx" in options.extra_formats
-    characters = [
-        build_character_format(CharacterFiles(load_character(each, options.character_map), options.key_error_deg, has_fbx))
-        for each in dict.fromkeys(options.characters)
-    ]
+    characters = [build_character_format(each, options) for each in dict.fromkeys(options.characters)]
     rigs = [build_rig_format(rig.load_rig(name)) for name in dict.fromkeys(options.rigs)]
     extra = [OPTIONAL_FORMATS[name] for name in dict.fromkeys(options.extra_formats)]
     formats = (BVH_FORMAT, *rigs, *extra, *characters, *DEFAULT_FORMATS)
