@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.kernels import euler_angles
 from mocapfix.stats.sequences import find_runs
+from mocapfix.stats.transform_trees import compose_transforms
 
 AXIS_LETTERS = "XYZ"
 
@@ -184,19 +185,6 @@ class Animation:
         count = len(self.names)
         is_added = np.broadcast_to(self.is_position_added, count)
         return list(zip(is_added.tolist(), np.broadcast_to(self.rest_rotations, (count, 3, 3)), strict=True))
-
-
-def compose_transforms(
-    parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "T J 3"], rotations: Float[np.ndarray, "T J 3 3"]
-) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T J 3 3"]]:
-    """Compose local positions and rotations along a tree of joints, parents before children, into those in the world."""
-    position_world, rotation_world = positions.copy(), rotations.copy()
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            offset_world = (rotation_world[:, parent] @ positions[:, joint, :, None])[..., 0]
-            position_world[:, joint] = position_world[:, parent] + offset_world
-            rotation_world[:, joint] = rotation_world[:, parent] @ rotations[:, joint]
-    return position_world, rotation_world
 
 
 def _iterate_runs(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.animation import compose_transforms
+from mocapfix.stats.transform_trees import compose_transforms
 
 SIDES = ("left", "right")
 SIDE_SEGMENTS = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot", "toe")

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from mocapfix.characters.bvh_character import build_bvh_character
 from mocapfix.characters.character import Character
 from mocapfix.characters.character_yaml import read_character_yaml
-from mocapfix.characters.read_bvh_character import read_bvh_character
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
 from mocapfix.errors import ReadError
-from mocapfix.read.bvh import is_bvh
+from mocapfix.read.bvh import is_bvh, read_bvh
 from mocapfix.read.file_content import read_file_bytes
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -31,7 +31,7 @@ def read_character_skeletons(path: str | Path) -> list[Character]:
     path = Path(path)
     data = read_file_bytes(path)
     if is_bvh(data):
-        return [read_bvh_character(path, data)]
+        return [build_bvh_character(path, data, read_bvh(path, data))]
     if path.suffix.lower() in YAML_SUFFIXES:
         return [read_character_yaml(path)]
     if is_gltf(data):

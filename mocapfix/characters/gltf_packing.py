@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from mocapfix.errors import ReadError
-from mocapfix.files.glb import GlbContent, build_glb, is_glb, parse_glb, parse_gltf_document
+from mocapfix.files.glb import MAX_GLB_BYTES, GlbContent, build_glb, is_glb, parse_glb, parse_gltf_document
 
 ALIGNMENT_BYTES = 16
 """of a buffer that is appended to another: enough for every component and for compressed data"""
@@ -56,7 +56,7 @@ def _check_document(path: Path, document: dict[str, Any]) -> None:
             raise ReadError(f"{path}: {name} is no list of objects; the file is damaged, so export it again.")
     for index, buffer in enumerate(document.get("buffers", [])):
         length = buffer.get("byteLength")
-        if not isinstance(length, int) or isinstance(length, bool) or length < 1:
+        if not isinstance(length, int) or isinstance(length, bool) or not 1 <= length <= MAX_GLB_BYTES:
             raise ReadError(f"{path}: buffers[{index}] has no valid byteLength; the file is damaged, so export it again.")
 
 

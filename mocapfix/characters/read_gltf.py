@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from mocapfix.characters.bone_tails import compute_tail
 from mocapfix.characters.character import BoneMapping, Character, CharacterSource
 from mocapfix.characters.gltf_nodes import GltfNodes, are_numbers, compute_bone_transforms, read_gltf_nodes, read_indices
 from mocapfix.characters.gltf_packing import read_packed_gltf
@@ -24,8 +25,6 @@ from mocapfix.files.glb import is_glb
 MIN_BODY_NODES = 12
 """of a file without skin: fewer nodes form no body"""
 MAX_BONES = 5_000
-MIN_TAIL_FRACTION = 0.5
-"""of the distance of a bone's farthest child: nearer children, such as a thumb, do not count for its tail"""
 GLTF_SCALE_M = 1.0
 """length of a unit of glTF in metres"""
 
@@ -132,10 +131,3 @@ def _read_offset(entry: Mapping[str, Any]) -> Float[np.ndarray, " 3"]:
     offset = matrix[12:15] if isinstance(matrix, list) else entry.get("translation")
     is_valid = isinstance(offset, list) and len(offset) == 3 and are_numbers(offset)
     return np.array(offset if is_valid else [0.0, 0.0, 0.0], float)
-
-
-def compute_tail(children: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the tail of a bone with children at these positions in its axes; NaN without one that has a distance."""
-    distances = np.linalg.norm(children, axis=1)
-    is_far = (distances > MIN_TAIL_FRACTION * distances.max(initial=0.0)) & (distances > 0)
-    return children[is_far].mean(0) if is_far.any() else np.full(3, np.nan)

@@ -14,15 +14,15 @@ from mocapfix.characters.gltf_nodes import GltfNodes, read_index
 from mocapfix.characters.segment_bones import build_bone_mapping
 from mocapfix.errors import ReadError, SceneError
 
-TRUNK_BONES = {"hips": "pelvis", "spine": "spine", "chest": "spine", "upperChest": "spine", "neck": "neck", "head": "head"}
+VRM_TRUNK_BONES = {"hips": "pelvis", "spine": "spine", "chest": "spine", "upperChest": "spine", "neck": "neck", "head": "head"}
 """humanoid bones of the trunk, from the pelvis outwards, and their segments"""
-LIMB_BONES = {
+VRM_LIMB_BONES = {
     "Shoulder": "clavicle", "UpperArm": "upper_arm", "LowerArm": "forearm", "Hand": "hand",
     "UpperLeg": "thigh", "LowerLeg": "shin", "Foot": "foot", "Toes": "toe",
 }  # fmt: skip
 """ends of the names of humanoid bones of a side, and their segments"""
-SEGMENTS_OF_VRM_BONES = TRUNK_BONES | {
-    f"{side}{end}": f"{side}_{segment}" for side in SIDES for end, segment in LIMB_BONES.items()
+SEGMENTS_OF_VRM_BONES = VRM_TRUNK_BONES | {
+    f"{side}{end}": f"{side}_{segment}" for side in SIDES for end, segment in VRM_LIMB_BONES.items()
 }
 SEGMENTS_BELOW = {
     "spine": ("spine", "neck", "head"),

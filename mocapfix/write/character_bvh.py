@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
 from mocapfix.files.glb import parse_glb
 from mocapfix.skeleton import Skeleton
-from mocapfix.write.bvh import CENTIMETRE_M, write_bvh_tree
+from mocapfix.write.bvh_tree import CENTIMETRE_M, write_bvh_tree
 from mocapfix.write.character_bones import get_parent_scale
 
 BVH_UNITS_M = (1.0, 0.01, 0.001, 0.0254)

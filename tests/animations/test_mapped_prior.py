@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import compose_transforms
 from mocapfix.animations.mapped_prior import MappedPriorConditioner
 from mocapfix.animations.retarget import SkeletonAlignment
 from mocapfix.motion_prior.gap_combination import GapContext, GapPrediction
@@ -10,6 +9,7 @@ from mocapfix.motion_prior.gap_prediction import predict_shipped_gap
 from mocapfix.pose_prior import io
 from mocapfix.skeleton import load_cmu31_body
 from mocapfix.solve.prior_conditioner import PriorConditioner
+from mocapfix.stats.transform_trees import compose_transforms
 
 SKELETON = load_cmu31_body().skeleton
 COUNT = len(SKELETON.names)

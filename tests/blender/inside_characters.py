@@ -49,6 +49,8 @@ def answer(job: dict) -> dict:
         "rate": render.fps / render.fps_base,
         "first": first,
         "frames": last - first + 1,
+        "action": armature.animation_data.action.name,
+        "objects": sorted(each.type for each in bpy.context.scene.objects),
         "meshes": sum(each.type == "MESH" and bool(each.modifiers) for each in bpy.data.objects),
         "heads": [read_heads(armature, first + frame) for frame in job["frames"]],
     }

@@ -146,6 +146,14 @@ def test_a_character_has_a_mesh(opened, name):
     assert opened[f"{name}.glb"]["meshes"] == 1
 
 
+@pytest.mark.parametrize("name", FBX_CHARACTERS)
+def test_fbx_has_the_armature_the_mesh_and_the_take_alone(opened, name):
+    each = opened[f"{name}.fbx"]
+    assert each["objects"] == ["ARMATURE", "MESH"]
+    assert each["meshes"] == 1
+    assert each["action"].endswith("|take")
+
+
 def test_reduced_keys_keep_the_stated_distance_in_blender(opened, written, reduction):
     """Blender interpolates the components of quaternions and normalises them."""
     each = written["user-vrm"]

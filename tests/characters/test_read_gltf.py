@@ -185,7 +185,7 @@ def test_nodes_without_skin_are_bones(tmp_path):
     check_rest_pose(read(tmp_path, edit_glb(GLB, edit)), [f"{PREFIX}{name}" for name in FIGURE.names])
 
 
-def test_unnamed_and_repeated_names_are_told_apart(tmp_path):
+def test_unnamed_and_repeated_names_become_unique(tmp_path):
     def edit(document):
         document["nodes"][node_of(3)].pop("name")
         document["nodes"][node_of(4)]["name"] = document["nodes"][node_of(5)]["name"] = "twin"
@@ -266,7 +266,8 @@ def build_side_gltf(**buffer):
         (build_side_gltf(uri="data:;base64,***"), "base64"),
         (build_side_gltf(uri="data:;base64,YWJj"), "3 of"),
         (build_side_gltf(), "no data"),
-        (edit_glb(GLB, lambda document: document["buffers"][0].update(byteLength=10**12)), "cut off"),
+        (edit_glb(GLB, lambda document: document["buffers"][0].update(byteLength=10**9)), "cut off"),
+        (edit_glb(GLB, lambda document: document["buffers"][0].update(byteLength=10**400)), "no valid byteLength"),
     ],
 )
 def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, data, problem):

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mocapfix.animation import Animation, compose_transforms
+from mocapfix.animation import Animation
 from mocapfix.animations import joint_mapping
 from mocapfix.errors import ReadError
 from mocapfix.read import amc, bvh
+from mocapfix.stats.transform_trees import compose_transforms
 from mocapfix.write.patches import patch_animation
 from tests.asf_files import AMC, ASF, FRAMES
 

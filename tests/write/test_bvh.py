@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import WriteError
 from mocapfix.solve import kinematics
-from mocapfix.write.bvh import compute_euler_angles, write_bvh
+from mocapfix.write.bvh import write_bvh
+from mocapfix.write.bvh_tree import compute_euler_angles
 from tests.write.read_back import SKELETON, Bvh, motion_of, smooth_rotations
 
 

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from mocapfix.characters.character import compute_character_poses
 from mocapfix.characters.character_reader import read_character
 from mocapfix.errors import WriteError
-from mocapfix.write.character_glb import compute_leg_length, write_character_glb
+from mocapfix.write.character_bones import compute_leg_length
+from mocapfix.write.character_glb import write_character_glb
 from mocapfix.write.gltf import write_gltf
 from tests.characters.character_files import (
     FIGURE,

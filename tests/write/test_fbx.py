@@ -77,16 +77,16 @@ def test_an_executable_that_is_missing_is_named(glb, monkeypatch):
 
 def test_the_file_that_blender_wrote_is_the_output(glb, monkeypatch):
     """A program that copies its arguments shows what Blender is given: one animation, and the rate."""
-    text = "import sys, pathlib; source, target, rate = sys.argv[-3:]; "
-    text += "pathlib.Path(target).write_bytes(pathlib.Path(source).read_bytes() + rate.encode())"
+    text = "import sys, pathlib; source, target, rate, name = sys.argv[-4:]; "
+    text += "pathlib.Path(target).write_bytes(pathlib.Path(source).read_bytes() + f'{rate} {name}'.encode())"
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
     assert write_character_fbx(glb.with_suffix(".fbx"), glb, 59.94) is None
-    assert glb.with_suffix(".fbx").read_bytes().endswith(b"59.94")
+    assert glb.with_suffix(".fbx").read_bytes().endswith(b"59.94 walk")
     assert os.listdir(glb.parent).count("walk.fbx") == 1  # noqa: PTH208
 
 
 def test_a_missing_folder_is_refused(glb, monkeypatch):
-    text = "import sys, pathlib; pathlib.Path(sys.argv[-2]).write_bytes(b'x')"
+    text = "import sys, pathlib; pathlib.Path(sys.argv[-3]).write_bytes(b'x')"
     monkeypatch.setenv(BLENDER_VARIABLE, str(make_executable(glb.parent / "blender", text)))
     with pytest.raises(WriteError, match="nowhere"):
         write_character_fbx(glb.parent / "nowhere" / "walk.fbx", glb, 60.0)

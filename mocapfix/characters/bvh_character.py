@@ -1,4 +1,4 @@
-"""Read the bones of a character from a BVH: the rest pose is that of its offsets, with all angles zero.
+"""The bones of a BVH as a character: the rest pose is that of its offsets, with all angles zero.
 
 BVH has no rest rotations: in the rest pose the axes of all bones are the file's.
 """
@@ -7,18 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
+from mocapfix.animation import Animation
+from mocapfix.characters.bone_tails import compute_tail
 from mocapfix.characters.character import BoneMapping, Character, CharacterSource
-from mocapfix.characters.read_gltf import compute_tail
-from mocapfix.read.bvh import read_bvh
 
 
-def read_bvh_character(path: Path, data: bytes) -> Character:
-    """Read the character of a BVH. Its mapping is empty. The unit and the up axis are inferred as `read_bvh` does.
+def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Character:
+    """Return the bones of a BVH as a character. Its mapping is empty.
 
-    Raises:
-        ReadError: If the file is invalid. The message names file and line.
+    Args:
+        path: The file.
+        data: Its bytes.
+        animation: Its content, with the unit and the up axis that `read_bvh` inferred.
     """
-    animation = read_bvh(path, data)
     count, unit_m = len(animation.names), animation.unit_m
     positions = animation.offsets * unit_m
     positions[0] = animation.rotation_y_up_file @ positions[0]

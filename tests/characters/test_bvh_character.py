@@ -76,7 +76,7 @@ def test_a_file_with_z_up_stands_with_y_up(tmp_path):
     np.testing.assert_allclose(rotations[foot] @ character.tails[foot], [-0.15, 0, 0], atol=1e-9)
 
 
-def test_repeated_names_are_told_apart(tmp_path):
+def test_repeated_names_become_unique(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP.replace("JOINT Foot", "JOINT Head"))
     assert read_character(tmp_path / "figure.bvh").names == ("Hips", "Head", "Head#2")
 
