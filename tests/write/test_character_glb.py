@@ -12,8 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_presets import load_character_preset
 from mocapfix.characters.character_reader import read_character
 from mocapfix.errors import WriteError
+from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.write.character_bones import compute_leg_length
 from mocapfix.write.character_glb import write_character_glb
 from mocapfix.write.gltf import write_gltf
@@ -241,6 +243,10 @@ def test_khronos_validator_reports_no_errors(tmp_path):
         for limit in (None, 0.02):
             paths.append(tmp_path / f"{name} {limit}.glb")
             write_character_glb(paths[-1], character, build_motion(character), "walk", limit)
+    for name in CHARACTER_PRESETS:
+        paths.append(tmp_path / f"preset {name}.glb")
+        character = load_character_preset(name)
+        write_character_glb(paths[-1], character, build_motion(character, 10), "walk", 0.02)
     solved = motion_of(smooth_rotations(2, 60, 31, swing=1), np.zeros((60, 3)))
     for limit in (None, 0.02):
         paths.append(tmp_path / f"solved {limit}.glb")
