@@ -9,6 +9,7 @@ from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, HeldFeet
 from mocapfix.contacts.find_contacts import find_contacts
 from mocapfix.contacts.foot_points import build_foot_points
 from mocapfix.contacts.gait_events import detect_gait_events
+from mocapfix.contacts.held_uncertainty import reduce_held_uncertainty
 from mocapfix.contacts.hold_feet import hold_feet
 from mocapfix.contacts.plate_contacts import align_contacts_with_plates, find_plate_contacts, replace_marker_events
 from mocapfix.files.layouts import C3dLayout
@@ -33,7 +34,7 @@ def hold_standing_feet(state: CleaningState, options: CleanOptions) -> CleaningS
         return replace(state, body=replace(body, contacts=contacts))
     is_locked = options.contacts.feet == FEET_LOCK
     motion = hold_feet(skeleton, body.motion, body.joint_positions, standing, is_locked=is_locked)
-    moved = move_body(body, motion)
+    moved = move_body(body, reduce_held_uncertainty(body.extended_subject, motion, standing))
     held = describe_held_feet(skeleton, body.joint_positions, moved.joint_positions, options.contacts.feet)
     return replace(state, body=replace(moved, contacts=replace(contacts, held_feet=held)))
 

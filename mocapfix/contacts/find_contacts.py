@@ -52,12 +52,14 @@ def find_contacts(skeleton: Skeleton, motion: Motion, joint_position: Float[np.n
 
 def find_foot_contacts(positions: ContactPositions) -> BodyContacts:
     """Find the contacts of the joints of both feet, in the order of CONTACT_JOINTS."""
+    columns = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
     position, rate = positions.position, positions.rate
     is_known = np.stack([find_known_frames(positions.sd[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
+    for ankle, toe in columns.values():  # where the ankle is unknown, so is where the toes are
+        is_known[:, toe] &= is_known[:, ankle]
     speed = np.stack([compute_speed(position[:, c], rate) for c in range(len(CONTACT_JOINTS))], axis=1)
     is_standing = np.stack([detect_standing(speed[:, c], rate, ~is_known[:, c]) for c in range(len(CONTACT_JOINTS))], axis=1)
     joined = is_standing.copy()
-    columns = {side: [CONTACT_JOINTS.index(joint) for joint in joints] for side, joints in FOOT_JOINTS.items()}
     for side, other in (("left", "right"), ("right", "left")):
         other_standing = np.any(is_standing[:, columns[other]], axis=1)
         for c in columns[side]:

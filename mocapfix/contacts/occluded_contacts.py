@@ -10,7 +10,7 @@ MAX_KNOWN_SD_M = 0.03
 """Standard deviation above which a joint's position is never known."""
 MAX_SD_RATIO = 1.5
 """Standard deviation, relative to the take's usual one, above which the joint lacks its markers."""
-BORDER_S = 0.03
+BORDER_S = 0.08
 """Time beside unknown frames in which the smoothness of the motion carries their error into known ones."""
 USUAL_SD_PERCENTILE = 25
 MAX_PLACE_CHANGE_M = 0.025
