@@ -29,7 +29,7 @@ class ProcessOperator:
         except ProcessError as error:
             shutil.rmtree(temporary, ignore_errors=True)
             return self.fail(error)
-        if bpy.app.background or context.window is None:
+        if not self.has_window(context):
             process.wait()
             return self._end(context, process)
         self._process = process
@@ -61,6 +61,10 @@ class ProcessOperator:
         if self._process is not None:
             self._process.cancel()
             self._process = None
+
+    def has_window(self, context) -> bool:
+        """Return whether there is a window in which progress can be shown."""
+        return not bpy.app.background and context.window is not None
 
     def finish(self, context, process: CleaningProcess) -> None:
         """Bring the results of the ended process into the scene."""
