@@ -101,6 +101,7 @@ def _choose_names(entries: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     for index, entry in enumerate(entries):
         given = entry.get("name")
         name = given if isinstance(given, str) and given.strip() else f"node {index}"
+        name = name.encode("utf-8", "replace").decode()  # no halves of surrogate pairs, which no file can have
         if name in names:
             name = f"{name}#{index}"
         while name in names:
