@@ -6,18 +6,18 @@ bone that carries the arms, and neck and head lead up from there. Left and right
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.characters.limb_geometry import SAME_PLACE_SHARE, LimbJoints, find_arm_joints, find_leg_joints
 from mocapfix.characters.segment_bones import find_common_ancestor, list_path
+from mocapfix.characters.skeleton_tree import SkeletonTree
 
-MAX_LENGTH_DIFFERENCE_SHARE = 0.1
-"""difference of the lengths of a left and a right chain"""
-MAX_HEIGHT_DIFFERENCE_SHARE = 0.05
-"""difference of the heights of left and right joints, as a share of the skeleton's height"""
+LimbPair = tuple[LimbJoints, LimbJoints]
+
+MIN_LIMB_DISTANCE_SHARE = 0.03
+"""horizontal distance between the left and the right knee or elbow, as a share of the skeleton's height"""
 MIN_LEG_HEIGHT_SHARE = 0.25
 """height of the hips, as a share of the skeleton's height"""
 MAX_FLOOR_DISTANCE_SHARE = 0.1
@@ -28,12 +28,17 @@ ARM_LEG_RATIO = 0.65
 """length from shoulder to wrist over that from hip to ankle of an adult"""
 MAX_ARM_LEG_FACTOR = 2.2
 """factor between that ratio and the one of a figure"""
-HANDLESS_ARM_COST, HANGING_CHAIN_COST = 0.3, 0.5
-"""costs of pairs of chains without fingers and of those that hang from the head, in units of the logarithm of the length"""
+MIN_SHOULDER_HEIGHT_SHARE = 0.25
+"""height of the shoulders above the hips, as a share of the leg's length"""
+HANDLESS_ARM_COST, HANGING_CHAIN_COST, SIDEWAYS_COST = 0.5, 0.5, 0.4
+"""costs of pairs of chains without fingers, of those that hang from the head, and of those that do not lead sideways, in units
+of the logarithm of the length"""
+MIN_FINGER_RATIO = 0.3
+"""length of the shortest chain of a hand over that of the second longest; the longest may be a weapon"""
 END_BONE_RATIO = 1.5
 """length of the last bone over that of the bone before, from which it is the top of the head"""
-MAX_NECK_DISTANCE_SHARE = 0.4
-"""horizontal distance of the bones of the neck from the middle between the shoulders, as a share of their distance"""
+MAX_NECK_DISTANCE_SHARE = 0.15
+"""distance of the bones of the neck from the plane in the middle between the shoulders, as a share of their distance"""
 MIN_FACE_DISTANCE_SHARE = 0.5
 """distance of eyes or a jaw from the head, as a share of that of its end"""
 MIN_FORWARD_SHARE = 1e-3
@@ -52,44 +57,6 @@ class ShapeSegments:
     faces_forward: bool
 
 
-class _Tree:
-    """Children, longest paths and symmetric pairs of chains of a skeleton."""
-
-    def __init__(self, parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"]) -> None:
-        self.parents, self.positions = parents, positions
-        self.children: list[list[int]] = [[] for _ in parents]
-        self.reach = np.zeros(len(parents))  # length of the longest path below each bone
-        self.path_child = np.full(len(parents), -1)
-        self.top, self.bottom = positions[:, 1].copy(), positions[:, 1].copy()
-        for bone in range(len(parents) - 1, -1, -1):
-            parent = int(parents[bone])
-            if parent < 0:
-                continue
-            self.children[parent].insert(0, bone)
-            reach = self.reach[bone] + np.linalg.norm(positions[bone] - positions[parent])
-            if reach >= self.reach[parent]:
-                self.reach[parent], self.path_child[parent] = reach, bone
-            self.top[parent] = max(self.top[parent], self.top[bone])
-            self.bottom[parent] = min(self.bottom[parent], self.bottom[bone])
-
-    def find_longest_path(self, bone: int) -> list[int]:
-        """Return the bones of the longest path down from a bone."""
-        path = [bone]
-        while self.path_child[path[-1]] >= 0:
-            path.append(int(self.path_child[path[-1]]))
-        return path
-
-    def list_pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs of sisters whose longest paths have equal lengths and lead to equal heights on two sides."""
-        pairs: list[tuple[int, int]] = []
-        for sisters in self.children:
-            lengths = {bone: self.reach[bone] for bone in sisters if self.reach[bone] > 0}
-            for a, b in combinations(lengths, 2):
-                if abs(lengths[a] - lengths[b]) <= MAX_LENGTH_DIFFERENCE_SHARE * max(lengths[a], lengths[b]):
-                    pairs.append((a, b))
-        return pairs
-
-
 def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.ndarray, "J 3"]) -> ShapeSegments:
     """Find the bones of the segments by the tree and the positions of the bones. Names are not used.
 
@@ -104,7 +71,7 @@ def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.n
     Raises:
         ValueError: If the skeleton is no body with two legs and two arms. The message is the end of a sentence that says why.
     """
-    tree = _Tree(parents, positions)
+    tree = SkeletonTree(parents, positions)
     legs = _find_legs(tree)
     arms = _find_arms(tree, legs)
     pelvis = find_common_ancestor([each.path[0] for each in (*legs, *arms)], parents)
@@ -128,25 +95,26 @@ def _list_limb_segments(limb: LimbJoints, is_leg: bool) -> dict[str, tuple[int, 
     return {"clavicle": before, "upper_arm": upper, "forearm": lower, "hand": (limb.last,)}
 
 
-def _find_legs(tree: _Tree) -> tuple[LimbJoints, LimbJoints]:
+def _find_legs(tree: SkeletonTree) -> LimbPair:
     positions = tree.positions
-    found: list[tuple[LimbJoints, LimbJoints]] = []
-    for a, b in tree.list_pairs():
-        left, right = (find_leg_joints(tree.find_longest_path(bone), positions) for bone in (a, b))
-        if left and right and _are_mirrored(left, right, tree):
+    found: list[LimbPair] = []
+    for paths in tree.list_paired_paths():
+        left, right = (find_leg_joints(path, positions) for path in (paths.first, paths.second))
+        if left and right and _are_apart(left, right, tree):
             found.append((left, right))
     floor = min((positions[list(limb.path), 1].min() for pair in found for limb in pair), default=0.0)
     height = positions[:, 1].max() - floor
-    standing = [
-        pair
-        for pair in found
-        if _measure_limb(pair[0], positions) > MIN_LEG_HEIGHT_SHARE * height
-        and positions[list(pair[0].path), 1].min() - floor < MAX_FLOOR_DISTANCE_SHARE * _measure_limb(pair[0], positions)
-    ]
+    standing: list[LimbPair] = []
+    for pair in found:
+        length = _measure_limb(pair[0], positions)
+        rise = positions[list(pair[0].path), 1].min() - floor
+        if length > MIN_LEG_HEIGHT_SHARE * height and rise < MAX_FLOOR_DISTANCE_SHARE * length:
+            standing.append(pair)
     if not standing:
         raise ValueError("no two legs lead down to the floor")
-    with_feet = [pair for pair in standing if pair[0].end is not None] or standing
-    best = max(with_feet, key=lambda pair: _measure_limb(pair[0], positions))
+    best = max(
+        standing, key=lambda pair: (pair[0].end is not None, _measure_limb(pair[0], positions), _measure_foot(pair[0], positions))
+    )
     hips = _find_centre(best, positions)
     for pair in standing:
         between = (_find_centre(pair, positions) - hips)[[0, 2]]
@@ -155,26 +123,31 @@ def _find_legs(tree: _Tree) -> tuple[LimbJoints, LimbJoints]:
     return best
 
 
-def _find_arms(tree: _Tree, legs: tuple[LimbJoints, LimbJoints]) -> tuple[LimbJoints, LimbJoints]:
+def _find_arms(tree: SkeletonTree, legs: LimbPair) -> LimbPair:
     positions, leg_length = tree.positions, _measure_limb(legs[0], tree.positions)
-    hip_height, floor = positions[legs[0].first, 1], positions[list(legs[0].path), 1].min()
+    hips, floor = _find_centre(legs, positions), positions[list(legs[0].path), 1].min()
+    across = _find_across(legs, positions)
     used = {bone for leg in legs for bone in leg.path}
-    best: tuple[float, tuple[LimbJoints, LimbJoints]] | None = None
-    for a, b in tree.list_pairs():
-        if used & {a, b} or positions[[a, b], 1].min() < hip_height:
+    best: tuple[float, LimbPair] | None = None
+    for paths in tree.list_paired_paths():
+        a, b = paths.first[0], paths.second[0]
+        if used & {a, b}:
             continue
-        left, right = (_find_arm(tree, bone, ARM_LEG_RATIO * leg_length) for bone in (a, b))
-        if not left or not right or not _are_mirrored(left, right, tree):
+        left, right = (_find_arm(tree, path, ARM_LEG_RATIO * leg_length) for path in (paths.first, paths.second))
+        if not left or not right or not _are_apart(left, right, tree):
+            continue
+        if positions[left.first, 1] - hips[1] < MIN_SHOULDER_HEIGHT_SHARE * leg_length:
             continue
         ratio = abs(np.log(_measure_limb(left, positions) / leg_length / ARM_LEG_RATIO))
-        reaches_floor = tree.bottom[left.first] - floor < MAX_FLOOR_DISTANCE_SHARE * leg_length
-        if ratio > np.log(MAX_ARM_LEG_FACTOR) or reaches_floor:
+        if ratio > np.log(MAX_ARM_LEG_FACTOR) or positions[left.last, 1] - floor < MAX_FLOOR_DISTANCE_SHARE * leg_length:
             continue
+        vectors = [positions[limb.last] - positions[limb.first] for limb in (left, right)]
+        sideways = [float(vector @ across) / np.linalg.norm(vector) for vector in vectors]
+        mirror_error = abs(sideways[0] + sideways[1])
         has_hand = len(_list_finger_bones(tree, left.last)) >= 2
-        is_above = all(
-            tree.top[sister] <= positions[a, 1] for sister in tree.children[int(tree.parents[a])] if sister not in (a, b)
-        )
-        cost = ratio + (0.0 if has_hand else HANDLESS_ARM_COST) + (HANGING_CHAIN_COST if is_above else 0.0)
+        is_hanging = all(tree.top[each] <= positions[a, 1] for each in tree.children[int(tree.parents[a])] if each not in (a, b))
+        cost = ratio + HANDLESS_ARM_COST * (not has_hand) + HANGING_CHAIN_COST * is_hanging
+        cost += SIDEWAYS_COST * (1 - abs(sideways[0])) + mirror_error + _compare_bone_lengths(left, positions)
         if best is None or cost < best[0]:
             best = cost, (left, right)
     if best is None:
@@ -182,21 +155,23 @@ def _find_arms(tree: _Tree, legs: tuple[LimbJoints, LimbJoints]) -> tuple[LimbJo
     return best[1]
 
 
-def _find_arm(tree: _Tree, bone: int, expected_length: float) -> LimbJoints | None:
-    path = tree.find_longest_path(bone)
-    with_fingers = [each for each in path if len(_list_finger_bones(tree, each)) >= 2]
-    wrist = with_fingers[-1] if with_fingers else None
-    return find_arm_joints(path, wrist, tree.positions, expected_length)
+def _find_arm(tree: SkeletonTree, path: tuple[int, ...], expected_length: float) -> LimbJoints | None:
+    hands = [bone for bone in path if len(_list_finger_bones(tree, bone)) >= 2]
+    return find_arm_joints(path, hands, tree.positions, expected_length)
 
 
-def _list_finger_bones(tree: _Tree, bone: int) -> list[int]:
-    """Return the children of a bone that begin chains of their own, of similar lengths, as fingers do."""
-    chains = [child for child in tree.children[bone] if tree.reach[child] > 0]
-    longest = max((tree.reach[child] for child in chains), default=0.0)
-    return [child for child in chains if tree.reach[child] > 0.3 * longest]
+def _list_finger_bones(tree: SkeletonTree, bone: int) -> list[int]:
+    """Return the children of a bone that begin chains of their own, of similar lengths, as fingers do; one may be longer."""
+    chains = [
+        child
+        for child in tree.children[bone]
+        if tree.reach[child] > 0 and np.linalg.norm(tree.positions[child] - tree.positions[bone]) > SAME_PLACE_SHARE * tree.height
+    ]
+    lengths = sorted((tree.reach[child] for child in chains), reverse=True)
+    return [child for child in chains if tree.reach[child] > MIN_FINGER_RATIO * lengths[min(1, len(lengths) - 1)]]
 
 
-def _find_neck(tree: _Tree, chest: int, arms: tuple[LimbJoints, LimbJoints]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _find_neck(tree: SkeletonTree, chest: int, arms: LimbPair) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return the bones of the neck and that of the head, none where nothing leads up from the chest."""
     positions = tree.positions
     path: list[int] = []
@@ -213,21 +188,23 @@ def _find_neck(tree: _Tree, chest: int, arms: tuple[LimbJoints, LimbJoints]) -> 
     return tuple(path[:-1]), tuple(path[-1:])
 
 
-def _choose_upward(tree: _Tree, bone: int, arms: tuple[LimbJoints, LimbJoints]) -> int | None:
+def _choose_upward(tree: SkeletonTree, bone: int, arms: LimbPair) -> int | None:
     """Return the child of a bone that leads up, near the middle between the arms, to the highest bone."""
     positions, centre = tree.positions, _find_centre(arms, tree.positions)
-    width = np.linalg.norm((positions[arms[0].first] - positions[arms[1].first])[[0, 2]])
+    across = (positions[arms[0].first] - positions[arms[1].first]) * [1, 0, 1]
+    width = float(np.linalg.norm(across))
+    across /= width
     upward = [
         child
         for child in tree.children[bone]
         if child not in (arms[0].path[0], arms[1].path[0])
         and tree.top[child] > positions[bone, 1]
-        and np.linalg.norm((positions[child] - centre)[[0, 2]]) < MAX_NECK_DISTANCE_SHARE * width
+        and abs((positions[child] - centre) @ across) < MAX_NECK_DISTANCE_SHARE * width
     ]
     return max(upward, key=lambda child: tree.top[child], default=None)
 
 
-def _carries_face(tree: _Tree, bone: int, following: int) -> bool:
+def _carries_face(tree: SkeletonTree, bone: int, following: int) -> bool:
     """Return whether a bone carries several chains, or several bones at distances of the same order, as heads do."""
     others = [child for child in tree.children[bone] if child != following]
     if any(tree.children[other] for other in others):
@@ -236,10 +213,9 @@ def _carries_face(tree: _Tree, bone: int, following: int) -> bool:
     return not tree.children[following] and bool((distances[1:] > MIN_FACE_DISTANCE_SHARE * distances[0]).any())
 
 
-def _find_forward(legs: tuple[LimbJoints, LimbJoints], positions: Float[np.ndarray, "J 3"]) -> tuple[np.ndarray, bool]:
+def _find_forward(legs: LimbPair, positions: Float[np.ndarray, "J 3"]) -> tuple[np.ndarray, bool]:
     """Return the horizontal direction (3,) to which the feet point, and whether they show one; +Z otherwise."""
-    across = (positions[legs[0].first] - positions[legs[1].first]) * [1, 0, 1]
-    across /= float(np.linalg.norm(across))
+    across = _find_across(legs, positions)
     feet = sum(positions[leg.path[-1] if leg.end is None else leg.end] - positions[leg.last] for leg in legs) * np.array(
         [1, 0, 1]
     )
@@ -250,19 +226,20 @@ def _find_forward(legs: tuple[LimbJoints, LimbJoints], positions: Float[np.ndarr
     return forward / length, True
 
 
-def _are_mirrored(left: LimbJoints, right: LimbJoints, tree: _Tree) -> bool:
-    """Return whether the joints of two limbs are at equal heights, and apart."""
-    positions = tree.positions
-    height = positions[:, 1].max() - positions[:, 1].min()
-    joints = [(getattr(left, name), getattr(right, name)) for name in ("first", "middle", "last")]
-    differences = [abs(positions[a, 1] - positions[b, 1]) for a, b in joints]
-    apart = np.linalg.norm((positions[left.middle] - positions[right.middle])[[0, 2]])
-    lengths = [_measure_limb(limb, positions) for limb in (left, right)]
-    return (
-        max(differences) < MAX_HEIGHT_DIFFERENCE_SHARE * height
-        and apart > MAX_HEIGHT_DIFFERENCE_SHARE * height
-        and abs(lengths[0] - lengths[1]) <= MAX_LENGTH_DIFFERENCE_SHARE * max(lengths)
-    )
+def _are_apart(left: LimbJoints, right: LimbJoints, tree: SkeletonTree) -> bool:
+    """Return whether two limbs have their joints at the same places of their paths, and these apart."""
+    places = [[limb.path.index(joint) for joint in (limb.first, limb.middle, limb.last)] for limb in (left, right)]
+    between = (tree.positions[left.middle] - tree.positions[right.middle])[[0, 2]]
+    return places[0] == places[1] and bool(np.linalg.norm(between) > MIN_LIMB_DISTANCE_SHARE * tree.height)
+
+
+def _find_across(legs: LimbPair, positions: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
+    """Return the horizontal direction from hip to hip, or from knee to knee where the hips are at one place."""
+    for joint in ("first", "middle"):
+        across = (positions[getattr(legs[0], joint)] - positions[getattr(legs[1], joint)]) * [1, 0, 1]
+        if np.linalg.norm(across) > MIN_FORWARD_SHARE * _measure_limb(legs[0], positions):
+            break
+    return across / np.linalg.norm(across)
 
 
 def _measure_limb(limb: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
@@ -271,5 +248,18 @@ def _measure_limb(limb: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> floa
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _find_centre(pair: tuple[LimbJoints, LimbJoints], positions: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
+def _compare_bone_lengths(limb: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
+    """Return the absolute logarithm of the ratio of the lengths of the two parts of a limb."""
+    steps = positions[[limb.middle, limb.last]] - positions[[limb.first, limb.middle]]
+    lengths = np.linalg.norm(steps, axis=1)
+    return float(abs(np.log(lengths[0] / lengths[1])))
+
+
+def _measure_foot(leg: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
+    """Return the horizontal length of a foot, 0 for one without a toe."""
+    end = leg.last if leg.end is None else leg.end
+    return float(np.linalg.norm((positions[end] - positions[leg.last])[[0, 2]]))
+
+
+def _find_centre(pair: LimbPair, positions: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
     return positions[[pair[0].first, pair[1].first]].mean(0)

@@ -1,13 +1,18 @@
 """Map the bones of a character to the segments of a body: by their names, otherwise by the shape of the skeleton."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.bone_geometry import find_segments_by_shape
 from mocapfix.characters.bone_names import find_segments_by_name
-from mocapfix.characters.character import BoneMapping, Character
+from mocapfix.characters.character import SIDES, BoneMapping, Character
 from mocapfix.characters.side_twists import find_side_twists
 from mocapfix.errors import SceneError
+
+MIN_HAND_HEIGHT_SHARE = 0.2
+"""height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
 
 
 def map_bones(character: Character) -> BoneMapping:
@@ -27,10 +32,15 @@ def map_bones(character: Character) -> BoneMapping:
         SceneError: If the bones do not form a body with two arms and two legs. The message names the file.
     """
     positions, _ = character.compute_rest_pose()
+    source = character.source.path if character.source else character.name
     named = find_segments_by_name(character.names, character.parents)
     if named is not None:
+        if _stands_on_hands(positions, named.bones):
+            raise SceneError(
+                f"{source}: its hands are at the height of its feet in the rest pose: it stands on four legs, and only a "
+                "character on two legs can take a person's motion."
+            )
         return _build_mapping(character, positions, dict(named.bones), f"{named.title} names")
-    source = character.source.path if character.source else character.name
     try:
         shape = find_segments_by_shape(character.parents, positions)
     except ValueError as error:
@@ -40,6 +50,14 @@ def map_bones(character: Character) -> BoneMapping:
         ) from error
     how = "By the shape of the skeleton" if shape.faces_forward else "By the shape of the skeleton, taken to face +Z"
     return _build_mapping(character, positions, shape.bones, how)
+
+
+def _stands_on_hands(positions: Float[np.ndarray, "J 3"], bones: Mapping[str, tuple[int, ...]]) -> bool:
+    """Return whether both arms reach down to the feet."""
+    feet = min(positions[bones[f"{side}_foot"][0], 1] for side in SIDES)
+    hips = min(positions[bones[f"{side}_thigh"][0], 1] for side in SIDES)
+    ends = [bones.get(f"{side}_hand", bones[f"{side}_forearm"])[-1] for side in SIDES]
+    return all(positions[end, 1] < feet + MIN_HAND_HEIGHT_SHARE * (hips - feet) for end in ends)
 
 
 def _build_mapping(

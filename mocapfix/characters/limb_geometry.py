@@ -22,7 +22,9 @@ MIN_FOOT_LENGTH_SHARE = 0.04
 SHORT_ARM_COST = 0.5
 """cost of an arm that begins at the end of the path, relative to that of arm and forearm in the ratio e"""
 ARM_LENGTH_COST = 0.5
-"""cost of an arm without fingers that is e times as long as expected, relative to that of arm and forearm in the ratio e"""
+"""cost of an arm that is e times as long as expected, relative to that of arm and forearm in the ratio e"""
+HANDLESS_WRIST_COST, NESTED_HAND_COST = 0.5, 0.1
+"""costs of a wrist that carries no fingers, and of each bone before the wrist that carries several chains too"""
 SAME_PLACE_SHARE = 0.005
 """distance, as a share of the path's length, below which two bones are at the same place"""
 
@@ -87,20 +89,23 @@ def _find_toe(points: Float[np.ndarray, "n 3"], heights: Float[np.ndarray, " n"]
         return None
     is_toe = (heights <= MAX_TOE_HEIGHT_SHARE * heights[0]) & (reach >= MIN_TOE_REACH_SHARE * reach.max())
     is_toe[0] = False
-    return int(is_toe.argmax()) if is_toe.any() else int(reach.argmax())
+    if is_toe.any():
+        return int(is_toe.argmax())
+    is_low = heights < heights[0]
+    return int(np.where(is_low, reach, -1.0).argmax()) if is_low.any() else None
 
 
 def find_arm_joints(
-    path: Sequence[int], wrist: int | None, positions: Float[np.ndarray, "J 3"], expected_length: float
+    path: Sequence[int], hands: Sequence[int], positions: Float[np.ndarray, "J 3"], expected_length: float
 ) -> LimbJoints | None:
     """Find clavicle, shoulder, elbow and wrist on a path of bones that leads from the chest to the fingers.
 
-    Upper arm and forearm are as long as each other, and nearly as long as the path to the wrist together. Without
-    fingers, of the bones that may be the wrist the one is chosen that makes the arm about as long as expected.
+    Upper arm and forearm are as long as each other and nearly as long as the path to the wrist together, which is about as long
+    as expected and the first bone that carries fingers. The bones with the least total deviation from this are chosen.
 
     Args:
         path: The bones from the chest outwards.
-        wrist: The bone that carries fingers, if one does.
+        hands: The bones of the path that carry several chains, as hands carry fingers.
         positions: (J, 3) m, world.
         expected_length: Length from shoulder to wrist of an adult with the legs of the character.
 
@@ -109,16 +114,15 @@ def find_arm_joints(
     """
     points = positions[list(path)]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    wrists = [path.index(wrist)] if wrist in path else list(range(2, len(path)))
     best: tuple[float, tuple[int, int, int]] | None = None
-    for last in wrists:
+    for last in range(2, len(path)):
+        hand_cost = NESTED_HAND_COST * hands.index(path[last]) if path[last] in hands else HANDLESS_WRIST_COST
         for first, middle in combinations(range(last), 2):
             upper, lower = np.linalg.norm(points[middle] - points[first]), np.linalg.norm(points[last] - points[middle])
-            if min(upper, lower) <= SAME_PLACE_SHARE * way[-1] or way[last] <= 0.0:
+            if min(upper, lower) <= SAME_PLACE_SHARE * way[-1]:
                 continue
-            cost = abs(np.log(upper / lower)) + SHORT_ARM_COST * (1 - (way[last] - way[first]) / way[last])
-            if wrist is None:
-                cost += ARM_LENGTH_COST * abs(np.log((upper + lower) / expected_length))
+            cost = abs(np.log(upper / lower)) + SHORT_ARM_COST * way[first] / way[last]
+            cost += ARM_LENGTH_COST * abs(np.log((upper + lower) / expected_length)) + hand_cost
             if best is None or cost < best[0] - 1e-6:
                 best = float(cost), (first, middle, last)
     if best is None:
