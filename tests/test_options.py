@@ -65,7 +65,10 @@ def test_repairable_kinds_are_those_of_faults():
         ({"is_fast": True, "init_method": "previous"}, "is_fast needs first poses, which the method previous does not compute."),
         ({"init_method": "hybrik"}, "init_method must be one of hybrik-x, hybrik-adaptive, "),
         ({"repair_kinds": ("gap", "flaw")}, "repair_kinds must be one of gap, spike, "),
-        ({"extra_formats": ("avi",)}, "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, not 'avi'."),
+        (
+            {"extra_formats": ("avi",)},
+            "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, not 'avi'.",
+        ),
         ({"max_gap": 1.0}, "max_gap is no option; the options are up_axis, "),
     ],
 )

@@ -1,5 +1,6 @@
 """Output files: optional formats beside the default ones, all of them or none."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -39,7 +40,8 @@ def without_report_files(monkeypatch):
     monkeypatch.setattr("mocapfix.report.html_report.write_html_report", lambda target, *_: target.write_text("page"))
 
 
-def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path):
+def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, tmp_path, monkeypatch):
+    monkeypatch.setattr("mocapfix.write.fbx.find_blender", lambda: None)
     outputs = solved.write(tmp_path, options=ALL_FORMATS)
     assert set(outputs) == set(cleaned.outputs) | {
         "glb",
@@ -48,10 +50,13 @@ def test_optional_formats_are_written_beside_the_default_ones(solved, cleaned, t
         "amc",
         "trc",
         "csv",
+        "contacts.json",
+        "events.csv",
         *(f"{name}.bvh" for name in RIG_NAMES),
     }
     assert {path.name for path in tmp_path.iterdir()} == {f"walk.{suffix}" for suffix in outputs}
     assert all(path.stat().st_size for path in outputs.values())
+    assert any("FBX needs Blender" in note for note in json.loads(outputs["report.json"].read_text())["notes"])
 
 
 def test_the_report_has_a_note_on_the_use_of_each_format(solved, tmp_path):

@@ -22,7 +22,12 @@ from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.motion import Motion
 from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
 from mocapfix.retarget.kept_hands import find_nearest_point
-from mocapfix.retarget.retarget_motion import build_retarget_problem, compose_motion, retarget_motion, solve_retarget_problem
+from mocapfix.retarget.retarget_motion import (
+    build_retarget_problem,
+    compose_character_motion,
+    retarget_motion,
+    solve_retarget_problem,
+)
 from mocapfix.skeleton import Skeleton, load_cmu31_body
 
 SKATE_RATE_HZ = 30.0
@@ -176,7 +181,7 @@ def measure_proportions(motions: Sequence[BenchMotion], report_progress: Callabl
             target, floor_m = build_proportions(each.skeleton)[name], each.contacts.floor.height_m
             problem = build_retarget_problem(source, motion, target, floor_height_m=floor_m)
             problem, poses = solve_retarget_problem(problem)
-            retargeted, wanted = compose_motion(problem.target, problem.tree, *poses, motion.rate), problem.wrists
+            retargeted, wanted = compose_character_motion(problem.target, problem.tree, *poses, motion.rate), problem.wrists
             rows["source"].append(measure_kept(source, motion, each.contacts, None))
             rows["copied"].append(measure_kept(target, copy_rotations(source, motion, target), each.contacts, wanted))
             rows["retargeted"].append(measure_kept(target, retargeted, each.contacts, wanted))

@@ -8,8 +8,8 @@ import numpy as np
 
 from mocapfix.characters.character import Character, CharacterMotion
 from mocapfix.retarget.body_frames import build_body_frame
-from mocapfix.retarget.pose_segments import compute_local_rotations
-from mocapfix.retarget.retarget_motion import compose_motion, spread_rotations
+from mocapfix.retarget.pose_segments import compute_rotations_to_parents
+from mocapfix.retarget.retarget_motion import compose_character_motion, spread_rotations
 from mocapfix.retarget.segment_motion import compute_segment_motion
 from mocapfix.retarget.solve_tree import build_solve_tree
 
@@ -21,4 +21,4 @@ def copy_rotations(source: Character, motion: CharacterMotion, target: Character
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     standing = [frame.leg_length_m + frame.ankle_height_m - frame.hip_centre[1] for frame in (source_frame, target_frame)]
     pelvis = segments.position["pelvis"] + np.array([0.0, standing[1] - standing[0], 0.0])
-    return compose_motion(target_frame, tree, pelvis, compute_local_rotations(tree, rotation), motion.rate)
+    return compose_character_motion(target_frame, tree, pelvis, compute_rotations_to_parents(tree, rotation), motion.rate)

@@ -28,7 +28,7 @@ FOOT_NAMES = frozenset(
     ("TOE", "HEE", "HEL", "HEEL", "ANK", "ANKLE", "MT1", "MT2", "MT5", "CAL", "FCC", "FM1", "FM2", "FM5", "FAL", "TAM", "LMAL",
      "MMAL", "MALLEOLUS", "FOOT", "FOREFOOT", "MIDFOOT")
 )  # fmt: skip
-SIDES = (("LEFT", "RIGHT"), ("L", "R"))
+LABEL_SIDES = (("LEFT", "RIGHT"), ("L", "R"))
 WORD_PATTERN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 
 # Scores by kind of evidence. The first is that of the vertical on a person who is upright in all frames.
@@ -143,7 +143,7 @@ def classify_label_height(label: str) -> int | None:
     """Return 2 for a label of the head or shoulders, 1 for the pelvis, 0 for the feet, None for any other."""
     words = [word.upper() for word in WORD_PATTERN.findall(label.rsplit(":", 1)[-1])]
     name = "".join(words)
-    names = {name, *(name.removeprefix(side) for pair in SIDES for side in pair), *(name.removesuffix(side) for side in SIDES[1])}
+    names = {name, *(name.removeprefix(side) for pair in LABEL_SIDES for side in pair), *(name.removesuffix(side) for side in LABEL_SIDES[1])}
     names |= {word for word in words if len(word) > 2}
     heights = [height for height, known in ((2, HEAD_NAMES), (1, PELVIS_NAMES), (0, FOOT_NAMES)) if names & known]
     return heights[-1] if heights else None
@@ -201,7 +201,7 @@ def _find_sides(labels: Sequence[str]) -> tuple[Bool[np.ndarray, " M"], Bool[np.
     for name, m in index.items():
         subject, _, bare = name.rpartition(":")
         prefix = f"{subject}:" if subject else ""
-        for left_word, right_word in SIDES:
+        for left_word, right_word in LABEL_SIDES:
             other = f"{prefix}{right_word}{bare.removeprefix(left_word)}"
             if bare.startswith(left_word) and other in index:
                 left[m] = right[index[other]] = True

@@ -23,10 +23,10 @@ FAR_DISTANCE = 0.45
 """Distance from which only the arm's directions are kept."""
 NEARNESS_POWER = 4
 """Power of the nearness with which the places beside several parts are weighted: the nearest part decides."""
-MIN_WEIGHT = 1e-12
+MIN_PLACE_WEIGHT = 1e-12
 MAX_REACH = 0.999
 """Share of the arm's length up to which a hand's target is reached."""
-MIN_DISTANCE_M = 1e-6
+MIN_PALM_DISTANCE_M = 1e-6
 
 
 class BodyPart(NamedTuple):
@@ -103,8 +103,8 @@ class BesideParts:
 
     def combine(self, free: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
         """Return the places of the palm: beside the parts where it is near one, `free` where it is near none."""
-        beside = self.total / np.maximum(self.weight, MIN_WEIGHT)[:, None]
-        return free + self.nearest[:, None] * np.where(self.weight[:, None] > MIN_WEIGHT, beside - free, 0.0)
+        beside = self.total / np.maximum(self.weight, MIN_PLACE_WEIGHT)[:, None]
+        return free + self.nearest[:, None] * np.where(self.weight[:, None] > MIN_PLACE_WEIGHT, beside - free, 0.0)
 
 
 def move_hands_out_of_thighs(
@@ -133,8 +133,8 @@ def move_hands_out_of_thighs(
             solved_vector = find_nearest_point(solved_palm, solved_position[start], solved_position[end])[1]
             least = ratio * np.minimum(np.linalg.norm(vector, axis=1), NEAR_DISTANCE * source.trunk_length_m)
             distance = np.linalg.norm(solved_vector, axis=1)
-            outward = np.where(distance[:, None] > MIN_DISTANCE_M, solved_vector, vector)
-            outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_DISTANCE_M)
+            outward = np.where(distance[:, None] > MIN_PALM_DISTANCE_M, solved_vector, vector)
+            outward = outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), MIN_PALM_DISTANCE_M)
             wrist += np.maximum(least - distance, 0.0)[:, None] * outward
     return moved
 
@@ -144,7 +144,7 @@ def find_nearest_point(
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T 3"]]:
     """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
     axis = end - start
-    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_DISTANCE_M)
+    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_PALM_DISTANCE_M)
     share = np.clip(share, 0.0, 1.0)
     return share, point - start - share[:, None] * axis
 
@@ -161,5 +161,5 @@ def limit_reach(
     """Return targets that are within reach of the shoulder."""
     vector = wanted - shoulder
     distance = np.linalg.norm(vector, axis=1)
-    ratio = np.minimum(1.0, MAX_REACH * arm_length_m / np.maximum(distance, MIN_DISTANCE_M))
+    ratio = np.minimum(1.0, MAX_REACH * arm_length_m / np.maximum(distance, MIN_PALM_DISTANCE_M))
     return shoulder + ratio[:, None] * vector

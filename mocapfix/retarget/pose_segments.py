@@ -35,7 +35,7 @@ TRACKING_SD_RAD = {"spine": 0.03, "clavicle": 0.03}
 OTHER_TRACKING_SD_RAD = 0.3
 LIMIT_SD_RAD = 0.1
 """Standard deviation of a joint's excess over its limits."""
-MAX_ITERATIONS = 30
+MAX_POSE_ITERATIONS = 30
 DIRECTED_BONES = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
 
 
@@ -64,7 +64,7 @@ class SegmentTargets(NamedTuple):
 def solve_segments(tree: SolveTree, character: Character, targets: SegmentTargets) -> Poses:
     """Return positions (T, 3) of the pelvis in metres and local rotations (T, N, 3, 3) that reach the targets."""
     frame_count, joint_count = targets.rotation.shape[:2]
-    local = compute_local_rotations(tree, targets.rotation)
+    local = compute_rotations_to_parents(tree, targets.rotation)
     terms = (
         _build_point_term(tree, targets),
         _build_direction_term(tree, targets.rotation),
@@ -77,12 +77,12 @@ def solve_segments(tree: SolveTree, character: Character, targets: SegmentTarget
     status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
     run_over_frames(
         solve_frames, frame_count, tree.tree, terms, order_independently(frame_count, joint_count), no_robust_scale,
-        INITIAL_DAMPING_RATIO, MAX_ITERATIONS, count_rows(terms), root, start, no_codes, status, iterations,
+        INITIAL_DAMPING_RATIO, MAX_POSE_ITERATIONS, count_rows(terms), root, start, no_codes, status, iterations,
     )  # fmt: skip
     return root, start
 
 
-def compute_local_rotations(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
+def compute_rotations_to_parents(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
     """Return rotations relative to the parents, of rotations in the world."""
     local = rotation.copy()
     parents = tree.tree.parents
@@ -147,5 +147,5 @@ def _build_limit_term(tree: SolveTree, character: Character) -> JointLimitTerm:
     for k, bone in enumerate(tree.bones.tolist()):
         if bone in character.limits_deg and bone not in shared:
             low[k], high[k] = np.deg2rad(character.limits_deg[bone]).T
-    reference = compute_local_rotations(tree, rest[None])[0]
+    reference = compute_rotations_to_parents(tree, rest[None])[0]
     return JointLimitTerm(reference, low, high, LIMIT_SD_RAD**-2)

@@ -4,7 +4,7 @@ segments = compute_segment_motion(...)    rotations of the source's body segment
 start    = spread_rotations(...)          the same segments of the target, its spine and neck bent alike
 targets  = compute_kept_positions(...)    pelvis and feet, scaled by the legs; compute_hand_targets(...)  hands
 poses    = solve_segments(...)            under terms for all of these
-motion   = compose_motion(...)            bones with their shares of the twist
+motion   = compose_character_motion(...)            bones with their shares of the twist
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from mocapfix.characters.character import SIDES, Character, CharacterMotion
 from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
 from mocapfix.retarget.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.retarget.kept_positions import compute_kept_positions
-from mocapfix.retarget.pose_segments import SegmentTargets, compute_local_rotations, solve_segments
+from mocapfix.retarget.pose_segments import SegmentTargets, compute_rotations_to_parents, solve_segments
 from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, keep_chain_direction, resample_chain
 from mocapfix.retarget.solve_tree import SolveTree, build_solve_tree
 from mocapfix.retarget.twist_bones import compute_twisted_bones
@@ -62,7 +62,7 @@ def retarget_motion(
     """
     problem = build_retarget_problem(source, motion, target, floor_height_m=floor_height_m)
     problem, (pelvis, local) = solve_retarget_problem(problem)
-    return compose_motion(problem.target, problem.tree, pelvis, local, motion.rate)
+    return compose_character_motion(problem.target, problem.tree, pelvis, local, motion.rate)
 
 
 def build_retarget_problem(
@@ -75,7 +75,7 @@ def build_retarget_problem(
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
-        start = compute_tree_poses(tree.tree, kept.pelvis, compute_local_rotations(tree, rotation))[0]
+        start = compute_tree_poses(tree.tree, kept.pelvis, compute_rotations_to_parents(tree, rotation))[0]
         hands = compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))
         points |= {f"{side}_hand": wrist for side, wrist in hands.items()}
     return RetargetProblem(source_frame, target_frame, segments, tree, SegmentTargets(rotation, kept.pelvis, points))
@@ -129,7 +129,7 @@ def name_positions(tree: SolveTree, position: Float[np.ndarray, "T N 3"]) -> dic
     return positions
 
 
-def compose_motion(
+def compose_character_motion(
     frame: BodyFrame, tree: SolveTree, pelvis: Float[np.ndarray, "T 3"], local: Float[np.ndarray, "T N 3 3"], rate: float
 ) -> CharacterMotion:
     """Return the motion of all bones of a character, from the solved joints.

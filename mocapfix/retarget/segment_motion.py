@@ -70,7 +70,7 @@ def resample_chain(rotations: Float[np.ndarray, "T n 3 3"], count: int) -> Float
     for k in range(count):
         place = k * last / (count - 1)
         low = min(int(place), last - 1)
-        resampled[:, k] = interpolate_rotations(rotations[:, low], rotations[:, low + 1], place - low)
+        resampled[:, k] = turn_by_share(rotations[:, low], rotations[:, low + 1], place - low)
     return resampled
 
 
@@ -101,9 +101,7 @@ def compute_shortest_rotations(before: Float[np.ndarray, "T 3"], after: Float[np
     return Rotation.from_quat(quaternion).as_matrix()
 
 
-def interpolate_rotations(
-    start: Float[np.ndarray, "T 3 3"], end: Float[np.ndarray, "T 3 3"], share: float
-) -> Float[np.ndarray, "T 3 3"]:
+def turn_by_share(start: Float[np.ndarray, "T 3 3"], end: Float[np.ndarray, "T 3 3"], share: float) -> Float[np.ndarray, "T 3 3"]:
     """Return the rotations at a share of the way from one to another."""
     if share <= 0.0 or share >= 1.0:
         return start if share <= 0.0 else end

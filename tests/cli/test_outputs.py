@@ -32,7 +32,11 @@ def test_requested_files_are_written_and_listed(mocapfix, brief, tmp_path):
 @pytest.mark.parametrize(
     ("requested", "message"),
     [
-        (("--also", "fbx"), "--also must be one of gltf, amc, npz, c3d, trc, csv, not 'fbx'"),
+        (("--also", "avi"), "--also must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, not 'avi'"),
+        (("--character", "maya"), "There is no character 'maya'; choose one of daz-g8"),
+        (("--character", "nowhere.glb"), "nowhere.glb: "),
+        (("--feet", "glued"), "--feet must be one of off, soft, lock, not 'glued'"),
+        (("--key-reduce", "0"), "--key-reduce must be greater than 0 degrees"),
         (("--bvh-for", "maya"), "There is no rig 'maya'; choose one of 3dsmax, blender, cmu, motionbuilder"),
         (("--bvh-for", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
         (("--fps", "0"), "--fps must be greater than 0 Hz and at most 1000 Hz, not 0"),

@@ -10,9 +10,9 @@ from mocapfix.retarget.body_frames import build_body_frame
 from mocapfix.retarget.segment_motion import (
     compute_segment_motion,
     compute_shortest_rotations,
-    interpolate_rotations,
     keep_chain_direction,
     resample_chain,
+    turn_by_share,
 )
 from tests.retarget.walking_body import load_walk, turn_axes
 
@@ -38,7 +38,7 @@ def test_chain_keeps_its_ends_and_an_equal_chain_is_the_same():
 
 def test_interpolation_turns_by_the_share_of_the_angle():
     start, end = np.eye(3)[None], Rotation.from_euler("z", [[80]], degrees=True).as_matrix()
-    half = interpolate_rotations(start, end, 0.25)
+    half = turn_by_share(start, end, 0.25)
     np.testing.assert_allclose(half, Rotation.from_euler("z", [[20]], degrees=True).as_matrix(), atol=1e-12)
 
 
