@@ -1,0 +1,29 @@
+"""Put the solved motion on a character, with standing feet locked, and print where its feet stand."""
+
+from pathlib import Path
+
+import mocapfix
+from mocapfix.characters.character import compute_character_poses
+from mocapfix.characters.character_choice import load_character
+from mocapfix.characters.cmu31_character import build_cmu31_character, convert_motion
+from mocapfix.options import OutputOptions
+from mocapfix.retarget.retarget_motion import retarget_motion
+from mocapfix.synthetic.synthetic_takes import compose_take, write_synthetic_take
+
+path = Path("retarget.c3d")
+write_synthetic_take(path, compose_take(seed=11, seconds=2.0))
+
+result = mocapfix.clean(path, prior="none", feet="lock")
+character = load_character("mixamo")  # or the path of a .glb, .vrm, .bvh or .yaml file
+if result.subject and result.motion and result.contacts:
+    source = build_cmu31_character(result.subject.skeleton)
+    motion = retarget_motion(source, convert_motion(result.motion, result.input_take.rate), character)
+    position, _ = compute_character_poses(character, motion)  # (frames, bones, 3) metres
+    toe = position[:, character.find_bone("mixamorig:LeftToeBase")]
+    for first, last in result.contacts.list_intervals("LeftToeBase"):
+        x, _, z = toe[first : last + 1].mean(0)
+        print(f"frames {first} to {last}: the left foot stands at x = {x:.3f} m, z = {z:.3f} m")
+
+options = OutputOptions(characters=("mixamo",), key_error_deg=1.0)
+for output in result.write("retarget.mocapfix", overwrite=True, options=options).values():
+    print(output)
