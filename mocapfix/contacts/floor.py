@@ -21,9 +21,13 @@ BASE_PERCENTILE = 10.0
 """The share of standing frames, in percent, that may be below a level: noise, and feet that roll."""
 MIN_TILT_PLACES = 6
 MIN_TILT_EXTENT_M = 1.5
-"""Number and extent of places, in both directions, from which a tilt is estimated."""
+"""Number of places, and their extent in a direction, from which a tilt is estimated."""
 MIN_TILT_RAD = np.deg2rad(0.3)
 """Smallest tilt that is distinguished from a level floor."""
+MIN_RAMP_RAD = np.deg2rad(1.5)
+"""The same where the places extend in one direction only: few of them then decide."""
+MAX_TILT_RAD = np.deg2rad(12.0)
+"""Largest tilt of a floor, that of steep ramps; stairs, of which each step is trodden on once, rise by 20 degrees or more."""
 MAX_TILT_RESIDUAL_M = 0.03
 """Largest deviation of nine of ten places from a tilted floor; otherwise it has levels."""
 
@@ -102,18 +106,25 @@ def _average_places(toe_position: Float[np.ndarray, "T N 3"], is_standing: Bool[
 
 
 def _fit_slope(places: Float[np.ndarray, "P 3"]) -> tuple[float, float]:
-    """Return the rise of the floor along X and Z, robust against a few places elsewhere; 0 if the places show no tilt."""
-    extent = np.ptp(places[:, [0, 2]], axis=0)
-    if len(places) < MIN_TILT_PLACES or extent.min() < MIN_TILT_EXTENT_M:
+    """Return the rise of the floor along X and Z, robust against a few places elsewhere; 0 if the places show no tilt.
+
+    Across a straight walk the floor is level: it shows the tilt along the walk alone.
+    """
+    if len(places) < MIN_TILT_PLACES:
         return 0.0, 0.0
-    design = np.column_stack([places[:, 0], places[:, 2], np.ones(len(places))])
+    flat = places[:, [0, 2]] - places[:, [0, 2]].mean(0)
+    _, _, directions = np.linalg.svd(flat, full_matrices=False)
+    directions = directions[np.ptp(flat @ directions.T, axis=0) >= MIN_TILT_EXTENT_M]
+    design = np.column_stack([flat @ directions.T, np.ones(len(places))])
     weight = np.ones(len(places))
-    solution = np.zeros(3)
+    solution = np.zeros(design.shape[1])
     for _ in range(10):  # iteratively reweighted least squares of absolute deviations
         solution = np.linalg.lstsq(design * weight[:, None], places[:, 1] * weight, rcond=None)[0]
         weight = np.sqrt(1 / np.maximum(np.abs(places[:, 1] - design @ solution), 1e-3))
     residual = np.abs(places[:, 1] - design @ solution)
-    is_tilted = np.hypot(solution[0], solution[1]) > np.tan(MIN_TILT_RAD)
+    slope = solution[:-1] @ directions
+    smallest = MIN_TILT_RAD if len(directions) == len(slope) else MIN_RAMP_RAD
+    is_tilted = np.tan(smallest) < np.hypot(*slope) < np.tan(MAX_TILT_RAD)
     if not is_tilted or np.percentile(residual, 90) > MAX_TILT_RESIDUAL_M:
         return 0.0, 0.0
-    return float(solution[0]), float(solution[1])
+    return float(slope[0]), float(slope[1])

@@ -1,0 +1,137 @@
+"""Contacts of feet, knees and hands from positions: known times, steps, tilted floors, all rates, and bodies without feet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mocapfix.bench.common_task import build_known_motion
+from mocapfix.contacts.contacts import CONTACT_JOINTS, OTHER_CONTACT_JOINTS, ContactPositions
+from mocapfix.contacts.find_contacts import find_contacts, find_foot_contacts, find_frames_near_floor, find_other_contacts
+from mocapfix.contacts.floor import NO_FLOOR, Floor
+from mocapfix.skeleton import load_cmu31_body
+from tests.contacts.walking_feet import find_true_stances, make_feet, tilt, walk
+
+SKELETON = load_cmu31_body().skeleton
+SECONDS = 5.5
+
+
+def find(feet: np.ndarray, rate: float, sd: np.ndarray | None = None):
+    """Return the contacts of the paths (T, 4, 3) of feet."""
+    return find_foot_contacts(ContactPositions(feet, np.full(feet.shape[:2], 0.003) if sd is None else sd, rate))
+
+
+def compute_agreement(contacts, stances, rate: float) -> float:
+    """Return the F1 by frame of all four joints."""
+    true = np.repeat(np.stack([find_true_stances(foot, SECONDS, rate) for foot in stances], axis=1), 2, axis=1)
+    return 2 * (contacts.is_contact & true).sum() / (contacts.is_contact.sum() + true.sum())
+
+
+@pytest.mark.parametrize("rate", [25.0, 30.0, 60.0, 120.0, 250.0, 500.0])
+def test_walk_at_every_rate(rate):
+    stances = walk()
+    contacts = find(make_feet(stances, SECONDS, rate), rate)
+    assert compute_agreement(contacts, stances, rate) > (0.93 if rate < 50 else 0.97)
+    assert contacts.floor.level_heights_m == pytest.approx((0.0,), abs=0.003)
+
+
+@pytest.mark.parametrize("step_height_m", [0.17, -0.17])
+def test_stairs_are_levels_with_contacts_on_each(step_height_m):
+    stances = walk(step_height_m)
+    contacts = find(make_feet(stances, SECONDS, 120.0), 120.0)
+    heights = sorted(foot[2][1] - 0.025 for side in stances for foot in side)
+    # where both feet stand still at the end, or at the beginning, the upper one may as well be held in the air
+    assert set(np.round(heights[1:-1], 2)) <= set(np.round(contacts.floor.level_heights_m, 2)) <= set(np.round(heights, 2))
+    true = np.repeat(np.stack([find_true_stances(foot, SECONDS, 120.0) for foot in stances], axis=1), 2, axis=1)
+    inner = slice(round(1.1 * 120), round(3.6 * 120))
+    assert (contacts.is_contact == true)[inner].mean() > 0.97
+
+
+def test_tilted_floor():
+    stances = walk()
+    contacts = find(tilt(make_feet(stances, SECONDS, 120.0), 3.0), 120.0)
+    assert compute_agreement(contacts, stances, 120.0) > 0.96
+    assert contacts.floor.tilt_deg == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("sd_m", [0.0002, 0.0005])
+def test_noise_does_not_hide_contacts(sd_m):
+    stances = walk()
+    feet = make_feet(stances, SECONDS, 120.0)
+    noisy = feet + np.random.default_rng(0).normal(0, sd_m, feet.shape)
+    assert compute_agreement(find(noisy, 120.0), stances, 120.0) > 0.95
+
+
+def test_the_same_foot_hidden_while_it_stands_is_in_contact():
+    stances = walk(stance_s=1.5)
+    feet, sd = make_feet(stances, SECONDS, 120.0), np.full((round(SECONDS * 120), 4), 0.003)
+    hidden = slice(150, 220)
+    feet[hidden, :2] += np.random.default_rng(0).normal(0, 0.05, (70, 2, 3))
+    sd[hidden, :2] = 0.02
+    contacts = find(feet, 120.0, sd)
+    assert contacts.is_contact[hidden, :2].all()
+    assert not contacts.is_known[hidden, :2].any()
+    assert contacts.is_known[:, 2:].all()
+
+
+def test_a_raised_foot_is_not_near_the_floor():
+    path = np.zeros((200, 3))
+    path[:, 1] = 0.03
+    path[100:, 1] = 0.2
+    is_near = find_frames_near_floor(path, np.arange(200) < 100, Floor(0.0, 0.0, (0.0,)))
+    assert is_near[:100].all()
+    assert not is_near[100:].any()
+    assert not find_frames_near_floor(path, np.zeros(200, bool), Floor(0.0, 0.0, (0.0,))).any()
+
+
+@pytest.mark.parametrize(("height_m", "speed_m_s", "is_contact"), [(0.06, 0.0, True), (0.06, 0.5, False), (0.5, 0.0, False)])
+def test_knees_and_hands_are_in_contact_where_they_rest_on_the_floor(height_m, speed_m_s, is_contact):
+    position = np.zeros((200, 1, 3))
+    position[:, 0, 1] = height_m
+    position[:, 0, 2] = speed_m_s * np.arange(200) / 120.0
+    found = find_other_contacts(position, Floor(0.0, 0.0, (0.0,)), 120.0)
+    assert found.all() == found.any() == is_contact
+
+
+def place_body(frames: int):
+    """Return a still body, standing, as motion and joint positions."""
+    motion = build_known_motion(np.zeros((frames, 3)), np.tile(np.eye(3), (frames, len(SKELETON.names), 1, 1)))
+    motion = replace(motion, joint_sd=np.full((frames, len(SKELETON.names)), 0.003))
+    position = np.tile(np.cumsum(np.full((len(SKELETON.names), 3), 0.001), axis=0), (frames, 1, 1))
+    for joint, height_m in {"LeftFoot": 0.08, "LeftToeBase": 0.025, "RightFoot": 0.08, "RightToeBase": 0.025}.items():
+        position[:, SKELETON.names.index(joint), 1] = height_m
+    for joint in OTHER_CONTACT_JOINTS:
+        position[:, SKELETON.names.index(joint), 1] = 0.5
+    return motion, position
+
+
+def test_a_still_body_stands_on_both_feet_alone():
+    motion, position = place_body(120)
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert contacts.joints == (*CONTACT_JOINTS, *OTHER_CONTACT_JOINTS)
+    assert contacts.is_contact[:, :4].all()
+    assert not contacts.is_contact[:, 4:].any()
+
+
+def test_a_body_without_feet_has_no_contacts():
+    motion, position = place_body(120)
+    position[:, SKELETON.names.index("LeftFoot")] = np.nan
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert not contacts.is_contact.any()
+    assert contacts.floor is NO_FLOOR
+
+
+def test_a_body_without_hands_has_contacts_of_its_feet():
+    motion, position = place_body(120)
+    position[:, SKELETON.names.index("LeftHand")] = np.nan
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert contacts.joints == CONTACT_JOINTS
+    assert contacts.is_contact.all()
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 3, 5])
+def test_very_short_takes(frames):
+    motion, position = place_body(frames)
+    contacts = find_contacts(SKELETON, motion, position, 120.0)
+    assert len(contacts.is_contact) == frames
+    assert not contacts.is_contact.any()

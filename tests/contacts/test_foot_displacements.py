@@ -1,0 +1,123 @@
+"""Where standing feet shall be: at one place, without fast motion, and smoothly away from there; hidden feet where they stood."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.floor import Floor
+from mocapfix.contacts.foot_displacements import (
+    MAX_LOCK_DISPLACEMENT_M,
+    compute_foot_displacements,
+    extend_contacts,
+    limit_length,
+    smooth_displacement,
+)
+from tests.contacts.walking_feet import find_true_stances, make_feet, walk
+
+RATE, SECONDS = 120.0, 5.0
+STANCES = walk()
+IS_STANDING = np.repeat(np.stack([find_true_stances(foot, SECONDS, RATE) for foot in STANCES], axis=1), 2, axis=1)
+
+
+def build_contacts(is_contact: np.ndarray = IS_STANDING, is_known: np.ndarray | None = None) -> BodyContacts:
+    """Return contacts of the four joints of the feet."""
+    known = np.ones(is_contact.shape, bool) if is_known is None else is_known
+    return BodyContacts(CONTACT_JOINTS, is_contact, known, Floor(0.0, 0.0, (0.0,)), RATE)
+
+
+def add_skin(feet: np.ndarray, sd_m: float = 0.004) -> np.ndarray:
+    """Return the feet with a slow motion that both joints of a foot have in common."""
+    rng = np.random.default_rng(0)
+    skin = gaussian_filter1d(rng.normal(size=(len(feet), 2, 3)), 20, axis=0)
+    return feet + np.repeat(sd_m * skin / skin.std(), 2, axis=1)
+
+
+def measure_drift(position: np.ndarray, margin: int = 12) -> float:
+    """Return the largest horizontal distance in metres from the mean place of a contact, without its borders."""
+    drifts = [0.0]
+    for c in range(4):
+        inner = np.flatnonzero(IS_STANDING[:, c])
+        for run in np.split(inner, np.flatnonzero(np.diff(inner) > 1) + 1):
+            flat = position[run[margin:-margin], c][:, [0, 2]]
+            if len(flat):
+                drifts.append(np.linalg.norm(flat - flat.mean(0), axis=1).max())
+    return max(drifts)
+
+
+def test_locked_feet_stay_at_one_place_and_keep_their_height():
+    feet = add_skin(make_feet(STANCES, SECONDS, RATE))
+    displacement = compute_foot_displacements(feet, build_contacts(), is_locked=True)
+    assert measure_drift(feet) > 0.003
+    assert measure_drift(feet + displacement) < 0.0005
+    np.testing.assert_allclose(displacement[..., 1], 0, atol=1e-12)
+
+
+def test_soft_removes_fast_motion_and_keeps_slow_rolling():
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (480, 1, 1))
+    time_s = np.arange(480) / RATE
+    fast, slow = 0.003 * np.sin(2 * np.pi * 4 * time_s), 0.01 * time_s
+    moving = feet + np.stack([fast + slow, 0 * fast, 0 * fast], axis=1)[:, None]
+    held = moving + compute_foot_displacements(moving, build_contacts(np.ones((480, 4), bool)), is_locked=False)
+    np.testing.assert_allclose(held[120:-120, 0, 0] - feet[120:-120, 0, 0], slow[120:-120], atol=0.0003)
+
+
+def test_feet_that_do_not_move_are_left_where_they_are():
+    feet = make_feet(STANCES, SECONDS, RATE)
+    for is_locked in (False, True):
+        displacement = compute_foot_displacements(feet, build_contacts(), is_locked=is_locked)
+        assert np.abs(displacement[20:-20]).max() < 0.001
+
+
+def test_nothing_moves_without_contact():
+    feet = add_skin(make_feet(STANCES, SECONDS, RATE))
+    displacement = compute_foot_displacements(feet, build_contacts(np.zeros_like(IS_STANDING)), is_locked=True)
+    np.testing.assert_allclose(displacement, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("is_locked", [False, True])
+def test_a_hidden_foot_stays_where_it_stood(is_locked):
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (240, 1, 1))
+    wrong, is_known = feet.copy(), np.ones((240, 4), bool)
+    is_known[80:160, :2] = False
+    wrong[80:160, :2] += [0.05, 0.04, 0.0]
+    held = wrong + compute_foot_displacements(wrong, build_contacts(np.ones((240, 4), bool), is_known), is_locked=is_locked)
+    np.testing.assert_allclose(held[90:150], feet[90:150], atol=0.001)
+
+
+def test_displacement_begins_and_ends_smoothly():
+    displacement = np.zeros((240, 1))
+    displacement[80:160] = 0.02
+    is_contact = displacement[:, 0] > 0
+    smooth = smooth_displacement(displacement, is_contact, RATE)
+    np.testing.assert_allclose(smooth[100:140], 0.02, atol=0.0005)
+    assert abs(smooth[40, 0]) < 0.0005
+    assert np.abs(np.diff(smooth[:, 0], 2)).max() < 0.001
+
+
+def test_contacts_extend_over_slow_frames_and_join():
+    is_contact = np.zeros(100, bool)
+    is_contact[30:40] = is_contact[45:60] = True
+    speed = np.full(100, 0.1)
+    speed[:25] = speed[70:] = 1.0
+    assert np.flatnonzero(extend_contacts(is_contact, speed, RATE)).tolist() == list(range(25, 70))
+    assert (extend_contacts(is_contact, np.full(100, 1.0), RATE) == is_contact).all()
+
+
+def test_a_joint_is_not_pulled_far():
+    feet = np.tile(make_feet(STANCES, 0.1, RATE)[:1], (480, 1, 1)) + np.linspace(0, 0.3, 480)[:, None, None] * [1.0, 0, 0]
+    displacement = compute_foot_displacements(feet, build_contacts(np.ones((480, 4), bool)), is_locked=True)
+    assert np.linalg.norm(displacement, axis=-1).max() < 1.1 * MAX_LOCK_DISPLACEMENT_M
+
+
+def test_long_vectors_are_shortened():
+    np.testing.assert_allclose(
+        limit_length(np.array([[3.0, 0, 4], [0.3, 0, 0.4], [0, 0, 0]]), 1.0), [[0.6, 0, 0.8], [0.3, 0, 0.4], [0, 0, 0]]
+    )
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_very_short_takes(frames):
+    feet = make_feet(STANCES, 0.2, RATE)[:frames]
+    displacement = compute_foot_displacements(feet, build_contacts(np.ones((frames, 4), bool)), is_locked=True)
+    np.testing.assert_allclose(displacement, 0, atol=1e-9)
