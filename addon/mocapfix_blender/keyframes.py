@@ -8,6 +8,8 @@ INTERPOLATION_CODES = {"CONSTANT": 0, "LINEAR": 1}
 HAS_SLOTS = bpy.app.version >= (4, 4, 0)
 TAKE_PROPERTY = "mocapfix_take"
 """custom property of what belongs to a take: its file, and its subject after a tab"""
+ROLE_PROPERTY = "mocapfix_role"
+"""custom property of an action: the name that it had at first"""
 
 
 class ActionWriter:
@@ -21,8 +23,7 @@ class ActionWriter:
     def assign(self, owner: bpy.types.Object) -> "KeyWriter":
         """Make an object use the action, with no keys yet; return what writes its keys."""
         data = owner.animation_data or owner.animation_data_create()
-        name = self._name if HAS_SLOTS else f"{self._name} {owner.name}"
-        action = self._find_action(name)
+        action = self._find_action(self._name) if HAS_SLOTS else self._find_own_action(owner)
         if action not in self._cleared:
             _clear_action(action)
             self._cleared.add(action)
@@ -38,12 +39,19 @@ class ActionWriter:
         strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
         return KeyWriter(strip.channelbag(slot, ensure=True).fcurves, uses_groups=False)
 
+    def _find_own_action(self, owner: bpy.types.Object) -> bpy.types.Action:
+        """Return the action of one object, which may have another name by now."""
+        action = owner.animation_data.action
+        if action is not None and action.get(TAKE_PROPERTY) == self._take_key and action[ROLE_PROPERTY].startswith(self._name):
+            return action
+        return self._find_action(f"{self._name} {owner.name}")
+
     def _find_action(self, name: str) -> bpy.types.Action:
         for action in bpy.data.actions:
-            if action.library is None and action.get(TAKE_PROPERTY) == self._take_key and action.get("mocapfix_role") == name:
+            if action.library is None and action.get(TAKE_PROPERTY) == self._take_key and action.get(ROLE_PROPERTY) == name:
                 return action
         action = bpy.data.actions.new(name)
-        action[TAKE_PROPERTY], action["mocapfix_role"] = self._take_key, name
+        action[TAKE_PROPERTY], action[ROLE_PROPERTY] = self._take_key, name
         return action
 
 
