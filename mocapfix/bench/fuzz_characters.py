@@ -10,13 +10,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mocapfix.bench.fuzz_mutations import ANY_MUTATIONS, TEXT_MUTATIONS
 from mocapfix.characters.character import Character, CharacterMotion
+from mocapfix.characters.character_choice import load_character
 from mocapfix.characters.character_reader import read_character
 from mocapfix.characters.cmu31_character import build_cmu31_character
 from mocapfix.errors import ReadError
 from mocapfix.files.glb import BINARY_CHUNK, GLB_CHUNK_HEADER, GLB_HEADER, GLB_MAGIC, GLB_VERSION, JSON_CHUNK, parse_glb
+from mocapfix.retarget.retarget_motion import retarget_motion
 from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.write.character_bvh import write_character_bvh
 from mocapfix.write.character_glb import write_character_glb
@@ -57,14 +60,12 @@ class CharacterCase:
         (folder / self.name).write_bytes(self.data)
 
     def run(self, folder: Path) -> str:
-        """Read the character, and if its segments are known, write it at rest."""
+        """Read the character, retarget a motion onto it, and write that."""
         self.save(folder)
-        character = read_character(folder / self.name)
-        if not character.mapping.bones:
-            return "read"
-        pelvis = character.mapping.bones["pelvis"][0]
-        rotations = np.tile(character.rest_rotations, (2, 1, 1, 1))
-        motion = CharacterMotion(np.tile(character.rest_positions[pelvis], (2, 1)), rotations, 30.0)
+        character = load_character(folder / self.name)
+        motion = retarget_motion(*build_seed_motion(), character)
+        assert np.isfinite(motion.local_rotations).all()
+        assert np.isfinite(motion.pelvis_position).all()
         write_character_glb(folder / "out.glb", character, motion, "take", 0.01)
         write_character_bvh(folder / "out.bvh", character, motion)
         try:
@@ -72,6 +73,16 @@ class CharacterCase:
         except ReadError as error:
             raise AssertionError(f"The written file cannot be read: {error}") from error
         return "written"
+
+
+@cache
+def build_seed_motion() -> tuple[Character, CharacterMotion]:
+    """Return the average figure and a brief motion: it turns about, its arms and legs swing."""
+    character = build_cmu31_character(load_cmu31_skeleton())
+    rng, frames = np.random.default_rng(0), 4
+    turns = Rotation.from_rotvec(rng.normal(scale=0.5, size=(frames * len(character.names), 3))).as_matrix()
+    rotations = turns.reshape(frames, -1, 3, 3)
+    return character, CharacterMotion(np.tile([0.0, 0.95, 0.0], (frames, 1)), rotations, 30.0)
 
 
 @cache

@@ -4,8 +4,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from mocapfix.characters.bone_mapping import map_bones
-from mocapfix.characters.character import Character
+from mocapfix.characters.character import SIDES, Character
 from mocapfix.characters.character_presets import load_character_preset
 from mocapfix.characters.character_reader import read_character
 from mocapfix.characters.mapping_file import read_mapping_file
@@ -14,6 +16,8 @@ from mocapfix.files.option_choices import CHARACTER_PRESETS
 
 UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")
 """in the name of a character, which is part of the names of files"""
+MIN_UPRIGHT_SHIN_COSINE = float(np.cos(np.deg2rad(12.0)))
+"""Cosine of the angle between a shin and the vertical from which it is upright."""
 
 
 def load_character(name_or_path: str | Path, mapping_path: str | Path | None = None) -> Character:
@@ -34,7 +38,20 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         character = read_character(path)
         character = replace(character, name=UNUSABLE_CHARACTERS.sub("-", path.stem).strip("-") or "character")
     if mapping_path is not None:
-        return replace(character, mapping=read_mapping_file(Path(mapping_path), character))
-    if character.mapping.missing_segments:
+        character = replace(character, mapping=read_mapping_file(Path(mapping_path), character))
+    elif character.mapping.missing_segments:
         character = replace(character, mapping=map_bones(character))
-    return character
+    return replace(character, has_feet_flat=character.has_feet_flat and are_shins_upright(character))
+
+
+def are_shins_upright(character: Character) -> bool:
+    """Return whether the shins are vertical in the rest pose, so that the soles may lie flat.
+
+    In the skeletons of CMU's recordings the legs are spread, and the feet are rotated with them.
+    """
+    position, _ = character.compute_rest_pose()
+    for side in SIDES:
+        shin, foot = (position[character.mapping.bones[f"{side}_{segment}"][0]] for segment in ("shin", "foot"))
+        if shin[1] - foot[1] < MIN_UPRIGHT_SHIN_COSINE * np.linalg.norm(shin - foot):
+            return False
+    return True

@@ -11,15 +11,18 @@ from rich.markup import escape
 from mocapfix.cli.arguments import FlagOption, JsonOption
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, print_json, print_line, print_usage_error, show_progress
 
-QUICK_CASE_COUNTS = {"readers": 1000, "cleans": 10, "kills": 10}
-CASE_COUNTS = {"readers": 10_000, "cleans": 200, "kills": 200}
+QUICK_CASE_COUNTS = {"readers": 1000, "characters": 200, "cleans": 10, "kills": 10}
+CASE_COUNTS = {"readers": 10_000, "characters": 5000, "cleans": 200, "kills": 200}
 
 
 def run_bench_fuzz(
     what: Annotated[
-        Literal["readers", "cleans", "kills"],
+        Literal["readers", "characters", "cleans", "kills"],
         tyro.conf.Positional,
-        tyro.conf.arg(help="readers: damaged files; cleans: strange takes; kills: clean --overwrite, killed at random moments"),
+        tyro.conf.arg(
+            help="readers: damaged files; characters: damaged characters; cleans: strange takes; "
+            "kills: clean --overwrite, killed at random moments"
+        ),
     ],
     count: Annotated[int | None, tyro.conf.arg(metavar="N", help="number of cases")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N", help="seed of the first case; each case has the next seed")] = 0,
@@ -52,6 +55,9 @@ def run_bench_fuzz(
                 from mocapfix.bench.fuzz_readers import build_folder_builder, build_reader_case
 
                 build_case = build_folder_builder(files) if files else build_reader_case
+            elif what == "characters":
+                from mocapfix.bench.fuzz_characters import build_character_case as build_case
+                from mocapfix.bench.fuzz_readers import READER_FUZZ_LIMITS as limits
             else:
                 from mocapfix.bench.fuzz_cleans import CLEAN_FUZZ_LIMITS as limits
                 from mocapfix.bench.fuzz_cleans import build_clean_case as build_case

@@ -12,7 +12,7 @@ FOUND_SEEDS = (19, 1037, 20621)
 
 
 def test_valid_files_are_read_and_written(tmp_path: Path) -> None:
-    assert [case.run(tmp_path) for case in list_character_seeds()] == ["read", "written", "written", "written"]
+    assert [case.run(tmp_path) for case in list_character_seeds()] == ["written"] * 4
 
 
 def test_damaged_characters_are_written_or_refused(tmp_path: Path) -> None:
@@ -21,7 +21,7 @@ def test_damaged_characters_are_written_or_refused(tmp_path: Path) -> None:
         outcome, _, finding = try_case(build_character_case(seed), seed, FuzzLimits(), tmp_path)
         assert finding is None
         outcomes[outcome] += 1
-    assert min(outcomes[kind] for kind in ("read", "written", "refused")) > CASES // 50
+    assert min(outcomes[kind] for kind in ("written", "refused")) > CASES // 50
 
 
 def test_cases_are_the_same_for_the_same_seed() -> None:
