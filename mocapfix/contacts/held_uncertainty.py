@@ -31,7 +31,8 @@ def reduce_held_uncertainty(subject: Subject, motion: Motion, contacts: BodyCont
             joint_sd[is_joint_held, joint] = np.minimum(joint_sd[is_joint_held, joint], np.hypot(usual, ROLLING_SD_M))
         shin = skeleton.find_joint(SHINS[side])
         is_foot_held, is_ankle_known = np.all(is_held, axis=1), contacts.is_known[:, columns[0]]
-        for k in np.flatnonzero(np.isin(subject.joints, [*feet, shin])):
+        markers = np.flatnonzero(np.isin(subject.joints, [*feet, shin])) if marker_sd.size else []
+        for k in markers:
             usual = _compute_known_sd(motion.marker_sd[:, k], is_ankle_known)
             share = _compute_place_on_shin(subject, int(k), feet[0]) if subject.joints[k] == shin else 1.0
             held = np.hypot(usual, share * ROLLING_SD_M + (1 - share) * motion.marker_sd[is_foot_held, k])

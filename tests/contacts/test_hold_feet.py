@@ -1,0 +1,98 @@
+"""Legs that hold standing feet: ankles and toes at their targets, the rest of the body where it was, no jumps of the knees."""
+
+import numpy as np
+import pytest
+
+from mocapfix import synthetic
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
+from mocapfix.contacts.find_contacts import find_contacts
+from mocapfix.contacts.hold_feet import LEG_JOINTS, hold_feet, solve_legs
+from mocapfix.motion import Motion
+from mocapfix.solve import kinematics
+from mocapfix.stats.sequences import find_runs
+
+RATE = 120.0
+TAKE = synthetic.compose_take(seed=3, seconds=6.0, rate=RATE)
+SKELETON = TAKE.subject.skeleton
+FEET = np.array([SKELETON.find_joint(joint) for joint in CONTACT_JOINTS])
+
+
+def make_sliding_motion() -> tuple[Motion, np.ndarray, BodyContacts]:
+    """Return the composed motion of a body that sways, so that its feet slide; its joints, and the contacts of the true ones."""
+    time_s = np.arange(TAKE.motion.frame_count) / RATE
+    sway = 0.004 * np.sin(2 * np.pi * 1.3 * time_s)
+    root = TAKE.motion.root_position + np.stack([sway, 0 * sway, 0.5 * sway], axis=1)
+    motion = Motion(
+        root,
+        TAKE.motion.local_rotations,
+        *(getattr(TAKE.motion, name) for name in ("status", "iterations", "marker_sd", "joint_sd")),
+    )
+    contacts = find_contacts(SKELETON, TAKE.motion, TAKE.joint_positions, RATE)
+    return motion, compute_joints(motion), contacts
+
+
+def compute_joints(motion: Motion) -> np.ndarray:
+    return kinematics.compute_joint_and_marker_positions(TAKE.subject, motion)[0]
+
+
+def measure_drift(position: np.ndarray, contacts: BodyContacts) -> float:
+    """Return the mean over contacts of the largest horizontal distance in metres from the mean place."""
+    drifts = []
+    for c, joint in enumerate(FEET):
+        for first, last in find_runs(contacts.is_contact[:, c]):
+            flat = position[first : last + 1, joint][:, [0, 2]]
+            drifts.append(np.linalg.norm(flat - flat.mean(0), axis=1).max())
+    return float(np.mean(drifts))
+
+
+@pytest.mark.parametrize("is_root_fixed", [False, True])
+def test_locked_feet_do_not_slide_and_the_rest_stays(is_root_fixed):
+    motion, before, contacts = make_sliding_motion()
+    held = hold_feet(SKELETON, motion, before, contacts, is_locked=True, is_root_fixed=is_root_fixed)
+    after = compute_joints(held)
+    assert measure_drift(before, contacts) > 0.003
+    assert measure_drift(after, contacts) < 0.001
+    legs = [SKELETON.find_joint(joint) for joint in (*LEG_JOINTS, "LeftToeBase", "RightToeBase")]
+    others = np.setdiff1d(np.arange(len(SKELETON.names)), legs)
+    largest = np.linalg.norm(after - before, axis=-1)[:, others].max()
+    assert largest < (1e-9 if is_root_fixed else 0.003)
+
+
+@pytest.mark.parametrize("is_locked", [False, True])
+def test_nothing_pops_or_sinks(is_locked):
+    motion, before, contacts = make_sliding_motion()
+    after = compute_joints(hold_feet(SKELETON, motion, before, contacts, is_locked=is_locked))
+    largest = [np.linalg.norm(np.diff(position, 2, axis=0), axis=-1).max(0) for position in (before, after)]
+    assert largest[1].max() <= 1.2 * largest[0].max()
+    assert (after[:, FEET, 1].min(0) > before[:, FEET, 1].min(0) - 0.0005).all()
+
+
+def test_soft_slides_less_and_moves_less_than_lock():
+    motion, before, contacts = make_sliding_motion()
+    soft, locked = (
+        compute_joints(hold_feet(SKELETON, motion, before, contacts, is_locked=is_locked)) for is_locked in (False, True)
+    )
+    assert measure_drift(locked, contacts) < measure_drift(soft, contacts) < measure_drift(before, contacts)
+
+
+def test_motion_without_contacts_is_returned_unchanged():
+    motion, before, contacts = make_sliding_motion()
+    contacts.is_contact[:] = False
+    assert hold_feet(SKELETON, motion, before, contacts, is_locked=True) is motion
+
+
+def test_the_given_motion_is_not_changed():
+    motion, before, contacts = make_sliding_motion()
+    root, local = motion.root_position.copy(), motion.local_rotations.copy()
+    hold_feet(SKELETON, motion, before, contacts, is_locked=True)
+    np.testing.assert_array_equal(motion.root_position, root)
+    np.testing.assert_array_equal(motion.local_rotations, local)
+
+
+def test_legs_reach_targets_exactly():
+    frames = TAKE.motion.select_frames(np.arange(0, 100, 10))
+    before = TAKE.joint_positions[::10][:10]
+    target = before[:, FEET] + [0.004, 0.0, -0.003]
+    root, local = solve_legs(SKELETON, frames, FEET, target)
+    after = kinematics.compute_joint_and_marker_positions(TAKE.subject, Motion(root, local, *([None] * 4)))[0]
+    np.testing.assert_allclose(after[:, FEET], target, atol=0.0003)

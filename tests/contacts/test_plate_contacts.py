@@ -1,0 +1,116 @@
+"""Contacts with force plates: which foot stands on which plate, events in place of those of markers, and contacts that agree."""
+
+import numpy as np
+import pytest
+
+from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.contacts.floor import Floor
+from mocapfix.contacts.foot_points import FootPoints
+from mocapfix.contacts.plate_contacts import (
+    PLATE_SOURCE,
+    PlateContact,
+    align_contacts_with_plates,
+    find_plate_contacts,
+    replace_marker_events,
+)
+from mocapfix.read.force_plates import ForcePlate
+from tests.contacts.walking_feet import make_path, walk
+
+RATE, PLATE_RATE, SECONDS = 100.0, 1000.0, 5.5
+FLAT = Floor(0.0, 0.0, (0.0,))
+LEFT, RIGHT = walk()
+
+
+def make_feet() -> dict[str, FootPoints]:
+    """Return the points of both walking feet."""
+    toes = {"left": make_path(LEFT, SECONDS, RATE), "right": make_path(RIGHT, SECONDS, RATE)}
+    return {side: FootPoints(toe + [0.0, 0.0, -0.2], toe) for side, toe in toes.items()}
+
+
+def make_plate(first_s: float, last_s: float, z: tuple[float, float], x: tuple[float, float] = (0.0, 0.4)) -> ForcePlate:
+    """Return a plate that bears 700 N for a while, with 5 N of noise."""
+    time_s = np.arange(round(SECONDS * PLATE_RATE)) / PLATE_RATE
+    force = np.random.default_rng(0).normal(0, 2, len(time_s))
+    force[(time_s >= first_s) & (time_s < last_s)] += 700.0
+    corners = np.array([[x[0], 0, z[0]], [x[1], 0, z[0]], [x[1], 0, z[1]], [x[0], 0, z[1]]])
+    return ForcePlate(force, PLATE_RATE, corners)
+
+
+def test_the_foot_on_a_plate_is_found_with_its_times():
+    first_s, last_s, place = LEFT[1]
+    plate = make_plate(first_s, last_s, (place[2] - 0.3, place[2] + 0.1))
+    [contact] = find_plate_contacts([plate], make_feet(), FLAT, RATE)
+    assert contact.side == "left"
+    assert contact.strike_s == pytest.approx(first_s, abs=0.0011)
+    assert contact.off_s == pytest.approx(last_s, abs=0.0011)
+
+
+def test_a_foot_that_is_partly_beside_its_plate_does_not_count():
+    first_s, last_s, place = LEFT[1]
+    assert not find_plate_contacts([make_plate(first_s, last_s, (place[2] - 0.1, place[2] + 0.1))], make_feet(), FLAT, RATE)
+
+
+def test_a_plate_under_both_feet_does_not_count():
+    first_s, _, _ = LEFT[1]
+    plate = make_plate(first_s, first_s + 1.2, (-0.5, 3.0), (-0.4, 0.4))
+    assert not find_plate_contacts([plate], make_feet(), FLAT, RATE)
+
+
+def test_a_foot_that_swings_over_a_plate_does_not_matter():
+    first_s, last_s, place = LEFT[1]
+    plate = make_plate(first_s, last_s, (place[2] - 0.3, place[2] + 0.1), (-0.4, 0.4))
+    contacts = find_plate_contacts([plate], make_feet(), FLAT, RATE)
+    assert [contact.side for contact in contacts] == ["left"]
+
+
+def test_a_load_at_the_end_of_a_take_has_no_off():
+    first_s, _, place = LEFT[-1]
+    [contact] = find_plate_contacts([make_plate(first_s, 99.0, (place[2] - 0.3, place[2] + 0.1))], make_feet(), FLAT, RATE)
+    assert np.isnan(contact.off_s)
+
+
+def test_events_of_plates_replace_those_of_markers():
+    events = [
+        GaitEvent("left", "foot strike", 1.02, "markers"),
+        GaitEvent("right", "foot off", 1.2, "markers"),
+        GaitEvent("left", "foot off", 1.3, "markers"),
+        GaitEvent("left", "foot off", 1.58, "markers"),
+        GaitEvent("left", "foot strike", 2.5, "markers"),
+    ]
+    replaced = replace_marker_events(events, [PlateContact("left", 1.0, 1.6)])
+    assert [(event.side, event.kind, event.time_s, event.source) for event in replaced] == [
+        ("left", "foot strike", 1.0, PLATE_SOURCE),
+        ("right", "foot off", 1.2, "markers"),
+        ("left", "foot off", 1.6, PLATE_SOURCE),
+        ("left", "foot strike", 2.5, "markers"),
+    ]
+    assert replace_marker_events(events, []) == tuple(events)
+
+
+def build_contacts(heel: slice, ball: slice) -> BodyContacts:
+    """Return contacts of a left foot."""
+    is_contact = np.zeros((300, 4), bool)
+    is_contact[heel, 0] = is_contact[ball, 1] = True
+    return BodyContacts(CONTACT_JOINTS, is_contact, np.ones((300, 4), bool), FLAT, RATE)
+
+
+@pytest.mark.parametrize(
+    ("heel", "ball"), [(slice(110, 140), slice(115, 150)), (slice(90, 140), slice(90, 175)), (slice(0), slice(0))]
+)
+def test_contacts_begin_and_end_with_the_load(heel, ball):
+    aligned = align_contacts_with_plates(build_contacts(heel, ball), [PlateContact("left", 1.0, 1.6)])
+    assert np.flatnonzero(aligned.find_foot_contact("left")).tolist() == list(range(100, 161))
+    assert not aligned.find_foot_contact("right").any()
+
+
+def test_other_contacts_of_the_foot_are_kept():
+    contacts = build_contacts(slice(110, 140), slice(115, 150))
+    contacts.is_contact[20:60, 1] = contacts.is_contact[200:250, 0] = True
+    aligned = align_contacts_with_plates(contacts, [PlateContact("left", 1.0, 1.6)])
+    assert aligned.list_intervals("LeftToeBase")[0] == (20, 59)
+    assert aligned.list_intervals("LeftFoot")[-1] == (200, 249)
+
+
+def test_a_load_that_never_begins_or_ends():
+    aligned = align_contacts_with_plates(build_contacts(slice(110, 140), slice(115, 150)), [PlateContact("left", np.nan, np.nan)])
+    assert aligned.find_foot_contact("left").all()
