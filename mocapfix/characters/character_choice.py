@@ -16,6 +16,7 @@ from mocapfix.files.option_choices import CHARACTER_PRESETS
 
 UNUSABLE_CHARACTERS = re.compile(r"[^\w-]+")
 """in the name of a character, which is part of the names of files"""
+MIN_LIMB_LENGTH_M = 1e-6
 MIN_UPRIGHT_SHIN_COSINE = float(np.cos(np.deg2rad(12.0)))
 """Cosine of the angle between a shin and the vertical from which it is upright."""
 
@@ -41,7 +42,23 @@ def load_character(name_or_path: str | Path, mapping_path: str | Path | None = N
         character = replace(character, mapping=read_mapping_file(Path(mapping_path), character))
     elif character.mapping.missing_segments:
         character = replace(character, mapping=map_bones(character))
+    check_lengths(character, str(name_or_path))
     return replace(character, has_feet_flat=character.has_feet_flat and are_shins_upright(character))
+
+
+def check_lengths(character: Character, name: str) -> None:
+    """Raise SceneError, which begins with `name`, if a thigh, shin, upper arm or forearm has no length in the rest pose."""
+    position, _ = character.compute_rest_pose()
+    bones = character.mapping.bones
+    for side in SIDES:
+        for start, end in (("thigh", "shin"), ("shin", "foot"), ("upper_arm", "forearm"), ("forearm", "hand")):
+            first, last = bones[f"{side}_{start}"][0], bones.get(f"{side}_{end}", ())
+            if last and not np.linalg.norm(position[last[0]] - position[first]) > MIN_LIMB_LENGTH_M:
+                pair = f"{character.names[first]!r} and {character.names[last[0]]!r}"
+                raise SceneError(
+                    f"{name}: the bones {pair} ({side} {start.replace('_', ' ')}) are at one place, so the character cannot be "
+                    "posed; correct its rest pose or the mapping (--character-map)."
+                )
 
 
 def are_shins_upright(character: Character) -> bool:
