@@ -10,31 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from mocapfix.characters.limb_geometry import SAME_PLACE_SHARE, LimbJoints, find_arm_joints, find_leg_joints
+from mocapfix.characters.character import SIDES
+from mocapfix.characters.limb_geometry import SAME_PLACE_SHARE, LimbPlaces
+from mocapfix.characters.limb_pairs import LimbPair, find_across, find_arm_pair, find_leg_pair, find_pair_centre
 from mocapfix.characters.segment_bones import find_common_ancestor, list_path
 from mocapfix.characters.skeleton_tree import SkeletonTree
 
-LimbPair = tuple[LimbJoints, LimbJoints]
-
-MIN_LIMB_DISTANCE_SHARE = 0.03
-"""horizontal distance between the left and the right knee or elbow, as a share of the skeleton's height"""
-MIN_LEG_HEIGHT_SHARE = 0.25
-"""height of the hips, as a share of the skeleton's height"""
-MAX_FLOOR_DISTANCE_SHARE = 0.1
-"""height of the lowest bone of a leg above that of the lowest leg, as a share of the leg's length"""
-MIN_FRONT_DISTANCE_SHARE = 0.3
-"""horizontal distance between two pairs of legs of an animal on four legs, as a share of the leg's length"""
-ARM_LEG_RATIO = 0.65
-"""length from shoulder to wrist over that from hip to ankle of an adult"""
-MAX_ARM_LEG_FACTOR = 2.2
-"""factor between that ratio and the one of a figure"""
-MIN_SHOULDER_HEIGHT_SHARE = 0.25
-"""height of the shoulders above the hips, as a share of the leg's length"""
-HANDLESS_ARM_COST, HANGING_CHAIN_COST, SIDEWAYS_COST = 0.5, 0.5, 0.4
-"""costs of pairs of chains without fingers, of those that hang from the head, and of those that do not lead sideways, in units
-of the logarithm of the length"""
-MIN_FINGER_RATIO = 0.3
-"""length of the shortest chain of a hand over that of the second longest; the longest may be a weapon"""
+MIN_UPRIGHT_COSINE = 0.8
+"""cosine between the vertical and the direction from the hips to the shoulders"""
 END_BONE_RATIO = 1.5
 """length of the last bone over that of the bone before, from which it is the top of the head"""
 MAX_NECK_DISTANCE_SHARE = 0.15
@@ -42,7 +25,7 @@ MAX_NECK_DISTANCE_SHARE = 0.15
 MIN_FACE_DISTANCE_SHARE = 0.5
 """distance of eyes or a jaw from the head, as a share of that of its end"""
 MIN_FORWARD_SHARE = 1e-3
-"""horizontal length of the feet, as a share of the legs' length, below which it shows no direction"""
+"""horizontal length of the feet, as a share of the skeleton's height, below which it shows no direction"""
 
 
 @dataclass(frozen=True)
@@ -72,103 +55,33 @@ def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.n
         ValueError: If the skeleton is no body with two legs and two arms. The message is the end of a sentence that says why.
     """
     tree = SkeletonTree(parents, positions)
-    legs = _find_legs(tree)
-    arms = _find_arms(tree, legs)
-    pelvis = find_common_ancestor([each.path[0] for each in (*legs, *arms)], parents)
-    chest = int(parents[arms[0].path[0]])
-    forward, faces_forward = _find_forward(legs, positions)
+    legs = find_leg_pair(tree)
+    arms = find_arm_pair(tree, legs)
+    trunk = find_pair_centre(arms, positions) - find_pair_centre(legs, positions)
+    if trunk[1] < MIN_UPRIGHT_COSINE * np.linalg.norm(trunk):
+        raise ValueError("the trunk is not upright in the rest pose")
+    pelvis = find_common_ancestor([*legs.select(0), *arms.select(0)], parents)
+    if pelvis < 0:
+        raise ValueError("legs and arms are below different roots")
+    chest = int(parents[arms.paths.first[0]])
+    forward, faces_forward = _find_forward(legs, tree)
     left_axis = np.array([forward[2], 0.0, -forward[0]])
     bones: dict[str, tuple[int, ...]] = {"pelvis": (pelvis,), "spine": tuple(list_path(chest, pelvis, parents))}
     bones["neck"], bones["head"] = _find_neck(tree, chest, arms)
     for pair, is_leg in ((legs, True), (arms, False)):
-        for side, limb in zip(("left", "right"), sorted(pair, key=lambda each: -positions[each.first] @ left_axis), strict=True):
-            bones |= {f"{side}_{segment}": chain for segment, chain in _list_limb_segments(limb, is_leg).items()}
+        is_first_left = (positions[pair.middle[0]] - positions[pair.middle[1]]) @ left_axis > 0
+        for side, path in zip(SIDES if is_first_left else SIDES[::-1], (pair.paths.first, pair.paths.second), strict=True):
+            bones |= {f"{side}_{segment}": chain for segment, chain in _list_limb_segments(path, pair.places, is_leg).items()}
     return ShapeSegments({segment: chain for segment, chain in bones.items() if chain}, faces_forward)
 
 
-def _list_limb_segments(limb: LimbJoints, is_leg: bool) -> dict[str, tuple[int, ...]]:
-    upper, lower = limb.list_between(limb.first, limb.middle), limb.list_between(limb.middle, limb.last)
-    end = () if limb.end is None else (limb.end,)
+def _list_limb_segments(path: tuple[int, ...], places: LimbPlaces, is_leg: bool) -> dict[str, tuple[int, ...]]:
+    upper, lower = path[places.first : places.middle], path[places.middle : places.last]
     if is_leg:
-        return {"thigh": upper, "shin": lower, "foot": (limb.last,), "toe": end}
-    before = () if limb.before is None else (limb.before,)
-    return {"clavicle": before, "upper_arm": upper, "forearm": lower, "hand": (limb.last,)}
-
-
-def _find_legs(tree: SkeletonTree) -> LimbPair:
-    positions = tree.positions
-    found: list[LimbPair] = []
-    for paths in tree.list_paired_paths():
-        left, right = (find_leg_joints(path, positions) for path in (paths.first, paths.second))
-        if left and right and _are_apart(left, right, tree):
-            found.append((left, right))
-    floor = min((positions[list(limb.path), 1].min() for pair in found for limb in pair), default=0.0)
-    height = positions[:, 1].max() - floor
-    standing: list[LimbPair] = []
-    for pair in found:
-        length = _measure_limb(pair[0], positions)
-        rise = positions[list(pair[0].path), 1].min() - floor
-        if length > MIN_LEG_HEIGHT_SHARE * height and rise < MAX_FLOOR_DISTANCE_SHARE * length:
-            standing.append(pair)
-    if not standing:
-        raise ValueError("no two legs lead down to the floor")
-    best = max(
-        standing, key=lambda pair: (pair[0].end is not None, _measure_limb(pair[0], positions), _measure_foot(pair[0], positions))
-    )
-    hips = _find_centre(best, positions)
-    for pair in standing:
-        between = (_find_centre(pair, positions) - hips)[[0, 2]]
-        if np.linalg.norm(between) > MIN_FRONT_DISTANCE_SHARE * _measure_limb(best[0], positions):
-            raise ValueError("it stands on four legs")
-    return best
-
-
-def _find_arms(tree: SkeletonTree, legs: LimbPair) -> LimbPair:
-    positions, leg_length = tree.positions, _measure_limb(legs[0], tree.positions)
-    hips, floor = _find_centre(legs, positions), positions[list(legs[0].path), 1].min()
-    across = _find_across(legs, positions)
-    used = {bone for leg in legs for bone in leg.path}
-    best: tuple[float, LimbPair] | None = None
-    for paths in tree.list_paired_paths():
-        a, b = paths.first[0], paths.second[0]
-        if used & {a, b}:
-            continue
-        left, right = (_find_arm(tree, path, ARM_LEG_RATIO * leg_length) for path in (paths.first, paths.second))
-        if not left or not right or not _are_apart(left, right, tree):
-            continue
-        if positions[left.first, 1] - hips[1] < MIN_SHOULDER_HEIGHT_SHARE * leg_length:
-            continue
-        ratio = abs(np.log(_measure_limb(left, positions) / leg_length / ARM_LEG_RATIO))
-        if ratio > np.log(MAX_ARM_LEG_FACTOR) or positions[left.last, 1] - floor < MAX_FLOOR_DISTANCE_SHARE * leg_length:
-            continue
-        vectors = [positions[limb.last] - positions[limb.first] for limb in (left, right)]
-        sideways = [float(vector @ across) / np.linalg.norm(vector) for vector in vectors]
-        mirror_error = abs(sideways[0] + sideways[1])
-        has_hand = len(_list_finger_bones(tree, left.last)) >= 2
-        is_hanging = all(tree.top[each] <= positions[a, 1] for each in tree.children[int(tree.parents[a])] if each not in (a, b))
-        cost = ratio + HANDLESS_ARM_COST * (not has_hand) + HANGING_CHAIN_COST * is_hanging
-        cost += SIDEWAYS_COST * (1 - abs(sideways[0])) + mirror_error + _compare_bone_lengths(left, positions)
-        if best is None or cost < best[0]:
-            best = cost, (left, right)
-    if best is None:
-        raise ValueError("no two arms go from a bone above the hips")
-    return best[1]
-
-
-def _find_arm(tree: SkeletonTree, path: tuple[int, ...], expected_length: float) -> LimbJoints | None:
-    hands = [bone for bone in path if len(_list_finger_bones(tree, bone)) >= 2]
-    return find_arm_joints(path, hands, tree.positions, expected_length)
-
-
-def _list_finger_bones(tree: SkeletonTree, bone: int) -> list[int]:
-    """Return the children of a bone that begin chains of their own, of similar lengths, as fingers do; one may be longer."""
-    chains = [
-        child
-        for child in tree.children[bone]
-        if tree.reach[child] > 0 and np.linalg.norm(tree.positions[child] - tree.positions[bone]) > SAME_PLACE_SHARE * tree.height
-    ]
-    lengths = sorted((tree.reach[child] for child in chains), reverse=True)
-    return [child for child in chains if tree.reach[child] > MIN_FINGER_RATIO * lengths[min(1, len(lengths) - 1)]]
+        end = () if places.end is None else (path[places.end],)
+        return {"thigh": upper, "shin": lower, "foot": (path[places.last],), "toe": end}
+    before = () if places.before is None else (path[places.before],)
+    return {"clavicle": before, "upper_arm": upper, "forearm": lower, "hand": (path[places.last],)}
 
 
 def _find_neck(tree: SkeletonTree, chest: int, arms: LimbPair) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -190,16 +103,15 @@ def _find_neck(tree: SkeletonTree, chest: int, arms: LimbPair) -> tuple[tuple[in
 
 def _choose_upward(tree: SkeletonTree, bone: int, arms: LimbPair) -> int | None:
     """Return the child of a bone that leads up, near the middle between the arms, to the highest bone."""
-    positions, centre = tree.positions, _find_centre(arms, tree.positions)
-    across = (positions[arms[0].first] - positions[arms[1].first]) * [1, 0, 1]
-    width = float(np.linalg.norm(across))
-    across /= width
+    positions, centre = tree.positions, find_pair_centre(arms, tree.positions)
+    across = find_across(arms, positions)
+    width = abs(float((positions[arms.first[0]] - positions[arms.first[1]]) @ across))
     upward = [
         child
         for child in tree.children[bone]
-        if child not in (arms[0].path[0], arms[1].path[0])
+        if child not in arms.select(0)
         and tree.top[child] > positions[bone, 1]
-        and abs((positions[child] - centre) @ across) < MAX_NECK_DISTANCE_SHARE * width
+        and abs((positions[child] - centre) @ across) <= MAX_NECK_DISTANCE_SHARE * width
     ]
     return max(upward, key=lambda child: tree.top[child], default=None)
 
@@ -213,53 +125,12 @@ def _carries_face(tree: SkeletonTree, bone: int, following: int) -> bool:
     return not tree.children[following] and bool((distances[1:] > MIN_FACE_DISTANCE_SHARE * distances[0]).any())
 
 
-def _find_forward(legs: LimbPair, positions: Float[np.ndarray, "J 3"]) -> tuple[np.ndarray, bool]:
-    """Return the horizontal direction (3,) to which the feet point, and whether they show one; +Z otherwise."""
-    across = _find_across(legs, positions)
-    feet = sum(positions[leg.path[-1] if leg.end is None else leg.end] - positions[leg.last] for leg in legs) * np.array(
-        [1, 0, 1]
-    )
+def _find_forward(legs: LimbPair, tree: SkeletonTree) -> tuple[Float[np.ndarray, " 3"], bool]:
+    """Return the horizontal direction to which the feet point, and whether they show one; +Z otherwise."""
+    across = find_across(legs, tree.positions)
+    feet = (tree.positions[legs.end] - tree.positions[legs.last]).sum(0) * [1, 0, 1]
     forward = feet - across * (feet @ across)
     length = float(np.linalg.norm(forward))
-    if length < MIN_FORWARD_SHARE * _measure_limb(legs[0], positions):
+    if length < MIN_FORWARD_SHARE * tree.height:
         return np.array([0.0, 0.0, 1.0]), False
     return forward / length, True
-
-
-def _are_apart(left: LimbJoints, right: LimbJoints, tree: SkeletonTree) -> bool:
-    """Return whether two limbs have their joints at the same places of their paths, and these apart."""
-    places = [[limb.path.index(joint) for joint in (limb.first, limb.middle, limb.last)] for limb in (left, right)]
-    between = (tree.positions[left.middle] - tree.positions[right.middle])[[0, 2]]
-    return places[0] == places[1] and bool(np.linalg.norm(between) > MIN_LIMB_DISTANCE_SHARE * tree.height)
-
-
-def _find_across(legs: LimbPair, positions: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the horizontal direction from hip to hip, or from knee to knee where the hips are at one place."""
-    for joint in ("first", "middle"):
-        across = (positions[getattr(legs[0], joint)] - positions[getattr(legs[1], joint)]) * [1, 0, 1]
-        if np.linalg.norm(across) > MIN_FORWARD_SHARE * _measure_limb(legs[0], positions):
-            break
-    return across / np.linalg.norm(across)
-
-
-def _measure_limb(limb: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
-    """Return the length from hip to ankle or from shoulder to wrist, over knee or elbow."""
-    steps = positions[[limb.middle, limb.last]] - positions[[limb.first, limb.middle]]
-    return float(np.linalg.norm(steps, axis=1).sum())
-
-
-def _compare_bone_lengths(limb: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
-    """Return the absolute logarithm of the ratio of the lengths of the two parts of a limb."""
-    steps = positions[[limb.middle, limb.last]] - positions[[limb.first, limb.middle]]
-    lengths = np.linalg.norm(steps, axis=1)
-    return float(abs(np.log(lengths[0] / lengths[1])))
-
-
-def _measure_foot(leg: LimbJoints, positions: Float[np.ndarray, "J 3"]) -> float:
-    """Return the horizontal length of a foot, 0 for one without a toe."""
-    end = leg.last if leg.end is None else leg.end
-    return float(np.linalg.norm((positions[end] - positions[leg.last])[[0, 2]]))
-
-
-def _find_centre(pair: LimbPair, positions: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, " 3"]:
-    return positions[[pair[0].first, pair[1].first]].mean(0)

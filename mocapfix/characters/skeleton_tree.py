@@ -5,6 +5,7 @@ equal. What is on one side only, such as a weapon in a hand, is in no pair.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -12,6 +13,8 @@ from jaxtyping import Float, Int
 
 MAX_PAIR_DIFFERENCE_SHARE = 0.03
 """difference of the lengths and of the rises of paired bones, as a share of the skeleton's height"""
+MAX_PAIRED_BONES = 24
+"""bones of a paired path: chains of more are hair or ropes, and their ends are no joints of a limb"""
 MAX_PAIRED_SISTERS = 64
 """bones with more children carry hair or clothes; their children are not paired"""
 
@@ -41,17 +44,20 @@ class SkeletonTree:
         self.reach = np.zeros(len(parents))
         self.top, self.bottom = positions[:, 1].copy(), positions[:, 1].copy()
         self.height = float(np.ptp(positions[:, 1]))
+        steps = positions - positions[parents] * (parents >= 0)[:, None]
+        self._lengths: list[float] = np.linalg.norm(steps, axis=1).tolist()
+        self._rises: list[float] = steps[:, 1].tolist()
         for bone in range(len(parents) - 1, -1, -1):
             parent = int(parents[bone])
             if parent >= 0:
                 self.children[parent].insert(0, bone)
-                step = float(np.linalg.norm(positions[bone] - positions[parent]))
-                self.reach[parent] = max(self.reach[parent], self.reach[bone] + step)
+                self.reach[parent] = max(self.reach[parent], self.reach[bone] + self._lengths[bone])
                 self.top[parent] = max(self.top[parent], self.top[bone])
                 self.bottom[parent] = min(self.bottom[parent], self.bottom[bone])
 
-    def list_paired_paths(self) -> list[PairedPaths]:
-        """Return the longest paths of all paired sisters, one for each end of the paired bones below them."""
+    @cached_property
+    def paired_paths(self) -> list[PairedPaths]:
+        """The longest paths of all paired sisters, one for each end of the paired bones below them."""
         paths: list[PairedPaths] = []
         for sisters in self.children:
             if len(sisters) <= MAX_PAIRED_SISTERS:
@@ -67,7 +73,7 @@ class SkeletonTree:
         growing = [((a,), (b,))]
         while growing:
             first, second = growing.pop()
-            pairs = self._pair_children(first[-1], second[-1])
+            pairs = self._pair_children(first[-1], second[-1]) if len(first) < MAX_PAIRED_BONES else []
             growing += [((*first, left), (*second, right)) for left, right in pairs]
             if not pairs:
                 finished.append((first, second))
@@ -91,7 +97,5 @@ class SkeletonTree:
 
     def _measure_difference(self, a: int, b: int) -> float | None:
         """Return how much two bones differ in distance from their parents and in rise, None if too much for a pair."""
-        steps = self.positions[[a, b]] - self.positions[self.parents[[a, b]]]
-        lengths = np.linalg.norm(steps, axis=1)
-        difference = float(max(abs(lengths[0] - lengths[1]), abs(steps[0, 1] - steps[1, 1])))
+        difference = max(abs(self._lengths[a] - self._lengths[b]), abs(self._rises[a] - self._rises[b]))
         return difference if difference <= MAX_PAIR_DIFFERENCE_SHARE * self.height else None
