@@ -1,0 +1,163 @@
+"""Gait events in the EVENT group of a C3D: in every encoding, once, without a change of anything else."""
+
+from pathlib import Path
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.read.capture import read_capture
+from mocapfix.write.c3d_events import MAX_EVENTS, add_c3d_events, read_c3d_events
+from mocapfix.write.c3d_head import C3dHead
+from tests.c3d_files import ENCODINGS, c3d_bytes
+
+CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
+RATE = 120.0
+EVENTS = (
+    GaitEvent("left", "foot strike", 0.25, "markers"),
+    GaitEvent("right", "foot off", 0.5, "force plate"),
+    GaitEvent("left", "foot off", 61.5, "markers"),
+)
+
+
+def make_file(encoding=(84, True), first: int = 1, extra=None) -> bytes:
+    """Return the bytes of a C3D of 40 frames."""
+    xyz = np.random.default_rng(0).uniform(0, 1000, (40, 4, 3))
+    return c3d_bytes(xyz, ["LHEE", "RHEE", "LTOE", "RTOE"], encoding=encoding, first=first, extra=extra)
+
+
+def write(path: Path, data: bytes) -> int:
+    """Write a file, and return where its data begin."""
+    path.write_bytes(data)
+    return read_capture(path, "Z").layout.data_start_byte
+
+
+def read_events(path: Path):
+    """Return the events of a file, and its layout."""
+    layout = read_capture(path, "Z").layout
+    return read_c3d_events(C3dHead(path.read_bytes()[: layout.data_start_byte])), layout
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_events_are_read_as_they_were_written(tmp_path, encoding):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file(encoding))
+    assert add_c3d_events(path, start, EVENTS, 1, RATE) == 3
+    found, _ = read_events(path)
+    assert [(event.context, event.label, event.description) for event in found] == [
+        ("Left", "Foot Strike", "detected from markers"),
+        ("Right", "Foot Off", "detected from force plate"),
+        ("Left", "Foot Off", "detected from markers"),
+    ]
+    assert [event.time_s for event in found] == pytest.approx([0.25, 0.5, 61.5], abs=1e-5)
+    assert [event.icon for event in found] == [1, 2, 2]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_markers_and_all_bytes_of_data_are_unchanged(tmp_path, encoding):
+    path, data = tmp_path / "walk.c3d", make_file(encoding)
+    start = write(path, data)
+    before = read_capture(path, "Z")
+    add_c3d_events(path, start, EVENTS, 1, RATE)
+    after, layout = read_capture(path, "Z"), read_events(path)[1]
+    assert path.read_bytes()[layout.data_start_byte :] == data[start:]
+    np.testing.assert_array_equal(after.markers, before.markers)
+    assert after.labels == before.labels
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_all_other_parameters_are_unchanged(tmp_path, encoding):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file(encoding, extra={"SUBJECTS:NAMES": ["Ann", "Bob"], "POINT:DESCRIPTIONS": ["a", "b", "c", "d"]}))
+    before = C3dHead(path.read_bytes()[:start]).records
+    add_c3d_events(path, start, EVENTS, 1, RATE)
+    after = C3dHead(path.read_bytes()[: read_capture(path, "Z").layout.data_start_byte]).records
+    kept = {(each.group, each.name): each.content for each in after}
+    for each in before:
+        if each.name != "DATA_START":
+            assert kept[each.group, each.name] == each.content
+
+
+def test_the_time_counts_from_frame_one_of_the_file(tmp_path):
+    path = tmp_path / "cut.c3d"
+    start = write(path, make_file(first=121))
+    add_c3d_events(path, start, EVENTS[:1], 121, RATE)
+    assert read_events(path)[0][0].time_s == pytest.approx(1.25, abs=1e-5)
+
+
+def test_adding_events_twice_changes_nothing(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, EVENTS, 1, RATE)
+    once, layout = path.read_bytes(), read_events(path)[1]
+    shifted = [event._replace(time_s=event.time_s + 0.03) for event in EVENTS]
+    assert add_c3d_events(path, layout.data_start_byte, shifted, 1, RATE) == 0
+    assert path.read_bytes() == once
+
+
+def test_events_of_the_file_are_kept_first(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, EVENTS[:1], 1, RATE)
+    layout = read_events(path)[1]
+    other = GaitEvent("right", "foot strike", 0.1, "markers")
+    assert add_c3d_events(path, layout.data_start_byte, [other], 1, RATE) == 1
+    found, _ = read_events(path)
+    assert [(event.context, event.label) for event in found] == [("Left", "Foot Strike"), ("Right", "Foot Strike")]
+
+
+def test_no_event_leaves_the_file_as_it_is(tmp_path):
+    path, data = tmp_path / "walk.c3d", make_file()
+    start = write(path, data)
+    assert add_c3d_events(path, start, (), 1, RATE) == 0
+    assert path.read_bytes() == data
+
+
+def test_more_events_than_a_parameter_can_hold(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    events = [GaitEvent("left", "foot strike", 0.5 * k, "markers") for k in range(MAX_EVENTS + 20)]
+    assert add_c3d_events(path, start, events, 1, RATE) == MAX_EVENTS
+    found, _ = read_events(path)
+    assert len(found) == MAX_EVENTS
+    assert found[-1].time_s == pytest.approx(0.5 * (MAX_EVENTS - 1), abs=1e-4)
+
+
+@given(st.lists(st.floats(0, 3000), min_size=1, max_size=30, unique_by=lambda time: round(time)))
+def test_any_times_are_kept(tmp_path_factory, times):
+    path = tmp_path_factory.mktemp("events") / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, [GaitEvent("left", "foot strike", time, "markers") for time in times], 1, RATE)
+    assert [event.time_s for event in read_events(path)[0]] == pytest.approx(times, abs=1e-4)
+
+
+def test_ezc3d_reads_the_events(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, EVENTS, 1, RATE)
+    event = ezc3d.c3d(str(path))["parameters"]["EVENT"]
+    assert event["USED"]["value"][0] == 3
+    assert event["LABELS"]["value"] == ["Foot Strike", "Foot Off", "Foot Off"]
+    assert event["CONTEXTS"]["value"] == ["Left", "Right", "Left"]
+    np.testing.assert_allclose(event["TIMES"]["value"], [[0, 0, 1], [0.25, 0.5, 1.5]], atol=1e-5)
+
+
+@pytest.mark.skipif(not CAPTURES.exists(), reason="the captures are not here")
+@pytest.mark.parametrize("name", ["pc_int", "dec_real", "sgi_real", "FunctionalWalk", "JA1Gait35", "PiG_Motion-FlatFoot-Hole"])
+def test_captures_keep_their_events_and_all_else(tmp_path, name):
+    data = (CAPTURES / f"{name}.c3d").read_bytes()
+    path = tmp_path / f"{name}.c3d"
+    path.write_bytes(data)
+    take = read_capture(path)
+    start = take.layout.data_start_byte
+    known = read_c3d_events(C3dHead(data[:start]))
+    added = add_c3d_events(path, start, [GaitEvent("left", "foot strike", 977.0, "markers")], take.first_frame, take.rate)
+    after = read_capture(path)
+    found = read_c3d_events(C3dHead(path.read_bytes()[: after.layout.data_start_byte]))
+    assert added == 1
+    assert found[:-1] == known
+    assert path.read_bytes()[after.layout.data_start_byte :] == data[start:]
+    np.testing.assert_array_equal(after.markers, take.markers)
