@@ -146,6 +146,8 @@ def write_character_yaml(target: str | Path, character: Character) -> None:
         entry = InlineMapping(name=name, parent=character.names[parent] if parent >= 0 else None, head=_round(heads[bone]))
         if not np.isnan(tails[bone]).any():
             entry["tail"] = _round(tails[bone])
+        elif bone in character.parents:
+            entry["tail"] = entry["head"]  # none, although it has a child
         entry["rotation"] = _format_quaternion(rotations[bone])
         if character.scales[bone] != character.root_scale:
             entry["scale_m"] = float(character.scales[bone])

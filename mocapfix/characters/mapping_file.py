@@ -16,7 +16,8 @@ MAPPING_FILE_HEADER = """\
 # The bones of {name} that form the segments of its body, for mocapfix. {reason}
 # Correct a wrong bone here, and give the file with the same character: --character FILE --character-map THIS_FILE
 # segments: the names of their bones. Spine, neck and the parts of limbs may have several, from the pelvis outwards, each below
-#   the one before; an empty list [] is a segment that the character lacks. {required} are needed.
+#   the one before; an empty list [] is a segment that the character lacks.
+#   Needed: {required}.
 # twists: bones beside a limb that only take a share of its twist, from near to far.
 # All other bones keep their rest pose: fingers, face, hair, clothes. They are listed at the end.
 """
