@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from mocapfix.bench.composed_cleaning import clean_composed_take
-from mocapfix.bench.contacts_damage import draw_foot_losses, find_all_true_contacts, lose_feet
+from mocapfix.bench.contacts_damage import FootLoss, draw_foot_losses, find_all_true_contacts, lose_feet
 from mocapfix.bench.sound_takes import iterate_sound_takes
 from mocapfix.contacts.contacts import CONTACT_JOINTS
 from mocapfix.contacts.standing import compute_speed
@@ -92,14 +92,24 @@ def measure_contacts(
     """
     errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
     for number, (name, sound) in enumerate(iterate_sound_takes(motion_folder, take_count)):
-        losses = draw_foot_losses(sound, np.random.default_rng(number))
-        for damage, truth in ((WHOLE, sound), (LOST_FEET, lose_feet(sound, losses))):
-            if damage == LOST_FEET and not losses:
-                continue
-            report_progress(f"{name}: {damage}")
-            results = {mode: clean_composed_take(truth, CleanOptions().change(feet=mode)) for mode in HELD_MODES}
-            agreements.append(compare_contacts(name, damage, truth, results[FEET_OFF]))
-            errors += [compute_held_errors(name, damage, truth, results, mode) for mode in HELD_MODES]
+        report_progress(name)
+        of_take = measure_take(name, sound, draw_foot_losses(sound, np.random.default_rng(number)))
+        errors += of_take[0]
+        agreements += of_take[1]
+    return errors, agreements
+
+
+def measure_take(
+    name: str, sound: SyntheticTake, losses: Sequence[FootLoss]
+) -> tuple[list[HeldFeetErrors], list[ContactAgreement]]:
+    """Return the errors and agreements of one take without faults, whole and with these losses."""
+    errors, agreements = list[HeldFeetErrors](), list[ContactAgreement]()
+    for damage, truth in ((WHOLE, sound), (LOST_FEET, lose_feet(sound, losses))):
+        if damage == LOST_FEET and not losses:
+            continue
+        results = {mode: clean_composed_take(truth, CleanOptions().change(feet=mode)) for mode in HELD_MODES}
+        agreements.append(compare_contacts(name, damage, truth, results[FEET_OFF]))
+        errors += [compute_held_errors(name, damage, truth, results, mode) for mode in HELD_MODES]
     return errors, agreements
 
 

@@ -1,5 +1,6 @@
 """Damage for the benchmark of contacts: the markers of a foot are lost while it stands."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -75,7 +76,7 @@ def find_foot_markers(truth: SyntheticTake, side: str) -> Bool[np.ndarray, " M"]
     return np.linalg.norm(offsets, axis=-1).mean(0).min(1) <= MAX_FOOT_MARKER_DISTANCE_M
 
 
-def lose_feet(truth: SyntheticTake, losses: list[FootLoss]) -> SyntheticTake:
+def lose_feet(truth: SyntheticTake, losses: Sequence[FootLoss]) -> SyntheticTake:
     """Return the take without the markers of feet in some frames."""
     missing = truth.missing_mask.copy()
     for side, first, last in losses:

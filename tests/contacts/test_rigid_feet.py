@@ -29,7 +29,7 @@ def test_the_joint_that_is_held_stays():
     np.testing.assert_allclose(new_ankle[0], [0.0, 0.0, 0.06], atol=1e-4)
 
 
-def test_both_move_alike_if_both_are_held():
+def test_both_move_by_the_same_distance_if_both_are_held():
     ankle, toe = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.2]])
     held = np.ones(1)
     new_ankle, new_toe = restore_foot_length(ankle, toe, (held, held), np.array([LENGTH_M]))
