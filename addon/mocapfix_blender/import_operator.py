@@ -100,7 +100,7 @@ class MOCAPFIX_OT_import_take(ProcessOperator, bpy.types.Operator, ImportHelper)
         stretches = find_uncertain_stretches(take, self.max_sd_mm * 1e-3) if self.mark_uncertain else []
         mark_uncertain_stretches(scene, take_key, stretches, self.start_frame)
         if armature is not None and armature.visible_get():
-            for each in context.selected_objects:
+            for each in list(context.view_layer.objects.selected):
                 each.select_set(False)
             armature.select_set(True)
             context.view_layer.objects.active = armature

@@ -81,6 +81,9 @@ class ProcessOperator:
             self.finish(context, process)
         except ProcessError as error:
             return self.fail(error)
+        except RuntimeError as error:  # of an operator of Blender
+            reason = str(error).strip().partition("\n")[0]
+            return self.fail(ProcessError(f"Blender cannot edit the scene ({reason}); leave other modes and try again."))
         finally:
             process.remove_files()
         return {"FINISHED"}
