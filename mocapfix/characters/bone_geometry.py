@@ -16,7 +16,7 @@ from mocapfix.characters.limb_pairs import LimbPair, find_across, find_arm_pair,
 from mocapfix.characters.segment_bones import find_common_ancestor, list_path
 from mocapfix.characters.skeleton_tree import SkeletonTree
 
-MIN_UPRIGHT_COSINE = 0.8
+MIN_TRUNK_COSINE = 0.8
 """cosine between the vertical and the direction from the hips to the shoulders"""
 END_BONE_RATIO = 1.5
 """length of the last bone over that of the bone before, from which it is the top of the head"""
@@ -58,7 +58,7 @@ def find_segments_by_shape(parents: Int[np.ndarray, " J"], positions: Float[np.n
     legs = find_leg_pair(tree)
     arms = find_arm_pair(tree, legs)
     trunk = find_pair_centre(arms, positions) - find_pair_centre(legs, positions)
-    if trunk[1] < MIN_UPRIGHT_COSINE * np.linalg.norm(trunk):
+    if trunk[1] < MIN_TRUNK_COSINE * np.linalg.norm(trunk):
         raise ValueError("the trunk is not upright in the rest pose")
     pelvis = find_common_ancestor([*legs.select(0), *arms.select(0)], parents)
     if pelvis < 0:

@@ -20,7 +20,7 @@ from mocapfix.files.yaml_models import InlineMapping, InlineSequence, StrictMode
 
 ROTATION_Y_UP_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """from axes with Z up, in which the character faces -Y (Blender, Unreal's FBX), to axes with Y up, in which it faces +Z"""
-MIN_BONE_LENGTH_M = 1e-6
+MIN_TAIL_LENGTH_M = 1e-6
 """shorter bones have no direction"""
 MIN_SIDE_SINE = 1e-3
 """sine of the angle between a bone and the direction of its second axis, below which that direction determines no rotation"""
@@ -196,7 +196,7 @@ def _find_tails(model: _CharacterModel, parents: Int[np.ndarray, " J"], heads: F
             tails[bone] = each.tail
         elif len(children):
             tails[bone] = heads[children[0]]
-    tails[np.linalg.norm(tails - heads, axis=1) < MIN_BONE_LENGTH_M] = np.nan
+    tails[np.linalg.norm(tails - heads, axis=1) < MIN_TAIL_LENGTH_M] = np.nan
     return tails
 
 
@@ -230,7 +230,7 @@ def _apply_axes_rule(
     """Return the rotation whose first own axis points along a vector and whose second points toward a direction."""
     along, second, toward = _build_own_axis(rule[0]), _build_own_axis(rule[1]), np.array(rule[2])
     direction = vector / np.linalg.norm(vector)
-    toward = toward / max(float(np.linalg.norm(toward)), MIN_BONE_LENGTH_M)
+    toward = toward / max(float(np.linalg.norm(toward)), MIN_TAIL_LENGTH_M)
     side = toward - direction * (direction @ toward)
     if np.linalg.norm(side) < MIN_SIDE_SINE or along @ second != 0:
         raise SceneError(f"{place}: its second axis is along the bone; give the bone another `toward`, or a `rotation`.")
