@@ -33,7 +33,7 @@ MIN_FOOT_LENGTH_SHARE = 0.04
 """horizontal length from the ankle to the farthest toe, as a share of the leg's length; less is no foot"""
 COST_DECIMALS = 6
 """Costs that are equal to these decimals are alike; of bones at one place the first is chosen."""
-MIN_LIMB_LENGTH_M = 1e-12
+MIN_COMPARED_LENGTH_M = 1e-12
 SAME_PLACE_SHARE = 0.005
 """distance, as a share of a path's length or a skeleton's height, below which two bones are at the same place"""
 
@@ -145,7 +145,7 @@ def _measure_lengths(points: Float[np.ndarray, "2 n 3"]) -> Float[np.ndarray, "n
 
 def _compare_lengths(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the absolute logarithms of the ratios of lengths; those of length 0 are judged elsewhere."""
-    return np.abs(np.log(np.maximum(first, MIN_LIMB_LENGTH_M) / np.maximum(second, MIN_LENGTH_M)))
+    return np.abs(np.log(np.maximum(first, MIN_COMPARED_LENGTH_M) / np.maximum(second, MIN_COMPARED_LENGTH_M)))
 
 
 def _measure_distance_between(points: Float[np.ndarray, "2 n 3"]) -> Float[np.ndarray, " n"]:
@@ -155,5 +155,5 @@ def _measure_distance_between(points: Float[np.ndarray, "2 n 3"]) -> Float[np.nd
 
 def _judge_distance(between: np.ndarray, length: np.ndarray, expected_ratio: float) -> np.ndarray:
     """Return the cost of distances between two hips or shoulders for limbs of given lengths, none for those large enough."""
-    ratio = np.maximum(between / np.maximum(length, MIN_LIMB_LENGTH_M), MIN_DISTANCE_RATIO)
+    ratio = np.maximum(between / np.maximum(length, MIN_COMPARED_LENGTH_M), MIN_DISTANCE_RATIO)
     return NARROW_LIMB_COST * np.maximum(0.0, np.log(expected_ratio / ratio))
