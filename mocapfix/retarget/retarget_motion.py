@@ -1,10 +1,12 @@
 """Retarget a motion: pose a character like another one.
 
-segments = compute_segment_motion(...)    rotations of the source's body segments
-start    = spread_rotations(...)          the same segments of the target, its spine and neck bent alike
-targets  = compute_kept_positions(...)    pelvis and feet, scaled by the legs; compute_hand_targets(...)  hands
-poses    = solve_segments(...)            under terms for all of these
-motion   = compose_character_motion(...)            bones with their shares of the twist
+segments = compute_segment_motion(...)      the source's body segments
+rotation = spread_rotations(...)            the same segments of the target, its spine and neck bent alike
+kept     = compute_kept_positions(...)      targets of pelvis and feet, scaled by the legs
+ankles   = hold_kept_feet(...)              the same of feet in contact, if these are locked
+hands    = compute_hand_targets(...)        targets of the hands
+poses    = solve_segments(...)              under terms for all of these
+motion   = compose_character_motion(...)    bones with their shares of the twist
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
+from mocapfix.retarget.kept_contacts import hold_kept_feet
 from mocapfix.retarget.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.retarget.kept_positions import compute_kept_positions
 from mocapfix.retarget.pose_segments import SegmentTargets, compute_rotations_to_parents, solve_segments
@@ -52,28 +56,46 @@ class RetargetProblem:
 
 
 def retarget_motion(
-    source: Character, motion: CharacterMotion, target: Character, *, floor_height_m: float = 0.0
+    source: Character,
+    motion: CharacterMotion,
+    target: Character,
+    *,
+    floor_height_m: float = 0.0,
+    locked_contacts: BodyContacts | None = None,
 ) -> CharacterMotion:
     """Return the motion of a target character that moves like the source.
 
     Both mappings must have all required segments. Places are scaled about the origin by the ratio of the legs' lengths.
 
-    floor_height_m  height of the source's floor; the target's is at height 0
+    floor_height_m   height of the source's floor; the target's is at height 0
+    locked_contacts  contacts of the source in which the target's feet are held at one place; None: they move as the source's do
     """
-    problem = build_retarget_problem(source, motion, target, floor_height_m=floor_height_m)
+    problem = build_retarget_problem(source, motion, target, floor_height_m=floor_height_m, locked_contacts=locked_contacts)
     problem, (pelvis, local) = solve_retarget_problem(problem)
     return compose_character_motion(problem.target, problem.tree, pelvis, local, motion.rate)
 
 
 def build_retarget_problem(
-    source: Character, motion: CharacterMotion, target: Character, *, floor_height_m: float = 0.0
+    source: Character,
+    motion: CharacterMotion,
+    target: Character,
+    *,
+    floor_height_m: float = 0.0,
+    locked_contacts: BodyContacts | None = None,
 ) -> RetargetProblem:
     """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
     segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
     kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
-    points = {f"{side}_foot": ankle for side, ankle in kept.ankles.items()}
+    ankles = kept.ankles
+    if locked_contacts is not None and locked_contacts.is_contact.any():
+        feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}
+        ankles, feet = hold_kept_feet(target_frame, ankles, feet, locked_contacts, motion.rate)
+        for side, foot in feet.items():
+            joint = tree.find_joint(f"{side}_foot")
+            rotation[:, joint] = foot @ tree.standard_rotations[joint]
+    points = {f"{side}_foot": ankle for side, ankle in ankles.items()}
     if source_frame.has_hands and target_frame.has_hands:
         start = compute_tree_poses(tree.tree, kept.pelvis, compute_rotations_to_parents(tree, rotation))[0]
         hands = compute_hand_targets(source_frame, target_frame, segments, name_positions(tree, start))

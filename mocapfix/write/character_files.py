@@ -8,6 +8,9 @@ import numpy as np
 from mocapfix.characters.character import Character, CharacterMotion
 from mocapfix.characters.cmu31_character import build_cmu31_character, convert_motion
 from mocapfix.characters.mapping_file import write_mapping_file
+from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.files.option_choices import FEET_LOCK
+from mocapfix.files.output_files import make_scratch_folder
 from mocapfix.motion import Motion
 from mocapfix.retarget.body_frames import build_body_frame
 from mocapfix.retarget.retarget_motion import retarget_motion
@@ -40,18 +43,26 @@ class CharacterFiles:
         endings = (*CHARACTER_SUFFIXES, *((FBX_SUFFIX,) if self.has_fbx else ()))
         return tuple(f"{self.character.name}.{ending}" for ending in endings)
 
-    def write(self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, floor_height_m: float) -> list[str]:
+    def write(
+        self, target: Path, skeleton: Skeleton, motion: Motion, rate: float, contacts: BodyContacts | None = None
+    ) -> list[str]:
         """Write the motion of a solved skeleton, retargeted onto the character.
 
-        target          the GLB; the other files are beside it
-        rate            frames per second
-        floor_height_m  height of the floor in the motion
+        target    the GLB; the other files are beside it
+        rate      frames per second
+        contacts  of the motion, with its floor; if the feet of the motion are locked in them, so are the character's
 
         Returns sentences for the report. Raises WriteError if a file is not writable.
         """
         character = self.character
         source = build_cmu31_character(skeleton)
-        retargeted = retarget_motion(source, convert_motion(motion, rate), character, floor_height_m=floor_height_m)
+        retargeted = retarget_motion(
+            source,
+            convert_motion(motion, rate),
+            character,
+            floor_height_m=contacts.floor.height_m if contacts else 0.0,
+            locked_contacts=contacts if contacts and contacts.held_feet.mode == FEET_LOCK else None,
+        )
         write_character_bvh(target.with_suffix(".bvh"), character, retargeted)
         write_character_npz(target.with_suffix(".npz"), character, retargeted)
         write_mapping_file(target.with_suffix(".map.yaml"), character)
@@ -78,12 +89,8 @@ def write_glb_and_fbx(
 
 def write_skeleton_fbx(target: Path, skeleton: Skeleton, motion: Motion, rate: float, key_error_deg: float | None) -> list[str]:
     """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError."""
-    glb = target.with_name(f"{target.name}.glb")
-    try:
-        notes = write_glb_and_fbx(
-            glb, build_cmu31_character(skeleton), convert_motion(motion, rate), key_error_deg, has_fbx=False
-        )
+    with make_scratch_folder() as folder:
+        glb = folder / f"{target.stem}.glb"
+        write_glb_and_fbx(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), key_error_deg, has_fbx=False)
         problem = write_character_fbx(target, glb, rate)
-    finally:
-        glb.unlink(missing_ok=True)
-    return [*notes, *([problem] if problem else [])]
+    return [problem] if problem else []

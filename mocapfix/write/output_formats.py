@@ -154,8 +154,8 @@ def build_character_format(name_or_path: str | Path, options: OutputOptions) -> 
 
     def write_file(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
         exported = _require_motion(exported)
-        floor_height_m = result.contacts.floor.height_m if result.contacts else exported.floor_height_m
-        return files.write(target, exported.skeleton, exported.motion, exported.rate, floor_height_m - exported.floor_height_m)
+        contacts = result.contacts.lower_floor(exported.floor_height_m) if result.contacts else None
+        return files.write(target, exported.skeleton, exported.motion, exported.rate, contacts)
 
     first, *others = files.suffixes
     return OutputFormat(first, write_file, tuple(others), needs_body=True)
