@@ -142,9 +142,10 @@ class CleaningProcess:
                 f"mocapfix does not know the option {unknown[1]}: update it if the add-on is newer, or correct the option."
             )
         sentences = [line.strip() for line in errors.splitlines() if line.strip() and not _is_progress(line)]
-        if not sentences or "Traceback" in errors:
-            last = f": {sentences[-1]}" if sentences else ""
-            raise ProcessError(f"mocapfix stopped with status {status}{last}; check the path in the add-on's preferences.")
+        if "Traceback" in errors:
+            raise ProcessError(f"mocapfix failed unexpectedly ({sentences[-1]}); update it, or report this with the take.")
+        if not sentences:
+            raise ProcessError(f"mocapfix stopped with status {status}; check the path in the add-on's preferences.")
         if status == EXIT_USAGE:
             sentences = [text for line in sentences if (text := line.strip("│╭╮╰╯─ "))]
         raise ProcessError(" ".join(sentences))

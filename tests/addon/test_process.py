@@ -70,9 +70,16 @@ def test_unknown_option_is_named_with_what_to_do(start):
 def test_traceback_becomes_one_sentence(start):
     running, _ = start("printf 'Traceback (most recent call last):\\n  File\\nKeyError: 3\\n' >&2; exit 1")
     running.wait()
-    with pytest.raises(process.ProcessError, match=r"^mocapfix stopped with status 1: KeyError: 3; check the path") as raised:
+    with pytest.raises(process.ProcessError, match=r"^mocapfix failed unexpectedly \(KeyError: 3\); update it") as raised:
         running.check_result()
     assert "\n" not in str(raised.value)
+
+
+def test_failure_without_a_word_names_the_status(start):
+    running, _ = start("exit 7")
+    running.wait()
+    with pytest.raises(process.ProcessError, match="stopped with status 7; check the path"):
+        running.check_result()
 
 
 def test_cancelling_stops_the_process_and_what_it_has_started(start, tmp_path):
