@@ -15,6 +15,7 @@ from .clean_arguments import DEFAULT_FEET, FEET_ITEMS, build_arguments, get_outp
 from .keyframes import TAKE_PROPERTY, ActionWriter, KeyWriter
 from .process import CleaningProcess, ProcessError, make_temporary_folder
 from .process_operator import ProcessOperator
+from .solved_take import read_subject
 from .timeline import compute_scene_frames, set_rate_and_range
 
 MAPPING_PROPERTY = "mocapfix_mapping"
@@ -116,7 +117,7 @@ class MOCAPFIX_OT_retarget(ProcessOperator, bpy.types.Operator, ImportHelper):
                 f"{self._take.name}: has no skeleton, so there is no motion to retarget; see mocapfix's report of it."
             )
         if len(paths) > 1:
-            names = ", ".join(path.name.removesuffix(self._suffix).removeprefix(f"{self._take.stem}.") for path in paths)
+            names = ", ".join(read_subject(path.with_name(path.name.removesuffix(self._suffix) + ".npz")) for path in paths)
             raise ProcessError(f"{self._take.name}: has several subjects ({names}); choose one in the field Subject.")
         return paths[0]
 

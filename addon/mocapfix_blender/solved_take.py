@@ -113,6 +113,11 @@ def get_report_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.report.json")
 
 
+def read_subject(path: Path) -> str:
+    """Return the subject of an NPZ file if its take has several, else an empty text."""
+    return json.loads(get_report_path(path).read_text(encoding="utf-8"))["take"].get("person", "")
+
+
 def read_solved_take(path: Path) -> SolvedTake:
     """Read one subject of a take from its NPZ file and the report beside it."""
     with np.load(path, allow_pickle=False) as file:
