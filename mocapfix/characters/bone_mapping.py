@@ -13,6 +13,8 @@ from mocapfix.errors import SceneError
 
 MIN_HAND_HEIGHT_SHARE = 0.2
 """height of the wrists above the ankles, as a share of the legs' length; an animal on four legs has less"""
+CONTROL_BONE_PREFIXES = ("MCH-", "ORG-")
+"""of the bones between Rigify's controls and its deform bones"""
 
 
 def map_bones(character: Character) -> BoneMapping:
@@ -41,6 +43,11 @@ def map_bones(character: Character) -> BoneMapping:
                 "character on two legs can take a person's motion."
             )
         return _build_mapping(character, positions, dict(named.bones), f"{named.title} names")
+    if any(name.startswith(CONTROL_BONE_PREFIXES) for name in character.names):
+        raise SceneError(
+            f"{source}: has the controls of a rig that Rigify generated, which move its other bones; export the deform bones "
+            "alone, or give the metarig."
+        )
     try:
         shape = find_segments_by_shape(character.parents, positions)
     except ValueError as error:

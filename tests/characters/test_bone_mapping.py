@@ -271,6 +271,20 @@ def test_animal_on_four_legs_is_refused_by_names_and_by_shape():
         map_bones(replace(animal, names=tuple(f"b{i}" for i in range(len(animal.names)))))
 
 
+def test_generated_rigify_rig_is_refused():
+    """Its deform bones are below bones that follow controls, not below each other."""
+    figure = Figure(load_character_preset("rigify"))
+    thigh = figure.names.index("DEF-thigh.L")
+    figure.add("ORG-spine", -1, [0, 0.9, 0])
+    figure.parents[thigh] = len(figure.names) - 1
+    parents, positions, names = figure.parents, np.array(figure.positions), figure.names
+    order = [len(names) - 1, *range(len(names) - 1)]
+    place = {bone: new for new, bone in enumerate(order)} | {-1: -1}
+    character = build_character([names[bone] for bone in order], [place[parents[bone]] for bone in order], positions[order])
+    with pytest.raises(SceneError, match="deform bones alone"):
+        map_bones(character)
+
+
 def test_skeleton_that_lies_down_is_refused():
     preset = load_character_preset("vrm")
     positions = preset.compute_rest_pose()[0] @ Rotation.from_euler("x", 90, degrees=True).as_matrix().T
