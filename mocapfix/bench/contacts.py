@@ -15,6 +15,7 @@ from mocapfix.bench.composed_cleaning import clean_composed_take
 from mocapfix.bench.contacts_damage import FootLoss, draw_foot_losses, find_all_true_contacts, lose_feet
 from mocapfix.bench.sound_takes import iterate_sound_takes
 from mocapfix.contacts.contacts import CONTACT_JOINTS
+from mocapfix.contacts.rigid_feet import HORIZONTAL_AXES
 from mocapfix.contacts.standing import compute_speed
 from mocapfix.errors import TakeError
 from mocapfix.files.option_choices import FEET_LOCK, FEET_OFF, FEET_SOFT
@@ -29,7 +30,6 @@ CONTACT_TAKES = 6
 WHOLE, LOST_FEET = "whole", "feet lost"
 HELD_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
 KNEES = ("LeftLeg", "RightLeg")
-HORIZONTAL = (0, 2)
 WORST_QUANTITIES = ("acceleration_ratio", "knee_ratio", "sink_mm")
 """quantities of which the largest value of all takes counts"""
 MM = 1e3
@@ -168,7 +168,7 @@ def compute_drift(position: Float[np.ndarray, "T C 3"], is_contact: Bool[np.ndar
     drifts: list[float] = []
     for c in range(position.shape[1]):
         for first, last in find_runs(is_contact[:, c]):
-            flat = position[first : last + 1, c][:, HORIZONTAL]
+            flat = position[first : last + 1, c][:, HORIZONTAL_AXES]
             drifts.append(float(np.linalg.norm(flat - flat.mean(0), axis=1).max()))
     return MM * float(np.mean(drifts)) if drifts else np.nan
 

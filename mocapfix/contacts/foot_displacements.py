@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
-from mocapfix.contacts.rigid_feet import restore_foot_length
+from mocapfix.contacts.rigid_feet import UP_AXIS, restore_foot_length
 from mocapfix.contacts.standing import compute_speed
 from mocapfix.stats.sequences import find_runs
 from mocapfix.stats.smooth_paths import smooth_path
@@ -26,7 +26,6 @@ RETURN_TIME_S = 0.06
 """Time constant with which a displacement begins before a contact and ends after it."""
 CONTACT_WEIGHT = 300.0
 """Weight of the displacement within contacts relative to that of no displacement between them."""
-UP = 1
 
 
 def compute_foot_displacements(
@@ -87,12 +86,12 @@ def compute_target(
         if not len(known):
             continue
         shown = np.stack([np.interp(frames[span], known, path[known, axis]) for axis in range(3)], axis=1)
-        height = shown[:, UP].copy()
+        height = shown[:, UP_AXIS].copy()
         if is_locked:
             shown -= limit_length(shown - path[known].mean(0), MAX_LOCK_DISPLACEMENT_M)
         else:
             shown = gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
-        shown[:, UP] = height
+        shown[:, UP_AXIS] = height
         target[span] = shown
     return target
 

@@ -17,7 +17,7 @@ MAX_HEEL_MARKER_M = 0.02
 """The foremost place along the foot, before the ankle, of a marker that stands for the heel."""
 MIN_TOE_MARKER_M = 0.08
 """The rearmost place along the foot, before the ankle, of a marker that stands for the toes."""
-MIN_VISIBLE_SHARE = 0.8
+MIN_SHOWN_SHARE = 0.8
 """Share of frames in which such a marker is visible; the body shows where it is in the others."""
 
 
@@ -50,7 +50,7 @@ def build_foot_points(
         heel = position[:, foot] + rotation[:, foot] @ (bone * [HEEL_PER_FOOT, 1.0, HEEL_PER_FOOT])
         tip = position[:, toe] + rotation[:, toe] @ end
         place = _compute_place_along_foot(subject, foot, toe)
-        is_usable = np.isfinite(place) & (visible.mean(0) >= MIN_VISIBLE_SHARE) & np.isfinite(shown).all((0, 2))
+        is_usable = np.isfinite(place) & (visible.mean(0) >= MIN_SHOWN_SHARE) & np.isfinite(shown).all((0, 2))
         rearmost, foremost = _find_extreme_markers(place, is_usable)
         if rearmost is not None and place[rearmost] < MAX_HEEL_MARKER_M:
             heel = shown[:, rearmost]

@@ -6,7 +6,7 @@ from scipy.ndimage import binary_dilation
 
 from mocapfix.stats.sequences import find_runs
 
-MAX_KNOWN_SD_M = 0.03
+MAX_SHOWN_JOINT_SD_M = 0.03
 """Standard deviation above which a joint's position is never known."""
 MAX_SD_RATIO = 1.5
 """Standard deviation, relative to the take's usual one, above which the joint lacks its markers."""
@@ -26,7 +26,7 @@ PLACE_WINDOW_S = 0.1
 def find_known_frames(position_sd: Float[np.ndarray, " T"], rate: float) -> Bool[np.ndarray, " T"]:
     """Return the frames whose markers show a joint, by the predicted standard deviation (T,) of its position in metres."""
     usual = float(np.percentile(position_sd, USUAL_SD_PERCENTILE)) if len(position_sd) else 0.0
-    is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_KNOWN_SD_M)
+    is_unknown = position_sd > min(max(MAX_SD_RATIO * usual, 1e-9), MAX_SHOWN_JOINT_SD_M)
     return np.logical_not(binary_dilation(is_unknown, iterations=max(1, round(BORDER_S * rate))))
 
 

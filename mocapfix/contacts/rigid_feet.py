@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-HORIZONTAL = [0, 2]
-UP = 1
+HORIZONTAL_AXES = [0, 2]
+UP_AXIS = 1
 MIN_HELD_SHARE = 1e-3
 """Share that a joint which is not held counts beside one that is."""
 MIN_DISTANCE_M = 1e-3
@@ -25,9 +25,9 @@ def restore_foot_length(
     """
     ankle_share, toe_share = (np.maximum(share, MIN_HELD_SHARE)[:, None] for share in held_share)
     between = toe - ankle
-    distance = np.maximum(np.linalg.norm(between[:, HORIZONTAL], axis=1), MIN_DISTANCE_M)
-    wanted = np.sqrt(np.maximum(length_m**2 - between[:, UP] ** 2, MIN_DISTANCE_M**2))
+    distance = np.maximum(np.linalg.norm(between[:, HORIZONTAL_AXES], axis=1), MIN_DISTANCE_M)
+    wanted = np.sqrt(np.maximum(length_m**2 - between[:, UP_AXIS] ** 2, MIN_DISTANCE_M**2))
     correction = (1 - wanted / distance)[:, None] * between
-    correction[:, UP] = 0.0
+    correction[:, UP_AXIS] = 0.0
     ankle_part = toe_share / (ankle_share + toe_share)
     return ankle + ankle_part * correction, toe - (1 - ankle_part) * correction

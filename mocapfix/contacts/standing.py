@@ -15,7 +15,7 @@ LOG_SPEED_WIDTH = 0.3
 """Change of the logarithm of the speed that changes the cost by 1."""
 MAX_STATE_COST = 3.0
 """Largest cost of a state in a frame: a single fast frame is no proof of a step."""
-STATE_CHANGE_COST = 2.0
+STANDING_CHANGE_COST = 2.0
 """Cost of a change of state, at the rate for which it was chosen; several frames must contradict a state to change it."""
 MIN_STANDING_S = 0.1
 """Shortest time for which a joint stands."""
@@ -46,7 +46,7 @@ def detect_standing(
     if is_ignored is not None:
         state_cost[is_ignored] = 0.0
     step_cost = np.zeros((frames - 1, 2, 2))
-    step_cost[:, 0, 1] = step_cost[:, 1, 0] = STATE_CHANGE_COST
+    step_cost[:, 0, 1] = step_cost[:, 1, 0] = STANDING_CHANGE_COST
     return remove_short_runs(find_cheapest_states(step_cost, state_cost).astype(bool), rate)
 
 

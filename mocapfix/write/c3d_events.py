@@ -15,7 +15,8 @@ MAX_REPEATED_EVENT_S = 0.1
 """Time from an event of the file up to which a detected one of the same foot and kind is the same."""
 LABELS = {"foot strike": "Foot Strike", "foot off": "Foot Off"}
 ICONS = {"foot strike": 1, "foot off": 2}
-SECONDS_PER_MINUTE = 60.0
+EVENT_TIME_UNIT_S = 60.0
+"""The unit of the first of the two numbers of a time: a minute."""
 
 
 class FileEvent(NamedTuple):
@@ -64,7 +65,7 @@ def read_c3d_events(head: C3dHead) -> list[FileEvent]:
     count = min(len(labels), len(numbers["TIMES"]) // 2)
     contexts, descriptions, subjects = ((each + [""] * count)[:count] for each in texts.values())
     icons, flags = ((numbers[name] + [0.0] * count)[:count] for name in ("ICON_IDS", "GENERIC_FLAGS"))
-    times = [SECONDS_PER_MINUTE * numbers["TIMES"][2 * k] + numbers["TIMES"][2 * k + 1] for k in range(count)]
+    times = [EVENT_TIME_UNIT_S * numbers["TIMES"][2 * k] + numbers["TIMES"][2 * k + 1] for k in range(count)]
     return [FileEvent(*each) for each in zip(labels[:count], contexts, descriptions, subjects, times, icons, flags, strict=True)]
 
 
@@ -82,7 +83,7 @@ def _is_repeated(event: FileEvent, other: FileEvent) -> bool:
 def _replace_events(head: C3dHead, events: Sequence[FileEvent]) -> bytes:
     """Return the bytes before the data with these events."""
     count = len(events)
-    times = [number for event in events for number in divmod(event.time_s, SECONDS_PER_MINUTE)]
+    times = [number for event in events for number in divmod(event.time_s, EVENT_TIME_UNIT_S)]
     return head.replace_parameters(
         EVENT_GROUP,
         {
