@@ -88,7 +88,9 @@ def compute_target(
         shown = np.stack([np.interp(frames[span], known, path[known, axis]) for axis in range(3)], axis=1)
         height = shown[:, UP_AXIS].copy()
         if is_locked:
-            shown -= limit_length(shown - path[known].mean(0), MAX_LOCK_DISPLACEMENT_M)
+            from_mean = shown - path[known].mean(0)
+            from_mean[:, UP_AXIS] = 0.0
+            shown -= limit_length(from_mean, MAX_LOCK_DISPLACEMENT_M)
         else:
             shown = gaussian_filter1d(shown, SOFT_SMOOTHING_S * rate, axis=0, mode="nearest")
         shown[:, UP_AXIS] = height
