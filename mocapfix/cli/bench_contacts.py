@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,7 +72,8 @@ def build_held_table(errors: "Sequence[HeldFeetErrors]") -> Table:
     for each in errors:
         groups[each.damage, each.mode].append(each)
     for (damage, mode), rows in groups.items():
-        table.add_row(damage, mode, *(format(average_errors(rows, key), text) for key, _, text in HELD_COLUMNS))
+        values = [(average_errors(rows, key), number_format) for key, _, number_format in HELD_COLUMNS]
+        table.add_row(damage, mode, *("" if isnan(value) else format(value, number_format) for value, number_format in values))
     return table
 
 
