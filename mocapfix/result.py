@@ -179,7 +179,7 @@ class CleaningResult:
         report = self.subject_report
         notes = [*report["notes"], *build_output_notes(options, self.input_take, exported_motion is not None)]
         if self.requested.contacts.write_events and not isinstance(self.input_take.layout, C3dLayout):
-            notes.append("Events are not in the cleaned file (--events): only C3D has a place for them; --also events lists them.")
+            notes.append("The cleaned file has no events (--events), since only C3D has a place for them; use --also events.")
         final_report: Report = {**report, "arguments": arguments, "seconds": timer.stage_seconds, "notes": notes}
         final = replace(self, report=final_report)._drop_samples(unstorable_samples)
         for each in list_output_formats(options):

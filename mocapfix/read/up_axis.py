@@ -143,7 +143,11 @@ def classify_label_height(label: str) -> int | None:
     """Return 2 for a label of the head or shoulders, 1 for the pelvis, 0 for the feet, None for any other."""
     words = [word.upper() for word in WORD_PATTERN.findall(label.rsplit(":", 1)[-1])]
     name = "".join(words)
-    names = {name, *(name.removeprefix(side) for pair in LABEL_SIDES for side in pair), *(name.removesuffix(side) for side in LABEL_SIDES[1])}
+    names = {
+        name,
+        *(name.removeprefix(side) for pair in LABEL_SIDES for side in pair),
+        *(name.removesuffix(side) for side in LABEL_SIDES[1]),
+    }
     names |= {word for word in words if len(word) > 2}
     heights = [height for height, known in ((2, HEAD_NAMES), (1, PELVIS_NAMES), (0, FOOT_NAMES)) if names & known]
     return heights[-1] if heights else None
