@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mocapfix.files.layouts import C3dLayout
+from mocapfix.take import Take
+
 ENCODINGS = [(processor, is_float) for processor in (84, 85, 86) for is_float in (False, True)]
 Value = str | int | float | list[str] | list[int]
 
@@ -41,6 +44,12 @@ def c3d_bytes(
     section = _parameter_section({**given, **(extra or {})}, processor, order)
     header = _header(points, first, frames, -scale if is_float else scale, 2 + len(section) // 512, processor, order)
     return header + section + _data(xyz, words, encoding, scale, order)
+
+
+def get_layout(take: Take) -> C3dLayout:
+    """Return where the parts of the C3D file of a take are."""
+    assert isinstance(take.layout, C3dLayout)
+    return take.layout
 
 
 def vax(value: float) -> bytes:

@@ -10,6 +10,7 @@ import yaml
 from mocapfix import pipeline, synthetic
 from mocapfix.animations.clean import AnimationResult
 from mocapfix.motion import Motion
+from mocapfix.options import CleanOptions
 from mocapfix.read import bvh
 from mocapfix.write.bvh import write_bvh
 
@@ -112,6 +113,7 @@ def test_declined_change_leaves_that_contact_as_it_was(path, locked, tmp_path, d
     again = pipeline.clean(path, feet="lock", review_files=(tmp_path / "mine.yaml",))
     assert isinstance(again, AnimationResult)
     side = declined["markers"][0].removesuffix("UpLeg").lower()
+    assert again.contacts is not None
     middle = (declined["first"] + declined["last"]) // 2 - 1
     columns = np.concatenate([again.animation.joint_columns[again.animation.names.index(name)] for name in declined["markers"]])
     runs = [
@@ -134,7 +136,7 @@ def test_declined_change_leaves_that_contact_as_it_was(path, locked, tmp_path, d
     ],
 )
 def test_options_limit_what_changes(path, options, joints):
-    result = pipeline.clean(path, **{"feet": "lock", **options})
+    result = pipeline.clean(path, CleanOptions().change(**{"feet": "lock", **options}))
     assert isinstance(result, AnimationResult)
     assert find_changed_joints(result) == joints
     if "frames" in options:
@@ -159,5 +161,5 @@ def test_knees_that_are_hinges_are_named_and_left_unchanged(path, tmp_path):
     result = pipeline.clean(tmp_path / "hinge.bvh", feet="lock")
     assert isinstance(result, AnimationResult)
     assert find_changed_joints(result) <= {name for name in LEGS if name.startswith("Right")}
-    notes = [note for note in result.report["notes"] if "left foot is not held" in note]
+    notes = [note for note in result.subject_report["notes"] if "left foot is not held" in note]
     assert notes == ["The left foot is not held: in hinge.bvh its thigh, shin or foot turns about fewer than three axes."]

@@ -42,9 +42,14 @@ def test_a_body_without_feet_has_none(contacts):
 def test_what_was_done_to_the_feet_is_known(brief, mode):
     result = pipeline.clean(brief.path, subject=brief.subject, feet=mode)
     other = pipeline.clean(brief.path, subject=brief.subject, feet="off")
+    assert result.subject is not None
+    assert result.contacts is not None
+    assert result.joint_position_world is not None
+    assert other.joint_position_world is not None
     feet = [result.subject.skeleton.names.index(joint) for joint in CONTACT_JOINTS]
     moved_m = np.linalg.norm((result.joint_position_world - other.joint_position_world)[:, feet], axis=-1).max()
     assert result.contacts.held_feet.mode == mode
     assert result.contacts.held_feet.largest_displacement_m == pytest.approx(moved_m, abs=1e-9)
+    assert "contacts" in result.report
     assert (moved_m > 0) == (mode != "off")
     assert result.report["contacts"]["feet"]["largest_displacement_mm"] == pytest.approx(moved_m * 1e3, abs=0.006)

@@ -6,8 +6,9 @@ import ezc3d
 import numpy as np
 import pytest
 
-from mocapfix.read.capture import read_capture
+from mocapfix.read.capture import read_take
 from mocapfix.read.force_plates import ForcePlate, read_force_plates
+from tests.c3d_files import get_layout
 
 CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
 FRAMES, SAMPLES_PER_FRAME, RATE = 40, 10, 100.0
@@ -19,8 +20,10 @@ LOAD_N = 700.0
 LOADED = slice(100, 300)
 
 
-def write_plates(path: Path, kinds: tuple[int, ...], zero: tuple[int, int] = (1, 0), baseline_n: float = 0.0, **removed) -> None:
-    """Write a C3D with plates of these types that bear LOAD_N downwards in the samples LOADED."""
+def write_plates(
+    path: Path, kinds: tuple[int, ...], zero: tuple[int, int] = (1, 0), baseline_n: float = 0.0, removed: str = ""
+) -> None:
+    """Write a C3D with plates of these types that bear LOAD_N downwards in the samples LOADED, without one parameter."""
     rng = np.random.default_rng(0)
     counts = [CHANNEL_COUNTS[kind] for kind in kinds]
     analog = rng.normal(0, 1, (sum(counts), FRAMES * SAMPLES_PER_FRAME))
@@ -71,14 +74,14 @@ def write_plates(path: Path, kinds: tuple[int, ...], zero: tuple[int, int] = (1,
         is_whole = name in ("USED", "TYPE", "ZERO", "CHANNEL")
         array = np.asarray(value).astype(int if is_whole else float)
         group[name] = {"type": INTEGER if is_whole else FLOAT, "value": array, "description": "", "is_locked": False}
-    for name in removed:
-        group.pop(name)
+    if removed:
+        group.pop(removed)
     file.write(str(path))
 
 
 def read(path: Path) -> list[ForcePlate]:
     """Return the plates of a file."""
-    return read_force_plates(path.read_bytes(), read_capture(path, "Z").layout)
+    return read_force_plates(path.read_bytes(), get_layout(read_take(path, "Z")))
 
 
 @pytest.mark.parametrize("kinds", [(1,), (2,), (3,), (4,), (2, 2), (2, 3, 4)])
@@ -117,19 +120,19 @@ def test_the_baseline_of_unloaded_frames_is_removed(tmp_path):
 
 @pytest.mark.parametrize("missing", ["TYPE", "CORNERS", "CHANNEL"])
 def test_plates_that_are_described_incompletely_are_none(tmp_path, missing):
-    write_plates(tmp_path / "plates.c3d", (2,), **{missing: True})
+    write_plates(tmp_path / "plates.c3d", (2,), removed=missing)
     assert read(tmp_path / "plates.c3d") == []
 
 
 def test_a_calibrated_plate_without_its_matrix_is_none(tmp_path):
-    write_plates(tmp_path / "plates.c3d", (4,), CAL_MATRIX=True)
+    write_plates(tmp_path / "plates.c3d", (4,), removed="CAL_MATRIX")
     assert read(tmp_path / "plates.c3d") == []
 
 
 def test_a_damaged_head_gives_no_plates_and_no_error(tmp_path):
     path = tmp_path / "plates.c3d"
     write_plates(path, (2,))
-    layout, data = read_capture(path, "Z").layout, bytearray(path.read_bytes())
+    layout, data = get_layout(read_take(path, "Z")), bytearray(path.read_bytes())
     for start in range(512, layout.data_start_byte - 40, 97):
         damaged = bytes(data[:start] + bytes(40) + data[start + 40 :])
         assert isinstance(read_force_plates(damaged, layout), list)
@@ -139,7 +142,7 @@ def test_a_damaged_head_gives_no_plates_and_no_error(tmp_path):
 @pytest.mark.parametrize("name", ["JA1Gait35", "FunctionalWalk", "ADemo1_pc_integer", "walking2", "Qualisys"])
 def test_forces_of_captures_are_those_of_ezc3d(name):
     path = CAPTURES / f"{name}.c3d"
-    plates = read_force_plates(path.read_bytes(), read_capture(path).layout)
+    plates = read_force_plates(path.read_bytes(), get_layout(read_take(path)))
     expected = ezc3d.c3d(str(path), extract_forceplat_data=True)["data"]["platform"]
     assert len(plates) == len(expected) > 0
     for plate, other in zip(plates, expected, strict=True):
@@ -151,6 +154,6 @@ def test_one_capture_in_three_encodings_has_one_force():
     forces = []
     for name in ("pc_int", "dec_real", "sgi_real"):
         path = CAPTURES / f"{name}.c3d"
-        forces.append([plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), read_capture(path).layout)])
+        forces.append([plate.vertical_force_n for plate in read_force_plates(path.read_bytes(), get_layout(read_take(path)))])
     for other in forces[1:]:
         np.testing.assert_allclose(other, forces[0], atol=1.0)

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from mocapfix.contacts.contacts import GaitEvent, HeldFeet, build_no_contacts
 from mocapfix.contacts.floor import Floor
 from mocapfix.report.contact_section import build_contact_section
-from mocapfix.report.contact_timeline import MAX_STRIP_S, MAX_STRIPS, build_contact_part, describe_contact_section, divide_take
+from mocapfix.report.contact_timeline import (
+    MAX_STRIP_S,
+    MAX_STRIPS,
+    ContactPart,
+    build_contact_part,
+    describe_contact_section,
+    divide_take,
+)
 from mocapfix.report.html_report import write_html_report
 from mocapfix.report.terms import JOINT_TERMS, MARKER_TERMS
 from tests.report.contact_examples import FIRST_FRAME, RATE, build_contacts, build_empty_take, build_walk
@@ -19,9 +26,11 @@ from tests.report.contact_examples import FIRST_FRAME, RATE, build_contacts, bui
 STRIKE = GaitEvent("left", "foot strike", 4.0, "markers")
 
 
-def build_part(contacts, frames=1000, terms=MARKER_TERMS):
+def build_part(contacts, frames=1000, terms=MARKER_TERMS) -> ContactPart:
     take = build_empty_take(frames)
-    return build_contact_part(build_contact_section(contacts, take), contacts, take, terms)
+    part = build_contact_part(build_contact_section(contacts, take), contacts, take, terms)
+    assert part is not None
+    return part
 
 
 def read_runs(path: str) -> list[tuple[float, float]]:
@@ -96,8 +105,9 @@ def test_text_gives_floor_feet_events_and_cadence():
 
 
 def test_without_feet_there_is_no_part():
-    assert build_part(build_no_contacts(1000, RATE)) is None
-    assert build_contact_part(None, None, build_empty_take(), MARKER_TERMS) is None
+    take, contacts = build_empty_take(), build_no_contacts(1000, RATE)
+    assert build_contact_part(build_contact_section(contacts, take), contacts, take, MARKER_TERMS) is None
+    assert build_contact_part(None, None, take, MARKER_TERMS) is None
 
 
 @pytest.mark.parametrize("has_contacts", [True, False])

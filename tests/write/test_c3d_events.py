@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.contacts.contacts import GaitEvent
-from mocapfix.read.capture import read_capture
+from mocapfix.read.capture import read_take
 from mocapfix.write.c3d_events import MAX_EVENTS, add_c3d_events, read_c3d_events
 from mocapfix.write.c3d_head import C3dHead
-from tests.c3d_files import ENCODINGS, c3d_bytes
+from tests.c3d_files import ENCODINGS, c3d_bytes, get_layout
 
 CAPTURES = Path(__file__).parents[3] / "shared" / "data" / "captures" / "c3d"
 RATE = 120.0
@@ -32,12 +32,12 @@ def make_file(encoding=(84, True), first: int = 1, extra=None) -> bytes:
 def write(path: Path, data: bytes) -> int:
     """Write a file, and return where its data begin."""
     path.write_bytes(data)
-    return read_capture(path, "Z").layout.data_start_byte
+    return get_layout(read_take(path, "Z")).data_start_byte
 
 
 def read_events(path: Path):
     """Return the events of a file, and its layout."""
-    layout = read_capture(path, "Z").layout
+    layout = get_layout(read_take(path, "Z"))
     return read_c3d_events(C3dHead(path.read_bytes()[: layout.data_start_byte])), layout
 
 
@@ -60,9 +60,9 @@ def test_events_are_read_as_they_were_written(tmp_path, encoding):
 def test_markers_and_all_bytes_of_data_are_unchanged(tmp_path, encoding):
     path, data = tmp_path / "walk.c3d", make_file(encoding)
     start = write(path, data)
-    before = read_capture(path, "Z")
+    before = read_take(path, "Z")
     add_c3d_events(path, start, EVENTS, 1, RATE)
-    after, layout = read_capture(path, "Z"), read_events(path)[1]
+    after, layout = read_take(path, "Z"), read_events(path)[1]
     assert path.read_bytes()[layout.data_start_byte :] == data[start:]
     np.testing.assert_array_equal(after.markers, before.markers)
     assert after.labels == before.labels
@@ -74,7 +74,7 @@ def test_all_other_parameters_are_unchanged(tmp_path, encoding):
     start = write(path, make_file(encoding, extra={"SUBJECTS:NAMES": ["Ann", "Bob"], "POINT:DESCRIPTIONS": ["a", "b", "c", "d"]}))
     before = C3dHead(path.read_bytes()[:start]).records
     add_c3d_events(path, start, EVENTS, 1, RATE)
-    after = C3dHead(path.read_bytes()[: read_capture(path, "Z").layout.data_start_byte]).records
+    after = C3dHead(path.read_bytes()[: get_layout(read_take(path, "Z")).data_start_byte]).records
     kept = {(each.group, each.name): each.content for each in after}
     for each in before:
         if each.name != "DATA_START":
@@ -151,13 +151,14 @@ def test_captures_keep_their_events_and_all_else(tmp_path, name):
     data = (CAPTURES / f"{name}.c3d").read_bytes()
     path = tmp_path / f"{name}.c3d"
     path.write_bytes(data)
-    take = read_capture(path)
-    start = take.layout.data_start_byte
+    take = read_take(path)
+    start = get_layout(take).data_start_byte
     known = read_c3d_events(C3dHead(data[:start]))
     added = add_c3d_events(path, start, [GaitEvent("left", "foot strike", 977.0, "markers")], take.first_frame, take.rate)
-    after = read_capture(path)
-    found = read_c3d_events(C3dHead(path.read_bytes()[: after.layout.data_start_byte]))
+    after = read_take(path)
+    data_start = get_layout(after).data_start_byte
+    found = read_c3d_events(C3dHead(path.read_bytes()[:data_start]))
     assert added == 1
     assert found[:-1] == known
-    assert path.read_bytes()[after.layout.data_start_byte :] == data[start:]
+    assert path.read_bytes()[data_start:] == data[start:]
     np.testing.assert_array_equal(after.markers, take.markers)

@@ -93,7 +93,7 @@ def test_files_of_a_take_agree_with_its_bvh_and_npz(cleaned, tmp_path, rate):
     options = OutputOptions(extra_formats=("contacts", "events", "npz"), output_rate_hz=rate, floor_height_m=0.25)
     outputs = cleaned.result.write(tmp_path, options=options)
     contacts, bvh = json.loads(outputs["contacts.json"].read_text()), outputs["bvh"].read_text()
-    frames = int(re.search(r"Frames: (\d+)", bvh)[1])
+    frames = int(re.findall(r"Frames: (\d+)", bvh)[0])
     assert set(CONTACT_JOINTS) <= set(contacts)
     assert sum(len(contacts[joint]) for joint in CONTACT_JOINTS) > 10
     assert all(0 <= first <= last < frames for each in contacts.values() for first, last in each)
@@ -125,7 +125,10 @@ def test_each_of_several_people_has_files(tmp_path):
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("contacts", "events", "npz")))
     jim, ann = (json.loads(outputs[f"{name}.contacts.json"].read_text()) for name in ("Jim", "Ann"))
     assert sum(map(len, jim.values())) > 3
-    for report in result.report["people"].values():
+    reports = [part.subject_report for part in result.subject_results]
+    assert len(reports) == 2
+    for report in reports:
+        assert "contacts" in report
         assert report["contacts"]["joints"]["LeftFoot"]["contacts"] > 0
     frames = len(truth.marker_positions)
     for joint in CONTACT_JOINTS:  # both people move alike
@@ -148,6 +151,7 @@ def test_a_take_without_visible_feet_has_empty_files_and_a_note(tmp_path):
     outputs = result.write(tmp_path / "out", options=OutputOptions(extra_formats=("contacts", "events")))
     assert set(map(tuple, json.loads(outputs["contacts.json"].read_text()).values())) == {()}
     assert outputs["events.csv"].read_text() == "time_s,frame,side,event,source\n"
-    assert result.report["contacts"]["floor"] is None
-    assert any("do not show both feet" in note for note in result.report["notes"])
+    assert "contacts" in result.subject_report
+    assert result.subject_report["contacts"]["floor"] is None
+    assert any("do not show both feet" in note for note in result.subject_report["notes"])
     assert "Contacts with the floor" not in outputs["report.html"].read_text()
