@@ -26,6 +26,8 @@ MAX_FOOT_YAW_RAD = np.deg2rad(45.0)
 DEFAULT_BALL_HEIGHT = 0.03
 """Height of the ball joint above the sole, as a share of the leg's length, where the rest pose does not stand at height 0."""
 MAX_BALL_HEIGHT = 0.15
+MAX_BALL_DEPTH = 0.03
+"""Heights between which the balls of a figure are that stands on height 0; below 0 they are taken to be at 0."""
 DEFAULT_FOOT_LENGTH = 0.15
 """Distance from the ankle to the ball of the foot, as a share of the leg's length, of a foot without toes and tail."""
 DEFAULT_ANKLE_HEIGHT = 0.08
@@ -140,9 +142,9 @@ class BodyFrame:
             foot = self.segment_bones[f"{side}_foot"]
             axes = self.rest_rotation[foot] @ self.standard_rotations[foot].T
             heights.append(float((self.find_head(f"{side}_foot") + axes @ self.compute_ball(side))[1]))
-        height = float(np.mean(heights))
-        is_standing = 0.0 <= height < MAX_BALL_HEIGHT * self.leg_length_m
-        return height if is_standing else DEFAULT_BALL_HEIGHT * self.leg_length_m
+        height = float(np.mean(heights)) / self.leg_length_m
+        is_standing = -MAX_BALL_DEPTH <= height < MAX_BALL_HEIGHT
+        return (max(height, 0.0) if is_standing else DEFAULT_BALL_HEIGHT) * self.leg_length_m
 
     @property
     def ankle_height_m(self) -> float:

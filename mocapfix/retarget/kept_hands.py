@@ -1,9 +1,9 @@
 """Where the hands of a character shall be.
 
 Away from the body a hand is where the arm's bones point as in the source: in the same direction from the shoulder, at the same
-share of the arm's length. Near a part of the body (thighs, trunk, head, the other forearm) the palm keeps its place beside that
-part: the vector from the nearest point of the part's axis. So a hand on a thigh stays on the thigh of a character with longer
-arms, and does not pass through it.
+share of the arm's length. Near a part of the body (thighs, trunk, head) the palm keeps its vector across the part's axis. So a
+hand on a thigh stays on the thigh of a character with longer arms, and does not pass through it. Palms that are near each other
+stay so.
 """
 
 from collections.abc import Mapping
@@ -27,6 +27,8 @@ MIN_PLACE_WEIGHT = 1e-12
 MAX_REACH = 0.999
 """Share of the arm's length up to which a hand's target is reached."""
 MIN_PALM_DISTANCE_M = 1e-6
+MIN_LINE_LENGTH2_M2 = 1e-12
+"""Squared length of a line below which it has no direction."""
 
 
 class BodyPart(NamedTuple):
@@ -49,20 +51,47 @@ def compute_hand_targets(
     target_position  segment to (T, 3) m: where it begins, before the hands are placed
     """
     arm_ratio = target.arm_length_m / source.arm_length_m
-    targets: dict[str, Float[np.ndarray, "T 3"]] = {}
-    for side, other in (("left", "right"), ("right", "left")):
-        wrist, shoulder = motion.position[f"{side}_hand"], target_position[f"{side}_upper_arm"]
-        hand = motion.rotation[f"{side}_hand"]
-        from_wrist = hand @ target.compute_palm(side)
-        free = shoulder + arm_ratio * (wrist - motion.position[f"{side}_upper_arm"]) + from_wrist
-        palm = wrist + hand @ source.compute_palm(side)
-        parts = [*LEG_PARTS, *TRUNK_PARTS, BodyPart(f"{other}_forearm", f"{other}_hand")]
-        parts = [part for part in parts if all(end in motion.position and end in target_position for end in part)]
-        places = BesideParts.allocate(len(palm))
-        for part in parts:
-            places.add(palm, [motion.position[end] for end in part], [target_position[end] for end in part], (source, target))
-        targets[side] = limit_reach(places.combine(free) - from_wrist, shoulder, target.arm_length_m)
-    return targets
+    palms: dict[str, Float[np.ndarray, "T 3"]] = {}
+    source_palms: dict[str, Float[np.ndarray, "T 3"]] = {}
+    for side in SIDES:
+        wrist, hand = motion.position[f"{side}_hand"], motion.rotation[f"{side}_hand"]
+        source_palms[side] = wrist + hand @ source.compute_palm(side)
+        arm = arm_ratio * (wrist - motion.position[f"{side}_upper_arm"])
+        free = target_position[f"{side}_upper_arm"] + arm + hand @ target.compute_palm(side)
+        places = BesideParts.allocate(len(free))
+        for part in (*LEG_PARTS, *TRUNK_PARTS):
+            if all(end in motion.position and end in target_position for end in part):
+                ends = [motion.position[end] for end in part], [target_position[end] for end in part]
+                places.add(source_palms[side], free, *ends, (source, target))
+        palms[side] = places.combine(free)
+    palms = keep_palms_together(source_palms, palms, source.trunk_length_m, target.trunk_length_m)
+    return {
+        side: limit_reach(
+            palm - motion.rotation[f"{side}_hand"] @ target.compute_palm(side),
+            target_position[f"{side}_upper_arm"],
+            target.arm_length_m,
+        )
+        for side, palm in palms.items()
+    }
+
+
+def keep_palms_together(
+    source_palms: Mapping[str, Float[np.ndarray, "T 3"]],
+    palms: Mapping[str, Float[np.ndarray, "T 3"]],
+    source_trunk_m: float,
+    target_trunk_m: float,
+) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Return the palms (T, 3) in metres by side, where they are near each other in the source as far apart as there.
+
+    Their middle stays where it is. Distances are compared in lengths of the trunk.
+    """
+    apart = source_palms["left"] - source_palms["right"]
+    nearness = compute_nearness(np.linalg.norm(apart, axis=1) / source_trunk_m)[:, None]
+    middle, half = (palms["left"] + palms["right"]) / 2, target_trunk_m / source_trunk_m * apart / 2
+    return {
+        "left": palms["left"] + nearness * (middle + half - palms["left"]),
+        "right": palms["right"] + nearness * (middle - half - palms["right"]),
+    }
 
 
 @dataclass
@@ -86,17 +115,25 @@ class BesideParts:
     def add(
         self,
         palm: Float[np.ndarray, "T 3"],
+        free: Float[np.ndarray, "T 3"],
         source_ends: list[Float[np.ndarray, "T 3"]],
         target_ends: list[Float[np.ndarray, "T 3"]],
         frames: tuple[BodyFrame, BodyFrame],
     ) -> None:
-        """Add the place beside a part, whose ends are given in the source and in the target."""
+        """Add the place beside a part, whose ends are given in the source and in the target.
+
+        How far along the part it is follows from the arm: a longer arm hangs lower.
+
+        palm  of the source;  free  (T, 3) m: of the target, by the arm's directions
+        """
         source, target = frames
-        share, vector = find_nearest_point(palm, *source_ends)
-        nearness = compute_nearness(np.linalg.norm(vector, axis=1) / source.trunk_length_m)
+        distance = np.linalg.norm(find_nearest_point(palm, *source_ends)[1], axis=1) / source.trunk_length_m
+        _, across = split_along_line(palm, *source_ends)
+        share, _ = split_along_line(free, *target_ends)
+        nearness = compute_nearness(distance)
         weight = nearness**NEARNESS_POWER
         axis = target_ends[1] - target_ends[0]
-        place = target_ends[0] + share[:, None] * axis + target.trunk_length_m / source.trunk_length_m * vector
+        place = target_ends[0] + share[:, None] * axis + target.trunk_length_m / source.trunk_length_m * across
         self.total += weight[:, None] * place
         self.weight += weight
         np.maximum(self.nearest, nearness, out=self.nearest)
@@ -143,15 +180,27 @@ def find_nearest_point(
     point: Float[np.ndarray, "T 3"], start: Float[np.ndarray, "T 3"], end: Float[np.ndarray, "T 3"]
 ) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T 3"]]:
     """Return the share of the way along a line of the point on it that is nearest, from 0 to 1, and the vector from there."""
+    share = np.clip(split_along_line(point, start, end)[0], 0.0, 1.0)
+    return share, point - start - share[:, None] * (end - start)
+
+
+def split_along_line(
+    point: Float[np.ndarray, "T 3"], start: Float[np.ndarray, "T 3"], end: Float[np.ndarray, "T 3"]
+) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T 3"]]:
+    """Return how far along a line a point is, in lengths of the line also beyond its ends, and its vector across the line."""
     axis = end - start
-    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_PALM_DISTANCE_M)
-    share = np.clip(share, 0.0, 1.0)
+    share = np.einsum("ti,ti->t", point - start, axis) / np.maximum(np.einsum("ti,ti->t", axis, axis), MIN_LINE_LENGTH2_M2)
     return share, point - start - share[:, None] * axis
 
 
 def compute_nearness(distance: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     """Return 1 up to NEAR_DISTANCE, 0 from FAR_DISTANCE on, and a smooth step between."""
-    share = np.clip((FAR_DISTANCE - distance) / (FAR_DISTANCE - NEAR_DISTANCE), 0.0, 1.0)
+    return compute_smooth_step(distance, NEAR_DISTANCE, FAR_DISTANCE)
+
+
+def compute_smooth_step(value: Float[np.ndarray, " T"], full: float, none: float) -> Float[np.ndarray, " T"]:
+    """Return 1 up to `full`, 0 from `none` on, and a cubic between with no slope at either end."""
+    share = np.clip((none - value) / (none - full), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 

@@ -1,7 +1,7 @@
 """Solve the poses of a character's segments under terms that say what of the source's motion is kept.
 
     orientation terms   pelvis, chest, head, hands and feet, in the world
-    direction terms     thighs, shins, upper arms and forearms
+    direction terms     thighs, shins, upper arms and forearms, and the planes in which knees bend
     point terms         ankles and wrists at their targets
     tracking term       the other rotations, and the pelvis at its height in leg lengths
     joint limits        of the character, where it has them
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import SIDES, TWISTING_SEGMENTS, Character
 from mocapfix.kernels.levenberg_marquardt import INITIAL_DAMPING_RATIO, solve_frames
@@ -36,7 +37,14 @@ OTHER_TRACKING_SD_RAD = 0.3
 LIMIT_SD_RAD = 0.1
 """Standard deviation of a joint's excess over its limits."""
 MAX_POSE_ITERATIONS = 30
+SIDEWAYS_SD_RAD = 0.2
+"""Standard deviation of the direction of a thigh's or shin's own sideways axis: it keeps the plane in which a knee bends."""
+MIN_START_FLEXION_RAD = np.deg2rad(8.0)
+"""Flexion of a knee with which its solve begins at least: a straight leg could bend either way."""
 DIRECTED_BONES = (("upper_arm", "forearm"), ("forearm", "hand"), ("thigh", "shin"), ("shin", "foot"))
+
+SIDEWAYS = np.array([1.0, 0.0, 0.0])
+"""Axis of a segment about which a knee bends, forwards for a positive angle."""
 
 
 class SegmentTargets(NamedTuple):
@@ -72,7 +80,7 @@ def solve_segments(tree: SolveTree, character: Character, targets: SegmentTarget
         _build_tracking_term(tree, local, targets.pelvis),
         _build_limit_term(tree, character),
     )
-    root, start = targets.pelvis.copy(), local.copy()
+    root, start = targets.pelvis.copy(), bend_straight_knees(tree, local)
     no_robust_scale, no_codes = np.array([np.inf]), np.zeros((frame_count, 0))
     status, iterations = np.zeros(frame_count, int), np.zeros(frame_count, int)
     run_over_frames(
@@ -80,6 +88,21 @@ def solve_segments(tree: SolveTree, character: Character, targets: SegmentTarget
         INITIAL_DAMPING_RATIO, MAX_POSE_ITERATIONS, count_rows(terms), root, start, no_codes, status, iterations,
     )  # fmt: skip
     return root, start
+
+
+def bend_straight_knees(tree: SolveTree, local: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
+    """Return local rotations with every knee flexed by MIN_START_FLEXION_RAD at least; the foot keeps its direction."""
+    bent = local.copy()
+    for side in SIDES:
+        thigh, shin, foot = (tree.find_joint(f"{side}_{segment}") for segment in ("thigh", "shin", "foot"))
+        axes = tree.standard_rotations
+        knee = axes[thigh] @ local[:, shin] @ axes[shin].T  # of the shin relative to the thigh, in the segments' axes
+        missing = np.maximum(MIN_START_FLEXION_RAD - Rotation.from_matrix(knee).as_rotvec()[:, 0], 0.0)
+        half, whole = (Rotation.from_rotvec(share * missing[:, None] * SIDEWAYS).as_matrix() for share in (0.5, 1.0))
+        bent[:, thigh] = bent[:, thigh] @ axes[thigh].T @ np.swapaxes(half, 1, 2) @ axes[thigh]
+        bent[:, shin] = axes[thigh].T @ whole @ knee @ axes[shin]
+        bent[:, foot] = axes[shin].T @ np.swapaxes(half, 1, 2) @ axes[shin] @ bent[:, foot]
+    return bent
 
 
 def compute_rotations_to_parents(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"]) -> Float[np.ndarray, "T N 3 3"]:
@@ -112,8 +135,15 @@ def _build_direction_term(tree: SolveTree, rotation: Float[np.ndarray, "T N 3 3"
             if joint >= 0 and tip >= 0 and np.linalg.norm(tree.tree.offsets[tip]) > 0 and tree.tree.parents[tip] == joint:
                 joints.append(joint)
                 axes.append(tree.tree.offsets[tip] / np.linalg.norm(tree.tree.offsets[tip]))
+    sd = [DIRECTION_SD_RAD] * len(joints)
+    for side in SIDES:
+        for segment in ("thigh", "shin"):
+            joint = tree.find_joint(f"{side}_{segment}")
+            joints.append(joint)
+            axes.append(tree.standard_rotations[joint].T @ SIDEWAYS)
+            sd.append(SIDEWAYS_SD_RAD)
     measured = np.ascontiguousarray((rotation[:, joints] @ np.array(axes)[:, :, None])[..., 0])
-    weight = np.full(measured.shape[:2], DIRECTION_SD_RAD**-2)
+    weight = np.tile(np.array(sd) ** -2.0, (len(measured), 1))
     return DirectionTerm(np.array(joints), np.array(axes), measured, weight)
 
 

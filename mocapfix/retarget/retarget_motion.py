@@ -20,6 +20,7 @@ from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
 from mocapfix.retarget.kept_contacts import hold_kept_feet
 from mocapfix.retarget.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.retarget.kept_positions import compute_kept_positions
+from mocapfix.retarget.leg_reach import keep_feet_within_reach
 from mocapfix.retarget.pose_segments import SegmentTargets, compute_rotations_to_parents, solve_segments
 from mocapfix.retarget.segment_motion import SegmentMotion, compute_segment_motion, keep_chain_direction, resample_chain
 from mocapfix.retarget.solve_tree import SolveTree, build_solve_tree
@@ -88,6 +89,7 @@ def build_retarget_problem(
     segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
     kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
+    kept = keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
     ankles = kept.ankles
     if locked_contacts is not None and locked_contacts.is_contact.any():
         feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}

@@ -48,9 +48,13 @@ def compute_twisted_bones(
 
 
 def compute_twist_angle(rotation: Float[np.ndarray, "T 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " T"]:
-    """Return the angle in radians, without jumps by a turn, of the part of rotations that turns about an axis (swing-twist)."""
-    quaternion = Rotation.from_matrix(rotation).as_quat()
-    return np.unwrap(2.0 * np.arctan2(quaternion[:, :3] @ axis, quaternion[:, 3]))
+    """Return the angle in radians of the part of rotations that turns about an axis (swing-twist), without jumps by a turn.
+
+    The median over the frames is within half a turn, so that a limb is not twisted the long way round for a whole take.
+    """
+    quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True)  # the scalar part is not negative
+    angle = np.unwrap(2.0 * np.arctan2(quaternion[:, :3] @ axis, quaternion[:, 3]))
+    return angle - 2 * np.pi * np.round(np.median(angle) / (2 * np.pi)) if len(angle) else angle
 
 
 def _find_share_along(frame: BodyFrame, bone: int, start: str, end: str) -> float:
