@@ -122,7 +122,7 @@ class CleaningResult:
         layout = self.input_take.layout
         if self.requested.contacts.write_events and isinstance(layout, C3dLayout):
             results = self.subject_results or (self,)
-            events = [event for result in results if result.contacts for event in result.contacts.events]
+            events = {result.input_take.main_subject: result.contacts.events for result in results if result.contacts}
             add_c3d_events(target, layout.data_start_byte, events, self.input_take.first_frame, self.input_take.rate)
         return unstorable
 

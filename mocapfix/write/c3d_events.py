@@ -1,6 +1,6 @@
 """Add events of gait to the EVENT group of a C3D file (C3D User Guide, "The EVENT Group"); all else keeps its bytes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,7 +31,9 @@ class FileEvent(NamedTuple):
     flag: float = 0
 
 
-def add_c3d_events(target: Path, data_start_byte: int, events: Sequence[GaitEvent], first_frame: int, rate: float) -> int:
+def add_c3d_events(
+    target: Path, data_start_byte: int, events_by_subject: Mapping[str, Sequence[GaitEvent]], first_frame: int, rate: float
+) -> int:
     """Add events of gait to the C3D file `target`, and return how many.
 
     An event that the file has already is not added. The time in a file begins at its frame 1, wherever its first frame is.
@@ -39,7 +41,7 @@ def add_c3d_events(target: Path, data_start_byte: int, events: Sequence[GaitEven
     Args:
         target: The file.
         data_start_byte: Where its data begin.
-        events: The events.
+        events_by_subject: The events of each person, by the name that the file has for that person; "" for none.
         first_frame: The file's number of its first frame.
         rate: Frames per second.
 
@@ -49,7 +51,8 @@ def add_c3d_events(target: Path, data_start_byte: int, events: Sequence[GaitEven
     data = target.read_bytes()
     head = C3dHead(data[:data_start_byte])
     known = read_c3d_events(head)
-    detected = [_convert_event(event, (first_frame - 1) / rate) for event in events]
+    start_s = (first_frame - 1) / rate
+    detected = [_convert_event(event, subject, start_s) for subject, events in events_by_subject.items() for event in events]
     added = [event for event in detected if not any(_is_repeated(event, other) for other in known)][: MAX_EVENTS - len(known)]
     if added:
         with replace_atomically(target) as part:
@@ -69,15 +72,18 @@ def read_c3d_events(head: C3dHead) -> list[FileEvent]:
     return [FileEvent(*each) for each in zip(labels[:count], contexts, descriptions, subjects, times, icons, flags, strict=True)]
 
 
-def _convert_event(event: GaitEvent, start_s: float) -> FileEvent:
+def _convert_event(event: GaitEvent, subject: str, start_s: float) -> FileEvent:
     source = "force plate" if "plate" in event.source else "markers"
     icon = ICONS[event.kind]
-    return FileEvent(LABELS[event.kind], event.side.capitalize(), f"detected from {source}", "", event.time_s + start_s, icon)
+    return FileEvent(
+        LABELS[event.kind], event.side.capitalize(), f"detected from {source}", subject, event.time_s + start_s, icon
+    )
 
 
 def _is_repeated(event: FileEvent, other: FileEvent) -> bool:
     is_same_kind = (event.label.upper(), event.context.upper()) == (other.label.upper(), other.context.upper())
-    return is_same_kind and abs(event.time_s - other.time_s) < MAX_REPEATED_EVENT_S
+    is_same_subject = not event.subject or not other.subject.strip() or event.subject.upper() == other.subject.strip().upper()
+    return is_same_kind and is_same_subject and abs(event.time_s - other.time_s) < MAX_REPEATED_EVENT_S
 
 
 def _replace_events(head: C3dHead, events: Sequence[FileEvent]) -> bytes:

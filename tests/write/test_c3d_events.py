@@ -45,7 +45,7 @@ def read_events(path: Path):
 def test_events_are_read_as_they_were_written(tmp_path, encoding):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file(encoding))
-    assert add_c3d_events(path, start, EVENTS, 1, RATE) == 3
+    assert add_c3d_events(path, start, {"": EVENTS}, 1, RATE) == 3
     found, _ = read_events(path)
     assert [(event.context, event.label, event.description) for event in found] == [
         ("Left", "Foot Strike", "detected from markers"),
@@ -61,7 +61,7 @@ def test_markers_and_all_bytes_of_data_are_unchanged(tmp_path, encoding):
     path, data = tmp_path / "walk.c3d", make_file(encoding)
     start = write(path, data)
     before = read_take(path, "Z")
-    add_c3d_events(path, start, EVENTS, 1, RATE)
+    add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
     after, layout = read_take(path, "Z"), read_events(path)[1]
     assert path.read_bytes()[layout.data_start_byte :] == data[start:]
     np.testing.assert_array_equal(after.markers, before.markers)
@@ -73,7 +73,7 @@ def test_all_other_parameters_are_unchanged(tmp_path, encoding):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file(encoding, extra={"SUBJECTS:NAMES": ["Ann", "Bob"], "POINT:DESCRIPTIONS": ["a", "b", "c", "d"]}))
     before = C3dHead(path.read_bytes()[:start]).records
-    add_c3d_events(path, start, EVENTS, 1, RATE)
+    add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
     after = C3dHead(path.read_bytes()[: get_layout(read_take(path, "Z")).data_start_byte]).records
     kept = {(each.group, each.name): each.content for each in after}
     for each in before:
@@ -84,35 +84,52 @@ def test_all_other_parameters_are_unchanged(tmp_path, encoding):
 def test_the_time_counts_from_frame_one_of_the_file(tmp_path):
     path = tmp_path / "cut.c3d"
     start = write(path, make_file(first=121))
-    add_c3d_events(path, start, EVENTS[:1], 121, RATE)
+    add_c3d_events(path, start, {"": EVENTS[:1]}, 121, RATE)
     assert read_events(path)[0][0].time_s == pytest.approx(1.25, abs=1e-5)
 
 
 def test_adding_events_twice_changes_nothing(tmp_path):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file())
-    add_c3d_events(path, start, EVENTS, 1, RATE)
+    add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
     once, layout = path.read_bytes(), read_events(path)[1]
     shifted = [event._replace(time_s=event.time_s + 0.03) for event in EVENTS]
-    assert add_c3d_events(path, layout.data_start_byte, shifted, 1, RATE) == 0
+    assert add_c3d_events(path, layout.data_start_byte, {"": shifted}, 1, RATE) == 0
     assert path.read_bytes() == once
 
 
 def test_events_of_the_file_are_kept_first(tmp_path):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file())
-    add_c3d_events(path, start, EVENTS[:1], 1, RATE)
+    add_c3d_events(path, start, {"": EVENTS[:1]}, 1, RATE)
     layout = read_events(path)[1]
     other = GaitEvent("right", "foot strike", 0.1, "markers")
-    assert add_c3d_events(path, layout.data_start_byte, [other], 1, RATE) == 1
+    assert add_c3d_events(path, layout.data_start_byte, {"": [other]}, 1, RATE) == 1
     found, _ = read_events(path)
     assert [(event.context, event.label) for event in found] == [("Left", "Foot Strike"), ("Right", "Foot Strike")]
+
+
+def test_events_of_several_people_have_their_names(tmp_path):
+    path = tmp_path / "two.c3d"
+    start = write(path, make_file(extra={"SUBJECTS:NAMES": ["Ann", "Bob"]}))
+    assert add_c3d_events(path, start, {"Ann": EVENTS, "Bob": EVENTS[:1]}, 1, RATE) == 4
+    found, layout = read_events(path)
+    assert [event.subject for event in found] == ["Ann", "Ann", "Ann", "Bob"]
+    assert add_c3d_events(path, layout.data_start_byte, {"Ann": EVENTS, "Bob": EVENTS[:2]}, 1, RATE) == 1  # not Ann's foot off
+    assert read_events(path)[0][-1][:4] == ("Foot Off", "Right", "detected from force plate", "Bob")
+
+
+def test_an_event_without_a_name_is_that_of_the_named_person(tmp_path):
+    path = tmp_path / "walk.c3d"
+    start = write(path, make_file())
+    add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
+    assert add_c3d_events(path, read_events(path)[1].data_start_byte, {"Ann": EVENTS}, 1, RATE) == 0
 
 
 def test_no_event_leaves_the_file_as_it_is(tmp_path):
     path, data = tmp_path / "walk.c3d", make_file()
     start = write(path, data)
-    assert add_c3d_events(path, start, (), 1, RATE) == 0
+    assert add_c3d_events(path, start, {"": ()}, 1, RATE) == 0
     assert path.read_bytes() == data
 
 
@@ -120,7 +137,7 @@ def test_more_events_than_a_parameter_can_hold(tmp_path):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file())
     events = [GaitEvent("left", "foot strike", 0.5 * k, "markers") for k in range(MAX_EVENTS + 20)]
-    assert add_c3d_events(path, start, events, 1, RATE) == MAX_EVENTS
+    assert add_c3d_events(path, start, {"": events}, 1, RATE) == MAX_EVENTS
     found, _ = read_events(path)
     assert len(found) == MAX_EVENTS
     assert found[-1].time_s == pytest.approx(0.5 * (MAX_EVENTS - 1), abs=1e-4)
@@ -130,14 +147,14 @@ def test_more_events_than_a_parameter_can_hold(tmp_path):
 def test_any_times_are_kept(tmp_path_factory, times):
     path = tmp_path_factory.mktemp("events") / "walk.c3d"
     start = write(path, make_file())
-    add_c3d_events(path, start, [GaitEvent("left", "foot strike", time, "markers") for time in times], 1, RATE)
+    add_c3d_events(path, start, {"": [GaitEvent("left", "foot strike", time, "markers") for time in times]}, 1, RATE)
     assert [event.time_s for event in read_events(path)[0]] == pytest.approx(times, abs=1e-4)
 
 
 def test_ezc3d_reads_the_events(tmp_path):
     path = tmp_path / "walk.c3d"
     start = write(path, make_file())
-    add_c3d_events(path, start, EVENTS, 1, RATE)
+    add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
     event = ezc3d.c3d(str(path))["parameters"]["EVENT"]
     assert event["USED"]["value"][0] == 3
     assert event["LABELS"]["value"] == ["Foot Strike", "Foot Off", "Foot Off"]
@@ -154,7 +171,7 @@ def test_captures_keep_their_events_and_all_else(tmp_path, name):
     take = read_take(path)
     start = get_layout(take).data_start_byte
     known = read_c3d_events(C3dHead(data[:start]))
-    added = add_c3d_events(path, start, [GaitEvent("left", "foot strike", 977.0, "markers")], take.first_frame, take.rate)
+    added = add_c3d_events(path, start, {"": [GaitEvent("left", "foot strike", 977.0, "markers")]}, take.first_frame, take.rate)
     after = read_take(path)
     data_start = get_layout(after).data_start_byte
     found = read_c3d_events(C3dHead(path.read_bytes()[:data_start]))
