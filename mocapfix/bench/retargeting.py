@@ -178,8 +178,8 @@ def measure_proportions(motions: Sequence[BenchMotion], report_progress: Callabl
         rows: dict[str, list[tuple[float, ...]]] = {"source": [], "copied": [], "retargeted": []}
         for each in motions:
             source, motion = build_cmu31_character(each.skeleton), convert_motion(each.motion, each.rate)
-            target, floor_m = build_proportions(each.skeleton)[name], each.contacts.floor.height_m
-            problem = build_retarget_problem(source, motion, target, floor_height_m=floor_m)
+            target = build_proportions(each.skeleton)[name]
+            problem = build_retarget_problem(source, motion, target, contacts=each.contacts)
             problem, poses = solve_retarget_problem(problem)
             retargeted, wanted = compose_character_motion(problem.target, problem.tree, *poses, motion.rate), problem.wrists
             rows["source"].append(measure_kept(source, motion, each.contacts, None))

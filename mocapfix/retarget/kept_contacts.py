@@ -1,6 +1,7 @@
 """Hold the feet of a character in the contacts of the source: at one place in the horizontal plane while a foot stands.
 
-The source's feet stand still where they are held, but a foot of another shape moves when the foot turns about its axis. So the
+Where the source's feet are held, ankle and ball stand still; the ankle of a foot of another shape moves when the foot rolls about
+the line from one to the other. So the
 character's own ankles and balls are held, as those of the source are (`contacts/foot_displacements.py`), and its feet turn.
 """
 
@@ -21,19 +22,15 @@ def hold_kept_feet(
     ankles: dict[str, Float[np.ndarray, "T 3"]],
     feet: dict[str, Float[np.ndarray, "T 3 3"]],
     contacts: BodyContacts,
-    rate: float,
 ) -> tuple[dict[str, Float[np.ndarray, "T 3"]], dict[str, Float[np.ndarray, "T 3 3"]]]:
     """Return ankles (T, 3) in metres and rotations S (T, 3, 3) of the feet, by side, with the feet held in contacts.
 
     ankles, feet  by side, before
-    contacts      of the source, at their own rate
-    rate          frames per second of the motion
+    contacts      of the source's feet, at the rate of the motion
     """
-    frame_count = len(ankles["left"])
-    at_rate = resample_foot_contacts(contacts, frame_count, rate)
     balls = {side: ankles[side] + feet[side] @ target.compute_ball(side) for side in SIDES}
     position = np.stack([place[side] for side in FOOT_JOINTS for place in (ankles, balls)], axis=1)
-    held = position + compute_foot_displacements(position, at_rate, is_locked=True)
+    held = position + compute_foot_displacements(position, contacts, is_locked=True)
     held_ankles: dict[str, Float[np.ndarray, "T 3"]] = {}
     held_feet: dict[str, Float[np.ndarray, "T 3 3"]] = {}
     for k, side in enumerate(FOOT_JOINTS):

@@ -16,8 +16,10 @@ from jaxtyping import Float
 
 from mocapfix.characters.character import SIDES, Character, CharacterMotion
 from mocapfix.contacts.contacts import BodyContacts
+from mocapfix.files.option_choices import FEET_LOCK
 from mocapfix.retarget.body_frames import BodyFrame, build_body_frame
-from mocapfix.retarget.kept_contacts import hold_kept_feet
+from mocapfix.retarget.flat_feet import level_feet, measure_flat_feet
+from mocapfix.retarget.kept_contacts import hold_kept_feet, resample_foot_contacts
 from mocapfix.retarget.kept_hands import compute_hand_targets, move_hands_out_of_thighs
 from mocapfix.retarget.kept_positions import compute_kept_positions
 from mocapfix.retarget.leg_reach import keep_feet_within_reach
@@ -61,17 +63,16 @@ def retarget_motion(
     motion: CharacterMotion,
     target: Character,
     *,
-    floor_height_m: float = 0.0,
-    locked_contacts: BodyContacts | None = None,
+    contacts: BodyContacts | None = None,
 ) -> CharacterMotion:
     """Return the motion of a target character that moves like the source.
 
     Both mappings must have all required segments. Places are scaled about the origin by the ratio of the legs' lengths.
 
-    floor_height_m   height of the source's floor; the target's is at height 0
-    locked_contacts  contacts of the source in which the target's feet are held at one place; None: they move as the source's do
+    contacts  of the source, at any rate. Their floor comes to height 0, feet that lie flat do so on the target, and if the feet
+              of the source were locked in them, so are the target's. Without contacts the source's floor is at height 0
     """
-    problem = build_retarget_problem(source, motion, target, floor_height_m=floor_height_m, locked_contacts=locked_contacts)
+    problem = build_retarget_problem(source, motion, target, contacts=contacts)
     problem, (pelvis, local) = solve_retarget_problem(problem)
     return compose_character_motion(problem.target, problem.tree, pelvis, local, motion.rate)
 
@@ -81,19 +82,22 @@ def build_retarget_problem(
     motion: CharacterMotion,
     target: Character,
     *,
-    floor_height_m: float = 0.0,
-    locked_contacts: BodyContacts | None = None,
+    contacts: BodyContacts | None = None,
 ) -> RetargetProblem:
     """Return what is kept of the motion; arguments as for `retarget_motion`."""
     source_frame, target_frame = build_body_frame(source), build_body_frame(target)
     segments, tree = compute_segment_motion(source_frame, motion), build_solve_tree(target_frame)
-    kept = compute_kept_positions(source_frame, target_frame, segments, floor_height_m)
+    feet_contacts = resample_foot_contacts(contacts, motion.frame_count, motion.rate) if contacts is not None else None
+    flat_feet = measure_flat_feet(source_frame, segments, feet_contacts)
+    floor_height_m = contacts.floor.height_m if contacts is not None else 0.0
+    kept = compute_kept_positions(source_frame, target_frame, segments, flat_feet, floor_height_m)
+    segments = level_feet(segments, flat_feet)
     rotation = spread_rotations(source_frame, target_frame, tree, segments)
     kept = keep_feet_within_reach(target_frame, kept, segments.rotation["pelvis"])
     ankles = kept.ankles
-    if locked_contacts is not None and locked_contacts.is_contact.any():
+    if feet_contacts is not None and feet_contacts.held_feet.mode == FEET_LOCK:
         feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}
-        ankles, feet = hold_kept_feet(target_frame, ankles, feet, locked_contacts, motion.rate)
+        ankles, feet = hold_kept_feet(target_frame, ankles, feet, feet_contacts)
         for side, foot in feet.items():
             joint = tree.find_joint(f"{side}_foot")
             rotation[:, joint] = foot @ tree.standard_rotations[joint]

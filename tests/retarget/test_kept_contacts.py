@@ -1,11 +1,14 @@
 """Feet of a character that are held in the contacts of the source."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mocapfix.bench.retargeting import build_contacts
 from mocapfix.characters.character import SIDES, compute_character_poses
 from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.motion import Motion
 from mocapfix.retarget.kept_contacts import resample_foot_contacts
 from mocapfix.retarget.retarget_motion import retarget_motion
@@ -41,8 +44,9 @@ def measure_drift_mm(character, motion, contacts) -> float:
 def test_locked_feet_drift_less(contacts, name):
     character, motion = load_walk()
     target = load_character_preset(name)
-    free = measure_drift_mm(target, retarget_motion(character, motion, target), contacts)
-    locked = measure_drift_mm(target, retarget_motion(character, motion, target, locked_contacts=contacts), contacts)
+    held = replace(contacts, held_feet=HeldFeet("lock", 0.0))
+    free = measure_drift_mm(target, retarget_motion(character, motion, target, contacts=contacts), contacts)
+    locked = measure_drift_mm(target, retarget_motion(character, motion, target, contacts=held), contacts)
     assert locked < 1.0
     assert locked < free / 2
 

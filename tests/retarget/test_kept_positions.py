@@ -5,6 +5,7 @@ import pytest
 
 from mocapfix.characters.character import SIDES, CharacterMotion
 from mocapfix.retarget.body_frames import build_body_frame
+from mocapfix.retarget.flat_feet import measure_flat_feet
 from mocapfix.retarget.kept_positions import compute_kept_positions, scale_positions
 from mocapfix.retarget.segment_motion import compute_segment_motion
 from tests.retarget.walking_body import load_walk, scale_limbs
@@ -19,7 +20,7 @@ def test_targets_on_the_same_body_are_its_own_joints():
     character, motion = load_walk()
     frame = build_body_frame(character)
     segments = compute_segment_motion(frame, motion)
-    kept = compute_kept_positions(frame, frame, segments)
+    kept = compute_kept_positions(frame, frame, segments, measure_flat_feet(frame, segments, None))
     assert kept.scale == 1.0
     np.testing.assert_allclose(kept.pelvis, segments.position["pelvis"], atol=1e-9)
     for side in SIDES:
@@ -31,7 +32,7 @@ def test_a_ball_that_stands_still_stands_still_on_other_legs(legs):
     character, motion = load_walk()
     source, target = build_body_frame(character), build_body_frame(scale_limbs(character, legs=legs))
     segments = compute_segment_motion(source, motion)
-    kept = compute_kept_positions(source, target, segments, floor_height_m=0.02)
+    kept = compute_kept_positions(source, target, segments, measure_flat_feet(source, segments, None), floor_height_m=0.02)
     for side in SIDES:
         foot = segments.rotation[f"{side}_foot"]
         ball = segments.position[f"{side}_foot"] + foot @ source.compute_ball(side)
@@ -44,7 +45,7 @@ def test_hips_have_the_same_height_in_leg_lengths():
     still = CharacterMotion(motion.pelvis_position[:1], motion.local_rotations[:1], motion.rate)
     source, target = build_body_frame(character), build_body_frame(scale_limbs(character, legs=1.3))
     segments = compute_segment_motion(source, still)
-    kept = compute_kept_positions(source, target, segments)
+    kept = compute_kept_positions(source, target, segments, measure_flat_feet(source, segments, None))
     pelvis = segments.rotation["pelvis"][0]
     heights = [
         float((root + pelvis @ frame.hip_centre)[1]) - frame.ankle_height_m

@@ -13,6 +13,8 @@ from mocapfix.characters.character import (
     compute_character_poses,
 )
 from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.contacts.contacts import build_no_contacts
+from mocapfix.contacts.floor import Floor
 from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.retarget.body_frames import build_body_frame
 from mocapfix.retarget.retarget_motion import build_retarget_problem, retarget_motion, solve_retarget_problem
@@ -95,8 +97,10 @@ def test_floor_of_the_character_is_at_height_zero():
     character, motion = load_walk()
     raised = CharacterMotion(motion.pelvis_position + [0.0, 0.3, 0.0], motion.local_rotations, motion.rate)
     target = load_character_preset("mixamo")
-    first = retarget_motion(character, motion, target, floor_height_m=0.0)
-    second = retarget_motion(character, raised, target, floor_height_m=0.3)
+    first, second = (
+        retarget_motion(character, each, target, contacts=replace(build_no_contacts(each.frame_count, each.rate), floor=floor))
+        for each, floor in ((motion, Floor(0.0, 0.0, (0.0,))), (raised, Floor(0.0, 0.0, (0.3,))))
+    )
     np.testing.assert_allclose(first.pelvis_position, second.pelvis_position, atol=1e-6)
 
 
