@@ -1,9 +1,12 @@
 """Where the hands shall be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import CharacterMotion
 from mocapfix.retarget.body_frames import build_body_frame
@@ -12,8 +15,10 @@ from mocapfix.retarget.kept_hands import (
     compute_hand_targets,
     compute_nearness,
     find_nearest_point,
+    keep_palms_together,
     limit_reach,
     move_hands_out_of_thighs,
+    split_along_line,
 )
 from mocapfix.retarget.segment_motion import compute_segment_motion
 from tests.retarget.walking_body import load_walk, scale_limbs
@@ -57,6 +62,47 @@ def test_free_hand_keeps_direction_and_share_of_the_arm():
     shoulder = segments.position["left_upper_arm"][0]
     expected = shoulder + 1.3 * (segments.position["left_hand"][0] - shoulder)
     np.testing.assert_allclose(hands["left"][0], expected, atol=2e-3)  # a thousandth of the arm is kept back from its full reach
+
+
+def hang_arms(character, spread_deg: float) -> CharacterMotion:
+    """Return the body standing with straight arms that hang at an angle to the vertical."""
+    _, still = pose_t()
+    local = still.local_rotations.copy()
+    for side, sign in (("left", -1), ("right", 1)):
+        turn = Rotation.from_euler("z", sign * (90 - spread_deg), degrees=True).as_matrix()
+        local[:, character.mapping.bones[f"{side}_upper_arm"][0]] = turn
+    return CharacterMotion(still.pelvis_position, local, still.rate)
+
+
+def test_longer_arms_that_hang_beside_the_thighs_stay_straight():
+    character, _ = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.15))
+    segments = compute_segment_motion(source, hang_arms(character, 8.0))
+    hands = compute_hand_targets(source, target, segments, segments.position)
+    reach = np.linalg.norm(hands["left"] - segments.position["left_upper_arm"], axis=1)
+    assert reach == pytest.approx(target.arm_length_m, rel=0.01)
+
+
+def test_palms_that_touch_still_touch_with_longer_arms():
+    source_palms = {"left": np.array([[0.02, 1.2, 0.3]]), "right": np.array([[-0.02, 1.2, 0.3]])}
+    palms = {"left": np.array([[-0.05, 1.2, 0.35]]), "right": np.array([[0.07, 1.25, 0.4]])}
+    kept = keep_palms_together(source_palms, palms, 0.45, 0.9)
+    np.testing.assert_allclose(kept["left"] - kept["right"], [[0.08, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(kept["left"] + kept["right"], palms["left"] + palms["right"], atol=1e-12)
+
+
+def test_palm_before_the_trunk_keeps_its_distance_from_the_trunk():
+    character, motion = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    segments = compute_segment_motion(source, motion)
+    positions, rotation = dict(segments.position), segments.rotation["left_hand"]
+    middle = (positions["pelvis"] + positions["neck"]) / 2
+    positions["left_hand"] = middle + [0.0, 0.0, 0.1] - rotation @ source.compute_palm("left")
+    hands = compute_hand_targets(source, target, replace(segments, position=positions), segments.position)
+    palm = hands["left"] + rotation @ target.compute_palm("left")
+    across = split_along_line(palm, positions["pelvis"], positions["neck"])[1]
+    expected = split_along_line(middle + [0.0, 0.0, 0.1], positions["pelvis"], positions["neck"])[1]
+    np.testing.assert_allclose(across, expected, atol=1e-6)
 
 
 def test_palm_that_came_too_near_to_a_thigh_is_moved_out():

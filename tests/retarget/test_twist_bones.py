@@ -25,10 +25,27 @@ def test_twist_is_the_turn_about_the_axis_whatever_the_swing():
     assert angle[0] == pytest.approx(0.7)
 
 
-def test_twist_beyond_half_a_turn_does_not_jump():
-    angles = np.linspace(0, 1.5 * np.pi, 100)
-    rotations = Rotation.from_rotvec(angles[:, None] * [1.0, 0, 0]).as_matrix()
-    np.testing.assert_allclose(compute_twist_angle(rotations, np.array([1.0, 0, 0])), angles, atol=1e-9)
+@pytest.mark.parametrize("axis", [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0]])
+def test_twist_beyond_half_a_turn_does_not_jump(axis):
+    angles = np.linspace(0, 1.4 * np.pi, 100)
+    swing = Rotation.from_rotvec([0, 0, 1.2])
+    rotations = (swing * Rotation.from_rotvec(angles[:, None] * np.array(axis))).as_matrix()
+    twist = compute_twist_angle(rotations, np.array(axis))
+    assert np.abs(np.diff(twist)).max() < 0.1
+    np.testing.assert_allclose(twist, angles, atol=1e-9)
+
+
+@pytest.mark.parametrize("swing_deg", [30, 100, 150, 170])
+@pytest.mark.parametrize("twist_deg", [-60, -5, 5, 80])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_twist_is_counted_the_short_way_round_from_the_first_frame(swing_deg, twist_deg, sign):
+    axis = sign * np.array([0.0, 1.0, 0.0])
+    swing, twist = (
+        Rotation.from_rotvec(np.deg2rad(swing_deg) * np.array([-1.0, 0, 0])),
+        Rotation.from_rotvec(np.deg2rad(twist_deg) * axis),
+    )
+    angle = np.degrees(compute_twist_angle(np.repeat((swing * twist).as_matrix()[None], 3, axis=0), axis))
+    np.testing.assert_allclose(angle, twist_deg, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["unreal", "metahuman"])

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mocapfix import synthetic
 from mocapfix.characters.character import Character, CharacterMotion
@@ -31,8 +32,6 @@ def scale_limbs(character: Character, legs: float = 1.0, arms: float = 1.0) -> C
 
 def turn_axes(character: Character, rng: np.random.Generator) -> Character:
     """Return the same figure whose bones have other axes of their own."""
-    from scipy.spatial.transform import Rotation
-
     turns = Rotation.random(len(character.names), rng=rng).as_matrix()
     rotations, positions = character.rest_rotations.copy(), character.rest_positions.copy()
     for bone, parent in enumerate(character.parents):
