@@ -52,6 +52,48 @@ def test_measures_follow_the_bones():
     assert scaled.trunk_length_m == pytest.approx(frame.trunk_length_m)
 
 
+def pose_rest(character, turns: dict[str, np.ndarray]):
+    """Return the same figure with another rest pose: bones turned in the world, with all that they carry."""
+    rotations = character.rest_rotations.copy()
+    _, world = character.compute_rest_pose()
+    for segment, turn in turns.items():
+        bone = character.mapping.bones[segment][0]
+        rotations[bone] = rotations[bone] @ world[bone].T @ turn @ world[bone]
+    return replace(character, rest_rotations=rotations)
+
+
+def test_an_a_pose_and_feet_that_point_outwards_have_the_same_standard_pose():
+    character = load_character_preset("mixamo")
+    turns = {}
+    for side, sign in (("left", -1), ("right", 1)):
+        turns[f"{side}_upper_arm"] = Rotation.from_euler("z", sign * 45, degrees=True).as_matrix()
+        turns[f"{side}_foot"] = Rotation.from_euler("y", -sign * 10, degrees=True).as_matrix()
+    posed = pose_rest(character, turns)
+    frame, other = build_body_frame(character), build_body_frame(posed)
+    moved = np.linalg.norm(other.find_head("left_hand") - frame.find_head("left_hand"))
+    assert moved > 0.3
+    for segment in ("left_upper_arm", "right_forearm", "left_hand", "right_foot", "left_toe", "head"):
+        bone = frame.segment_bones[segment]
+        np.testing.assert_allclose(other.standard_rotations[bone], frame.standard_rotations[bone], atol=1e-6, err_msg=segment)
+
+
+@pytest.mark.parametrize(("height_m", "expected_m"), [(0.02, 0.02), (0.0, 0.0), (-1e-9, 0.0), (-0.01, 0.0)])
+def test_ball_height_is_that_of_the_rest_pose_on_the_floor(height_m, expected_m):
+    character = load_character_preset("mixamo")
+    frame = build_body_frame(character)
+    lowered = character.rest_positions.copy()
+    lowered[0, 1] += height_m - frame.find_head("left_toe")[1]
+    assert build_body_frame(replace(character, rest_positions=lowered)).ball_height_m == pytest.approx(expected_m, abs=1e-6)
+
+
+def test_figure_that_does_not_stand_on_the_floor_has_an_estimated_ball_height():
+    character = load_character_preset("mixamo")
+    raised = character.rest_positions.copy()
+    raised[0, 1] += 1.0
+    frame = build_body_frame(replace(character, rest_positions=raised))
+    assert frame.ball_height_m == pytest.approx(0.03 * frame.leg_length_m)
+
+
 def test_foot_without_toes_has_an_estimated_ball():
     character, _ = load_walk()
     bones = {segment: chain for segment, chain in character.mapping.bones.items() if not segment.endswith("toe")}

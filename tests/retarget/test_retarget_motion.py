@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import (
     REQUIRED_SEGMENTS,
@@ -115,6 +116,26 @@ def test_body_of_the_required_segments_alone():
         ankle = bones[f"{side}_foot"][0]
         assert np.linalg.norm(position[:, ankle] - expected[:, ankle], axis=1).max() < 0.002
     assert retarget_motion(target, there, character).frame_count == motion.frame_count
+
+
+def test_bones_above_the_pelvis_may_be_anywhere():
+    character, motion = load_walk()
+    target = load_character_preset("unreal")
+    root = target.find_bone("root")
+    positions, rotations = target.rest_positions.copy(), target.rest_rotations.copy()
+    turn = Rotation.from_euler("xyz", [-90, 20, 10], degrees=True).as_matrix()
+    pelvis = target.mapping.bones["pelvis"][0]
+    assert target.parents[pelvis] == root
+    old = target.compute_rest_pose()
+    positions[root], rotations[root] = [0.5, -0.2, 0.3], turn
+    positions[pelvis] = turn.T @ (old[0][pelvis] - positions[root])
+    rotations[pelvis] = turn.T @ old[1][pelvis]
+    moved = replace(target, rest_positions=positions, rest_rotations=rotations)
+    below = [bone for bone in range(len(target.names)) if bone != root]
+    first, second = (
+        compute_character_poses(each, retarget_motion(character, motion, each))[0][:, below] for each in (target, moved)
+    )
+    np.testing.assert_allclose(first, second, atol=1e-5)
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2])
