@@ -17,7 +17,8 @@ result = mocapfix.clean(path, prior="none", feet="lock")
 character = load_character("mixamo")  # or the path of a .glb, .vrm, .bvh or .yaml file
 if result.subject and result.motion and result.contacts:
     source = build_cmu31_character(result.subject.skeleton)
-    motion = retarget_motion(source, convert_motion(result.motion, result.input_take.rate), character)
+    performed = convert_motion(result.motion, result.input_take.rate)
+    motion = retarget_motion(source, performed, character, contacts=result.contacts)
     position, _ = compute_character_poses(character, motion)  # (frames, bones, 3) metres
     toe = position[:, character.find_bone("mixamorig:LeftToeBase")]
     for first, last in result.contacts.list_intervals("LeftToeBase"):
