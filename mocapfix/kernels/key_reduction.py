@@ -24,8 +24,7 @@ def select_rotation_keys(quaternions, max_error_rad):
 
     The first and the last frame are kept, or only the first if all frames are within the limit of it.
     """
-    chord = 2 * math.sin(min(max_error_rad, np.pi) / 4)
-    return _select_keys(quaternions, chord * chord, True)
+    return _select_keys(quaternions, compute_squared_chord(max_error_rad), True)
 
 
 @compile_kernel
@@ -35,35 +34,49 @@ def select_position_keys(positions, max_error):
 
 
 @compile_inner_kernel
+def compute_squared_chord(angle_rad):
+    """Return the squared distance of two unit quaternions whose rotations differ by an angle."""
+    chord = 2 * math.sin(min(angle_rad, np.pi) / 4)
+    return chord * chord
+
+
+@compile_inner_kernel
 def _select_keys(values, limit, are_rotations):
     frames = len(values)
     kept = np.zeros(frames, np.bool_)
     kept[0] = True
-    if are_rotations and _is_constant(values, limit):
+    if are_rotations and is_constant(values, limit):
         return kept
-    first = 0
-    while first < frames - 1:
-        last, too_far, span = first + 1, frames, 2
-        while last < frames - 1 and too_far == frames:
-            candidate = min(first + span, frames - 1)
-            if _is_span_within(values, first, candidate, limit, are_rotations):
+    add_keys(values, kept, 0, frames - 1, limit, are_rotations)
+    return kept
+
+
+@compile_inner_kernel
+def add_keys(values, kept, first, end, limit, are_rotations):
+    """Mark the keys of a curve (T, D) from the frame `first` to the frame `end`, which are keys themselves."""
+    kept[first], kept[end] = True, True
+    while first < end:
+        last, too_far, span = first + 1, end + 1, 2
+        while last < end and too_far > end:
+            candidate = min(first + span, end)
+            if is_span_within(values, first, candidate, limit, are_rotations):
                 last = candidate
                 span *= 2
             else:
                 too_far = candidate
-        while too_far < frames and too_far - last > 1:
+        while too_far <= end and too_far - last > 1:
             candidate = (last + too_far) // 2
-            if _is_span_within(values, first, candidate, limit, are_rotations):
+            if is_span_within(values, first, candidate, limit, are_rotations):
                 last = candidate
             else:
                 too_far = candidate
         kept[last] = True
         first = last
-    return kept
 
 
 @compile_inner_kernel
-def _is_constant(values, limit):
+def is_constant(values, limit):
+    """Return whether all frames are within the limit, a squared distance, of the first."""
     for t in range(1, len(values)):
         total = 0.0
         for a in range(values.shape[1]):
@@ -74,11 +87,11 @@ def _is_constant(values, limit):
 
 
 @compile_inner_kernel
-def _is_span_within(values, first, last, limit, are_rotations):
+def is_span_within(values, first, last, limit, are_rotations):
     """Return whether the frames between two keys are within the limit; the middle one, where most fail, is checked first."""
     angle = 0.0
     if are_rotations:
-        cosine = _compute_cosine(values, first, last)
+        cosine = compute_cosine(values, first, last)
         if cosine < MIN_KEY_COSINE:
             return False
         angle = math.acos(min(cosine, 1.0))
@@ -92,7 +105,8 @@ def _is_span_within(values, first, last, limit, are_rotations):
 
 
 @compile_inner_kernel
-def _compute_cosine(values, first, last):
+def compute_cosine(values, first, last):
+    """Return the cosine of half the angle between two frames of quaternions."""
     total = 0.0
     for a in range(values.shape[1]):
         total += values[first, a] * values[last, a]
@@ -135,7 +149,7 @@ def measure_key_error(values, kept, are_rotations):
     for last in range(1, len(values)):
         if not kept[last]:
             continue
-        angle = math.acos(min(_compute_cosine(values, first, last), 1.0)) if are_rotations else 0.0
+        angle = math.acos(min(compute_cosine(values, first, last), 1.0)) if are_rotations else 0.0
         for t in range(first + 1, last):
             largest = max(largest, _compute_squared_error(values, first, last, t, angle, are_rotations))
         first = last
@@ -158,7 +172,7 @@ def interpolate_keys(values, kept, on_arc):
     for last in range(1, len(values)):
         if not kept[last]:
             continue
-        angle = math.acos(min(_compute_cosine(values, first, last), 1.0)) if on_arc else 0.0
+        angle = math.acos(min(compute_cosine(values, first, last), 1.0)) if on_arc else 0.0
         sine = math.sin(angle)
         for t in range(first + 1, last):
             after = (t - first) / (last - first)

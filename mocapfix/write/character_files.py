@@ -9,7 +9,6 @@ from mocapfix.characters.character import Character, CharacterMotion
 from mocapfix.characters.cmu31_character import build_cmu31_character, convert_motion
 from mocapfix.characters.mapping_file import write_mapping_file
 from mocapfix.contacts.contacts import BodyContacts
-from mocapfix.files.option_choices import FEET_LOCK
 from mocapfix.files.output_files import make_scratch_folder
 from mocapfix.motion import Motion
 from mocapfix.retarget.body_frames import build_body_frame
@@ -56,41 +55,49 @@ class CharacterFiles:
         """
         character = self.character
         source = build_cmu31_character(skeleton)
-        retargeted = retarget_motion(
-            source,
-            convert_motion(motion, rate),
-            character,
-            floor_height_m=contacts.floor.height_m if contacts else 0.0,
-            locked_contacts=contacts if contacts and contacts.held_feet.mode == FEET_LOCK else None,
-        )
+        retargeted = retarget_motion(source, convert_motion(motion, rate), character, contacts=contacts)
         write_character_bvh(target.with_suffix(".bvh"), character, retargeted)
         write_character_npz(target.with_suffix(".npz"), character, retargeted)
         write_mapping_file(target.with_suffix(".map.yaml"), character)
         scale = build_body_frame(character).leg_length_m / build_body_frame(source).leg_length_m
         notes = [f"{target.name}: {character.mapping.reason} Places are scaled by {scale:.3f}, the ratio of the legs' lengths."]
-        return [*notes, *self._write_glb_and_fbx(target, retargeted)]
-
-    def _write_glb_and_fbx(self, target: Path, motion: CharacterMotion) -> list[str]:
-        return write_glb_and_fbx(target, self.character, motion, self.key_error_deg, has_fbx=self.has_fbx)
+        return [*notes, *write_glb_and_fbx(target, character, retargeted, self.key_error_deg, contacts, has_fbx=self.has_fbx)]
 
 
 def write_glb_and_fbx(
-    target: Path, character: Character, motion: CharacterMotion, key_error_deg: float | None, *, has_fbx: bool
+    target: Path,
+    character: Character,
+    motion: CharacterMotion,
+    key_error_deg: float | None,
+    contacts: BodyContacts | None,
+    *,
+    has_fbx: bool,
 ) -> list[str]:
     """Write a GLB, and with `has_fbx` an FBX of it by Blender. Returns sentences for the report. Raises WriteError."""
     take_name = target.name.partition(".")[0]
     key_error_rad = None if key_error_deg is None else float(np.deg2rad(key_error_deg))
-    reduction = write_character_glb(target, character, motion, take_name, key_error_rad)
+    reduction = write_character_glb(target, character, motion, take_name, key_error_rad, contacts)
     notes = [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
     if has_fbx and (problem := write_character_fbx(target.with_suffix(f".{FBX_SUFFIX}"), target, motion.rate)):
         notes.append(problem)
     return notes
 
 
-def write_skeleton_fbx(target: Path, skeleton: Skeleton, motion: Motion, rate: float, key_error_deg: float | None) -> list[str]:
-    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError."""
+def write_skeleton_fbx(
+    target: Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    key_error_deg: float | None,
+    contacts: BodyContacts | None = None,
+) -> list[str]:
+    """Write the solved skeleton as FBX. Returns sentences for the report. Raises WriteError.
+
+    contacts  of the motion, in which a reduction of keys keeps the feet; without any, slow feet stand
+    """
     with make_scratch_folder() as folder:
         glb = folder / f"{target.stem}.glb"
-        write_glb_and_fbx(glb, build_cmu31_character(skeleton), convert_motion(motion, rate), key_error_deg, has_fbx=False)
+        character = build_cmu31_character(skeleton)
+        write_glb_and_fbx(glb, character, convert_motion(motion, rate), key_error_deg, contacts, has_fbx=False)
         problem = write_character_fbx(target, glb, rate)
     return [problem] if problem else []

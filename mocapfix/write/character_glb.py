@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import Character, CharacterMotion, compute_character_poses
+from mocapfix.contacts.contacts import BodyContacts
 from mocapfix.files.glb import GlbContent, build_glb, parse_glb
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.write.character_bones import compute_leg_length, get_parent_scale, list_moving_bones
@@ -20,10 +21,16 @@ from mocapfix.write.gltf_animation import add_animation
 from mocapfix.write.gltf_buffer import GLTF_ASSET, GltfBuffer
 from mocapfix.write.gltf_skin import add_test_skin
 from mocapfix.write.key_reduction import KeyReduction, MotionKeys, measure_key_reduction, select_motion_keys
+from mocapfix.write.standing_feet import LegCurves, build_leg_curves
 
 
 def write_character_glb(
-    target: Path, character: Character, motion: CharacterMotion, take_name: str, key_error_rad: float | None = None
+    target: Path,
+    character: Character,
+    motion: CharacterMotion,
+    take_name: str,
+    key_error_rad: float | None = None,
+    contacts: BodyContacts | None = None,
 ) -> KeyReduction | None:
     """Write the motion of a character as a GLB.
 
@@ -36,7 +43,8 @@ def write_character_glb(
         motion: Its motion.
         take_name: Name of the animation; a number is appended if the file has an animation of that name.
         key_error_rad: Write only the keys that keep every rotation within this angle, and the pelvis within the distance that
-            it means at the end of a leg (angle times leg length). Every frame by default.
+            it means at the end of a leg (angle times leg length), and standing feet where they are. Every frame by default.
+        contacts: Of the motion, at their own rate: when its feet stand. Without any, slow feet stand.
 
     Returns:
         The errors of the reduction, None without one.
@@ -46,7 +54,9 @@ def write_character_glb(
     """
     content, nodes = _open_document(character)
     bones = list_moving_bones(character, motion)
-    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, key_error_rad, compute_leg_length(character))
+    legs = None if key_error_rad is None else build_leg_curves(character, motion, contacts)
+    leg_length_m = compute_leg_length(character)
+    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, key_error_rad, leg_length_m, legs)
     pelvis = character.mapping.bones["pelvis"][0]
     buffer = GltfBuffer(content.document, content.binary)
     has_own_scale = character.source is not None and character.source.kind == "gltf"
@@ -58,17 +68,19 @@ def write_character_glb(
     data = build_glb(GlbContent(content.document, buffer.finish(), content.other_chunks))
     with replace_atomically(Path(target)) as part:
         part.write_bytes(data)
-    return None if key_error_rad is None else measure_character_keys(character, motion, keys, key_error_rad)
+    return None if key_error_rad is None else _measure_character_keys(character, motion, keys, key_error_rad, legs)
 
 
-def measure_character_keys(character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float) -> KeyReduction:
+def _measure_character_keys(
+    character: Character, motion: CharacterMotion, keys: MotionKeys, key_error_rad: float, legs: LegCurves | None
+) -> KeyReduction:
     """Measure the errors of a character's motion between its keys, at the heads and tails of all bones."""
 
     def compute_points(position: Float[np.ndarray, "T 3"], rotations: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T P 3"]:
         heads, axes = compute_character_poses(character, CharacterMotion(position, rotations, motion.rate))
         return np.concatenate([heads, heads + (axes @ np.nan_to_num(character.tails)[..., None])[..., 0]], axis=1)
 
-    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points)
+    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points, legs)
 
 
 def _open_document(character: Character) -> tuple[GlbContent, Int[np.ndarray, " J"]]:

@@ -5,7 +5,7 @@ unit quaternions, and the root also has its positions. All are joints of a skin,
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,14 +20,23 @@ from mocapfix.write.gltf_buffer import GLTF_ASSET, GltfBuffer
 from mocapfix.write.gltf_skin import add_test_skin
 from mocapfix.write.key_reduction import KeyReduction, measure_key_reduction, select_motion_keys
 
+if TYPE_CHECKING:
+    from mocapfix.contacts.contacts import BodyContacts
+
 
 def write_gltf(
-    target: Path, skeleton: Skeleton, motion: Motion, rate: float, key_error_rad: float | None = None
+    target: Path,
+    skeleton: Skeleton,
+    motion: Motion,
+    rate: float,
+    key_error_rad: float | None = None,
+    contacts: "BodyContacts | None" = None,
 ) -> KeyReduction | None:
     """Write a motion at `rate` frames per second.
 
     With `key_error_rad` only the keys are written that keep rotations within this angle, and the root within the distance that
-    it means at half the height of the skeleton.
+    it means at half the height of the skeleton, and standing feet where they are. `contacts` of the motion, at their own rate,
+    have when the feet stand; without any, slow feet stand.
 
     Returns:
         The errors of the reduction, None without one.
@@ -51,7 +60,13 @@ def write_gltf(
     buffer = GltfBuffer(document)
     add_test_skin(buffer, skeleton.parents, positions, np.tile(np.eye(3), (count, 1, 1)), positions + skeleton.ends)
     leg_length_m = float(np.ptp(positions[:, 1])) / 2
-    keys = select_motion_keys(range(count), motion.local_rotations, motion.root_position, key_error_rad, leg_length_m)
+    legs = None
+    if key_error_rad is not None:
+        from mocapfix.characters.cmu31_character import build_cmu31_character, convert_motion  # few cleanings need them
+        from mocapfix.write.standing_feet import build_leg_curves
+
+        legs = build_leg_curves(build_cmu31_character(skeleton), convert_motion(motion, rate), contacts)
+    keys = select_motion_keys(range(count), motion.local_rotations, motion.root_position, key_error_rad, leg_length_m, legs)
     add_animation(buffer, target.stem, keys, range(count), 0, 1.0, rate)
     with replace_atomically(Path(target)) as part:
         part.write_bytes(build_glb(GlbContent(document, buffer.finish())))
@@ -64,4 +79,4 @@ def write_gltf(
         heads, axes = compose_transforms(skeleton.parents, offsets, rotations)
         return np.concatenate([heads, heads + (axes @ np.nan_to_num(skeleton.ends)[..., None])[..., 0]], axis=1)
 
-    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points)
+    return measure_key_reduction(keys, motion.local_rotations, key_error_rad, compute_points, legs)

@@ -1,19 +1,27 @@
 """Fewer keys for a motion, with a limit on the error of the interpolation between them, for curves that an animator can edit.
 
 The limit is an angle: of every bone relative to its parent, in every frame. For the position of the pelvis it is the distance
-that this angle means at the end of a leg, angle times leg length. Source of the keys' choice: `kernels/key_reduction.py`.
+that this angle means at the end of a leg, angle times leg length. Errors of a leg's bones add up, so while a foot stands there
+is a limit of its ankle's and ball's distance too. Source of the keys' choice: `kernels/key_reduction.py` and, for the legs,
+`kernels/standing_foot_keys.py`.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import key_reduction, quaternions
 
+if TYPE_CHECKING:
+    from mocapfix.write.standing_feet import LegCurves
+
 CONSTANT_TRACK_RAD = 1e-6
 """a rotation that stays within this of its first frame has one key, also without key reduction"""
+MAX_STANDING_ERROR_M = 0.002
+"""largest distance of an ankle or the ball of a foot from where it is without reduction, while it stands"""
 FRAMES_AT_ONCE = 256
 """of which points are computed: their arrays fit in the processor's cache"""
 
@@ -26,6 +34,7 @@ class KeyReduction:
     max_error_deg   the largest error of a bone's rotation relative to its parent, measured
     max_distance_m  the largest distance of a bone's head or tail from where it is without reduction, measured with slerp and with
                     normalised linear interpolation
+    max_standing_m  the same of ankles and balls of the feet alone, while they stand; None if the feet never stand
     key_count       number of keys written
     sample_count    number of keys with one in every frame
     """
@@ -33,6 +42,7 @@ class KeyReduction:
     limit_deg: float
     max_error_deg: float
     max_distance_m: float
+    max_standing_m: float | None
     key_count: int
     sample_count: int
 
@@ -40,9 +50,14 @@ class KeyReduction:
     def sentence(self) -> str:
         """The result as a sentence for reports."""
         share = 100 * self.key_count / max(self.sample_count, 1)
+        distances = f"bones {1000 * self.max_distance_m:.2g} mm"
+        if self.max_standing_m is None:
+            distances = f" and {distances}"
+        else:
+            distances = f", {distances}, and standing feet {1000 * self.max_standing_m:.2g} mm"
         return (
             f"{self.key_count:,} of {self.sample_count:,} keys are kept ({share:.0f} %); between them rotations are at most "
-            f"{self.max_error_deg:.2g} degrees off and bones {1000 * self.max_distance_m:.2g} mm."
+            f"{self.max_error_deg:.2g} degrees off{distances}."
         )
 
 
@@ -89,11 +104,12 @@ def select_motion_keys(
     position: Float[np.ndarray, "T 3"],
     max_error_rad: float | None,
     leg_length_m: float,
+    legs: "LegCurves | None" = None,
 ) -> MotionKeys:
     """Select the keys of some bones of a motion and of its position.
 
     Without a limit every frame is a key, except those of constant rotations. The position has at least its first and last frame:
-    they keep the length of the motion.
+    they keep the length of the motion. With the curves of the legs, standing feet stay within MAX_STANDING_ERROR_M.
     """
     frame_count = len(position)
     is_known = np.ones(frame_count, bool)
@@ -102,8 +118,16 @@ def select_motion_keys(
         constant = [key_reduction.select_rotation_keys(rotation, CONSTANT_TRACK_RAD) for rotation in rotations]
         keys = tuple(each if each.sum() == 1 else is_known for each in constant)
         return MotionKeys(tuple(bones), rotations, keys, position, is_known)
-    keys = tuple(key_reduction.select_rotation_keys(rotation, float(max_error_rad)) for rotation in rotations)
-    position_keys = key_reduction.select_position_keys(np.ascontiguousarray(position, float), float(max_error_rad * leg_length_m))
+    max_error_m = float(max_error_rad * leg_length_m)
+    leg_keys, position_keys = {}, None
+    if legs is not None and legs.standing.any():
+        leg_keys, position_keys = legs.select_keys(max_error_rad, max_error_m, MAX_STANDING_ERROR_M)
+    keys = tuple(
+        leg_keys[bone] if bone in leg_keys else key_reduction.select_rotation_keys(rotation, float(max_error_rad))
+        for bone, rotation in zip(bones, rotations, strict=True)
+    )
+    if position_keys is None:
+        position_keys = key_reduction.select_position_keys(np.ascontiguousarray(position, float), max_error_m)
     return MotionKeys(tuple(bones), rotations, keys, position, position_keys)
 
 
@@ -112,10 +136,12 @@ def measure_key_reduction(
     local_rotations: Float[np.ndarray, "T J 3 3"],
     limit_rad: float,
     compute_points: Callable[[Float[np.ndarray, "T 3"], Float[np.ndarray, "T J 3 3"]], Float[np.ndarray, "T P 3"]],
+    legs: "LegCurves | None" = None,
 ) -> KeyReduction:
     """Measure the errors of a motion between its keys.
 
     compute_points  the points of the body in the world, from the curve of the position and the local rotations of all bones
+    legs            the curves of the legs, with which the distances of standing feet are measured too
     """
     distance_m = 0.0
     position = key_reduction.interpolate_keys(np.ascontiguousarray(keys.position, float), keys.position_keys, False)
@@ -131,11 +157,16 @@ def measure_key_reduction(
                 quaternions.store_joint_quaternions(rotation[frames], bone, reduced)
             difference = compute_points(position[frames], reduced) - points
             distance_m = max(distance_m, float(np.linalg.norm(difference, axis=-1).max(initial=0.0)))
+    has_standing = legs is not None and bool(legs.standing.any())
+    standing_m = [
+        legs.measure_standing_error(position, dict(zip(keys.bones, rotations, strict=True))) for rotations in curves if legs
+    ]
     errors = [key_reduction.measure_key_error(rotation, kept, True) for _, rotation, kept in tracks]
     return KeyReduction(
         limit_deg=float(np.degrees(limit_rad)),
         max_error_deg=float(np.degrees(max(errors, default=0.0))),
         max_distance_m=distance_m,
+        max_standing_m=max(standing_m) if has_standing else None,
         key_count=keys.key_count,
         sample_count=len(keys.position) * (len(keys.bones) + 1),
     )

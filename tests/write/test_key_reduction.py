@@ -1,18 +1,31 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
+from mocapfix.characters.character import CharacterMotion, compute_character_poses
+from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.contacts.contacts import build_no_contacts
 from mocapfix.kernels.key_reduction import interpolate_keys, measure_key_error
+from mocapfix.retarget.body_frames import DOWN, build_body_frame
+from mocapfix.retarget.retarget_motion import retarget_motion
+from mocapfix.stats.rigid_alignment import compute_shortest_rotation
+from mocapfix.write.character_bones import list_moving_bones
 from mocapfix.write.gltf import write_gltf
 from mocapfix.write.key_reduction import (
+    MAX_STANDING_ERROR_M,
+    measure_key_reduction,
     reduce_position_keys,
     reduce_rotation_keys,
     select_motion_keys,
 )
+from mocapfix.write.standing_feet import build_leg_curves
+from tests.characters.character_files import build_figure_character, build_motion
+from tests.retarget.walking_body import load_walk
 from tests.write.read_back import SKELETON, motion_of, smooth_rotations
 
 
@@ -120,3 +133,158 @@ def test_the_solved_skeleton_states_its_largest_error(tmp_path):
     assert 0.5 < reduction.max_error_deg <= 1.0
     assert 0 < reduction.max_distance_m < 0.1
     assert (tmp_path / "few.glb").stat().st_size < 0.8 * (tmp_path / "all.glb").stat().st_size
+
+
+def check_standing_feet(name, degrees, frames=240):
+    """Return the reduction of a squat on feet that stand, after checking the feet's places with scipy."""
+    character, motion = build_squat(name, frames)
+    legs = build_leg_curves(character, motion)
+    assert legs.standing.all()
+    arguments = list_moving_bones(character, motion), motion.local_rotations, motion.pelvis_position, np.radians(degrees), 0.9
+    keys = select_motion_keys(*arguments, legs)
+    places, _ = compute_character_poses(character, motion)
+    feet = [
+        character.mapping.bones[f"{side}_{segment}"][0]
+        for side in ("left", "right")
+        for segment in ("foot", "toe")
+        if f"{side}_{segment}" in character.mapping.bones
+    ]
+    for kind in ("slerp", "linear"):
+        local = motion.local_rotations.copy()
+        for bone, rotation, kept in zip(keys.bones, keys.rotations, keys.rotation_keys, strict=True):
+            between = interpolate(np.flatnonzero(kept), rotation, kind)
+            assert compute_angles(between, rotation).max() <= np.radians(degrees) + 1e-7
+            local[:, bone] = Rotation.from_quat(between).as_matrix()
+        kept = np.flatnonzero(keys.position_keys)
+        position = np.stack([np.interp(np.arange(frames), kept, column) for column in keys.position[kept].T], axis=1)
+        moved, _ = compute_character_poses(character, CharacterMotion(position, local, motion.rate))
+        assert np.linalg.norm(moved[:, feet] - places[:, feet], axis=-1).max() <= MAX_STANDING_ERROR_M + 1e-7
+    return keys, select_motion_keys(*arguments)
+
+
+def build_squat(name, frames=240, rate=60.0):
+    """Return a figure that squats and shifts its weight on feet that stand, by the angles of two bones of known lengths."""
+    source, _ = load_walk()
+    target = load_character_preset(name)
+    frame = build_body_frame(source)
+    thigh, shin = frame.compute_length("thigh", "shin"), frame.compute_length("shin", "foot")
+    time = np.linspace(0, 2 * np.pi, frames)
+    local = np.tile(source.rest_rotations, (frames, 1, 1, 1))
+    hips = np.zeros((frames, 3))
+    bones = source.mapping.bones
+    rest, _ = source.compute_rest_pose()
+    reach = 0.95 * (thigh + shin) - 0.25 * (thigh + shin) * np.sin(time / 2) ** 2 - 0.02 * np.sin(5 * time) ** 2
+    sway = 0.06 * np.sin(3 * time)
+    for side in ("left", "right"):
+        knee = np.pi - np.arccos((thigh**2 + shin**2 - reach**2) / (2 * thigh * shin))
+        hip = -np.arcsin(shin * np.sin(knee) / reach)
+        upright = compute_shortest_rotation(rest[bones[f"{side}_shin"][0]] - rest[bones[f"{side}_thigh"][0]], DOWN)
+        lower = compute_shortest_rotation(rest[bones[f"{side}_foot"][0]] - rest[bones[f"{side}_shin"][0]], DOWN)
+        lean = Rotation.from_euler("z", np.arcsin(sway / reach)[:, None]).as_matrix()
+        thighs = lean @ Rotation.from_euler("x", hip[:, None]).as_matrix() @ upright
+        shins = lean @ Rotation.from_euler("x", (hip + knee)[:, None]).as_matrix() @ lower
+        local[:, bones[f"{side}_thigh"][0]] = thighs
+        local[:, bones[f"{side}_shin"][0]] = thighs.swapaxes(1, 2) @ shins
+        local[:, bones[f"{side}_foot"][0]] = shins.swapaxes(1, 2)
+    hips[:, 0], hips[:, 1] = -sway, np.sqrt(reach**2 - sway**2)
+    return target, retarget_motion(source, CharacterMotion(hips, local, rate), target)
+
+
+@pytest.mark.parametrize("name", ["unreal", "mixamo", "smpl"])
+@pytest.mark.parametrize("degrees", [0.3, 1.0, 4.0])
+def test_standing_feet_stay_where_they_are(name, degrees):
+    keys, freely = check_standing_feet(name, degrees)
+    assert keys.key_count < 0.5 * (len(keys.position) * (len(keys.bones) + 1))
+    assert keys.key_count < 2.5 * freely.key_count
+
+
+def test_feet_without_the_limit_slide_which_is_stated():
+    character, motion = build_squat("unreal")
+    legs = build_leg_curves(character, motion)
+    bones = list_moving_bones(character, motion)
+    freely = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, np.radians(1), 0.9)
+    held = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, np.radians(1), 0.9, legs)
+    slides = [
+        measure_key_reduction(keys, motion.local_rotations, np.radians(1), lambda position, _: position[:, None], legs)
+        for keys in (freely, held)
+    ]
+    before, after = (reduction.max_standing_m for reduction in slides)
+    assert before is not None
+    assert after is not None
+    assert before > 3 * MAX_STANDING_ERROR_M
+    assert 0 < after <= MAX_STANDING_ERROR_M * (1 + 1e-6)
+    assert f"and standing feet {1000 * after:.2g} mm." in slides[1].sentence
+
+
+def test_only_contacts_of_a_foot_hold_it():
+    """Contacts at half the rate, of the left foot in the first half: what is not in contact has keys of its own."""
+    character, motion = build_squat("unreal")
+    contacts = build_known_contacts(120, 30.0)
+    unheld = build_leg_curves(character, motion, contacts)
+    assert not unheld.standing.any()
+    arguments = list_moving_bones(character, motion), motion.local_rotations, motion.pelvis_position, np.radians(2), 0.9
+    freely = select_motion_keys(*arguments)
+    assert select_motion_keys(*arguments, unheld).key_count == freely.key_count
+    contacts.is_contact[:60, :2] = True
+    legs = build_leg_curves(character, motion, contacts)
+    assert legs.standing[:118, :2].all()
+    assert not legs.standing[122:].any()
+    assert not legs.standing[:, 2:].any()
+    keys = select_motion_keys(*arguments, legs)
+    count_of = {
+        side: sum(int(keys.rotation_keys[keys.bones.index(bone)].sum()) for bone in list_leg_bones(character, side))
+        - sum(int(freely.rotation_keys[freely.bones.index(bone)].sum()) for bone in list_leg_bones(character, side))
+        for side in ("left", "right")
+    }
+    assert count_of["left"] > 0
+    assert count_of["right"] == 0
+    reduction = measure_key_reduction(keys, motion.local_rotations, np.radians(2), lambda position, _: position[:, None], legs)
+    assert reduction.max_standing_m is not None
+    assert reduction.max_standing_m <= MAX_STANDING_ERROR_M * (1 + 1e-6)
+
+
+def build_known_contacts(frames, rate):
+    """Return the contacts of feet that markers show and that are never in contact."""
+    contacts = build_no_contacts(frames, rate)
+    return replace(contacts, is_known=np.ones_like(contacts.is_known))
+
+
+def list_leg_bones(character, side):
+    return [bone for segment in ("thigh", "shin", "foot") for bone in character.mapping.bones[f"{side}_{segment}"]]
+
+
+@given(seed=st.integers(0, 2**32), degrees=st.floats(0.2, 8), frames=st.integers(1, 150))
+@settings(max_examples=30)
+def test_any_contacts_are_kept(seed, degrees, frames):
+    rng = np.random.default_rng(seed)
+    character = build_figure_character()
+    motion = build_motion(character, frames, seed=seed)
+    contacts = build_known_contacts(frames, motion.rate)
+    for column in range(4):
+        for start in rng.integers(0, frames, 3):
+            contacts.is_contact[start : start + rng.integers(1, 60), column] = True
+    legs = build_leg_curves(character, motion, contacts)
+    bones = list_moving_bones(character, motion)
+    keys = select_motion_keys(bones, motion.local_rotations, motion.pelvis_position, np.radians(degrees), 0.9, legs)
+    reduction = measure_key_reduction(
+        keys, motion.local_rotations, np.radians(degrees), lambda position, _: position[:, None], legs
+    )
+    assert all(kept[0] for kept in (*keys.rotation_keys, keys.position_keys))
+    assert all(kept.sum() == 1 or kept[-1] for kept in keys.rotation_keys)
+    assert keys.position_keys[-1]
+    assert reduction.max_error_deg <= degrees + 1e-5
+    assert reduction.max_standing_m is not None
+    assert reduction.max_standing_m <= MAX_STANDING_ERROR_M * (1 + 1e-6)
+
+
+def test_a_long_take_of_standing_feet_is_reduced_in_two_seconds():
+    character, motion = build_squat("unreal", 500)
+    bones = list_moving_bones(character, motion)
+    position, rotations = np.tile(motion.pelvis_position, (20, 1)), np.tile(motion.local_rotations, (20, 1, 1, 1))
+    longer = CharacterMotion(position, rotations, motion.rate)
+    for each in (motion, longer):  # the first compiles
+        started = time.process_time()
+        legs = build_leg_curves(character, each)
+        keys = select_motion_keys(bones, each.local_rotations, each.pelvis_position, np.radians(0.5), 0.9, legs)
+    assert time.process_time() - started < 2.0
+    assert keys.key_count < 0.5 * 10_000 * len(bones)
