@@ -62,8 +62,11 @@ def find_foot_contacts(positions: ContactPositions) -> BodyContacts:
     joined = is_standing.copy()
     for side, other in (("left", "right"), ("right", "left")):
         other_standing = np.any(is_standing[:, columns[other]], axis=1)
+        is_other_known = np.all(is_known[:, columns[other]], axis=1)
         for c in columns[side]:
-            is_certain = find_certain_occlusions(is_standing[:, c], position[:, c], is_known[:, c], other_standing, rate)
+            is_certain = find_certain_occlusions(
+                is_standing[:, c], position[:, c], is_known[:, c], other_standing, is_other_known, rate
+            )
             joined[:, c] = detect_standing(speed[:, c], rate, is_certain) | is_certain
     toes = [c for c, joint in enumerate(CONTACT_JOINTS) if "Toe" in joint]
     floor = estimate_floor(position[:, toes], joined[:, toes], rate)

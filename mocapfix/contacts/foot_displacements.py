@@ -7,7 +7,7 @@ displacement returns to 0, with the least acceleration.
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from mocapfix.contacts.contacts import CONTACT_JOINTS, FOOT_JOINTS, BodyContacts
 from mocapfix.contacts.rigid_feet import UP_AXIS, restore_foot_length
@@ -19,13 +19,19 @@ SOFT_SMOOTHING_S = 0.3
 """Standard deviation of the kernel that smooths a standing foot."""
 LOCK_EXTENSION_SPEED_M_S = 0.2
 """Speed up to which a lock extends beyond the contact: the foot is rolling on or off, in contact with the floor."""
-MAX_LOCK_EXTENSION_S = 0.15
+MAX_LOCK_EXTENSION_S = 0.2
 MAX_LOCK_DISPLACEMENT_M = 0.035
 """Distance from its mean place up to which a joint is held there; a foot that stands rolls by 10 to 20 mm."""
 RETURN_TIME_S = 0.06
 """Time constant with which a displacement begins before a contact and ends after it."""
-CONTACT_WEIGHT = 300.0
+CONTACT_WEIGHT = 1000.0
 """Weight of the displacement within contacts relative to that of no displacement between them."""
+MAX_DISPLACEMENT_ACCELERATION_M_S2 = 4.0
+"""Acceleration of the displacement above which it is made smoother there; a joint of a calm motion has 10 to 40 m/s^2."""
+ACCELERATION_ROUNDS = 4
+"""Solutions with more stiffness where the one before exceeded that acceleration."""
+ACCELERATION_REACH_S = 0.03
+"""Time on both sides of such a frame in which stiffness is added."""
 
 
 def compute_foot_displacements(
@@ -46,13 +52,17 @@ def compute_foot_displacements(
         target[:, c] = compute_target(position[:, c], is_held[:, c], is_known, contacts.rate, is_locked=is_locked)
     pairs = [tuple(CONTACT_JOINTS.index(joint) for joint in joints) for joints in FOOT_JOINTS.values()]
     share = np.zeros(is_held.shape)
+    moved = np.zeros(position.shape)
     for c in np.flatnonzero(is_held.any(0)):
         wanted = np.column_stack([target[:, c] - position[:, c], np.ones(len(position))])
-        smooth = smooth_displacement(wanted, is_held[:, c], contacts.rate)
-        target[:, c], share[:, c] = position[:, c] + smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
+        smooth = smooth_displacement(wanted, is_held[:, c], contacts.is_known[:, c] | ~is_held[:, c], contacts.rate)
+        moved[:, c], share[:, c] = smooth[:, :3], np.clip(smooth[:, 3], 0, 1)
+    target = position.copy()
     for ankle, toe in pairs:
         length_m = np.linalg.norm(position[:, toe] - position[:, ankle], axis=1)
         shares = share[:, ankle], share[:, toe]
+        target[:, ankle] += moved[:, ankle] + (1 - share[:, [ankle]]) * moved[:, toe]  # what is not held moves with the other
+        target[:, toe] += moved[:, toe] + (1 - share[:, [toe]]) * moved[:, ankle]
         target[:, ankle], target[:, toe] = restore_foot_length(target[:, ankle], target[:, toe], shares, length_m)
     return target - position
 
@@ -105,12 +115,28 @@ def limit_length(vectors: Float[np.ndarray, "T 3"], max_length: float) -> Float[
 
 
 def smooth_displacement(
-    displacement: Float[np.ndarray, "T D"], is_contact: Bool[np.ndarray, " T"], rate: float
+    displacement: Float[np.ndarray, "T D"], is_contact: Bool[np.ndarray, " T"], is_limited: Bool[np.ndarray, " T"], rate: float
 ) -> Float[np.ndarray, "T D"]:
     """Return the smoothest displacement that is near the given one in contacts and near 0 between them.
 
     It minimises the integral of CONTACT_WEIGHT |x - d|^2 over contacts, of |x|^2 between them, and of RETURN_TIME_S^4 |x''|^2.
+    The last weight is larger where x would accelerate too much, as between two contacts at different places that almost touch.
+
+    displacement  (T, D): the first three columns are the displacement in metres
+    is_limited    where the acceleration is limited; not where the given displacement removes an error of a hidden foot
     """
     variance = np.where(is_contact, rate / CONTACT_WEIGHT, rate)
     power = np.full(len(displacement), RETURN_TIME_S**-4)
-    return smooth_path(np.where(is_contact[:, None], displacement, 0.0), variance, power, rate)
+    wanted = np.where(is_contact[:, None], displacement, 0.0)
+    smooth = smooth_path(wanted, variance, power, rate)
+    reach = 2 * round(ACCELERATION_REACH_S * rate) + 1
+    is_free = maximum_filter1d(~is_limited, reach)
+    for _ in range(ACCELERATION_ROUNDS if len(smooth) > 2 else 0):
+        acceleration = np.linalg.norm(np.diff(smooth[:, :3], 2, axis=0), axis=1) * rate**2
+        if acceleration.max() <= MAX_DISPLACEMENT_ACCELERATION_M_S2:
+            break
+        excess = np.pad(np.maximum(1, acceleration / MAX_DISPLACEMENT_ACCELERATION_M_S2), 1, mode="edge")
+        near = maximum_filter1d(np.where(is_free, 1, excess), reach)
+        power /= near**2
+        smooth = smooth_path(wanted, variance, power, rate)
+    return smooth

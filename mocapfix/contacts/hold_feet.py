@@ -24,7 +24,7 @@ CONTACT_SD_M = 0.0003
 LEG_ROTATION_SD_RAD = 0.05
 """Standard deviation of a leg's joint about its rotation before; of the root's rotation and position it is smaller."""
 ROOT_ROTATION_SD_RAD = 0.0005
-ROOT_SD_M = 0.003
+ROOT_SD_M = 0.01
 """Standard deviation of the root: a leg that is straight bends far for a foot that comes nearer by a few millimetres."""
 FIXED_ROOT_SHARE = 1e-3
 """Share of these deviations by which a root that is fixed may move during the solve; it is where it was afterwards."""

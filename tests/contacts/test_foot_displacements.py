@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter1d
 from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts
 from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_displacements import (
+    MAX_DISPLACEMENT_ACCELERATION_M_S2,
     MAX_LOCK_DISPLACEMENT_M,
     compute_foot_displacements,
     extend_contacts,
@@ -89,10 +90,22 @@ def test_displacement_begins_and_ends_smoothly():
     displacement = np.zeros((240, 1))
     displacement[80:160] = 0.02
     is_contact = displacement[:, 0] > 0
-    smooth = smooth_displacement(displacement, is_contact, RATE)
+    smooth = smooth_displacement(displacement, is_contact, np.ones(240, bool), RATE)
     np.testing.assert_allclose(smooth[100:140], 0.02, atol=0.0005)
     assert abs(smooth[40, 0]) < 0.0005
     assert np.abs(np.diff(smooth[:, 0], 2)).max() < 0.001
+
+
+def test_contacts_at_different_places_that_almost_touch_do_not_pop():
+    displacement, is_contact = np.zeros((240, 3)), np.ones(240, bool)
+    displacement[:118, 0], displacement[118:, 0] = 0.03, -0.01
+    is_contact[118:124] = False
+    smooth = smooth_displacement(displacement, is_contact, np.ones(240, bool), RATE)
+    acceleration = np.linalg.norm(np.diff(smooth, 2, axis=0), axis=1) * RATE**2
+    assert acceleration.max() < 2 * MAX_DISPLACEMENT_ACCELERATION_M_S2
+    free = smooth_displacement(displacement, is_contact, np.zeros(240, bool), RATE)
+    assert (np.linalg.norm(np.diff(free, 2, axis=0), axis=1) * RATE**2).max() > 4 * MAX_DISPLACEMENT_ACCELERATION_M_S2
+    np.testing.assert_allclose(smooth[[60, 200], 0], [0.03, -0.01], atol=0.0005)
 
 
 def test_contacts_extend_over_slow_frames_and_join():

@@ -10,7 +10,11 @@ HIDDEN = slice(100, 180)
 
 
 def infer(
-    place_change_m: float = 0.0, hidden: slice = HIDDEN, other_steps: int = 0, is_standing_before: bool = True
+    place_change_m: float = 0.0,
+    hidden: slice = HIDDEN,
+    other_steps: int = 0,
+    is_standing_before: bool = True,
+    is_other_known: bool = True,
 ) -> np.ndarray:
     """Return the certain frames of a foot that stands, is hidden, and stands again."""
     position, is_known, is_standing = np.zeros((300, 3)), np.ones(300, bool), np.ones(300, bool)
@@ -21,7 +25,7 @@ def infer(
     other_standing = np.ones(300, bool)
     for step in range(other_steps):
         other_standing[hidden.start + 5 + 20 * step : hidden.start + 15 + 20 * step] = False
-    return find_certain_occlusions(is_standing, position, is_known, other_standing, RATE)
+    return find_certain_occlusions(is_standing, position, is_known, other_standing, np.full(300, is_other_known), RATE)
 
 
 def test_a_foot_at_the_same_place_before_and_after_stood_between():
@@ -46,8 +50,16 @@ def test_a_short_gap_is_certain_whatever_the_other_foot_does():
 
 
 @pytest.mark.parametrize("hidden", [slice(0, 80), slice(220, 300)])
-def test_at_the_ends_of_a_take_nothing_is_certain(hidden):
-    assert not infer(hidden=hidden).any()
+def test_at_the_ends_of_a_take_a_foot_stands_if_the_person_stands_still(hidden):
+    assert np.flatnonzero(infer(hidden=hidden)).tolist() == list(range(hidden.start, hidden.stop))
+    assert not infer(hidden=hidden, other_steps=1).any()
+    assert not infer(hidden=hidden, is_other_known=False).any()
+
+
+def test_at_the_ends_of_a_take_long_gaps_and_short_stances_are_uncertain():
+    assert not infer(hidden=slice(0, 210)).any()
+    assert not infer(hidden=slice(95, 300), is_standing_before=False).any()
+    assert not infer(hidden=slice(0, 300)).any()
 
 
 def test_known_frames_are_those_of_usual_uncertainty_without_the_borders_of_others():

@@ -1,4 +1,4 @@
-"""Ankle and toes keep their distance, move in the horizontal plane alone, and the one that is held moves less."""
+"""Ankle and toes keep their distance, move horizontally unless the foot is steep, and the one that is held moves less."""
 
 import numpy as np
 from hypothesis import given
@@ -11,7 +11,7 @@ metres = st.floats(-0.02, 0.02)
 shares = st.floats(0, 1)
 
 
-@given(st.tuples(metres, metres), st.tuples(metres, metres), shares, shares, st.floats(-0.1, 0.1))
+@given(st.tuples(metres, metres), st.tuples(metres, metres), shares, shares, st.floats(-0.06, 0.06))
 def test_length_and_heights_are_kept(ankle_shift, toe_shift, ankle_share, toe_share, height_m):
     ankle = np.array([[ankle_shift[0], height_m, ankle_shift[1]]])
     toe = np.array([[toe_shift[0], 0.0, toe_shift[1] + np.sqrt(LENGTH_M**2 - height_m**2)]])
@@ -19,6 +19,17 @@ def test_length_and_heights_are_kept(ankle_shift, toe_shift, ankle_share, toe_sh
     np.testing.assert_allclose(np.linalg.norm(moved[1] - moved[0], axis=1), LENGTH_M, atol=1e-9)
     np.testing.assert_allclose(moved[0][:, 1], ankle[:, 1])
     np.testing.assert_allclose(moved[1][:, 1], toe[:, 1])
+
+
+@given(st.tuples(metres, metres), shares, shares, st.floats(0.06, 0.14))
+def test_a_small_change_of_length_moves_a_steep_foot_little(ankle_shift, ankle_share, toe_share, height_m):
+    toe = np.array([[0.0, 0.0, np.sqrt(LENGTH_M**2 - height_m**2)]])
+    ankle = np.array([[ankle_shift[0], height_m, ankle_shift[1]]])
+    moved = restore_foot_length(ankle, toe, (np.array([ankle_share]), np.array([toe_share])), np.array([LENGTH_M]))
+    change_m = float(abs(np.linalg.norm(ankle - toe) - LENGTH_M))
+    np.testing.assert_allclose(np.linalg.norm(moved[1] - moved[0], axis=1), LENGTH_M, atol=0.1 * change_m + 1e-9)
+    largest_m = max(np.linalg.norm(new - old) for new, old in zip(moved, (ankle, toe), strict=True))
+    assert largest_m <= 2 * change_m + 1e-9
 
 
 def test_the_joint_that_is_held_stays():
