@@ -1,6 +1,7 @@
 """The mapping of a character's bones as a YAML file that people can read, correct and give back."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ MAPPING_FILE_HEADER = """\
 #   the one before; an empty list [] is a segment that the character lacks.
 #   Needed: {required}.
 # twists: bones beside a limb that only take a share of its twist, from near to far.
+# feet_flat: whether the soles lie flat in the rest pose; false: they do when the shins are vertical. Correct it where the feet of
+#   the result are tilted to the side.
 # All other bones keep their rest pose: fingers, face, hair, clothes. They are listed at the end.
 """
 
@@ -26,6 +29,7 @@ MAPPING_FILE_HEADER = """\
 class _MappingModel(StrictModel):
     segments: dict[str, BoneNames]
     twists: dict[str, BoneNames] = Field(default_factory=dict)
+    feet_flat: bool | None = None
 
 
 def write_mapping_file(target: str | Path, character: Character) -> None:
@@ -37,6 +41,7 @@ def write_mapping_file(target: str | Path, character: Character) -> None:
     data: dict[str, Any] = {
         "segments": {segment: _list_names(names, mapping.bones, segment) for segment in SEGMENTS},
         "twists": {segment: _list_names(names, mapping.twists, segment) for segment in mapping.twists},
+        "feet_flat": bool(character.has_feet_flat),
     }
     header = MAPPING_FILE_HEADER.format(
         name=_flatten(character.name), reason=_flatten(mapping.reason), required=_describe_required_segments()
@@ -63,6 +68,17 @@ def read_mapping_file(path: str | Path, character: Character) -> BoneMapping:
         reason=f"The mapping file {path.name}.",
         source=str(path),
     )
+
+
+def read_feet_flat(path: str | Path) -> bool | None:
+    """Read whether the soles lie flat in the rest pose from a mapping file, None if it lacks this. Raises SceneError."""
+    return read_yaml_model(_MappingModel, Path(path)).feet_flat
+
+
+def apply_mapping_file(path: str | Path, character: Character) -> Character:
+    """Return a character with the mapping of a file, and its feet as the file gives them. Raises as `read_mapping_file`."""
+    mapping, feet_flat = read_mapping_file(path, character), read_feet_flat(path)
+    return replace(character, mapping=mapping, has_feet_flat=character.has_feet_flat if feet_flat is None else feet_flat)
 
 
 def _list_names(names: tuple[str, ...], group: Mapping[str, tuple[int, ...]], segment: str) -> InlineSequence:

@@ -8,6 +8,7 @@ pose, and bones that an animation leaves out are in this pose in every program. 
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from mocapfix.characters.bone_tails import compute_tail
 from mocapfix.characters.character import BoneMapping, Character, CharacterSource
 from mocapfix.characters.gltf_nodes import GltfNodes, are_numbers, compute_bone_transforms, read_gltf_nodes, read_indices
 from mocapfix.characters.gltf_packing import read_packed_gltf
-from mocapfix.characters.vrm_bones import build_vrm_mapping, read_vrm_bones
+from mocapfix.characters.side_twists import find_side_twists
+from mocapfix.characters.vrm_bones import build_vrm_mapping, list_spring_nodes, read_vrm_bones
 from mocapfix.errors import ReadError
 from mocapfix.files.glb import is_glb
 
@@ -54,7 +56,10 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
     if vrm_bones:
         humanoid = set(vrm_bones.values())
         skeletons = [max(skeletons, key=lambda joints: len(humanoid & joints)) | humanoid]
-    return [_build_character(nodes, joints, packed_data, vrm_bones) for joints in skeletons]
+    characters = [_build_character(nodes, joints, packed_data, vrm_bones) for joints in skeletons]
+    return (
+        [_add_vrm_twists(character, list_spring_nodes(content.document)) for character in characters] if vrm_bones else characters
+    )
 
 
 def _read_skins(path: Path, document: Mapping[str, Any], node_count: int) -> list[list[int]]:
@@ -113,6 +118,15 @@ def _build_character(nodes: GltfNodes, joints: set[int], data: bytes, vrm_bones:
         root_scale=GLTF_SCALE_M,
         source=CharacterSource(str(nodes.path), data, np.array(bones), "gltf"),
     )
+
+
+def _add_vrm_twists(character: Character, spring_nodes: set[int]) -> Character:
+    """Return the character with the twist bones beside its limbs, which a VRM does not name. Springs are none."""
+    positions, _ = character.compute_rest_pose()
+    mapping, nodes = character.mapping, [] if character.source is None else character.source.nodes.tolist()
+    found = find_side_twists(character.names, character.parents, positions, mapping.bones)
+    twists = {segment: tuple(bone for bone in chain if nodes[bone] not in spring_nodes) for segment, chain in found.items()}
+    return replace(character, mapping=replace(mapping, twists={segment: chain for segment, chain in twists.items() if chain}))
 
 
 def _find_tails(nodes: GltfNodes, bones: Sequence[int], scales: Float[np.ndarray, " B"]) -> Float[np.ndarray, "B 3"]:

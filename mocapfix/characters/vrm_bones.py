@@ -59,6 +59,29 @@ def read_vrm_bones(path: Path, document: Mapping[str, Any], node_count: int) -> 
     return found
 
 
+def list_spring_nodes(document: Mapping[str, Any]) -> set[int]:
+    """Return the nodes that a VRM moves as springs, such as sleeves: the first of each chain (VRM 0.x) or all (VRM 1.0)."""
+    found: set[int] = set()
+    remaining: list[Any] = [_get_part(document, ("extensions", "VRM", "secondaryAnimation", "boneGroups"))]
+    remaining.append(_get_part(document, ("extensions", "VRMC_springBone", "springs")))
+    while remaining:
+        part = remaining.pop()
+        if isinstance(part, list):
+            remaining += part
+        elif isinstance(part, dict):
+            remaining += [part.get("bones"), part.get("joints"), part.get("node")]
+        elif isinstance(part, int):
+            found.add(part)
+    return found
+
+
+def _get_part(document: Any, keys: tuple[str, ...]) -> Any:
+    """Return a part of a document, None if it lacks it."""
+    for key in keys:
+        document = document.get(key) if isinstance(document, dict) else None
+    return document
+
+
 def build_vrm_mapping(nodes: GltfNodes, bones: list[int], vrm_bones: Mapping[str, int]) -> BoneMapping:
     """Build the mapping of the humanoid bones of a VRM.
 

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.characters.character import REQUIRED_SEGMENTS, CharacterMotion
-from mocapfix.characters.character_choice import are_shins_upright, check_lengths, load_character
+from mocapfix.characters.character_choice import check_lengths, load_character
 from mocapfix.characters.character_presets import load_character_preset
+from mocapfix.characters.character_reader import read_character_skeletons
 from mocapfix.characters.cmu31_character import build_cmu31_character
 from mocapfix.characters.mapping_file import write_mapping_file
 from mocapfix.errors import ReadError, SceneError
@@ -15,6 +16,7 @@ from mocapfix.files.option_choices import CHARACTER_PRESETS
 from mocapfix.skeleton import load_cmu31_skeleton
 from mocapfix.write.character_bvh import write_character_bvh
 from mocapfix.write.character_glb import write_character_glb
+from tests.characters.character_files import FIGURE, PREFIX, build_mixamo_glb, edit_glb, node_of
 
 
 def rest_motion(character) -> CharacterMotion:
@@ -65,8 +67,81 @@ def test_a_limb_without_length_is_refused():
         check_lengths(replace(character, rest_positions=positions), "hero")
 
 
-def test_spread_legs_of_the_31_joints_are_no_rest_pose_with_flat_feet():
-    character = build_cmu31_character(load_cmu31_skeleton())
-    assert not are_shins_upright(character)
-    assert are_shins_upright(load_character_preset("unreal"))
-    assert np.isfinite(character.rest_positions).all()
+def test_the_first_skeleton_that_forms_a_body_is_taken(tmp_path):
+    """A rope of more joints than the body comes first in the file."""
+
+    def edit(document):
+        first, count = len(document["nodes"]), len(FIGURE.names) + 5
+        document["nodes"] += [{"name": f"rope {k}", "children": [first + k + 1]} for k in range(count)]
+        document["nodes"][-1].pop("children")
+        document["scenes"][0]["nodes"].append(first)
+        document["skins"].append({"joints": list(range(first, first + count))})
+
+    path = tmp_path / "roped.glb"
+    path.write_bytes(edit_glb(build_mixamo_glb(), edit))
+    assert read_character_skeletons(path)[0].names[0] == "rope 0"
+    character = load_character(path)
+    assert character.names[character.mapping.bones["pelvis"][0]] == f"{PREFIX}Hips"
+    write_mapping_file(tmp_path / "map.yaml", character)
+    assert load_character(path, tmp_path / "map.yaml").names == character.names
+
+
+def test_what_is_wrong_with_the_largest_skeleton_is_stated(tmp_path):
+    def edit(document):
+        document["skins"][0]["joints"] = [node_of(FIGURE.names.index(name)) for name in ("Hips", "LeftLeg", "LeftFoot")]
+
+    (tmp_path / "leg.glb").write_bytes(edit_glb(build_mixamo_glb(), edit))
+    with pytest.raises(SceneError, match=r"leg\.glb: "):
+        load_character(tmp_path / "leg.glb")
+
+
+@pytest.mark.parametrize("feet_flat", [True, False])
+def test_the_mapping_file_decides_whether_soles_are_flat(tmp_path, feet_flat):
+    character = load_character("mixamo")
+    assert character.has_feet_flat
+    write_mapping_file(tmp_path / "map.yaml", replace(character, has_feet_flat=feet_flat))
+    assert load_character("mixamo", tmp_path / "map.yaml").has_feet_flat is feet_flat
+    source = build_cmu31_character(load_cmu31_skeleton())
+    write_character_bvh(tmp_path / "solved.bvh", source, rest_motion(source))
+    solved = load_character(tmp_path / "solved.bvh")
+    assert not solved.has_feet_flat
+    write_mapping_file(tmp_path / "solved.yaml", replace(solved, has_feet_flat=feet_flat))
+    assert load_character(tmp_path / "solved.bvh", tmp_path / "solved.yaml").has_feet_flat is feet_flat
+
+
+def test_a_mapping_file_without_the_soles_leaves_them_to_the_rest_pose(tmp_path):
+    source = build_cmu31_character(load_cmu31_skeleton())
+    write_character_bvh(tmp_path / "solved.bvh", source, rest_motion(source))
+    path = tmp_path / "solved.yaml"
+    write_mapping_file(path, load_character(tmp_path / "solved.bvh"))
+    text = path.read_text(encoding="utf-8")
+    assert "\nfeet_flat: false\n" in text
+    path.write_text(text.replace("\nfeet_flat: false\n", "\n"), encoding="utf-8")
+    assert not load_character(tmp_path / "solved.bvh", path).has_feet_flat
+
+
+def test_swapped_names_of_sides_are_refused(tmp_path):
+    def edit(document):
+        for node in document["nodes"]:
+            for one, other in (("Left", "Right"), ("Right", "Left")):
+                if node["name"].startswith(f"{PREFIX}{one}"):
+                    node["name"] = node["name"].replace(one, other)
+                    break
+
+    path = tmp_path / "swapped.glb"
+    path.write_bytes(edit_glb(build_mixamo_glb(), edit))
+    with pytest.raises(SceneError, match=r"swapped\.glb: the toes 'mixamorig:LeftToeBase' and .* point backwards"):
+        load_character(path)
+
+
+def test_a_posed_rest_pose_is_in_the_reason_of_the_mapping(tmp_path):
+    def edit(document):
+        node = document["nodes"][node_of(FIGURE.names.index("LeftUpLeg"))]
+        turned = Rotation.from_quat(node["rotation"]) * Rotation.from_euler("x", 55, degrees=True)
+        node["rotation"] = turned.as_quat().tolist()
+
+    path = tmp_path / "running.glb"
+    path.write_bytes(edit_glb(build_mixamo_glb(), edit))
+    assert "not in a T- or A-pose (left " in load_character(path).mapping.reason
+    path.write_bytes(build_mixamo_glb())
+    assert "A-pose" not in load_character(path).mapping.reason

@@ -106,6 +106,42 @@ def test_without_a_humanoid_neck_the_bones_above_the_arms_are_the_neck(tmp_path)
     assert (len(mapping["spine"]), len(mapping["neck"])) == (3, 1)
 
 
+def add_bone_beside_the_shin(document, name, share):
+    """Add a joint below the left thigh, at a share of the way to the knee, and return its node."""
+    thigh, knee = node_of(FIGURE.names.index("LeftUpLeg")), node_of(FIGURE.names.index("LeftLeg"))
+    place = [share * each for each in document["nodes"][knee]["translation"]]
+    document["nodes"].append({"name": name, "translation": place})
+    document["nodes"][thigh]["children"].append(len(document["nodes"]) - 1)
+    document["skins"][0]["joints"].append(len(document["nodes"]) - 1)
+    return len(document["nodes"]) - 1
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_twist_bones_of_a_vrm_are_found(tmp_path, version):
+    def edit(document):
+        add_bone_beside_the_shin(document, "twist far", 0.8)
+        add_bone_beside_the_shin(document, "twist near", 0.4)
+
+    character = read(tmp_path, edit_glb(build_vrm(version), edit), "avatar.vrm")
+    assert {key: [character.names[bone] for bone in chain] for key, chain in character.mapping.twists.items()} == {
+        "left_thigh": ["twist near", "twist far"]
+    }
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_springs_of_a_vrm_are_no_twist_bones(tmp_path, version):
+    def edit(document):
+        node = add_bone_beside_the_shin(document, "skirt", 0.5)
+        if version == 0:
+            document["extensions"]["VRM"]["secondaryAnimation"] = {"boneGroups": [{"bones": [node], "hitRadius": 0.02}]}
+        else:
+            document["extensions"]["VRMC_springBone"] = {"springs": [{"name": "skirt", "joints": [{"node": node}]}]}
+
+    character = read(tmp_path, edit_glb(build_vrm(version), edit), "avatar.vrm")
+    assert "skirt" in character.names
+    assert not character.mapping.twists
+
+
 def test_a_humanoid_bone_without_skin_is_a_bone(tmp_path):
     def edit(document):
         document["skins"][0]["joints"].remove(node_of(FIGURE.names.index("LeftToeBase")))

@@ -5,15 +5,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mocapfix.animation import Animation
+from mocapfix.bench.retargeting import build_contacts
 from mocapfix.characters.character_choice import load_character
+from mocapfix.contacts.contacts import HeldFeet, build_no_contacts
 from mocapfix.errors import WriteError
+from mocapfix.files.option_choices import FEET_LOCK, FEET_SOFT
 from mocapfix.files.shipped import find_shipped_folder
 from mocapfix.options import OutputOptions
 from mocapfix.read.capture import read_capture
+from mocapfix.retarget.retarget_motion import retarget_motion
+from mocapfix.skeleton import Skeleton, load_cmu31_skeleton
 from mocapfix.write.character_files import CharacterFiles
 from mocapfix.write.output_formats import list_output_formats
+from tests.retarget.walking_body import RATE, load_walk
+from tests.write.read_back import motion_of
 
 
 @pytest.fixture(autouse=True)
@@ -58,6 +66,46 @@ def test_fbx_that_cannot_be_written_is_no_failure(solved, tmp_path):
     assert "mixamo.fbx" not in outputs
     notes = json.loads(outputs["report.json"].read_text())["notes"]
     assert sum("FBX needs Blender" in note for note in notes) == 2  # of the solved skeleton, and of the character
+
+
+@pytest.mark.parametrize("mode", [FEET_LOCK, FEET_SOFT])
+def test_the_floor_and_locked_contacts_reach_the_character(mode, tmp_path):
+    """The files hold what retargeting gives with both, and neither of them is without effect."""
+    source, motion = load_walk()
+    rest = load_cmu31_skeleton()
+    skeleton = Skeleton(rest.names, rest.parents, source.rest_positions, rest.ends)
+    solved = motion_of(motion.local_rotations, motion.pelvis_position)
+    contacts = build_contacts(skeleton, solved, RATE)
+    raised = replace(contacts, floor=replace(contacts.floor, level_heights_m=(0.1,)), held_feet=HeldFeet(mode, 0.0))
+    target = load_character("mixamo")
+    CharacterFiles(target).write(tmp_path / "walk.mixamo.glb", skeleton, solved, RATE, raised)
+    arrays = np.load(tmp_path / "walk.mixamo.npz")
+    pelvis = arrays["pelvis_position"]
+
+    def retarget(height_m, mode):
+        floor = replace(contacts.floor, level_heights_m=(height_m,))
+        return retarget_motion(source, motion, target, contacts=replace(contacts, floor=floor, held_feet=HeldFeet(mode, 0.0)))
+
+    expected, other, on_zero = (
+        retarget(*each) for each in ((0.1, mode), (0.1, FEET_SOFT if mode == FEET_LOCK else FEET_LOCK), (0.0, mode))
+    )
+    foot = target.mapping.bones["left_foot"][0]
+    rotations = Rotation.from_quat(arrays["rotations"][:, foot]).as_matrix()
+    np.testing.assert_allclose(pelvis, expected.pelvis_position, atol=1e-5)
+    np.testing.assert_allclose(rotations, expected.local_rotations[:, foot], atol=1e-5)
+    assert np.abs(rotations - other.local_rotations[:, foot]).max() > 1e-3
+    assert (on_zero.pelvis_position[:, 1] > pelvis[:, 1] + 0.02).all()
+
+
+def test_the_contacts_of_the_motion_keep_feet_when_keys_are_reduced(tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr("mocapfix.write.character_glb.build_leg_curves", lambda *arguments: given.append(arguments[2]))
+    _, motion = load_walk()
+    contacts = build_no_contacts(motion.frame_count, RATE)
+    solved = motion_of(motion.local_rotations, motion.pelvis_position)
+    files = CharacterFiles(load_character("mixamo"), key_error_deg=1.0)
+    files.write(tmp_path / "walk.mixamo.glb", load_cmu31_skeleton(), solved, RATE, contacts)
+    assert given == [contacts]
 
 
 def test_file_names_are_checked_before_anything_is_cleaned():
