@@ -10,8 +10,10 @@ from mocapfix.characters.character import SIDES, compute_character_poses
 from mocapfix.characters.character_presets import load_character_preset
 from mocapfix.contacts.contacts import HeldFeet
 from mocapfix.motion import Motion
-from mocapfix.retarget.kept_contacts import resample_foot_contacts
+from mocapfix.retarget.body_frames import build_body_frame
+from mocapfix.retarget.kept_contacts import hold_kept_feet, resample_foot_contacts
 from mocapfix.retarget.retarget_motion import retarget_motion
+from mocapfix.retarget.segment_motion import compute_segment_motion
 from mocapfix.skeleton import load_cmu31_skeleton
 from tests.retarget.walking_body import RATE, load_walk
 
@@ -49,6 +51,22 @@ def test_locked_feet_drift_less(contacts, name):
     locked = measure_drift_mm(target, retarget_motion(character, motion, target, contacts=held), contacts)
     assert locked < 1.0
     assert locked < free / 2
+
+
+def test_locked_balls_are_where_the_turned_feet_have_them(contacts):
+    character, motion = load_walk()
+    target = build_body_frame(load_character_preset("mixamo"))
+    segments = compute_segment_motion(build_body_frame(character), motion)
+    ankles = {side: segments.position[f"{side}_foot"] for side in SIDES}
+    feet = {side: segments.rotation[f"{side}_foot"] for side in SIDES}
+    at_rate = resample_foot_contacts(contacts, motion.frame_count, RATE)
+    held_ankles, held_feet = hold_kept_feet(target, ankles, feet, at_rate)
+    for side in SIDES:
+        ball = held_ankles[side] + held_feet[side] @ target.compute_ball(side)
+        for first, last in contacts.list_intervals(f"{side.capitalize()}ToeBase"):
+            place = ball[first : last + 1, [0, 2]]
+            assert np.linalg.norm(place - place.mean(0), axis=1).max() < 2e-3
+        assert np.abs(held_feet[side] - feet[side]).max() > 1e-3
 
 
 def test_contacts_at_half_the_rate_are_those_of_every_second_frame(contacts):

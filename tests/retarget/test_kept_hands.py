@@ -91,6 +91,24 @@ def test_palms_that_touch_still_touch_with_longer_arms():
     np.testing.assert_allclose(kept["left"] + kept["right"], palms["left"] + palms["right"], atol=1e-12)
 
 
+def test_hands_that_clap_clap_with_longer_arms():
+    character, still = pose_t()
+    source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
+    local = still.local_rotations.copy()
+    for side, sign in (("left", -1), ("right", 1)):  # arms ahead, pointing inwards until the palms nearly touch
+        turn = Rotation.from_euler("y", sign * 115, degrees=True).as_matrix()
+        local[:, character.mapping.bones[f"{side}_upper_arm"][0]] = turn
+    segments = compute_segment_motion(source, CharacterMotion(still.pelvis_position, local, still.rate))
+    hands = compute_hand_targets(source, target, segments, segments.position)
+    palms, source_palms = (
+        {side: place[side] + segments.rotation[f"{side}_hand"] @ frame.compute_palm(side) for side in ("left", "right")}
+        for frame, place in ((target, hands), (source, {side: segments.position[f"{side}_hand"] for side in ("left", "right")}))
+    )
+    apart, source_apart = (each["left"] - each["right"] for each in (palms, source_palms))
+    assert np.linalg.norm(source_apart) < NEAR_DISTANCE * source.trunk_length_m
+    np.testing.assert_allclose(apart, source_apart, atol=1e-3)
+
+
 def test_palm_before_the_trunk_keeps_its_distance_from_the_trunk():
     character, motion = pose_t()
     source, target = build_body_frame(character), build_body_frame(scale_limbs(character, arms=1.3))
