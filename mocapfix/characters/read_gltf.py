@@ -57,9 +57,10 @@ def read_gltf_skeletons(path: Path, data: bytes) -> list[Character]:
         humanoid = set(vrm_bones.values())
         skeletons = [max(skeletons, key=lambda joints: len(humanoid & joints)) | humanoid]
     characters = [_build_character(nodes, joints, packed_data, vrm_bones) for joints in skeletons]
-    return (
-        [_add_vrm_twists(character, list_spring_nodes(content.document)) for character in characters] if vrm_bones else characters
-    )
+    if not vrm_bones:
+        return characters
+    springs = list_spring_nodes(content.document)
+    return [_add_vrm_twists(character, springs) for character in characters]
 
 
 def _read_skins(path: Path, document: Mapping[str, Any], node_count: int) -> list[list[int]]:
