@@ -12,8 +12,8 @@ MAX_BACKWARD_COSINE = -0.5
 """cosine of the horizontal angle between a foot and the front, below which it points backwards"""
 MIN_HORIZONTAL_FOOT_SHARE = 0.3
 """horizontal length of a foot, as a share of its length, from which it points anywhere; on high heels it may not"""
-MAX_REST_LEG_DEG = 40.0
-"""angle of thighs and shins from the vertical in T- and A-poses"""
+MAX_REST_TILT_DEG = 40.0
+"""angle of the trunk, the thighs and the shins from the vertical in T- and A-poses"""
 MAX_REST_DIFFERENCE_DEG = 25.0
 """angle between a limb and the mirrored one of the other side in T- and A-poses"""
 MIN_SPREAD_RAD, MAX_SPREAD_RAD = np.deg2rad(12.0), np.deg2rad(30.0)
@@ -29,8 +29,10 @@ def check_sides(character: Character, name: str) -> None:
     """Raise SceneError, which begins with `name`, if left and right are swapped.
 
     The front follows from left and right. They are swapped if both feet point backwards, or if the arms give another front than
-    the legs. Feet without toes point nowhere.
+    the legs. Feet without toes point nowhere, and a rest pose that is not upright shows no front.
     """
+    if _measure_trunk_tilt_deg(character) > MAX_REST_TILT_DEG:
+        return
     position, _ = character.compute_rest_pose()
     bones = character.mapping.bones
     what_to_do = "exchange the bones of both sides in a mapping file (--character-map) or in their names"
@@ -60,6 +62,8 @@ def describe_posed_limbs(character: Character) -> str:
     axes, vectors = _compute_body_axes(character), _list_limb_vectors(character)
     tilted: list[tuple[float, str]] = []
     different: list[tuple[float, str]] = []
+    if (tilt := _measure_trunk_tilt_deg(character)) > MAX_REST_TILT_DEG:
+        tilted.append((tilt, f"trunk {tilt:.0f} degrees from the vertical"))
     for segment, _ in LIMB_SEGMENTS:
         pair = [axes.T @ vectors[f"{side}_{segment}"] for side in SIDES if f"{side}_{segment}" in vectors]
         if len(pair) < len(SIDES):
@@ -70,7 +74,7 @@ def describe_posed_limbs(character: Character) -> str:
             different.append((angle, f"{label}s differ by {angle:.0f} degrees"))
         for side, vector in zip(SIDES, pair, strict=True):
             angle = _measure_angle_deg(vector, np.array([0.0, -1.0, 0.0]))
-            if segment in ("thigh", "shin") and angle > MAX_REST_LEG_DEG:
+            if segment in ("thigh", "shin") and angle > MAX_REST_TILT_DEG:
                 tilted.append((angle, f"{side} {label} {angle:.0f} degrees from the vertical"))
     if not (found := tilted or different):
         return ""
@@ -114,6 +118,16 @@ def _compute_body_axes(character: Character) -> Float[np.ndarray, "3 3"]:
     length = float(np.linalg.norm(leftward))
     x = leftward / length if length > 0 else np.array([1.0, 0.0, 0.0])
     return np.stack([x, [0.0, 1.0, 0.0], [-x[2], 0.0, x[0]]], axis=1)
+
+
+def _measure_trunk_tilt_deg(character: Character) -> float:
+    """Return the angle between the vertical and the direction from the hips to the shoulders."""
+    position, _ = character.compute_rest_pose()
+    hips, shoulders = (
+        np.mean([position[character.mapping.bones[f"{side}_{segment}"][0]] for side in SIDES], axis=0)
+        for segment in ("thigh", "upper_arm")
+    )
+    return _measure_angle_deg(shoulders - hips, np.array([0.0, 1.0, 0.0]))
 
 
 def _list_limb_vectors(character: Character) -> dict[str, Float[np.ndarray, " 3"]]:

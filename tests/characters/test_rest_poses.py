@@ -102,6 +102,20 @@ def test_a_posed_limb_is_named(segment, axis, degrees, expected, facing):
     assert re.search(expected, sentence), sentence
 
 
+def test_a_lying_rest_pose_is_described_and_shows_no_swapped_sides():
+    """Some BVH files have offsets of no pose at all: the trunk lies, and the legs do not face where the arms do."""
+    character = load_character_preset("mixamo")
+    bones = character.mapping.bones
+    _, world = character.compute_rest_pose()
+    above = world[character.parents[bones["spine"][0]]]
+    rotations = character.rest_rotations.copy()
+    lying = Rotation.from_euler("yx", [180, 60], degrees=True).as_matrix()
+    rotations[bones["spine"][0]] = above.T @ lying @ world[bones["spine"][0]]
+    character = replace(character, rest_rotations=rotations)
+    check_sides(character, "a file")
+    assert re.search(r"\(trunk \d\d degrees from the vertical\)", describe_posed_limbs(character))
+
+
 def test_other_standard_poses_are_not_posed():
     preset = load_character_preset("mixamo")
     for segment, axis, degrees in (("upper_arm", "z", -75), ("thigh", "z", 20), ("upper_arm", "x", 40), ("thigh", "x", -10)):
