@@ -133,7 +133,7 @@ def _write_bvh(target: Path, result: "CleaningResult", exported: ExportedMotion 
 def _write_gltf(target: Path, result: "CleaningResult", exported: ExportedMotion | None) -> list[str]:
     exported = _require_motion(exported)
     key_error_rad = None if exported.key_error_deg is None else float(np.deg2rad(exported.key_error_deg))
-    reduction = write_gltf(target, exported.skeleton, exported.motion, exported.rate, key_error_rad)
+    reduction = write_gltf(target, exported.skeleton, exported.motion, exported.rate, key_error_rad, result.contacts)
     return [] if reduction is None else [f"{target.name}: {reduction.sentence}"]
 
 
@@ -141,7 +141,8 @@ def _write_fbx(target: Path, result: "CleaningResult", exported: ExportedMotion 
     from mocapfix.write.character_files import write_skeleton_fbx
 
     exported = _require_motion(exported)
-    return write_skeleton_fbx(target, exported.skeleton, exported.motion, exported.rate, exported.key_error_deg)
+    details = exported.rate, exported.key_error_deg, result.contacts
+    return write_skeleton_fbx(target, exported.skeleton, exported.motion, *details)
 
 
 def build_character_format(name_or_path: str | Path, options: OutputOptions) -> OutputFormat:
