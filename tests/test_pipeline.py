@@ -193,7 +193,7 @@ def test_written_report_is_that_of_the_result_in_strict_json(cleaned):
     assert (cleaned.outputs["report.json"].parent / arguments[0]).samefile(cleaned.path)
     assert {**written, "seconds": None} == {**report, "seconds": None}
     assert not {"write", "show"} & set(report["seconds"])  # writing does not change the result
-    assert list(written) == ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "notes"]
+    assert list(written) == ["take", "faults", "changes", "subject", "solve", "fill", "seconds", "notes", "contacts"]
     assert {"read", "calibrate", "solve", "fill", "write", "show"} <= set(written["seconds"])
     assert written["seconds"]["total"] == pytest.approx(sum(v for k, v in written["seconds"].items() if k != "total"), abs=1e-3)
 
