@@ -64,7 +64,8 @@ def filled_state(faulty) -> CleaningState:
     options = CleanOptions()
     take = capture.read_take(faulty.path)
     state = pipeline.start_cleaning(take, SubjectOptions(subject=faulty.subject))
-    return fill_gaps(pipeline.detect_and_fit(state, options, StageTimer()), options)
+    state = pipeline.detect_and_fit(state, options, StageTimer())
+    return fill_gaps(pipeline.hold_standing_feet(pipeline.complete_body(state, options), options), options)
 
 
 def test_every_fault_is_repaired(faulty):
