@@ -205,7 +205,7 @@ def test_sides_are_recognised_in_many_spellings(spell):  # pyright: ignore
 
 
 def test_unreal_engine_4_mannequin_is_found_by_its_names():
-    """It has three vertebrae and one neck; `calf_twist_01_l` lies beside the shin."""
+    """It has three vertebrae and one neck; `calf_twist_01_l` is beside the shin."""
     preset = load_character_preset("unreal")
     keep = [bone for bone, name in enumerate(preset.names) if name not in ("spine_04", "spine_05", "neck_02")]
     figure = Figure(preset)
