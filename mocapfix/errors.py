@@ -1,7 +1,13 @@
-"""Exceptions that mocapfix raises on purpose.
+"""Exceptions that mocapfix raises on purpose, and the sentence on any other.
 
 Every message says what is wrong, where (file, marker, frame), and how to correct it.
 """
+
+from pathlib import Path
+
+MAX_DETAIL_LENGTH = 50
+"""characters of an unexpected exception's own text in its sentence"""
+REPORT_REQUEST = "please report it (CONTRIBUTING.md says where), if possible with the file"
 
 
 class MocapfixError(Exception):
@@ -43,3 +49,22 @@ class OptionError(MocapfixError):
         self.flag = flag
         self.job_key = job_key
         self.problem = problem
+
+
+def describe_error(error: BaseException) -> str:
+    """Return the sentence of an error without the name of the file, unless mocapfix or the system explains it with one."""
+    if isinstance(error, MocapfixError):
+        return f"{error.flag} {error.problem}." if isinstance(error, OptionError) else str(error)
+    if isinstance(error, MemoryError):
+        return "There is not enough memory; close other programs, or clean fewer frames or takes at a time."
+    if isinstance(error, OSError) and error.strerror:
+        place = f" ({error.filename})" if error.filename else ""
+        return f"The system refused{place}: {error.strerror}; check the disk and the permissions."
+    traceback, place = error.__traceback__, ""
+    while traceback is not None:
+        place = f" in {Path(traceback.tb_frame.f_code.co_filename).name}, line {traceback.tb_lineno}"
+        traceback = traceback.tb_next
+    detail = " ".join(str(error).split())
+    if len(detail) > MAX_DETAIL_LENGTH:
+        detail = f"{detail[:MAX_DETAIL_LENGTH]}..."
+    return f"An error in mocapfix{place} ({type(error).__name__}{detail and ': '}{detail}); {REPORT_REQUEST}."

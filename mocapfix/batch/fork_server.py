@@ -21,6 +21,7 @@ from importlib import import_module
 from typing import BinaryIO, NamedTuple
 
 from mocapfix.batch.job_messages import ChildReply, ForkRequest, JobEnd, read_message, read_message_bytes, write_message
+from mocapfix.errors import describe_error
 from mocapfix.files.free_memory import return_free_memory
 
 MAXRSS_UNIT_MB = 1e-6 if sys.platform == "darwin" else 1.024e-3  # bytes; kibibytes
@@ -175,20 +176,6 @@ def _run_job(request: ForkRequest) -> ChildReply:
     except BaseException as error:  # the server goes on
         return ChildReply(error=describe_error(error))
     return reply
-
-
-def describe_error(error: BaseException) -> str:
-    """Return the sentence of an error; for one that mocapfix does not explain, its kind and where it was raised."""
-    from mocapfix.errors import MocapfixError
-
-    if isinstance(error, MocapfixError):
-        return str(error)
-    traceback, place = error.__traceback__, ""
-    while traceback is not None:
-        code = traceback.tb_frame.f_code
-        place = f" in {os.path.basename(code.co_filename)}, line {traceback.tb_lineno}"  # noqa: PTH119
-        traceback = traceback.tb_next
-    return f"An error in mocapfix{place} ({type(error).__name__}: {error}); please report it, with the file if possible."
 
 
 def _end_with_parent(server: int) -> None:

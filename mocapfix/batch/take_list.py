@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 from mocapfix.batch.folder_lock import ATTEMPTS_SUFFIX
 from mocapfix.batch.records import RECORD_SUFFIX
 from mocapfix.errors import ReadError
+from mocapfix.files.output_files import JSON_REPORT_SUFFIX, OUTPUT_FOLDER_SUFFIX
 from mocapfix.read.file_content import check_path_encoding
 
 TAKE_SUFFIXES = (".c3d", ".trc", ".tsv", ".csv", ".bvh", ".amc")
@@ -40,7 +41,7 @@ def find_takes(sources: Sequence[str], output_folder: Path) -> FoundTakes:
     """Return the takes in folders, of files and patterns, in the order of their ids.
 
     A folder stands for all captures in it and in its folders, outside the output folder, hidden folders and those that `clean`
-    wrote. Outputs of batches are no takes, wherever they are.
+    wrote. Outputs of mocapfix are no takes, wherever they are.
 
     Raises ReadError if a source has no take, or two takes would have the same output folder.
     """
@@ -73,7 +74,7 @@ def find_folder_takes(folder: Path, output_folder: Path) -> FoundTakes:
         inputs = [each for each in sorted(folders) if is_input_folder(Path(place) / each, output_folder)]
         folders[:] = [each for each in inputs if add_folder(visited, Path(place) / each)]
         shown = (Path(place) / name for name in names if not name.startswith("."))
-        for path in remove_batch_outputs(path for path in shown if path.suffix.lower() in TAKE_SUFFIXES):
+        for path in remove_outputs(path for path in shown if path.suffix.lower() in TAKE_SUFFIXES):
             by_stem.setdefault(path.with_suffix(""), []).append(path)
     for paths in by_stem.values():
         paths.sort(key=lambda path: (TAKE_SUFFIXES.index(path.suffix.lower()), path.suffix))
@@ -93,33 +94,52 @@ def add_folder(visited: set[Path], folder: Path) -> bool:
 
 def is_input_folder(folder: Path, output_folder: Path) -> bool:
     """Return whether captures in a folder are input: not hidden, and no outputs of mocapfix."""
-    is_output = folder.name.startswith(".") or folder.suffix == ".mocapfix"
-    return not is_output and folder.resolve() != output_folder.resolve()
+    return not is_set_aside(folder.name) and folder.resolve() != output_folder.resolve()
 
 
-def remove_batch_outputs(paths: Iterable[Path]) -> list[Path]:
-    """Return the paths without outputs of batches: beside an output is the record, or are the attempts, of the take."""
+def remove_outputs(paths: Iterable[Path]) -> list[Path]:
+    """Return the paths without outputs of mocapfix: beside an output of a batch is the record, or are the attempts, of the take,
+    and beside one of `clean` is its report.
+    """
     stems_of_folder: dict[Path, set[str]] = {}
+    reports_of_folder: dict[Path, set[str]] = {}
     kept: list[Path] = []
     for path in paths:
         if path.parent not in stems_of_folder:
             names = [each.name for suffix in (RECORD_SUFFIX, ATTEMPTS_SUFFIX) for each in path.parent.glob(f"*{suffix}")]
             stems = {name.removesuffix(RECORD_SUFFIX).removesuffix(ATTEMPTS_SUFFIX).removeprefix(".") for name in names}
             stems_of_folder[path.parent] = stems
-        stems = stems_of_folder[path.parent]
-        if not any(path.name.startswith(f"{stem}.") for stem in stems):
+            reports_of_folder[path.parent] = {
+                each.name.removesuffix(JSON_REPORT_SUFFIX) for each in path.parent.glob(f"*{JSON_REPORT_SUFFIX}")
+            }
+        is_batch_output = any(path.name.startswith(f"{stem}.") for stem in stems_of_folder[path.parent])
+        if not is_batch_output and not any(is_reported(path, stem) for stem in reports_of_folder[path.parent]):
             kept.append(path)
     return kept
 
 
-def select_matched_takes(matching: Iterable[Path], given: Path) -> list[Path]:
-    """Return the takes among the files that a pattern matches: captures that are neither hidden nor outputs of a batch.
+def is_reported(path: Path, report_stem: str) -> bool:
+    """Return whether a report of `clean` beside a capture is its own: that of the take, or of one of its subjects.
 
-    given  the pattern; folders that it names may be hidden
+    The report "walk.Jim" is that of the subject Jim in walk.c3d, unless there is a walk.Jim.c3d.
+    """
+    is_of_subject = report_stem.startswith(f"{path.stem}.") and not path.with_name(report_stem + path.suffix).exists()
+    return path.stem == report_stem or is_of_subject
+
+
+def select_matched_takes(matching: Iterable[Path], given: Path) -> list[Path]:
+    """Return the takes among the files that a pattern matches: captures that are neither hidden nor outputs of mocapfix.
+
+    given  the pattern; folders that it names may be hidden, or hold outputs
     """
     files = (path for path in matching if path.suffix.lower() in TAKE_SUFFIXES and path.is_file())
-    shown = (path for path in files if not any(part.startswith(".") for part in set(path.parts) - set(given.parts)))
-    return sorted(remove_batch_outputs(shown))
+    shown = (path for path in files if not any(is_set_aside(part) for part in set(path.parts) - set(given.parts)))
+    return sorted(remove_outputs(shown))
+
+
+def is_set_aside(name: str) -> bool:
+    """Return whether a file or folder of this name is hidden or an output folder of `clean`."""
+    return name.startswith(".") or name.endswith(OUTPUT_FOLDER_SUFFIX)
 
 
 def expand_pattern(pattern: str) -> list[Path]:

@@ -4,6 +4,7 @@ The modules of this package are the only ones that print, parse arguments or dra
 """
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -21,9 +22,14 @@ from mocapfix.cli.bench_commands import BENCH_COMMANDS
 from mocapfix.cli.calibrate import run_calibrate
 from mocapfix.cli.clean import print_summary, run_clean
 from mocapfix.cli.console import (
+    DEBUG_VARIABLE,
+    EXIT_BROKEN_PIPE,
     EXIT_DONE,
     EXIT_FAILED,
+    discard_output,
+    flush_output,
     print_error,
+    print_failure,
     print_line,
     print_usage_error,
     show_progress,
@@ -36,7 +42,7 @@ from mocapfix.cli.marker_sets import MARKER_SET_COMMANDS
 from mocapfix.cli.review import run_review, run_status
 from mocapfix.cli.run import run_scene
 from mocapfix.cli.train import TRAIN_COMMANDS
-from mocapfix.errors import MocapfixError, OptionError, ReadError
+from mocapfix.errors import OptionError, ReadError, describe_error
 
 
 def run_demo(
@@ -92,6 +98,8 @@ def run_view(
     return EXIT_DONE
 
 
+DEBUG_FLAG = "--debug"
+
 COMMANDS = {
     "demo": run_demo,
     "inspect": run_inspect,
@@ -117,13 +125,30 @@ def _stop(_number: int, _frame: FrameType | None) -> None:
 
 
 def run_command_line(arguments: list[str] | None = None) -> None:
-    """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage.
+    """Run a command and exit with its status: 0 done, 1 something failed, 2 wrong usage, 141 broken pipe.
 
     arguments  without the program's name; None for those of the process
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    os.environ[DEBUG_VARIABLE] = "1" if DEBUG_FLAG in arguments else os.environ.get(DEBUG_VARIABLE, "")
+    arguments = [each for each in arguments if each != DEBUG_FLAG]
     if arguments[:2] == ["bench", "--baseline"]:
         arguments = ["bench", "baseline", *arguments[2:]]
+    try:
+        status = run_command(arguments)
+        flush_output()
+    except BrokenPipeError:
+        discard_output()
+        status = EXIT_BROKEN_PIPE
+    except OSError as error:  # the output cannot be written: a full disk
+        print_error(f"The output cannot be written ({error.strerror}).")
+        discard_output()
+        status = EXIT_FAILED
+    raise SystemExit(status)
+
+
+def run_command(arguments: list[str]) -> int:
+    """Run a command, and print what is raised as a sentence; return the exit status."""
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
         app.command(name=name)(command)
@@ -135,17 +160,19 @@ def run_command_line(arguments: list[str] | None = None) -> None:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _stop)
     try:
-        status = app.cli(
+        return app.cli(
             prog="mocapfix",
-            description="Clean optical motion capture: writes the cleaned file, a BVH, a report and a before/after recording.",
+            description="Clean optical motion capture: writes the cleaned file, a BVH, a report and a before/after recording. "
+            "After an unexpected error, --debug shows where in mocapfix it was raised.",
             args=arguments,
         )
+    except SystemExit as end:  # help, or wrong usage
+        return end.code if isinstance(end.code, int) else EXIT_DONE
     except OptionError as error:
-        status = print_usage_error(f"{error.flag} {error.problem}.")
-    except MocapfixError as error:
-        print_error(str(error))
-        status = EXIT_FAILED
+        return print_usage_error(describe_error(error))
     except KeyboardInterrupt:
         stderr_console.print("Stopped; no file was left incomplete.")
-        status = EXIT_FAILED
-    raise SystemExit(status)
+    except Exception as error:
+        files = [each for each in arguments if Path(each).is_file()]
+        print_failure(error, files[0] if len(files) == 1 else f"mocapfix {' '.join(arguments[:1])}")
+    return EXIT_FAILED

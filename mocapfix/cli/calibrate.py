@@ -7,7 +7,7 @@ import tyro
 from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption, TakesArgument, build_options_argument, parse_options
-from mocapfix.cli.console import EXIT_DONE, print_line, print_usage_error, show_progress
+from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, TakeAttempts, print_line, print_usage_error, show_progress
 
 SUBJECT_FILE_SUFFIXES = (".yaml", ".yml")
 
@@ -32,7 +32,7 @@ def run_calibrate(
     """Calibrate a person's bones and marker positions from takes, for `clean --subject`.
 
     With a file for output all takes show one person. With a folder, people are recognised by the names in the labels or by the
-    folders of the takes, and each gets a file.
+    folders of the takes, and each gets a file. A take that cannot be used does not stop the others.
     """
     from mocapfix.calibrate.person_files import PersonFiles, locate_person_files, write_person_files
     from mocapfix.files.output_files import check_outputs_absent, make_output_folder
@@ -43,16 +43,18 @@ def run_calibrate(
     parsed, is_file = parse_options(options), output.suffix.lower() in SUBJECT_FILE_SUFFIXES
     if is_file:
         check_outputs_absent([output], overwrite)
+    attempts = TakeAttempts()
     with show_progress(", ".join(take.name for take in takes), needs_kernels=True) as progress:
         progress("calibrate")
         if is_file:
-            people = [calibrate_one_person(takes, parsed, prior)]
-            files = [PersonFiles(output, {})]
+            people = calibrate_one_person(takes, parsed, prior, attempts.attempt)
+            files = [PersonFiles(output, {}) for _ in people]
         else:
-            people = calibrate_people(takes, parsed, prior)
+            people = calibrate_people(takes, parsed, prior, attempts.attempt)
             files = [locate_person_files(output, person.name, person.calibration) for person in people]
             check_outputs_absent([path for each in files for path in (each.main, *each.by_take.values())], overwrite)
-            make_output_folder(output)
+            if people:
+                make_output_folder(output)
         for person, of_person in zip(people, files, strict=True):
             write_person_files(of_person, person.calibration)
     for person, of_person in zip(people, files, strict=True):
@@ -63,4 +65,4 @@ def run_calibrate(
             print_line(escape(note))
         for take, path in of_person.by_take.items():
             print_line(f"{escape(str(path))}: with the places of the markers in {escape(take)}.")
-    return EXIT_DONE
+    return EXIT_FAILED if attempts.failed else EXIT_DONE

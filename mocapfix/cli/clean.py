@@ -22,13 +22,14 @@ from mocapfix.cli.arguments import (
 from mocapfix.cli.console import (
     EXIT_DONE,
     EXIT_FAILED,
-    print_error,
+    TakeAttempts,
     print_json,
     print_line,
     print_usage_error,
     show_progress,
 )
 from mocapfix.errors import MocapfixError, WriteError
+from mocapfix.files.output_files import OUTPUT_FOLDER_SUFFIX
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5
@@ -97,27 +98,44 @@ def clean_takes(
 
     reports: list[Report] = []
     written: set[Path] = set()
+    attempts = TakeAttempts()
     for take in takes:
-        folder = output_folder or take.with_name(f"{take.stem}.mocapfix")
-        try:
+        with attempts.attempt(take):
+            folder = output_folder or choose_output_folder(take)
             if folder / take.stem in written:
                 raise WriteError(f"{take}: another take of this name was written to {folder}; clean it into another folder.")
-            check_outputs_free(folder, take.stem, overwrite, take, options.output)
+            targets = check_outputs_free(folder, take.stem, overwrite, take, options.output)
+            check_takes_kept(takes, targets)
             with show_progress(take.name, needs_kernels=take.suffix.lower() not in ANIMATION_SUFFIXES) as progress:
                 result = pipeline.clean(take, options, progress=import_while_solving(progress))
                 result.write(folder, overwrite, progress, options.output)
-        except MocapfixError as error:
-            print_error(str(error))
-            continue
-        written.add(folder / take.stem)
-        for each in result.subject_results or (result,):
-            outputs = each.get_output_paths(folder, options.output)
-            reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
-            if not as_json:
-                print_summary(reports[-1], outputs, options.subject.subject_prefix)
+            written.add(folder / take.stem)
+            for each in result.subject_results or (result,):
+                outputs = each.get_output_paths(folder, options.output)
+                reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
+                if not as_json:
+                    print_summary(reports[-1], outputs, options.subject.subject_prefix)
     if as_json and reports:
         print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
-    return EXIT_DONE if len(written) == len(takes) else EXIT_FAILED
+    return EXIT_FAILED if attempts.failed else EXIT_DONE
+
+
+def choose_output_folder(take: Path) -> Path:
+    """Return the output folder TAKE.mocapfix/ beside a take. Raises WriteError if the take is an output itself."""
+    folder = take.parent.resolve()
+    if folder.suffix == OUTPUT_FOLDER_SUFFIX:
+        raise WriteError(
+            f"{take}: is an output of mocapfix, since it is in {folder.name}/; clean the original, or name a folder with --out."
+        )
+    return take.with_name(f"{take.stem}{OUTPUT_FOLDER_SUFFIX}")
+
+
+def check_takes_kept(takes: Sequence[Path], targets: Sequence[Path]) -> None:
+    """Raise WriteError if an output would replace one of the takes of the command."""
+    places = {take.resolve(): take for take in takes}
+    for target in targets:
+        if replaced := places.get(target.resolve()):
+            raise WriteError(f"{replaced}: would be replaced by an output; choose another folder with --out.")
 
 
 def import_while_solving(progress: Callable[[str], None]) -> Callable[[str], None]:

@@ -3,12 +3,15 @@
 import json
 import os
 import sys
+import traceback
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 
+from mocapfix.errors import MocapfixError, describe_error
 from mocapfix.files.progress_lines import STAGE_LINE_PREFIX, STAGE_LINES_VARIABLE
 
 EXIT_DONE = 0
@@ -16,13 +19,25 @@ EXIT_FAILED = 1
 """something could not be done"""
 EXIT_USAGE = 2
 """the command line is wrong"""
+EXIT_BROKEN_PIPE = 141
+"""the reader of the output has ended; shells give this status to a process that the signal SIGPIPE ends"""
+DEBUG_VARIABLE = "MOCAPFIX_DEBUG"
+"""environment variable, set by --debug: print the traceback of unexpected errors"""
 
 COMPILATION_MESSAGE = "Compiling the kernels (first run on this machine)"
 READ_STAGE = "read"
 """the first stage of the pipeline, the only one that needs no kernels"""
 
-stdout_console = Console(highlight=False)
-stderr_console = Console(stderr=True, highlight=False)
+
+class _Terminal(Console):
+    """A console whose broken pipe ends the command, as `run_command_line` does it."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
+stdout_console = _Terminal(highlight=False)
+stderr_console = _Terminal(stderr=True, highlight=False)
 
 
 @contextmanager
@@ -81,3 +96,51 @@ def print_usage_error(message: str) -> int:
     """Print what is wrong with a command; return its exit status."""
     print_error(message)
     return EXIT_USAGE
+
+
+def print_failure(error: Exception, name: str) -> None:
+    """Print one sentence on an exception, and with --debug its traceback.
+
+    Args:
+        error: what was raised.
+        name: the file that was worked on, or the command; messages of mocapfix itself name the file.
+
+    Raises:
+        BrokenPipeError: if it is one. It is no failure of a take.
+    """
+    if isinstance(error, BrokenPipeError):
+        raise error
+    if os.environ.get(DEBUG_VARIABLE) and not isinstance(error, MocapfixError):
+        sys.stderr.write("".join(traceback.format_exception(error)))
+    sentence = describe_error(error)
+    print_error(sentence if isinstance(error, MocapfixError) else f"{name}: {sentence}")
+
+
+class TakeAttempts:
+    """Takes that are worked on one after the other: what is raised for one of them is printed, and the others go on."""
+
+    def __init__(self) -> None:
+        self.failed: list[Path] = []
+
+    @contextmanager
+    def attempt(self, take: Path) -> Generator[None]:
+        """Run the block for one take. An exception in it is printed, and the take added to the failed ones."""
+        try:
+            yield
+        except Exception as error:
+            print_failure(error, str(take))
+            self.failed.append(take)
+
+
+def flush_output() -> None:
+    """Write what is left to be printed, where there is a standard output."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+
+
+def discard_output() -> None:
+    """Send all that is still to be printed nowhere, so that the end of the process raises no further error."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError, AttributeError):  # not a file
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -7,6 +7,7 @@ from rich.markup import escape
 
 from mocapfix.cli.arguments import OverwriteOption, TakeArgument, build_options_argument, describe_option, parse_options
 from mocapfix.cli.console import EXIT_DONE, print_line, show_progress
+from mocapfix.errors import WriteError
 
 if TYPE_CHECKING:
     LabelArguments = object
@@ -33,6 +34,8 @@ def run_label(
     from mocapfix.files.output_files import check_outputs_absent, replace_atomically
 
     target = output_path or take.with_name(f"{take.stem}.labelled{take.suffix}")
+    if target.exists() and take.exists() and target.samefile(take):
+        raise WriteError(f"{take}: would be replaced by its labelled copy; name another file with --output.")
     check_outputs_absent([target], overwrite)
     parsed = parse_options(options)
     with show_progress(take.name, needs_kernels=True) as progress:

@@ -12,6 +12,11 @@ from types import FrameType
 from mocapfix.errors import WriteError
 from mocapfix.files.temporary_files import open_temporary_file, open_temporary_folder, remove_abandoned_files
 
+OUTPUT_FOLDER_SUFFIX = ".mocapfix"
+"""suffix of the folder beside a take into which its outputs are written; captures in such a folder are outputs"""
+JSON_REPORT_SUFFIX = ".report.json"
+"""what follows the stem of a take, or of one of its subjects, in the name of its report"""
+
 
 @contextmanager
 def replace_atomically(target: Path) -> Generator[Path]:

@@ -1,7 +1,8 @@
 """The calibration of people from a list of takes: of one person whom all takes show, or of several."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -13,6 +14,9 @@ from mocapfix.calibrate.people import group_people
 from mocapfix.calibrate.person_calibration import PersonCalibration, calibrate_person
 from mocapfix.options import CleanOptions
 from mocapfix.state import CleaningState
+
+TakeGuard = Callable[[Path], AbstractContextManager[object]]
+"""returns the context in which a take is worked on; it may catch what is raised, and the other takes go on"""
 
 
 @dataclass(frozen=True)
@@ -33,18 +37,25 @@ class CalibratedPerson:
         return [*self.notes, *self.calibration.describe_moves(), *self.calibration.rejected.values()]
 
 
-def calibrate_one_person(paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str) -> CalibratedPerson:
-    """Calibrate the person whom all takes show.
+def calibrate_one_person(
+    paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
+) -> list[CalibratedPerson]:
+    """Calibrate the person whom all takes show. Returns one person, none if no take is left by `guard`.
 
     Raises TakeError as `pipeline.calibrate_takes`.
     """
     from mocapfix import pipeline
 
-    surveys = pipeline.survey_person(paths, name_takes(paths), options)
-    return CalibratedPerson("", calibrate_with_one_thread(surveys, mean_pose_prior))
+    surveys: list[CalibrationFrames] = []
+    for path, take in zip(paths, name_takes(paths), strict=True):
+        with guard(path):
+            surveys += pipeline.survey_person([path], [take], options)
+    return [CalibratedPerson("", calibrate_with_one_thread(surveys, mean_pose_prior))] if surveys else []
 
 
-def calibrate_people(paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str) -> list[CalibratedPerson]:
+def calibrate_people(
+    paths: Sequence[Path], options: CleanOptions, mean_pose_prior: str, guard: TakeGuard = nullcontext
+) -> list[CalibratedPerson]:
     """Calibrate all people in takes. Who is who: by the names in the labels or the folders of the takes, checked by the body.
 
     Raises TakeError if a take cannot be read or shows no body.
@@ -52,17 +63,23 @@ def calibrate_people(paths: Sequence[Path], options: CleanOptions, mean_pose_pri
     from mocapfix import pipeline
 
     states: dict[tuple[str, str], CleaningState] = {}
-    for path, take in zip(paths, name_takes(paths), strict=True):
-        for state in pipeline.find_bodies_to_calibrate(path, options):
-            states[take, state.original_take.subject_name] = state
+    path_of_take = dict(zip(name_takes(paths), paths, strict=True))
+    for take, path in path_of_take.items():
+        with guard(path):
+            for state in pipeline.find_bodies_to_calibrate(path, options):
+                states[take, state.original_take.subject_name] = state
     bodies = [
         measure_body(take, state.original_take, state.marker_set) for (take, _), state in states.items() if state.marker_set
     ]
     people: list[CalibratedPerson] = []
     for person in group_people(bodies):
         keys = [(body.take, body.subject_name) for body in person.takes]
-        surveys = [pipeline.survey_subject(states[key], options, key[0]) for key in keys]
-        people.append(CalibratedPerson(person.name, calibrate_with_one_thread(surveys, mean_pose_prior), person.notes))
+        surveys: list[CalibrationFrames] = []
+        for key in keys:
+            with guard(path_of_take[key[0]]):
+                surveys.append(pipeline.survey_subject(states[key], options, key[0]))
+        if surveys:
+            people.append(CalibratedPerson(person.name, calibrate_with_one_thread(surveys, mean_pose_prior), person.notes))
     return people
 
 

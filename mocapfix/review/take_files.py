@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from mocapfix.errors import ReadError
-from mocapfix.files.output_files import get_source_suffixes
+from mocapfix.files.output_files import JSON_REPORT_SUFFIX, get_source_suffixes
 from mocapfix.review.changes_file import CHANGES_SUFFIX
 
-JSON_REPORT_SUFFIX = ".report.json"
 KEPT_REPORT_KEYS = ("take", "arguments", "notes")
 
 

@@ -31,6 +31,28 @@ def test_folder_stands_for_its_captures_but_not_for_outputs(tmp_path: Path) -> N
     assert [path.name for path in found.skipped] == ["walk.trc"]
 
 
+def test_outputs_of_clean_are_no_takes_wherever_they_are(tmp_path: Path) -> None:
+    make_files(
+        tmp_path,
+        "walk.c3d",
+        "jump.c3d",
+        "walk.mocapfix/walk.c3d",
+        "cleaned/walk.c3d",
+        "cleaned/walk.bvh",
+        "cleaned/walk.report.json",
+        "cleaned/pair.c3d",
+        "cleaned/pair.Jim.report.json",
+        "cleaned/run.c3d",
+        "cleaned/run.1.c3d",
+        "cleaned/run.1.report.json",
+    )
+    ids = ["cleaned/run.c3d", "jump.c3d", "walk.c3d"]
+    assert [take.id for take in find_takes([str(tmp_path)], tmp_path / "out").takes] == ids
+    assert [take.id for take in find_takes([str(tmp_path / "**" / "*.c3d")], tmp_path / "out").takes] == ids
+    named = find_takes([str(tmp_path / "walk.mocapfix" / "walk.c3d")], tmp_path / "out")
+    assert [take.id for take in named.takes] == ["walk.c3d"]
+
+
 def test_pattern_gives_ids_below_the_common_folder(tmp_path: Path) -> None:
     make_files(tmp_path, "day1/walk.c3d", "day2/walk.c3d", "day2/rest.csv")
     found = find_takes([str(tmp_path / "**" / "*.c3d"), str(tmp_path / "day1" / "walk.c3d")], tmp_path / "out")

@@ -44,7 +44,7 @@ def test_each_person_of_several_takes_is_calibrated(takes: list[Path]) -> None:
 def test_one_person_of_several_needs_a_name(takes: list[Path]) -> None:
     with pytest.raises(TakeError, match=r"both\.c3d: shows Jim and Ann; name the subject .* --subject-prefix"):
         calibrate_one_person(takes, CleanOptions(), "mean-pose")
-    person = calibrate_one_person(takes, CleanOptions().change(subject_prefix="Jim"), "mean-pose")
+    (person,) = calibrate_one_person(takes, CleanOptions().change(subject_prefix="Jim"), "mean-pose")
     assert person.calibration.takes == ("both.c3d", "again.c3d")
 
 
