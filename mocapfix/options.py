@@ -7,29 +7,22 @@ line needs it to print its help. Example: `build_clean_options(prior="none", max
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 from mocapfix.errors import OptionError
 from mocapfix.files import option_choices as choices
 from mocapfix.files.option_definitions import StageOptions, define_option, list_options
 from mocapfix.files.output_options import OutputOptions
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 
 if TYPE_CHECKING:
     from mocapfix.subject import Subject
 
 __all__ = [
-    "STAGE_OF_OPTION", "CleanOptions", "ContactOptions", "DetectOptions", "FillOptions", "InitialiseOptions", "OutputOptions",
-    "PriorOptions", "ReadOptions", "ReviewOptions", "SolveOptions", "SubjectOptions", "build_clean_options", "list_stages",
+    "DEFAULT_READ_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions", "DetectOptions", "FillOptions",
+    "InitialiseOptions", "OutputOptions", "PriorOptions", "ReadOptions", "ReviewOptions", "SolveOptions", "SubjectOptions",
+    "build_clean_options", "list_stages",
 ]  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ReadOptions(StageOptions):
-    """Reading the file."""
-
-    up_axis: Literal["X", "Y", "Z"] | None = define_option(
-        None, "--up", "X|Y|Z", "up axis of the file", job_key="volume.up", default_text="from the file or its markers"
-    )
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def clean(
     load_pose_model = build_pose_model_loader(options.prior.name_used)
     timer = StageTimer(report_progress=progress)
     with timer("read"):
-        capture = read_capture(path, options.read.up_axis)
+        capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         return replace(clean_animation(capture, options, load_pose_model, timer), requested=options)
     reject_hierarchy(capture, options.subject)
@@ -111,7 +111,7 @@ def label(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, *, progress
     """
     timer = StageTimer(report_progress=progress)
     with timer("read"):
-        capture = read_capture(path, options.read.up_axis)
+        capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; there is nothing to label.")
     with timer("label"):
@@ -217,7 +217,7 @@ def inspect(
     """Return what `clean` would detect, one report for each subject in the file. Nothing is written. Raises as `clean`."""
     options, timer = options.change(**changed_options), StageTimer(report_progress=progress)
     load_pose_model = build_pose_model_loader(options.prior.name_used)
-    capture = read_capture(path, options.read.up_axis)
+    capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         return [inspect_animation(capture, options)]
     reject_hierarchy(capture, options.subject)
@@ -278,7 +278,7 @@ def survey_take(path: str | Path, options: CleanOptions = DEFAULT_OPTIONS, take_
 
 def find_bodies_to_calibrate(path: str | Path, options: CleanOptions) -> list[CleaningState]:
     """Return the state of each subject in a take before its cleaning. Raises TakeError if none has a marker set."""
-    capture = read_capture(path, options.read.up_axis)
+    capture = read_capture(path, options.read)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: is an animation without markers; calibrate from a marker take.")
     capture = label_take(capture, load_requested_subject(options.subject))

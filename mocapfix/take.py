@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex
+from typing import TYPE_CHECKING, Any, Literal, SupportsIndex
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,13 +14,16 @@ from jaxtyping import Bool, Float, Int
 from mocapfix.files.layouts import C3dLayout, TableLayout
 from mocapfix.stats.point_functions import PointFunction
 
+if TYPE_CHECKING:
+    from mocapfix.files.read_options import ReadOptions
+
 
 @dataclass(frozen=True)
 class UpAxis:
     """The axis of a file that points up.
 
     Attributes:
-        letter: "X", "Y" or "Z".
+        letter: "X", "Y" or "Z", with "-" before it if the axis points down.
         basis: From what it is known, in a few words.
         is_certain: Whether other axes are far less likely.
     """
@@ -56,6 +59,7 @@ class Take:
         subject_name: Whose markers these are, if the take is one subject's part of a take of several; otherwise "".
         notes: Sentences about assumptions and irregularities found when the file was read.
         up_axis: The axis of the file that points up; None if there is no file.
+        read_options: The options with which the file was read; None if there is no file.
         point_kind: "joint" if the points are the joints of an animation (see mocapfix.animations.joint_points).
     """
 
@@ -79,6 +83,7 @@ class Take:
     subject_name: str = ""
     notes: tuple[str, ...] = ()
     up_axis: UpAxis | None = None
+    read_options: "ReadOptions | None" = None
     point_kind: Literal["marker", "joint"] = "marker"
 
     @property

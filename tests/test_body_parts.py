@@ -126,7 +126,7 @@ def test_outputs_hold_31_joints_and_say_which_are_real(truth, tmp_path):
     held = [NAMES.index(name) for name in UNSOLVED_JOINTS["pelvis and legs"]]
     np.testing.assert_allclose(rotations[:, held], np.broadcast_to(rotations[:1, held], rotations[:, held].shape), atol=1e-12)
     assert np.ptp(rotations[:, NAMES.index("LeftLeg")], axis=0).max() > 0.1
-    animation = read_capture(paths["bvh"], None)
+    animation = read_capture(paths["bvh"])
     assert isinstance(animation, Animation)
     assert len(animation.names) >= len(NAMES)
     assert json.loads(paths["report.json"].read_text())["solve"]["solved_joints"][0] == "Hips"

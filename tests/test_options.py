@@ -34,6 +34,10 @@ def test_options_are_changed_by_name():
     assert changed.change(prior="autoencoder", max_gap_s=600.0) == CleanOptions()
 
 
+def test_an_up_axis_is_named_in_either_case():
+    assert [build_clean_options(up_axis=axis).read.up_axis for axis in ("y", "-z", "+x")] == ["Y", "-Z", "X"]
+
+
 def test_one_text_or_a_list_becomes_a_tuple():
     assert build_clean_options(keep="RELB").fill.keep == ("RELB",)
     assert build_clean_options(keep=["RELB", "LKNE"]).fill.keep == ("RELB", "LKNE")
@@ -69,7 +73,9 @@ def test_repairable_kinds_are_those_of_faults():
             {"extra_formats": ("avi",)},
             "extra_formats must be one of gltf, amc, npz, c3d, trc, csv, contacts, events, fbx, not 'avi'.",
         ),
-        ({"max_gap": 1.0}, "max_gap is no option; the options are up_axis, "),
+        ({"up_axis": "W"}, "up_axis must be one of X, -X, Y, -Y, Z, -Z, not 'W'."),
+        ({"rate_hz": 1.0}, "rate_hz must be at least 5 Hz and at most 2000 Hz and finite, not 1."),
+        ({"max_gap": 1.0}, "max_gap is no option; the options are unit, "),
     ],
 )
 def test_wrong_value_is_named(values, message):

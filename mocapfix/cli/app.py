@@ -17,6 +17,7 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
+from mocapfix.cli.arguments import join_axis_arguments
 from mocapfix.cli.batch import run_batch
 from mocapfix.cli.bench_commands import BENCH_COMMANDS
 from mocapfix.cli.calibrate import run_calibrate
@@ -131,7 +132,7 @@ def run_command_line(arguments: list[str] | None = None) -> None:
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     os.environ[DEBUG_VARIABLE] = "1" if DEBUG_FLAG in arguments else os.environ.get(DEBUG_VARIABLE, "")
-    arguments = [each for each in arguments if each != DEBUG_FLAG]
+    arguments = join_axis_arguments(each for each in arguments if each != DEBUG_FLAG)
     if arguments[:2] == ["bench", "--baseline"]:
         arguments = ["bench", "baseline", *arguments[2:]]
     try:

@@ -11,9 +11,11 @@ from typing import Annotated, Any, cast, get_args
 import tyro
 
 from mocapfix.errors import OptionError
+from mocapfix.files.option_choices import UP_AXES
 from mocapfix.files.option_definitions import Option, StageOptions
 from mocapfix.options import CleanOptions, list_stages
 
+UP_FLAG = "--up"
 FRAME_LIMIT = 2**62
 """beyond the number of any frame: the end of a range that is left open"""
 
@@ -25,10 +27,6 @@ TakesArgument = Annotated[
     tuple[Path, ...],
     tyro.conf.Positional,
     tyro.conf.arg(metavar="TAKE...", help="motion capture files", help_behavior_hint="(at least one)"),
-]
-UpAxisOption = Annotated[
-    str | None,
-    tyro.conf.arg(metavar="X|Y|Z", help="up axis of the file", help_behavior_hint="(default: from the file or its markers)"),
 ]
 
 
@@ -52,6 +50,17 @@ def build_options_argument(
             group = _build_group(stage, frozenset(without), default_texts or {})
             groups.append((name, tyro.conf.OmitArgPrefixes[group], field(default_factory=group)))
     return Annotated[tyro.conf.OmitArgPrefixes[make_dataclass("OptionArguments", groups)], tyro.conf.arg(name="")]
+
+
+def join_axis_arguments(arguments: Iterable[str]) -> list[str]:
+    """Return arguments in which a negative up axis is no flag: ["--up=-y"] for ["--up", "-y"]."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] == UP_FLAG and argument.upper() in UP_AXES:
+            joined[-1] = f"{UP_FLAG}={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def parse_options(arguments: object) -> CleanOptions:

@@ -8,11 +8,15 @@ import tyro
 from rich.markup import escape
 from rich.table import Table
 
-from mocapfix.cli.arguments import OverwriteOption, TakeArgument, UpAxisOption, describe_option
+from mocapfix.cli.arguments import OverwriteOption, TakeArgument, build_options_argument, describe_option, parse_options
 from mocapfix.cli.console import EXIT_DONE, print_line, show_progress, stdout_console
 
 if TYPE_CHECKING:
     from mocapfix.marker_set import MarkerSet
+
+    ReadArguments = object
+else:
+    ReadArguments = build_options_argument(("read",))
 
 
 def run_marker_set_list() -> int:
@@ -45,6 +49,7 @@ def run_marker_set_show(
 
 def run_marker_set_learn(
     take: TakeArgument,
+    options: ReadArguments,
     output_path: Annotated[
         Path, tyro.conf.arg(name="output", aliases=["-o"], metavar="NAME.yaml", help="the marker set to write")
     ],
@@ -54,7 +59,6 @@ def run_marker_set_learn(
     subject_prefix: Annotated[
         str | None, describe_option("NAME", 'the subject: "Jim" of Jim:LFHD', "the one with the most markers")
     ] = None,
-    up: UpAxisOption = None,
     overwrite: OverwriteOption = False,
 ) -> int:
     """Learn a marker set from a take, for `clean --marker-set`: the segment and the offset of each marker.
@@ -70,7 +74,12 @@ def run_marker_set_learn(
     check_outputs_absent([output_path], overwrite)
     with show_progress(take.name) as progress:
         learned = learn_marker_set(
-            take, output_path.stem, like=like, subject_prefix=subject_prefix, up_axis=up, progress=progress
+            take,
+            output_path.stem,
+            like=like,
+            subject_prefix=subject_prefix,
+            options=parse_options(options).read,
+            progress=progress,
         )
         write_marker_set(output_path, learned.marker_set, learned.file_comment)
     marker_count, residual_mm = len(learned.marker_set.labels), learned.mean_residual_m * 1e3

@@ -13,5 +13,7 @@ REPAIRABLE_KINDS = (
     "gap", "spike", "pop", "flip", "jitter", "stuck", "ghost", "straight", "computed", "swap", "mislabelled", "fragment",
 )  # fmt: skip
 """the kinds of fault that a repair can be restricted to; "gap" stands for every kind of missing samples (faults)"""
+UNITS = ("mm", "cm", "m", "in", "ft")
+UP_AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
 FEET_OFF, FEET_SOFT, FEET_LOCK = "off", "soft", "lock"
 FEET_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)

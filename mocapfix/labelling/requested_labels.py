@@ -28,7 +28,7 @@ from mocapfix.labelling.take_labelling import (
 )
 from mocapfix.marker_set import MarkerSet, format_name_list
 from mocapfix.marker_sets.library import SubjectChoice, choose_marker_set, load_requested_subject, load_shipped_marker_sets
-from mocapfix.options import CleanOptions
+from mocapfix.options import CleanOptions, ReadOptions
 from mocapfix.read.capture import read_capture
 from mocapfix.subject import Subject
 from mocapfix.take import Take
@@ -66,7 +66,7 @@ def label_capture(
     if requested.like is not None:
         if requested.subject is not None or requested.marker_set is not None:
             raise TakeError("--like takes the markers and the person from a take; leave out --marker-set and --subject.")
-        labelled = label_take_like(take, Path(requested.like), options.read.up_axis)
+        labelled = label_take_like(take, Path(requested.like), options.read)
         if labelled is not None:
             return labelled, options.change(like=None)
         subject = calibrate([Path(requested.like)], CleanOptions(read=options.read))
@@ -117,12 +117,12 @@ def label_take(take: Take, request: SubjectChoice) -> Take:
     return labelled
 
 
-def label_take_like(take: Take, path: Path, up_axis: str | None) -> Take | None:
+def label_take_like(take: Take, path: Path, options: ReadOptions) -> Take | None:
     """Return a take without labels with those of a labelled take of the same person whose markers are in no shipped set.
 
     Returns None where the take has labels that may be those of the other one, or where a shipped set fits that.
     """
-    other = read_capture(path, up_axis)
+    other = read_capture(path, options)
     if isinstance(other, Animation) or collect_unlabelled_points(other) or choose_marker_set(other.labels).marker_set:
         return None
     points = collect_unlabelled_points(take)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.files.layouts import C3dLayout
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS
 from mocapfix.labelling.linking import are_points_unordered, find_tracklets
 from mocapfix.labelling.points import PointLabels, UnlabelledPoints
 from mocapfix.read.c3d_parameters import read_c3d_parameters
@@ -69,7 +70,8 @@ def apply_labels(take: Take, points: FilePoints, point_labels: PointLabels, labe
     else:
         data = build_labelled_table(take, gather_positions(take, columns), columns.labels)
     assert take.path is not None
-    labelled = read_capture_bytes(take.path, data, take.up_axis.letter if take.up_axis else None)
+    known = replace(take.read_options or DEFAULT_READ_OPTIONS, up_axis=take.up_axis.letter if take.up_axis else None)
+    labelled = read_capture_bytes(take.path, data, known)
     assert isinstance(labelled, Take)
     confidence = gather_confidence(points, point_labels, columns)[:, labelled.point_indices]
     return replace(labelled, labelled_file=data, label_confidence=confidence, up_axis=take.up_axis)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mocapfix import multi_subject
 from mocapfix.errors import TakeError
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.marker_set import format_name_list
 from mocapfix.marker_sets.learning import LearnedMarkerSet, learn_from_markers, select_subject_markers
 from mocapfix.marker_sets.library import UNASSIGNED_SUBJECT, SubjectChoice
@@ -47,21 +48,21 @@ def learn_marker_set(
     *,
     like: str | Path | None = None,
     subject_prefix: str | None = None,
-    up_axis: str | None = None,
+    options: ReadOptions = DEFAULT_READ_OPTIONS,
     progress: ProgressCallback | None = None,
 ) -> LearnedMarkerSet:
     """Return the marker set of the take at `path` under a name.
 
     like            a marker set, as for `load_marker_set`, to which some of the labels belong; None for the set that fits, if any
     subject_prefix  the subject ("Jim" of Jim:LFHD); None for the one with the most markers
-    up_axis         the up axis of the file, as for `read_take`
+    options         what is known about the file, as for `read_take`
     progress        called with the name of each stage as it begins
 
     Raises ReadError, SceneError or TakeError.
     """
     report_stage = progress or (lambda stage: None)
     report_stage("read")
-    take = read_take(path, up_axis)
+    take = read_take(path, options)
     if subject_prefix is not None:
         (take,) = multi_subject.split_subjects(take, None, subject_prefix)
     selected = select_subject_markers(take.masked(take.measured))

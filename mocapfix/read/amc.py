@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
 from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
@@ -55,14 +56,19 @@ def is_asf_or_amc(head: bytes) -> bool:
     return BONE_SECTION_KEYWORD in lower or lower.lstrip().startswith(AMC_KEYWORDS) or AMC_HEAD_PATTERN.match(head) is not None
 
 
-def read_amc_motion(path: Path, data: bytes) -> Animation:
+def read_amc_motion(path: Path, data: bytes, options: ReadOptions) -> Animation:
     """Return the motion in the bytes of an AMC, as `read_amc` does, and raise ReadError for an ASF, which has none."""
     if BONE_SECTION_KEYWORD in data.lower():
         raise ReadError(f"{path}: is a skeleton without motion; name the AMC file of the motion.")
-    return read_amc(path, data)
+    return read_amc(path, data, options=options)
 
 
-def read_amc(path: str | Path, data: bytes | None = None, asf_path: str | Path | None = None) -> Animation:
+def read_amc(
+    path: str | Path,
+    data: bytes | None = None,
+    asf_path: str | Path | None = None,
+    options: ReadOptions = DEFAULT_READ_OPTIONS,
+) -> Animation:
     """Read the motion of an AMC, or the rest pose of an ASF as one frame.
 
     Joints are at the beginning of bones and have their names. Angles are in degrees, whatever the file uses.
@@ -71,6 +77,7 @@ def read_amc(path: str | Path, data: bytes | None = None, asf_path: str | Path |
         path: The AMC or ASF file.
         data: The bytes of the file, if they were read already.
         asf_path: The skeleton of an AMC; by default the one that `find_asf` finds.
+        options: What is known about the motion.
 
     Raises:
         ReadError: If there is no skeleton, or a file is invalid. The message names file and line.

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Int
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_axis
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
 from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
@@ -45,7 +46,7 @@ def is_bvh(head: bytes) -> bool:
     return head.lstrip()[:9].upper() == b"HIERARCHY"
 
 
-def read_bvh(path: str | Path, data: bytes | None = None) -> Animation:
+def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Animation:
     """Read the animation of a BVH: its values, in degrees and file units, and where each is in the file.
 
     The file has no unit and no up axis: they are inferred from the height of the figure and the position of its head. A rounded
@@ -54,6 +55,7 @@ def read_bvh(path: str | Path, data: bytes | None = None) -> Animation:
     Args:
         path: The file.
         data: The bytes of the file, if they were read already.
+        options: What is known about the file.
 
     Raises:
         ReadError: If the file is invalid. The message names file and line.

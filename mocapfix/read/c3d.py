@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.c3d_parameters import C3dParameters, read_c3d_parameters
 from mocapfix.read.coordinates import (
     METRES_PER_UNIT,
@@ -35,7 +36,7 @@ def is_c3d(head: bytes) -> bool:
     return len(head) > 1 and head[1] == C3D_MAGIC_BYTE and b"\0" in head
 
 
-def read_c3d(path: Path, data: bytes) -> Take:
+def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a C3D file.
 
     A sample is missing if its residual is below 0 or `find_valid_points` rejects its coordinates. Source:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError, TakeError
+from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read import amc, bvh, c3d, keypoint_json, motive, nexus, plain_csv, qualisys, trc
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, rotate_to_up_axis
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text, read_file_bytes
@@ -26,12 +27,12 @@ class FileFormat(NamedTuple):
         name: Its name in messages.
         matches: Whether a file with the given beginning has the format. The beginning is the first 64 KiB of the file. That of
             a text is in UTF-8, without a byte-order mark, whatever the encoding of the file.
-        read: Reads a capture from a path (for messages) and the bytes of the file.
+        read: Reads a capture from a path (for messages), the bytes of the file, and what is known about it.
     """
 
     name: str
     matches: Callable[[bytes], bool]
-    read: Callable[[Path, bytes], Take | Animation]
+    read: Callable[[Path, bytes, ReadOptions], Take | Animation]
 
 
 # A file is read as the first format that matches.
@@ -49,13 +50,12 @@ FILE_FORMATS = (
 )
 
 
-def read_capture(path: str | Path, up_axis: str | None = None) -> Take | Animation:
+def read_capture(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Take | Animation:
     """Read a file of any supported format.
 
     Args:
         path: The file.
-        up_axis: The file's axis that points up, "X", "Y" or "Z". By default it is the one that the file gives, or else it is
-            estimated from the markers or joints.
+        options: What is known about the file; what is not is taken from the file, its markers or its joints.
 
     Returns:
         A take for marker formats, an animation for BVH and AMC.
@@ -64,28 +64,29 @@ def read_capture(path: str | Path, up_axis: str | None = None) -> Take | Animati
         ReadError: If the file cannot be opened, has no supported format or is invalid. The message names the file and the
             remedy.
     """
-    return read_capture_bytes(Path(path), read_file_bytes(Path(path)), up_axis)
+    return read_capture_bytes(Path(path), read_file_bytes(Path(path)), options)
 
 
-def read_capture_bytes(path: Path, data: bytes, up_axis: str | None = None) -> Take | Animation:
+def read_capture_bytes(path: Path, data: bytes, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Take | Animation:
     """Read the bytes of a file as `read_capture`; the path is only the one that it reports."""
     head = extract_head(data)
     for file_format in FILE_FORMATS:
         if file_format.matches(head):
-            capture = file_format.read(path, data)
-            return _set_up_axis(capture, up_axis) if up_axis else capture
+            capture = file_format.read(path, data, options)
+            capture = _set_up_axis(capture, options.up_axis) if options.up_axis else capture
+            return replace(capture, read_options=options) if isinstance(capture, Take) else capture
     names = ", ".join(file_format.name for file_format in FILE_FORMATS)
     raise ReadError(f"{path}: has no format that mocapfix reads; export the capture as one of: {names}.")
 
 
-def read_take(path: str | Path, up_axis: str | None = None) -> Take:
+def read_take(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) -> Take:
     """Read a file of markers, as `read_capture` does.
 
     Raises:
         ReadError: As `read_capture` does.
         TakeError: If the file is an animation.
     """
-    capture = read_capture(path, up_axis)
+    capture = read_capture(path, options)
     if isinstance(capture, Animation):
         raise TakeError(f"{capture.name}: has joints and no markers to learn from; give the capture that it was solved from.")
     return capture

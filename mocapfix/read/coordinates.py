@@ -26,7 +26,15 @@ INVALID_COORDINATE_LIMIT = 9_000_000  # file units; a coordinate from here on is
 MISSING_CODE_LIMIT = 9999  # file units; three equal coordinates from here on are missing, such as -9999.99
 
 # Rotations of file axes to Y-up axes, by the up axis. All are proper. Z up: (x, y, z) -> (y, z, x), as in CMU's releases.
-ROTATIONS_TO_Y_UP = {"X": np.eye(3)[[2, 0, 1]], "Y": np.eye(3), "Z": np.eye(3)[[1, 2, 0]]}
+# Y down: (x, y, z) -> (x, -y, -z), which makes a camera's axes those of an image whose Y points up.
+ROTATIONS_TO_Y_UP = {
+    "X": np.eye(3)[[2, 0, 1]],
+    "-X": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "Y": np.eye(3),
+    "-Y": np.diag([1.0, -1, -1]),
+    "Z": np.eye(3)[[1, 2, 0]],
+    "-Z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+}
 
 
 def get_metres_per_unit(name: str) -> float | None:
@@ -46,7 +54,7 @@ def find_valid_points(points_file: Float[np.ndarray, "T P 3"]) -> Bool[np.ndarra
 
 
 def rotate_to_up_axis(take: Take, up_axis: str) -> Take:
-    """Return the take as it reads if the file's axis `up_axis` ("X", "Y" or "Z") points up."""
+    """Return the take as it reads if the file's axis `up_axis` ("X", "-X", "Y", ...) points up."""
     rotation_y_up_file = ROTATIONS_TO_Y_UP[up_axis]
     # Without a layout the file axes are Y up.
     rotation = rotation_y_up_file if take.layout is None else rotation_y_up_file @ take.layout.rotation_y_up_file.T

@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.files.shipped import read_shipped_yaml
 from mocapfix.read.coordinates import METRES_PER_UNIT
 from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text
@@ -37,7 +38,7 @@ def is_keypoint_json(head: bytes) -> bool:
     return head.lstrip().startswith(b"{")
 
 
-def read_keypoint_json(path: Path, data: bytes) -> Take:
+def read_keypoint_json(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a JSON file.
 
     Raises:
@@ -73,6 +74,7 @@ def read_keypoint_json(path: Path, data: bytes) -> Take:
         first_frame=1,
         layout=TableLayout(encoding, "\n", ",", ".", unit_m=METRES_PER_UNIT[unit]),
         default_up_axis="Y",
+        options=options,
         notes=notes,
     )
 

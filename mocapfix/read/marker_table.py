@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
 from mocapfix.read.file_content import TextDocument
 from mocapfix.read.point_takes import add_other_points
@@ -91,7 +92,7 @@ def find_xyz_triples(axes: Sequence[str]) -> list[int]:
     return [i for i in range(len(letters) - 2) if letters[i : i + 3] == ["X", "Y", "Z"]]
 
 
-def read_marker_table(table: MarkerTable) -> Take:
+def read_marker_table(table: MarkerTable, options: ReadOptions) -> Take:
     """Return the take in a table.
 
     Points are missing where a coordinate is blank or spelled as missing, and where `find_valid_points` rejects them.
@@ -120,6 +121,7 @@ def read_marker_table(table: MarkerTable) -> Take:
         layout=_build_table_layout(table, decimal_sign, find_valid_points(points_file)),
         default_up_axis=table.default_up_axis,
         notes=notes,
+        options=options,
     )
 
 
@@ -134,6 +136,7 @@ def build_take(
     layout: TableLayout,
     default_up_axis: str = "Z",
     notes: tuple[str, ...] = (),
+    options: ReadOptions,
 ) -> Take:
     """Build a take from the trajectories of P points.
 
@@ -147,6 +150,7 @@ def build_take(
         layout: Where the samples lie in the file; its rotation is set here.
         default_up_axis: Up axis of most files of the format, "Y" or "Z".
         notes: Sentences about assumptions made so far.
+        options: What is known about the file.
 
     Raises:
         ReadError: If no point is a marker.

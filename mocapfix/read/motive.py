@@ -18,6 +18,7 @@ from jaxtyping import Int
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import TableLayout
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import (
     MarkerTable,
@@ -60,7 +61,7 @@ def is_motive_csv(head: bytes) -> bool:
     return head[:20].lower().replace(b'"', b"").startswith(b"format version")
 
 
-def read_motive_csv(path: Path, data: bytes) -> Take:
+def read_motive_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a Motive CSV of version 1.2 or later.
 
     If measured markers were not exported, the positions at which rigid bodies expect them are read instead.
@@ -91,7 +92,8 @@ def read_motive_csv(path: Path, data: bytes) -> Take:
             default_up_axis="Y",
             declared_frame_count=header.get("total exported frames", ""),
             notes=(*columns.notes, *unit_notes),
-        )
+        ),
+        options,
     )
 
 
@@ -100,7 +102,7 @@ def is_motive_rows_csv(head: bytes) -> bool:
     return any(VERSION_LINE_PATTERN.match(line) for line in split_head_lines(head))
 
 
-def read_motive_rows_csv(path: Path, data: bytes) -> Take:
+def read_motive_rows_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a Motive CSV of version 1.1. Unnamed markers are unlabelled, with their ID as label.
 
     Raises:
@@ -131,6 +133,7 @@ def read_motive_rows_csv(path: Path, data: bytes) -> Take:
         first_frame=first_frame,
         layout=TableLayout(document.encoding, document.newline, ",", ".", unit_m=MOTIVE_ROWS_UNIT_M),
         default_up_axis="Y",
+        options=options,
         notes=(*notes, *check_frame_count(declared, len(line_indices))),
     )
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocapfix.errors import ReadError
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, find_xyz_triples, read_marker_table
 from mocapfix.read.table_cells import parse_rate, parse_unit
@@ -38,7 +39,7 @@ def is_nexus_csv(head: bytes) -> bool:
     return any(name in SECTION_NAMES and rate[:1].isdecimal() for name, rate in pairwise(lines))
 
 
-def read_nexus_csv(path: Path, data: bytes) -> Take:
+def read_nexus_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a Nexus export: the positions in its section of trajectories.
 
     Raises:
@@ -72,7 +73,8 @@ def read_nexus_csv(path: Path, data: bytes) -> Take:
             labels=[names[i] for i in first_fields],
             unit_m=parse_unit(document, axes_index + 1, unit),
             rate=parse_rate(document, start + 1, rate),
-        )
+        ),
+        options,
     )
 
 

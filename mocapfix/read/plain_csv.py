@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.coordinates import METRES_PER_UNIT
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document, split_head_lines
 from mocapfix.read.marker_table import MarkerTable, read_marker_table
@@ -41,7 +42,7 @@ def is_plain_csv(head: bytes) -> bool:
     return bool(delimiter) and bool(_find_points([cell.strip(' "') for cell in line.split(delimiter)]))
 
 
-def read_plain_csv(path: Path, data: bytes) -> Take:
+def read_plain_csv(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a plain table.
 
     If the columns name no unit, it is metres or millimetres, according to the span of the coordinates.
@@ -81,7 +82,8 @@ def read_plain_csv(path: Path, data: bytes) -> Take:
             unit_m=METRES_PER_UNIT[unit],
             rate=parse_rate(document, 0, "", line_indices, delimiter, time_field=time_field, time_unit_s=time_unit_s),
             notes=notes,
-        )
+        ),
+        options,
     )
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mocapfix.errors import ReadError
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, parse_document
 from mocapfix.read.marker_table import MarkerTable, read_marker_table
 from mocapfix.read.table_cells import MISSING_TEXTS, find_nonblank_lines, parse_rate
@@ -45,7 +46,7 @@ def is_qualisys_tsv(head: bytes) -> bool:
     return first in (b"NO_OF_FRAMES", b"NO_OF_CAMERAS", b"NO_OF_SAMPLES", b"NO_OF_SKELETONS", b"MARKER_NAMES")
 
 
-def read_qualisys_tsv(path: Path, data: bytes) -> Take:
+def read_qualisys_tsv(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a Qualisys TSV. Blanks and 0 0 0 are missing; frames without numbers are counted from 1.
 
     Raises:
@@ -81,7 +82,8 @@ def read_qualisys_tsv(path: Path, data: bytes) -> Take:
             unit_m=QUALISYS_UNIT_M,
             rate=rate,
             declared_frame_count=header.get("NO_OF_FRAMES", _HeaderValue(0, [""])).values[0],
-        )
+        ),
+        options,
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.file_content import TextDocument, detect_delimiter, parse_document
 from mocapfix.read.marker_table import MarkerTable, find_names_line, read_marker_table
 from mocapfix.read.table_cells import find_nonblank_lines, parse_rate, parse_unit_or_default, parse_whole_number
@@ -23,7 +24,7 @@ def is_trc(head: bytes) -> bool:
     return head.lstrip()[:12].lower() in (b"pathfiletype", b"datarate\tcam", b"datarate,cam")
 
 
-def read_trc(path: Path, data: bytes) -> Take:
+def read_trc(path: Path, data: bytes, options: ReadOptions) -> Take:
     """Return the take in the bytes of a TRC.
 
     Columns after the last named marker are unlabelled trajectories, as in the files of Cortex.
@@ -61,7 +62,8 @@ def read_trc(path: Path, data: bytes) -> Take:
             rate=parse_rate(document, keys_index + 1, header.get("datarate", ""), line_indices, delimiter, time_field=1),
             declared_frame_count=header.get("numframes", ""),
             notes=(*unit_notes, *_check_marker_count(header, len(names), point_count)),
-        )
+        ),
+        options,
     )
 
 

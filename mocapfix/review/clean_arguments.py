@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from mocapfix.files.option_definitions import Option, list_options
-from mocapfix.options import CleanOptions, list_stages
+from mocapfix.options import CleanOptions, ReadOptions, list_stages
 
 
 def build_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem: str) -> list[str]:
@@ -40,6 +40,8 @@ def _format_option(option: Option, name: str, value: Any, folder: Path, stem: st
     values = cast("tuple[Any, ...]", value) if isinstance(value, tuple) else (value,)
     if values and isinstance(values[0], float):
         return [f"{option.flag}={','.join(repr(each) for each in option.to_display(values))}"]
+    if values and str(values[0]).startswith("-"):  # as in --up=-Y: not another flag
+        return [f"{option.flag}={each}" for each in values]
     return [argument for each in values for argument in (option.flag, _format_value(each, folder))]
 
 
@@ -58,9 +60,20 @@ def _name_file(path: Path, folder: Path) -> str:
 
 def find_argument(arguments: Sequence[str], flag: str) -> str | None:
     """Return the value of a flag in the arguments, None if it is not there."""
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
+    for argument, following in zip(arguments, [*arguments, ""][1:], strict=True):
         if argument == flag:
             return following
         if argument.startswith(f"{flag}="):
             return argument.removeprefix(f"{flag}=")
     return None
+
+
+def parse_read_options(arguments: Sequence[str]) -> ReadOptions:
+    """Return the options of reading in the arguments."""
+    values: dict[str, Any] = {}
+    for name, option in list_options(ReadOptions):
+        if isinstance(getattr(ReadOptions, name), bool):
+            values[name] = option.flag in arguments
+        elif (text := find_argument(arguments, option.flag)) is not None:
+            values[name] = text if option.choices else float(text)
+    return ReadOptions(**values)

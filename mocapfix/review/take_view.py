@@ -13,10 +13,11 @@ from mocapfix.animation import Animation
 from mocapfix.animations.joint_points import build_tip_take
 from mocapfix.errors import MocapfixError, ReadError
 from mocapfix.files.free_memory import return_free_memory
+from mocapfix.options import ReadOptions
 from mocapfix.read.c3d import read_fill_sd
 from mocapfix.read.capture import read_capture
 from mocapfix.report.sample_states import SampleOutcome, find_estimated_samples
-from mocapfix.review.clean_arguments import find_argument
+from mocapfix.review.clean_arguments import find_argument, parse_read_options
 from mocapfix.review.file_models import ChangeModel
 from mocapfix.review.take_files import CleanedTake
 from mocapfix.stats.sequences import sample_evenly
@@ -84,12 +85,12 @@ def load_take_view(take: CleanedTake, changes: Sequence[ChangeModel] = ()) -> Ta
 
     Raises ReadError if its files are damaged or do not belong together.
     """
-    up_axis = find_argument(take.arguments, "--up")
-    after, fill_sd, animation = _read_points(take.cleaned_path, up_axis)
+    options = parse_read_options(take.arguments)
+    after, fill_sd, animation = _read_points(take.cleaned_path, options)
     notes: list[str] = []
     before: Take | None = None
     if take.input_path:
-        before, _, _ = _read_points(take.input_path, up_axis)
+        before, _, _ = _read_points(take.input_path, options)
         if before.frame_count != after.frame_count:
             raise ReadError(f"{take.input_path}: is not the file that was cleaned; its number of frames differs. Clean it again.")
     else:
@@ -172,10 +173,10 @@ def _find_positions(
     return found
 
 
-def _read_points(path: Path, up_axis: str | None) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
+def _read_points(path: Path, options: ReadOptions) -> tuple[Take, Float[np.ndarray, "T M"], Animation | None]:
     """Return the points of a file, the standard deviations that it stores for fills, and its animation if it is one."""
     try:
-        capture = read_capture(path, up_axis)
+        capture = read_capture(path, options)
     except MocapfixError as error:
         raise ReadError(f"{error} Clean the take again if its outputs are damaged.") from error
     if isinstance(capture, Animation):

@@ -213,6 +213,13 @@ def test_wrong_usage_is_status_2(mocapfix, arguments, sentence):
     assert sentence in flat(err.replace("│", " "))
 
 
+@pytest.mark.parametrize("arguments", [["--up", "y"], ["--up", "-y"], ["--up=-y"], ["--up", "-Y"]])
+def test_up_axes_are_named_in_either_case_and_with_a_sign(mocapfix, tmp_path, arguments):
+    status, _, err = mocapfix("clean", tmp_path / "none.c3d", *arguments)
+    assert status == 1
+    assert "none.c3d: there is no such file" in flat(err)
+
+
 @pytest.mark.parametrize(
     ("text", "frames"),
     [(":", None), ("100:250", (100, 250)), ("100:", (100, 2**62)), (":250", (-(2**62), 250)), ("7:7", (7, 7))],

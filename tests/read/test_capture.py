@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mocapfix.animation import Animation
 from mocapfix.errors import ReadError, TakeError
+from mocapfix.options import ReadOptions
 from mocapfix.read import capture
 from tests.asf_files import AMC, ASF, FRAMES
 from tests.bvh_files import TEXT
@@ -170,7 +171,7 @@ def test_an_animation_is_detected_from_its_content(tmp_path):
     assert isinstance(animation, Animation)
     assert animation.names == ("Hips", "Left Knee", "Ns:Foot", "Chest", "Head")
     np.testing.assert_allclose(animation.compute_world_poses()[0][0, 0], [0.105, 0.9, -0.0325])
-    rotated = capture.read_capture(tmp_path / "walk.txt", up_axis="Z")
+    rotated = capture.read_capture(tmp_path / "walk.txt", ReadOptions(up_axis="Z"))
     assert isinstance(rotated, Animation)
     np.testing.assert_allclose(rotated.compute_world_poses()[0][0, 0], [0.9, -0.0325, 0.105])
 

@@ -6,6 +6,7 @@ import ezc3d
 import numpy as np
 import pytest
 
+from mocapfix.options import ReadOptions
 from mocapfix.read.capture import read_take
 from mocapfix.read.force_plates import ForcePlate, read_force_plates
 from tests.c3d_files import get_layout
@@ -81,7 +82,7 @@ def write_plates(
 
 def read(path: Path) -> list[ForcePlate]:
     """Return the plates of a file."""
-    return read_force_plates(path.read_bytes(), get_layout(read_take(path, "Z")))
+    return read_force_plates(path.read_bytes(), get_layout(read_take(path, ReadOptions(up_axis="Z"))))
 
 
 @pytest.mark.parametrize("kinds", [(1,), (2,), (3,), (4,), (2, 2), (2, 3, 4)])
@@ -132,7 +133,7 @@ def test_a_calibrated_plate_without_its_matrix_is_none(tmp_path):
 def test_a_damaged_head_gives_no_plates_and_no_error(tmp_path):
     path = tmp_path / "plates.c3d"
     write_plates(path, (2,))
-    layout, data = get_layout(read_take(path, "Z")), bytearray(path.read_bytes())
+    layout, data = get_layout(read_take(path, ReadOptions(up_axis="Z"))), bytearray(path.read_bytes())
     for start in range(512, layout.data_start_byte - 40, 97):
         damaged = bytes(data[:start] + bytes(40) + data[start + 40 :])
         assert isinstance(read_force_plates(damaged, layout), list)

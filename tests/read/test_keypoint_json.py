@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mocapfix.errors import ReadError
+from mocapfix.options import ReadOptions
 from mocapfix.read.capture import read_take
 
 LABELS = ["nose", "left_hip", "right_hip", "left_knee", "right_knee"]
@@ -27,7 +28,7 @@ def test_labelled_points(tmp_path, unit, factor, is_mapping):
         frames = [dict(zip(LABELS, frame, strict=True)) for frame in frames]
         del frames[2]["left_hip"]
     content = {"rate": 60, "labels": LABELS, "frames": frames, **({"unit": unit} if unit else {})}
-    take = read_take(write(tmp_path, content), "Y")
+    take = read_take(write(tmp_path, content), ReadOptions(up_axis="Y"))
     assert (take.labels, take.rate) == (tuple(LABELS), 60.0)
     expected = POINTS * (factor if factor == 1.0 else factor / 1000)
     expected[2, 1] = np.nan
@@ -40,7 +41,7 @@ def test_openpose_people(tmp_path):
     points[..., 3] = 0.9
     points[1, 4, 3] = 0.0
     frames = [{"people": [{"pose_keypoints_3d": frame.ravel().tolist()}]} for frame in points] + [{"people": []}]
-    take = read_take(write(tmp_path, {"rate": 30, "unit": "m", "frames": frames}), "Y")
+    take = read_take(write(tmp_path, {"rate": 30, "unit": "m", "frames": frames}), ReadOptions(up_axis="Y"))
     assert take.labels[:3] == ("Nose", "Neck", "RShoulder")
     assert take.markers.shape == (4, 25, 3)
     np.testing.assert_allclose(take.markers[0], points[0, :, :3])

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mocapfix.options import ReadOptions
 from mocapfix.read import capture
 from mocapfix.read.up_axis import classify_label_height, estimate_up_axis, find_free_fall
 from mocapfix.report.notes import describe_up_axis
@@ -122,7 +123,7 @@ def test_the_basis_is_reported_where_it_is_uncertain(tmp_path):
     path.write_bytes(c3d_bytes(build_motion(PERSON[:4] * 0.1) * 1000, ["A", "B", "C", "D"]))
     take = capture.read_take(path)
     assert re.search("Z is assumed to be the up axis .*uncertain", describe_up_axis(take)[0])
-    assert not describe_up_axis(capture.read_take(path, "Y"))
+    assert not describe_up_axis(capture.read_take(path, ReadOptions(up_axis="Y")))
     path.write_bytes(c3d_bytes(build_motion() * 1000, LABELS, extra={"POINT:Y_SCREEN": "+Y"}))
     take = capture.read_take(path)
     assert not describe_up_axis(take)

@@ -8,7 +8,7 @@ from mocapfix import pipeline
 from mocapfix.cli.arguments import build_options_argument, parse_options
 from mocapfix.cli.clean import STAGES
 from mocapfix.options import CleanOptions, build_clean_options
-from mocapfix.review.clean_arguments import build_clean_arguments, find_argument
+from mocapfix.review.clean_arguments import build_clean_arguments, find_argument, parse_read_options
 from mocapfix.synthetic import compose_take, write_synthetic_take
 
 
@@ -32,6 +32,7 @@ def parse_arguments(arguments: list[str]) -> CleanOptions:
         {"repair_kinds": ("gap", "spike"), "keep": ("LFIN", "RFIN")},
         {"frames": (-5, 250)},
         {"floor_height_m": -0.125, "up_axis": "Z"},
+        {"up_axis": "-y", "unit": "in", "rate_hz": 59.94, "mirror": True, "accept_contradictions": True},
         {"extra_formats": ("gltf", "npz"), "rigs": ("blender",), "output_rate_hz": 30.0},
         {"is_fast": True, "refill": True, "known_sets_only": True},
         {"robust_scales_m": (0.2, 0.07), "min_spike_m": 0.0305, "max_solve_rounds": 2},
@@ -44,6 +45,7 @@ def test_arguments_are_read_as_the_same_options(tmp_path: Path, values: dict[str
     take, *arguments = build_clean_arguments(tmp_path / "take 1.c3d", options, tmp_path / "out", "take 1")
     assert take == "../take 1.c3d"
     assert parse_arguments(arguments) == options
+    assert parse_read_options(arguments) == options.read
 
 
 def test_files_are_named_relative_to_the_outputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.contacts.contacts import GaitEvent
+from mocapfix.options import ReadOptions
 from mocapfix.read.capture import read_take
 from mocapfix.write.c3d_events import MAX_EVENTS, add_c3d_events, read_c3d_events
 from mocapfix.write.c3d_head import C3dHead
@@ -32,12 +33,12 @@ def make_file(encoding=(84, True), first: int = 1, extra=None) -> bytes:
 def write(path: Path, data: bytes) -> int:
     """Write a file, and return where its data begin."""
     path.write_bytes(data)
-    return get_layout(read_take(path, "Z")).data_start_byte
+    return get_layout(read_take(path, ReadOptions(up_axis="Z"))).data_start_byte
 
 
 def read_events(path: Path):
     """Return the events of a file, and its layout."""
-    layout = get_layout(read_take(path, "Z"))
+    layout = get_layout(read_take(path, ReadOptions(up_axis="Z")))
     return read_c3d_events(C3dHead(path.read_bytes()[: layout.data_start_byte])), layout
 
 
@@ -60,9 +61,9 @@ def test_events_are_read_as_they_were_written(tmp_path, encoding):
 def test_markers_and_all_bytes_of_data_are_unchanged(tmp_path, encoding):
     path, data = tmp_path / "walk.c3d", make_file(encoding)
     start = write(path, data)
-    before = read_take(path, "Z")
+    before = read_take(path, ReadOptions(up_axis="Z"))
     add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
-    after, layout = read_take(path, "Z"), read_events(path)[1]
+    after, layout = read_take(path, ReadOptions(up_axis="Z")), read_events(path)[1]
     assert path.read_bytes()[layout.data_start_byte :] == data[start:]
     np.testing.assert_array_equal(after.markers, before.markers)
     assert after.labels == before.labels
@@ -74,7 +75,7 @@ def test_all_other_parameters_are_unchanged(tmp_path, encoding):
     start = write(path, make_file(encoding, extra={"SUBJECTS:NAMES": ["Ann", "Bob"], "POINT:DESCRIPTIONS": ["a", "b", "c", "d"]}))
     before = C3dHead(path.read_bytes()[:start]).records
     add_c3d_events(path, start, {"": EVENTS}, 1, RATE)
-    after = C3dHead(path.read_bytes()[: get_layout(read_take(path, "Z")).data_start_byte]).records
+    after = C3dHead(path.read_bytes()[: get_layout(read_take(path, ReadOptions(up_axis="Z"))).data_start_byte]).records
     kept = {(each.group, each.name): each.content for each in after}
     for each in before:
         if each.name != "DATA_START":
