@@ -1,18 +1,21 @@
 """An animation: a tree of joints and the channel values that move it, as stored in a BVH or ASF/AMC file."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels import euler_angles
 from mocapfix.stats.sequences import find_runs
 from mocapfix.stats.transform_trees import compose_transforms
 
 AXIS_LETTERS = "XYZ"
+HEAD_JOINT_PATTERN = re.compile(r"head|skull", re.IGNORECASE)
+FOOT_JOINT_PATTERN = re.compile(r"foot|feet|ankle|toe", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,8 @@ class Animation:
 
     names     J joint names, the root first
     parents   (J,) index of each joint's parent, -1 for the root
-    offsets   (J, 3) position of each joint in its parent's axes, in the rest pose
+    offsets   (J, 3) position of each joint in its parent's axes, as the file gives it. Where position channels replace it,
+              `bone_offsets` has the one that the figure has
     end_sites  J arrays (E, 3): the end sites of a joint in its axes; most joints have none
     channels  names of each joint's channels, in order: Xposition, Zrotation, ...; the first rotation is the outermost.
               Length, in ASF only, lengthens the bones to the joint's children
@@ -90,6 +94,65 @@ class Animation:
         stops = np.cumsum([len(each) for each in self.channels])
         return tuple(np.arange(stop - len(each), stop) for each, stop in zip(self.channels, stops, strict=True))
 
+    @cached_property
+    def bone_offsets(self) -> Float[np.ndarray, "J 3"]:
+        """The offset of each joint as the figure is posed, in file units and its parent's axes.
+
+        Where position channels replace a joint's offset it is the median of their values, otherwise the offset of the file.
+        """
+        offsets = self.offsets.copy()
+        for joint in np.flatnonzero(~np.broadcast_to(self.is_position_added, len(self.names))).tolist():
+            columns, axes = self.get_position_channels(joint)
+            values = self.values[:, columns]
+            values = values[np.isfinite(values).all(1)]
+            if len(values):
+                offsets[joint, axes] = np.median(values, axis=0)
+        return offsets
+
+    @cached_property
+    def body_root(self) -> int:
+        """The joint from which the body branches: the hips, whatever reference nodes are above them.
+
+        It is the last joint above both the first head and the first foot by their names or, without such names, the first joint
+        that has several children.
+        """
+        head, foot = (
+            [joint for joint, name in enumerate(self.names) if pattern.search(name)][:1]
+            for pattern in (HEAD_JOINT_PATTERN, FOOT_JOINT_PATTERN)
+        )
+        if head and foot:
+            return [a for a, b in zip(self.list_path(head[0]), self.list_path(foot[0]), strict=False) if a == b][-1]
+        joint = 0
+        while len(children := np.flatnonzero(self.parents == joint)) == 1:
+            joint = int(children[0])
+        return joint
+
+    @cached_property
+    def is_below_body_root(self) -> Bool[np.ndarray, " J"]:
+        """Whether each joint is below the body root: the joints that bones lead to."""
+        is_below = np.zeros(len(self.names), bool)
+        for joint in range(1, len(self.names)):
+            is_below[joint] = self.parents[joint] == self.body_root or is_below[self.parents[joint]]
+        return is_below
+
+    @cached_property
+    def moving_joint(self) -> int:
+        """The joint whose position channels move the figure most: the root, the hips, or a joint between them."""
+        joints = [joint for joint in self.list_path(self.body_root) if self.get_position_channels(joint)[0].size]
+        ranges: list[float] = []
+        for joint in joints:
+            values = self.values[:, self.get_position_channels(joint)[0]]
+            values = values[np.isfinite(values).all(1)]
+            ranges.append(float(np.ptp(values, axis=0).sum()) if len(values) else 0.0)
+        return joints[int(np.argmax(ranges))] if joints else 0
+
+    def list_path(self, joint: int) -> list[int]:
+        """Return the joints from the root down to a joint."""
+        path = [joint]
+        while self.parents[path[-1]] >= 0:
+            path.append(int(self.parents[path[-1]]))
+        return path[::-1]
+
     def get_rotation_channels(self, joint: int) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
         """Return the columns of a joint's rotation channels and the axis of each (0, 1 or 2), the outermost first."""
         return self._select_channels(joint, "rotation")
@@ -133,8 +196,8 @@ class Animation:
         return self._world_poses
 
     def compute_rest_positions(self) -> Float[np.ndarray, "J 3"]:
-        """Compute the positions of the joints in the rest pose in metres, with the root at its offset."""
-        offsets = self.offsets @ self.rotation_y_up_file.T * self.unit_m
+        """Compute the positions of the joints in metres with all angles zero and the posed figure's bones."""
+        offsets = self.bone_offsets @ self.rotation_y_up_file.T * self.unit_m
         return compose_transforms(self.parents, offsets[None], np.tile(np.eye(3), (1, len(offsets), 1, 1)))[0][0]
 
     def replace_rotations(

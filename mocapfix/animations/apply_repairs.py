@@ -56,7 +56,8 @@ def apply_repairs(
     is_absent = build_fault_mask([fault for fault in faults if fault.kind == "gap"], tips.visible.shape)
     before = tips.masked(~is_absent)
     selected = [fault for fault in faults if _is_selected(fault, options.detect.repair_kinds, reviewed)]
-    editable = build_fault_mask(selected, is_absent.shape) & _compute_editable_tracks(before, options.fill)
+    editable = build_fault_mask(selected, is_absent.shape)
+    editable &= _compute_editable_tracks(before, animation.moving_joint, options.fill)
     editable &= repair.method != RepairMethod.UNCHANGED
     rejection_reasons = _find_rejection_reasons(animation, before, repair, faults, editable, options.fill)
     is_repaired = editable & (rejection_reasons == "")
@@ -87,7 +88,7 @@ def insert_repairs(animation: Animation, repair: AnimationRepair, is_repaired: B
     frames = np.flatnonzero(is_repaired[:, -1])
     if not len(frames):
         return animation
-    return animation.replace_positions(np.array([0]), frames, repair.root_position[frames][:, None])
+    return animation.replace_positions(np.array([animation.moving_joint]), frames, repair.root_position[frames][:, None])
 
 
 def _is_selected(fault: Fault, kinds: Sequence[str], reviewed: Sequence[ReviewedChange]) -> bool:
@@ -95,10 +96,10 @@ def _is_selected(fault: Fault, kinds: Sequence[str], reviewed: Sequence[Reviewed
     return (not kinds or fault.kind in kinds) and not any(each.rejects(fault) for each in reviewed)
 
 
-def _compute_editable_tracks(before: Take, fill_options: FillOptions) -> Bool[np.ndarray, "T N"]:
-    """Return the values that the options allow to change. To keep the root joint also keeps its position."""
+def _compute_editable_tracks(before: Take, moving_joint: int, fill_options: FillOptions) -> Bool[np.ndarray, "T N"]:
+    """Return the values that the options allow to change. To keep the joint that moves the figure also keeps its position."""
     editable = compute_editable_mask(before, fill_options)
-    editable[:, -1] &= editable[:, 0]
+    editable[:, -1] &= editable[:, moving_joint]
     return editable
 
 

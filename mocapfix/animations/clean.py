@@ -187,7 +187,7 @@ def clean_animation(
     with timer("solve"):
         repair = repair_animation(
             animation.parents,
-            animation.compute_local_positions()[:, 0],
+            animation.compute_local_positions()[:, animation.moving_joint],
             animation.compute_local_rotations(),
             list_rotation_orders(animation),
             faults,

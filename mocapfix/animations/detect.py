@@ -1,6 +1,7 @@
 """Detection of faults in an animation's joint rotations and in the position of its root.
 
-An animation has N = J + 1 tracks: the rotations of its J joints relative to their parents, and the position of its root.
+An animation has N = J + 1 tracks: the rotations of its J joints relative to their parents, and the position of its root (of the
+hips where a reference node that does not move is above them).
 Gaps are detected first, because the values that a file holds in a gap resemble every other fault. Pops and flips follow, and
 then jitter in what remains.
 """
@@ -33,9 +34,12 @@ def detect_animation_faults(animation: Animation) -> list[Fault]:
 
     The markers of the faults are indices of tracks, and of points in `joint_points.build_tip_take`.
     """
-    local_rotations, root_position = animation.compute_local_rotations(), animation.compute_local_positions()[:, 0]
+    local_rotations = animation.compute_local_rotations()
+    root_position = animation.compute_local_positions()[:, animation.moving_joint]
     orders = list_rotation_orders(animation)
-    faults = detect_pose_faults(animation.names, root_position, local_rotations, orders, animation.rate)
+    faults = detect_pose_faults(
+        animation.names, root_position, local_rotations, orders, animation.rate, moving_joint=animation.moving_joint
+    )
     return sorted(faults, key=lambda fault: (fault.marker, fault.first))
 
 
@@ -51,19 +55,22 @@ def detect_pose_faults(
     local_rotations: Float[np.ndarray, "T J 3 3"],
     orders: Sequence[str],
     rate: float,
+    *,
+    moving_joint: int = 0,
 ) -> list[Fault]:
     """Detect the faults of a moving figure, ordered by first frame and track.
 
     names   of the joints
     root_position, local_rotations  metres, and relative to the parents; NaN where the file has no value
     orders  as from `list_rotation_orders`
+    moving_joint  the joint whose position `root_position` is
 
     The markers of the faults are indices of tracks. Severities are in radians, of the root's position in metres, and NaN for
     gaps.
     """
     if len(root_position) < 2:
         return []
-    joint_count, track_names = len(names), list_track_names(tuple(names))
+    joint_count, track_names = len(names), list_track_names(tuple(names), moving_joint)
     is_absent = np.column_stack([np.isnan(local_rotations).any((2, 3)), np.isnan(root_position).any(1)])
     is_lost, faults = np.zeros(is_absent.shape, bool), []
     for gap in gaps.detect_animation_gaps(compute_track_motion(root_position, local_rotations), is_absent, rate):

@@ -14,7 +14,7 @@ def build_joint_take(animation: Animation) -> Take:
 
 
 def build_tip_take(animation: Animation) -> Take:
-    """Build the take of an animation's joint tips, followed by the root's position.
+    """Build the take of an animation's joint tips, followed by the position of the joint that moves the figure.
 
     The tip of a joint is the mean of its children and end sites. A rotation error of a joint displaces its tip but not the
     joint itself, so faults and changes refer to tips.
@@ -26,13 +26,13 @@ def build_tip_take(animation: Animation) -> Take:
         end_positions = positions[:, [joint]] + end_offsets @ np.swapaxes(rotations[:, joint], -1, -2)
         outer = np.concatenate([positions[:, animation.parents == joint], end_positions], axis=1)
         points[:, joint] = outer.mean(1) if outer.shape[1] else positions[:, joint]
-    points[:, -1] = positions[:, 0]
-    return _build_point_take(animation, points, list_track_names(animation.names))
+    points[:, -1] = positions[:, animation.moving_joint]
+    return _build_point_take(animation, points, list_track_names(animation.names, animation.moving_joint))
 
 
-def list_track_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of an animation's J + 1 tracks: the rotations of its joints and the position of its root."""
-    return (*joint_names, f"{joint_names[0]} position")
+def list_track_names(joint_names: tuple[str, ...], moving_joint: int = 0) -> tuple[str, ...]:
+    """Return the names of an animation's J + 1 tracks: the rotations of its joints and the position of the one that moves it."""
+    return (*joint_names, f"{joint_names[moving_joint]} position")
 
 
 def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[np.ndarray, "T N"]) -> Float[np.ndarray, "T M"]:
@@ -59,7 +59,7 @@ def compute_joint_point_sd(animation: Animation, points: Take, variance: Float[n
 
 def build_joint_skeleton(animation: Animation) -> tuple[Skeleton, Float[np.ndarray, "T J 3"]]:
     """Return the file's own skeleton and the positions of its joints in the world, in metres."""
-    offsets = animation.offsets @ animation.rotation_y_up_file.T * animation.unit_m
+    offsets = animation.bone_offsets @ animation.rotation_y_up_file.T * animation.unit_m
     skeleton = Skeleton(animation.names, animation.parents, offsets, np.full(offsets.shape, np.nan))
     return skeleton, animation.compute_world_poses()[0]
 

@@ -1,4 +1,4 @@
-"""The bones of a BVH as a character: the rest pose is that of its offsets, with all angles zero.
+"""The bones of a BVH as a character: the rest pose is that of its bones, with all angles zero.
 
 BVH has no rest rotations: in the rest pose the axes of all bones are the file's.
 """
@@ -21,13 +21,13 @@ def build_bvh_character(path: Path, data: bytes, animation: Animation) -> Charac
         animation: Its content, with the unit and the up axis that `read_bvh` inferred.
     """
     count, unit_m = len(animation.names), animation.unit_m
-    positions = animation.offsets * unit_m
+    positions = np.where(animation.is_below_body_root[:, None], animation.bone_offsets, animation.offsets) * unit_m
     positions[0] = animation.rotation_y_up_file @ positions[0]
     rotations = np.tile(np.eye(3), (count, 1, 1))
     rotations[0] = animation.rotation_y_up_file
     tails = np.full((count, 3), np.nan)
     for joint, ends in enumerate(animation.end_sites):
-        tails[joint] = compute_tail(np.concatenate([animation.offsets[animation.parents == joint], ends]) * unit_m)
+        tails[joint] = compute_tail(np.concatenate([animation.bone_offsets[animation.parents == joint], ends]) * unit_m)
     return Character(
         name=path.stem,
         names=make_names_unique(animation.names),

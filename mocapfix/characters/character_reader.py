@@ -8,6 +8,7 @@ from mocapfix.characters.character_yaml import read_character_yaml
 from mocapfix.characters.read_gltf import is_gltf, read_gltf_skeletons
 from mocapfix.errors import ReadError
 from mocapfix.read.bvh import is_bvh, read_bvh
+from mocapfix.read.capture import extract_head
 from mocapfix.read.file_content import read_file_bytes
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -30,7 +31,7 @@ def read_character_skeletons(path: str | Path) -> list[Character]:
     """Read all skeletons of a character's file, the one with the most joints first. Raises as `read_character` does."""
     path = Path(path)
     data = read_file_bytes(path)
-    if is_bvh(data):
+    if is_bvh(extract_head(data)):
         return [build_bvh_character(path, data, read_bvh(path, data))]
     if path.suffix.lower() in YAML_SUFFIXES:
         return [read_character_yaml(path)]

@@ -16,7 +16,7 @@ from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_unit, infer_up_axis
 from mocapfix.read.asf import AsfSkeleton, parse_asf
-from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, decode_text, read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 FIRST_FRAME_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*\d+[ \t]*(?=[\r\n]|$)")  # the line of the first frame's number
@@ -58,7 +58,7 @@ def is_asf_or_amc(head: bytes) -> bool:
 
 def read_amc_motion(path: Path, data: bytes, options: ReadOptions) -> Animation:
     """Return the motion in the bytes of an AMC, as `read_amc` does, and raise ReadError for an ASF, which has none."""
-    if BONE_SECTION_KEYWORD in data.lower():
+    if BONE_SECTION_KEYWORD in convert_to_utf_8(path, data).lower():
         raise ReadError(f"{path}: is a skeleton without motion; name the AMC file of the motion.")
     return read_amc(path, data, options=options)
 
@@ -83,11 +83,11 @@ def read_amc(
         ReadError: If there is no skeleton, or a file is invalid. The message names file and line.
     """
     path = Path(path)
-    data = read_file_bytes(path) if data is None else data
+    data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
     if BONE_SECTION_KEYWORD in data.lower():
         return _build_rest_animation(path, data)
     skeleton_path = Path(asf_path) if asf_path is not None else find_asf(path)
-    skeleton = parse_asf(skeleton_path, _decode_text(read_file_bytes(skeleton_path)))
+    skeleton = parse_asf(skeleton_path, decode_text(read_file_bytes(skeleton_path))[0])
     start = FIRST_FRAME_PATTERN.search(data)
     if not start:
         raise ReadError(f"{path}: has no frames; an AMC has a line with the number of each frame. Export it again.")
@@ -130,14 +130,10 @@ def find_asf(path: Path) -> Path:
 
 
 def _build_rest_animation(path: Path, data: bytes) -> Animation:
-    skeleton = parse_asf(path, _decode_text(data))
+    skeleton = parse_asf(path, decode_text(data)[0])
     width = sum(len(bone.degrees_of_freedom) for bone in skeleton.bones)
     notes = ("It is a skeleton without motion, in its rest pose.",)
     return _build_animation(path, skeleton, np.zeros((1, width)), DEFAULT_AMC_RATE_HZ, notes, 1)
-
-
-def _decode_text(data: bytes) -> str:
-    return data.decode("utf-8", "replace")
 
 
 def _build_animation(

@@ -1,15 +1,12 @@
 """Properties that animation files do not give: unit of length, up axis and exact frame rate. All assumptions are noted."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 
-from mocapfix.animation import Animation
+from mocapfix.animation import FOOT_JOINT_PATTERN, HEAD_JOINT_PATTERN, Animation
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP
 
-HEAD_JOINT_PATTERN = re.compile(r"head|skull", re.IGNORECASE)
-FOOT_JOINT_PATTERN = re.compile(r"foot|feet|ankle|toe", re.IGNORECASE)
 PERSON_HEIGHT_RANGE_M = (1.2, 2.2)
 REACH_TO_HEIGHT_RATIO = 1.42  # longest path along a person's bones, from finger tips to toes, divided by the height
 # Metres per unit, in the order in which units are tried.
@@ -19,6 +16,7 @@ CANDIDATE_UNITS_M = {
     "millimetres": 0.001,
     "CMU's units of 1/0.45 inch": 0.0254 / 0.45,
     "inches": 0.0254,
+    "feet": 0.3048,
 }
 MIN_UP_AXIS_COSINE = 0.8  # of the angle between an axis and the vector from feet to head of a standing figure
 MAX_INSPECTED_POSES = 200  # poses from which the up axis is inferred
@@ -56,15 +54,18 @@ def infer_unit(animation: Animation) -> Animation:
 
 
 def compute_reach(animation: Animation) -> float:
-    """Return the longest path along the bones from one tip of the figure to another, in file units."""
+    """Return the longest path along the bones from one tip of the body to another, in file units.
+
+    The bones are those of the posed figure, below its body root: a reference node above the hips is no part of it.
+    """
     depth = np.array([np.linalg.norm(ends, axis=1).max(initial=0.0) for ends in animation.end_sites])
     longest = depth.copy()
     for joint in range(len(depth) - 1, 0, -1):
         parent = animation.parents[joint]
-        path_length = depth[joint] + np.linalg.norm(animation.offsets[joint])
+        path_length = depth[joint] + np.linalg.norm(animation.bone_offsets[joint])
         longest[parent] = max(longest[parent], longest[joint], depth[parent] + path_length)
         depth[parent] = max(depth[parent], path_length)
-    return float(longest[0])
+    return float(longest[animation.body_root])
 
 
 def infer_up_axis(animation: Animation) -> Animation:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from mocapfix.errors import ReadError
+from mocapfix.read.file_content import BYTE_ORDER_MARK, parse_number
 
 METRES_PER_INCH = 0.0254  # lengths times the file's `length` are inches, as in CMU's files
 ROOT_NAME = "root"
@@ -98,7 +99,7 @@ class _AsfParser:
         self.root_angles, self.root_axis_order = ["0", "0", "0"], "XYZ"
 
     def parse(self, text: str) -> AsfSkeleton:
-        for self.line_number, line in enumerate(text.splitlines(), start=1):
+        for self.line_number, line in enumerate(text.removeprefix(BYTE_ORDER_MARK).splitlines(), start=1):
             keyword, *words = line.split("#")[0].split() or [""]
             if keyword.startswith(":"):
                 self.section, keyword = keyword.lower(), ""
@@ -181,7 +182,7 @@ class _AsfParser:
 
     def parse_numbers(self, words: list[str], count: int) -> list[float]:
         try:
-            numbers = [float(word) for word in words]
+            numbers = [parse_number(word) for word in words]
         except ValueError:
             numbers = []
         if len(numbers) != count or not np.isfinite(numbers).all():

@@ -1,7 +1,7 @@
 """Read a BVH file: any hierarchy, with the channels of each joint in any order.
 
 Source: Meredith and Maddock 2001, "Motion capture file formats explained". Where programs differ, the usage of most is
-assumed: position channels of the root replace its offset.
+assumed: position channels of any joint replace its offset.
 """
 
 import re
@@ -17,12 +17,17 @@ from mocapfix.errors import ReadError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read.animation_inference import infer_rate, infer_unit, infer_up_axis
 from mocapfix.read.bvh_hierarchy import parse_hierarchy
-from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, read_file_bytes
+from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS, convert_to_utf_8, parse_number, read_file_bytes
 from mocapfix.read.token_scanner import TextTokens, scan_tokens
 
 MOTION_PATTERN = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*MOTION[ \t]*(?=[\r\n]|$)", re.IGNORECASE)
 FRAME_COUNT_PATTERN = re.compile(rb"\s*Frames?\s*:?\s*(\S+)", re.IGNORECASE)
 FRAME_TIME_PATTERN = re.compile(rb"\s*Frame\s*Time\s*:?[ \t]*(\S+)[^\r\n]*", re.IGNORECASE)
+# Ratios of a joint's median position to its offset below which positions are displacements from the offset.
+MAX_DISPLACEMENT_RATIO = 0.1
+MAX_CONSTANT_DISPLACEMENT_RATIO = 0.005
+MAX_BONE_CHANGE_RATIO = 0.01  # of the range of a joint's positions to their median, if they are constant
+MIN_NOTED_STRETCH_M = 0.02  # change of a bone's length; constant positions, as most programs write them, change by 0
 
 
 class _Timing(NamedTuple):
@@ -61,7 +66,7 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
         ReadError: If the file is invalid. The message names file and line.
     """
     path = Path(path)
-    data = read_file_bytes(path) if data is None else data
+    data = convert_to_utf_8(path, read_file_bytes(path) if data is None else data)
     match = MOTION_PATTERN.search(data)
     if not match:
         problem = "has no line MOTION after its hierarchy: it is not a BVH, or it was cut off"
@@ -85,8 +90,10 @@ def read_bvh(path: str | Path, data: bytes | None = None, options: ReadOptions =
         path=path,
         value_byte_offsets=tokens.start_bytes.reshape(frame_count, width),
     )
-    animation = replace(animation, is_position_added=_detect_displacements(animation), notes=tuple(notes))
-    return infer_unit(infer_up_axis(animation))
+    is_added, displacement_notes = _find_displacements(animation)
+    animation = replace(animation, is_position_added=is_added, notes=(*notes, *displacement_notes))
+    animation = infer_unit(infer_up_axis(animation))
+    return replace(animation, notes=(*animation.notes, *_describe_stretch(animation)))
 
 
 def _parse_timing(path: Path, data: bytes, start: int) -> _Timing:
@@ -98,14 +105,14 @@ def _parse_timing(path: Path, data: bytes, start: int) -> _Timing:
         raise ReadError(f"{path}, line {line_number}: {problem}.")
     frames_text, time_text = _decode_word(frames[1]), _decode_word(time[1])
     try:
-        declared, seconds = int(frames[1]), float(time[1])
+        declared, seconds = int(frames[1]), parse_number(time_text)
     except ValueError as error:
         problem = f"the number of frames {frames_text} or the frame time {time_text} is not a number"
         raise ReadError(f"{path}, line {line_number}: {problem}.") from error
     if not (np.isfinite(seconds) and seconds > 0):
         problem = f"a frame time of {time_text} s gives no rate"
         raise ReadError(f"{path}, line {line_number + 1}: {problem}; give the seconds per frame.")
-    rate, notes = infer_rate(time_text)
+    rate, notes = infer_rate(time_text.replace(",", "."))
     return _Timing(declared, rate, time.end(), notes)
 
 
@@ -143,18 +150,49 @@ def _find_first_invalid_line(line_tokens: Int[np.ndarray, " n"], width: int) -> 
     return int(np.searchsorted(line_tokens, missed[0]) - 1) if len(missed) else len(line_tokens) - 1
 
 
-def _detect_displacements(animation: Animation) -> Bool[np.ndarray, " J"]:
-    """Detect joints below the root whose position channels are displacements from the offset rather than replacements of it.
+def _find_displacements(animation: Animation) -> tuple[Bool[np.ndarray, " J"], tuple[str, ...]]:
+    """Return the joints whose position channels are added to their offsets, and a note if there are any.
 
-    Their median position is closer to zero than to the offset.
+    Position channels replace the offset of a joint. Some files have displacements from the offset in those of the joints below
+    the hips. All of these joints are taken so if most of them have positions near zero, which would leave no bones. Positions
+    that are short and constant are those of bones whose offset lies far away.
     """
-    is_displacement = np.zeros(len(animation.names), bool)
-    for joint in range(1, len(animation.names)):
+    is_below = animation.is_below_body_root
+    positioned = [joint for joint in np.flatnonzero(is_below).tolist() if animation.get_position_channels(joint)[0].size]
+    lengths = np.linalg.norm(animation.offsets, axis=1)[is_below]
+    usual_length = np.median(lengths[lengths > 0]) if lengths.any() else 0.0
+    votes: list[bool] = []
+    for joint in positioned:
         columns, axes = animation.get_position_channels(joint)
-        positions = animation.values[:, columns]
-        positions = positions[np.isfinite(positions).all(1)]
-        if positions.size:
-            median = np.median(positions, axis=0)
-            distance_to_offset = np.linalg.norm(median - animation.offsets[joint, axes])
-            is_displacement[joint] = np.linalg.norm(median) < distance_to_offset
-    return is_displacement
+        length = min(float(np.linalg.norm(animation.offsets[joint, axes])), float(usual_length))
+        values = animation.values[:, columns]
+        values = values[np.isfinite(values).all(1)]
+        if length > 0 and len(values):
+            position = float(np.linalg.norm(np.median(values, axis=0)))
+            is_constant = float(np.ptp(values, axis=0).max()) < MAX_BONE_CHANGE_RATIO * position
+            votes.append(position < (MAX_CONSTANT_DISPLACEMENT_RATIO if is_constant else MAX_DISPLACEMENT_RATIO) * length)
+    is_added = np.zeros(len(animation.names), bool)
+    if 2 * sum(votes) <= len(votes):
+        return is_added, ()
+    is_added[positioned] = True
+    shown = animation.names[positioned[0]] + (f" and {len(positioned) - 1} more joints" if len(positioned) > 1 else "")
+    return is_added, (f"The positions of {shown} are near zero; they are taken as displacements from the offsets.",)
+
+
+def _describe_stretch(animation: Animation) -> tuple[str, ...]:
+    """Return a note on the bones that change in length most, if any do."""
+    changes = np.zeros(len(animation.names))
+    for joint in np.flatnonzero(animation.is_below_body_root).tolist():
+        columns, axes = animation.get_position_channels(joint)
+        positions = np.tile(animation.offsets[joint], (animation.frame_count, 1))
+        positions[:, axes] = animation.values[:, columns] + animation.is_position_added[joint] * positions[:, axes]
+        lengths = np.linalg.norm(positions, axis=1)
+        lengths = lengths[np.isfinite(lengths)]
+        changes[joint] = np.ptp(lengths) * animation.unit_m if len(lengths) else 0.0
+    stretched = np.flatnonzero(changes > MIN_NOTED_STRETCH_M)
+    if not len(stretched):
+        return ()
+    longest = int(np.argmax(changes))
+    bones = f"{len(stretched)} bones change" if len(stretched) > 1 else "One bone changes"
+    problem = f"{bones} in length, that to {animation.names[longest]} by {changes[longest] * 1e3:.0f} mm"
+    return (f"{problem}; the copy of the file keeps this, the skeleton has their mean lengths.",)

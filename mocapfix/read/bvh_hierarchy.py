@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from mocapfix.errors import ReadError
-from mocapfix.read.file_content import MAX_QUOTED_CHARACTERS
+from mocapfix.read.file_content import COMMENT_LINE_PATTERN, MAX_QUOTED_CHARACTERS, parse_number
 
 # Separators of the items of a line, of which there may be several.
 ITEM_PATTERN = re.compile(r"([{}])|[ \t]+(?=(?:OFFSET|CHANNELS)\s+[-+.\d])", re.IGNORECASE)
@@ -54,12 +54,14 @@ def parse_hierarchy(path: Path, text: bytes) -> BvhHierarchy:
 
 
 def _split_items(text: bytes) -> Iterator[tuple[int, str]]:
-    """Yield line number and text of each item; a line may have several."""
+    """Yield line number and text of each item; a line may have several, and a comment has none."""
     try:
         lines = text.decode("utf-8").splitlines()
     except UnicodeDecodeError:
         lines = text.decode("latin-1").splitlines()
     for line_number, line in enumerate(lines, start=1):
+        if COMMENT_LINE_PATTERN.match(line):
+            continue
         yield from ((line_number, item.strip()) for item in ITEM_PATTERN.split(line) if item and item.strip())
 
 
@@ -127,7 +129,7 @@ class _HierarchyParser:
         """Set the offset of the open joint, or add an end site to its parent."""
         joint = self.joints[self.open_joints[-1]] if self.open_joints and self.open_joints[-1] is not None else None
         try:
-            vector = [float(word) for word in rest.split()]
+            vector = [parse_number(word) for word in rest.split()]
         except ValueError:
             self.raise_error(line_number, f"OFFSET {rest} is not three numbers")
         if len(vector) != 3 or not np.isfinite(vector).all():

@@ -14,7 +14,7 @@ from mocapfix.errors import ReadError, TakeError
 from mocapfix.files.read_options import DEFAULT_READ_OPTIONS, ReadOptions
 from mocapfix.read import amc, bvh, c3d, keypoint_json, motive, nexus, plain_csv, qualisys, trc
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, rotate_to_up_axis
-from mocapfix.read.file_content import BYTE_ORDER_MARK, decode_text, read_file_bytes
+from mocapfix.read.file_content import BYTE_ORDER_MARK, LEADING_COMMENTS_PATTERN, decode_text, read_file_bytes
 from mocapfix.take import Take
 
 HEAD_BYTES = 1 << 16  # beginning of a file from which its format is detected
@@ -93,11 +93,14 @@ def read_take(path: str | Path, options: ReadOptions = DEFAULT_READ_OPTIONS) -> 
 
 
 def extract_head(data: bytes) -> bytes:
-    """Return the beginning of a file from which its format is detected."""
+    """Return the beginning of a file from which its format is detected, that of a text without comments before it."""
     text, encoding = decode_text(data[:HEAD_BYTES])
     if encoding == "latin-1":  # or UTF-8 that is cut within a character at the end of the head
-        return data[:HEAD_BYTES].removeprefix(codecs.BOM_UTF8)
-    return text.removeprefix(BYTE_ORDER_MARK).encode("utf-8", "replace")
+        head = data[:HEAD_BYTES].removeprefix(codecs.BOM_UTF8)
+    else:
+        head = text.removeprefix(BYTE_ORDER_MARK).encode("utf-8", "replace")
+    comments = None if b"\0" in head else LEADING_COMMENTS_PATTERN.match(head)
+    return head[comments.end() :] if comments else head
 
 
 def _set_up_axis(capture: Take | Animation, up_axis: str) -> Take | Animation:

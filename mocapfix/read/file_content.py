@@ -18,7 +18,18 @@ ARCHIVE_SIGNATURES = {
 }
 MAX_QUOTED_CHARACTERS = 40  # of a file, in messages
 BYTE_ORDER_MARK = "\ufeff"
-UTF_16_ENCODINGS = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+# By the bytes of their byte-order mark; that of UTF-32 begins with that of UTF-16.
+WIDE_ENCODINGS = {
+    codecs.BOM_UTF32_LE: "utf-32-le",
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+INSPECTED_CHARACTERS = 16  # by which UTF-16 without a byte-order mark is recognised: its beginning is ASCII in all formats
+ASCII_TEXT_BYTES = frozenset((9, 10, 13, *range(32, 127)))
+LEADING_COMMENTS_PATTERN = re.compile(rb"(?:[ \t]*(?:(?:#|//|%)[^\r\n]*)?(?:\r\n?|\n))+")  # and blank lines
+COMMENT_LINE_PATTERN = re.compile(r"\s*(#|//|%)")
+DECIMAL_COMMA_TOKEN_PATTERN = re.compile(rb"(?<!\S)[-+]?\d*,\d+(?:[eE][-+]?\d+)?(?!\S)")
 DELIMITERS = "\t;,"
 LINE_END_PATTERN = re.compile(r"\r\n?|\n")
 # Spellings of a number that is not one or not finite: nan, nan(ind), inf, 1.#QNAN, ...
@@ -60,7 +71,7 @@ class TextDocument:
     Attributes:
         path: The file.
         lines: The lines; with line ends "\\r\\n" each ends with "\\r". The first may begin with a byte-order mark.
-        encoding: "utf-8", "utf-16-le", "utf-16-be" or "latin-1".
+        encoding: "utf-8", "utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be" or "latin-1".
         newline: "\\n", or "\\r" if the file has no "\\n".
     """
 
@@ -72,6 +83,11 @@ class TextDocument:
     def get_line(self, index: int) -> str:
         """Return a line without its end and without a byte-order mark."""
         return self.lines[index].removeprefix(BYTE_ORDER_MARK).rstrip("\r")
+
+    def find_first_line(self) -> int:
+        """Return the index of the first line that is neither blank nor a comment, 0 if all are."""
+        texts = ((index, self.get_line(index)) for index in range(len(self.lines)))
+        return next((index for index, text in texts if text.strip() and not COMMENT_LINE_PATTERN.match(text)), 0)
 
     def split_cells(self, index: int, delimiter: str) -> list[str]:
         """Return the cells of a line, without surrounding blanks and quotes. A delimiter inside quotes does not split."""
@@ -88,26 +104,72 @@ class TextDocument:
 
 
 def parse_document(path: Path, data: bytes) -> TextDocument:
-    """Return the lines of a text file: UTF-8 or UTF-16 with a byte-order mark, UTF-8 without one, else Latin-1.
+    """Return the lines of a text file: UTF-8, UTF-16 or UTF-32, with or without a byte-order mark, else Latin-1.
 
     Raises:
-        ReadError: If UTF-16 text is damaged.
+        ReadError: If UTF-16 or UTF-32 text is damaged.
     """
     text, encoding = decode_text(data)
     if text.encode(encoding, "replace") != data:
-        raise ReadError(f"{path}: is damaged UTF-16 text; save it again as UTF-8.")
+        raise ReadError(f"{path}: is damaged {encoding[:6].upper()} text; save it again as UTF-8.")
     newline = "\n" if "\n" in text or "\r" not in text else "\r"
     return TextDocument(path, text.split(newline), encoding, newline)
 
 
 def decode_text(data: bytes) -> tuple[str, str]:
-    """Return the text of a file, including a byte-order mark, and its encoding. Damaged characters are replaced."""
-    if encoding := UTF_16_ENCODINGS.get(data[:2]):
+    """Return the text of a file, including a byte-order mark, and its encoding. Damaged characters are replaced.
+
+    UTF-16 without a byte-order mark is recognised by a beginning of which every second byte is zero and the others are ASCII.
+    """
+    if encoding := _detect_wide_encoding(data):
         return data.decode(encoding, "replace"), encoding
     try:
         return data.decode("utf-8"), "utf-8"
     except UnicodeDecodeError:
         return data.decode("latin-1"), "latin-1"
+
+
+def _detect_wide_encoding(data: bytes) -> str:
+    """Return the encoding of a text with two or four bytes for a character, "" for any other."""
+    if encoding := next((name for mark, name in WIDE_ENCODINGS.items() if data.startswith(mark)), ""):
+        return encoding
+    head = data[: 2 * INSPECTED_CHARACTERS]
+    for encoding, low, high in (("utf-16-le", head[::2], head[1::2]), ("utf-16-be", head[1::2], head[::2])):
+        if len(head) == 2 * INSPECTED_CHARACTERS and not any(high) and ASCII_TEXT_BYTES.issuperset(low):
+            return encoding
+    return ""
+
+
+def convert_to_utf_8(path: Path, data: bytes) -> bytes:
+    """Return the bytes of a text in UTF-8 if they are UTF-16 or UTF-32, otherwise unchanged. `restore_encoding` reverses this.
+
+    Raises:
+        ReadError: If UTF-16 or UTF-32 text is damaged.
+    """
+    if not _detect_wide_encoding(data):
+        return data
+    document = parse_document(path, data)
+    return document.newline.join(document.lines).encode()
+
+
+def restore_encoding(converted: bytes, original: bytes) -> bytes:
+    """Return a text that `convert_to_utf_8` converted, as it is or changed, in the encoding of the original bytes."""
+    encoding = _detect_wide_encoding(original)
+    return converted.decode().encode(encoding) if encoding else converted
+
+
+def has_decimal_commas(data: bytes, start: int = 0) -> bool:
+    """Return whether the numbers of a text from byte `start` on, between white space, have decimal commas.
+
+    Every comma must be one, and there may be no point.
+    """
+    count = 0 if data.find(b".", start) >= 0 else data.count(b",", start)
+    return 0 < count == sum(1 for _ in DECIMAL_COMMA_TOKEN_PATTERN.finditer(data, start))
+
+
+def parse_number(word: str) -> float:
+    """Return the number that a word spells, with a decimal point or comma. Raise ValueError if it spells none."""
+    return float(word.replace(",", ".") if word.count(",") == 1 and "." not in word and not word.endswith(",") else word)
 
 
 def split_head_lines(head: bytes) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from mocapfix.kernels.text_numbers import LONG_NUMBER_TOKEN, NUMBER_TOKEN, WORD_TOKEN, count_tokens, fill_tokens
-from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN
+from mocapfix.read.file_content import NOT_A_NUMBER_PATTERN, has_decimal_commas
 
 MAX_TOKEN_BYTES = 400  # of a token's text that are shown or parsed
 
@@ -16,7 +16,7 @@ class TextTokens:
     """The N tokens of a text, which are separated by white space.
 
     Attributes:
-        data: The whole file.
+        data: The whole file, with decimal points.
         start_bytes: Byte at which each token begins.
         line_numbers: Line that each token is on; the first line of the file is 1.
         values: Number that each token spells, NaN if it spells none.
@@ -38,7 +38,9 @@ class TextTokens:
 
 
 def scan_tokens(data: bytes, first_byte: int = 0) -> TextTokens:
-    """Return the tokens of a file from `first_byte` on."""
+    """Return the tokens of a file from `first_byte` on. Decimal commas are read if all of its numbers have them."""
+    if has_decimal_commas(data, first_byte):
+        data = data[:first_byte] + data[first_byte:].replace(b",", b".")
     text = np.frombuffer(data, np.uint8)
     count = count_tokens(text, first_byte)
     start_bytes, line_numbers = np.empty(count, np.int64), np.empty(count, np.int64)

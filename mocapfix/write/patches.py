@@ -15,6 +15,7 @@ from mocapfix.errors import WriteError
 from mocapfix.files.layouts import MAX_RESIDUAL_COUNTS, C3dLayout, TableLayout
 from mocapfix.files.output_files import replace_atomically
 from mocapfix.kernels.text_numbers import INTEGER_PART_BYTES, MAX_EXACT_PRODUCT, count_decimals, splice_numbers
+from mocapfix.read.file_content import convert_to_utf_8, has_decimal_commas, restore_encoding
 from mocapfix.take import Take
 from mocapfix.write.source_file import (
     MAX_STORED_COORDINATE,
@@ -48,12 +49,18 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
     target = Path(target)
     if (starts := source.value_byte_offsets) is None:
         raise WriteError(f"{source.name}: there is no file with these numbers, so it cannot be patched.")
-    data = read_source_bytes(target, source.path, int(starts.max(initial=-1)) + 1)
-    is_changed = ~((values == source.values) | (np.isnan(values) & np.isnan(source.values)))
+    original = bytes(read_source_bytes(target, source.path))
+    data, first_byte = convert_to_utf_8(target, original), int(starts[starts >= 0].min(initial=len(original)))
+    if len(data) <= starts.max(initial=-1):
+        raise build_truncated_error(source.path)
+    has_commas = has_decimal_commas(data, first_byte)
+    if has_commas:
+        data = data[:first_byte] + data[first_byte:].replace(b",", b".")
+    is_changed = ~((values == source.values) | (np.isnan(values) & np.isnan(source.values))) & (starts >= 0)
     offsets, numbers = starts[is_changed], _convert_to_file_units(source, values)[is_changed]
     order = np.argsort(offsets)
     text = np.frombuffer(data, np.uint8)
-    counts = np.bincount(count_decimals(text, starts.ravel()))
+    counts = np.bincount(count_decimals(text, starts[starts >= 0]))
     decimals = min(int(counts[1:].argmax()) + 1, MAX_WRITTEN_DECIMALS) if counts[1:].any() else DEFAULT_DECIMALS
     power = 10.0**decimals
     if not (np.abs(numbers) * power < MAX_EXACT_PRODUCT).all():
@@ -63,8 +70,11 @@ def patch_animation(target: str | Path, source: Animation, values: Float[np.ndar
         raise WriteError(f"{target}: {problem}, which a file cannot hold.")
     out = np.empty(len(text) + len(offsets) * (INTEGER_PART_BYTES + decimals), np.uint8)
     size = splice_numbers(text, offsets[order], numbers[order], decimals, power, out)
+    patched = out[:size].tobytes()
+    if has_commas:
+        patched = patched[:first_byte] + patched[first_byte:].replace(b".", b",")
     with replace_atomically(target) as part:
-        part.write_bytes(out[:size].data)
+        part.write_bytes(restore_encoding(patched, original))
 
 
 def _convert_to_file_units(source: Animation, values: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T C"]:

@@ -57,6 +57,22 @@ def test_sd_of_root_position_applies_to_all_points(figure: Animation):
 
 def test_joint_skeleton_is_in_metres(figure: Animation):
     skeleton, positions = joint_points.build_joint_skeleton(figure)
-    np.testing.assert_allclose(skeleton.offsets, figure.offsets * figure.unit_m)
+    np.testing.assert_allclose(skeleton.offsets, figure.bone_offsets * figure.unit_m)
+    np.testing.assert_allclose(skeleton.offsets[3], [0, 0.605, 0])  # the median of its position channels
     np.testing.assert_array_equal(positions, figure.compute_world_poses()[0])
     assert skeleton.names == figure.names
+
+
+REFERENCE = TEXT.replace(
+    "HIERARCHY\n", "HIERARCHY\nROOT Reference\n{\n  OFFSET 0 0 0\n  CHANNELS 3 Xposition Yposition Zposition\n"
+)
+REFERENCE = REFERENCE.replace("ROOT Hips", "JOINT Hips").replace("MOTION", "}\nMOTION")
+
+
+def test_the_position_track_is_that_of_the_hips_below_a_reference_that_does_not_move(tmp_path):
+    head, rows = REFERENCE.split(".0083333\n")
+    (tmp_path / "a.bvh").write_text(f"{head}.0083333\n" + "".join(f"0 0 0 {row}\n" for row in rows.splitlines()))
+    figure = bvh.read_bvh(tmp_path / "a.bvh")
+    tips = joint_points.build_tip_take(figure)
+    assert tips.labels[-1] == "Hips position"
+    np.testing.assert_allclose(tips.markers[:, -1], [[0.105, 0.9, -0.0325], [0.106, 0.901, -0.0315], [0.107, 0.902, -0.0305]])

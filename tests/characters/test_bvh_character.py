@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 
@@ -85,3 +87,23 @@ def test_a_damaged_file_is_refused(tmp_path):
     (tmp_path / "figure.bvh").write_text(Z_UP.replace("MOTION", "MOTI"))
     with pytest.raises(ReadError, match=r"figure\.bvh"):
         read_character(tmp_path / "figure.bvh")
+
+
+def test_bones_in_position_channels_replace_offsets(tmp_path, motion):
+    write_bvh(tmp_path / "walk.bvh", SKELETON, motion, 120.0)
+    plain = read_character(tmp_path / "walk.bvh")
+    text = (tmp_path / "walk.bvh").read_text()
+    knee = text.index("JOINT LeftLeg")
+    offset = re.search(r"OFFSET (.*)\n", text[knee:])
+    assert offset
+    changed = text[knee:].replace(offset[0], "OFFSET 0 0 900\n", 1)
+    changed = changed.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ", 1)
+    names = re.findall(r"(?:ROOT|JOINT) (\S+)", text)
+    header, *rows = (text[:knee] + changed).partition("Frame Time")[2].splitlines()
+    column = 3 + 3 * names.index("LeftLeg")
+    rows = [" ".join([*row.split()[:column], offset[1], *row.split()[column:]]) for row in rows]
+    lines = [(text[:knee] + changed).partition("Frame Time")[0] + "Frame Time" + header, *rows]
+    (tmp_path / "positions.bvh").write_text("\n".join(lines))
+    found = read_character(tmp_path / "positions.bvh")
+    np.testing.assert_allclose(found.rest_positions, plain.rest_positions, atol=1e-9)
+    np.testing.assert_allclose(found.tails, plain.tails, atol=1e-9)

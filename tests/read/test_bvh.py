@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
-from mocapfix.read import bvh
+from mocapfix.read import bvh, capture
 from tests.bvh_files import HIERARCHY, ROWS, TEXT
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -125,15 +125,25 @@ def test_missing_and_empty_files_are_refused(tmp_path):
         bvh.read_bvh(tmp_path / "b.bvh")
 
 
+def scale_lengths(text: str, factor: float) -> str:
+    """Return a BVH of the figure with its offsets and positions multiplied."""
+    header, rows = text.split(".0083333\n")
+    lines = [
+        " ".join(["OFFSET", *(repr(float(x) * factor) for x in line.split()[1:])]) if "OFFSET" in line else line
+        for line in header.splitlines()
+    ]
+    values = np.array([row.split() for row in rows.splitlines()], float)
+    values[:, [0, 1, 2, 10, 11, 12]] *= factor
+    return "\n".join(lines) + ".0083333\n" + "\n".join(" ".join(map(repr, row)) for row in values.tolist()) + "\n"
+
+
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1000, 0.01)]
+    ("factor", "unit"),
+    [(1, 0.01), (0.01, 1.0), (10, 0.001), (1 / 5.6444444, 0.0254 / 0.45), (1 / 2.54, 0.0254), (1 / 30.48, 0.3048), (1000, 0.01)],
 )
 def test_the_unit_is_inferred_from_the_height_of_the_figure(tmp_path, factor, unit):
-    scaled = [
-        " ".join(["OFFSET", *(repr(float(x) * factor) for x in line.split()[1:])]) if "OFFSET" in line else line
-        for line in HIERARCHY.replace("OFFSET 0 5 0", "OFFSET 60 5 0").splitlines()
-    ]
-    found = read(tmp_path, "\n".join(scaled) + TEXT.removeprefix(HIERARCHY.rstrip("\n")))
+    scaled = scale_lengths(TEXT.replace("OFFSET 0 5 0", "OFFSET 60 5 0"), factor)
+    found = read(tmp_path, scaled)
     assert found.unit_m == pytest.approx(unit)
     assert bool(found.notes) == (factor != 1)
 
@@ -175,6 +185,7 @@ def test_a_figure_without_any_position_is_read(tmp_path):
 
 def test_displacements_are_distinguished_from_positions(tmp_path):
     found = read(tmp_path, TEXT.replace(" 60.0000 ", " 0.1 ").replace(" 60.5000 ", " 0.2 ").replace(" 61.0000 ", " 0.3 "))
+    assert found.notes == ("The positions of Chest are near zero; they are taken as displacements from the offsets.",)
     assert found.is_position_added.tolist() == [False, False, False, True, False]
     np.testing.assert_allclose(found.compute_local_positions()[:, 3, 1], [0.601, 0.602, 0.603])
 
@@ -192,3 +203,93 @@ def test_damaged_files_are_read_or_refused_with_a_message(tmp_path_factory, inse
         assert re.match(rf"{re.escape(str(folder))}/\w+\.bvh\b.*[.)]$", refused, re.DOTALL)
     else:
         assert found.compute_world_poses()[0].shape == (found.frame_count, len(found.names), 3)
+
+
+BONES = {"Hips": (0, 92, 0), "Chest": (0, 50, 0), "Head": (0, 30, 0), "Hand": (60, 20, 0), "Leg": (9, -5, 0), "Foot": (0, -80, 0)}
+PARENTS = {"Hips": "", "Chest": "Hips", "Head": "Chest", "Hand": "Chest", "Leg": "Hips", "Foot": "Leg"}
+TIPS = {"Head": (0, 15, 0), "Hand": (15, 0, 0), "Foot": (0, -5, 15)}
+
+
+def write_figure(offsets: dict[str, tuple[float, ...]], above: tuple[str, ...] = (), scale: float = 1.0, frames: int = 3) -> str:
+    """Return a BVH of a figure whose bones stand in position channels, with any offsets, below nodes that do not move."""
+
+    def write_joint(name: str, keyword: str) -> str:
+        lines = f"{keyword} {name}\n{{\nOFFSET {' '.join(map(repr, offsets.get(name, (0.0,) * 3)))}\n"
+        lines += "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n"
+        order.append(name)
+        lines += "".join(write_joint(child, "JOINT") for child, parent in parents.items() if parent == name)
+        if name in TIPS:
+            lines += f"End Site\n{{\nOFFSET {' '.join(repr(scale * x) for x in TIPS[name])}\n}}\n"
+        return lines + "}\n"
+
+    order: list[str] = []
+    parents = {**dict(zip(above, ("", *above), strict=False)), **PARENTS, "Hips": above[-1] if above else ""}
+    text = "HIERARCHY\n" + write_joint(next(name for name, parent in parents.items() if not parent), "ROOT")
+    text += f"MOTION\nFrames: {frames}\nFrame Time: 0.01\n"
+    for t in range(frames):
+        rows = [np.multiply(BONES.get(name, (0, 0, 0)), scale) + (name == "Hips") * np.array([t, 0, 0]) * scale for name in order]
+        text += " ".join(f"{' '.join(map(repr, row.tolist()))} {5.0 * t} 0 0" for row in rows) + "\n"
+    return text
+
+
+@settings(max_examples=30)
+@given(
+    st.dictionaries(st.sampled_from([*BONES, "Reference"]), st.tuples(*[st.floats(-900, 900)] * 3)),
+    st.sampled_from([(), ("Reference",), ("Armature", "Reference")]),
+)
+def test_position_channels_replace_the_offset_of_any_joint(tmp_path_factory, offsets, above):
+    folder = tmp_path_factory.getbasetemp()
+    plain, found = read(folder, write_figure(BONES)), read(folder, write_figure({**BONES, **offsets}, above))
+    assert not found.is_position_added.any()
+    assert (found.unit_m, found.notes) == (plain.unit_m, plain.notes)
+    positions, names = found.compute_world_poses()[0], [found.names.index(name) for name in BONES]
+    # The nodes above turn like the others, about the origin.
+    if not above:
+        np.testing.assert_allclose(positions[:, names], plain.compute_world_poses()[0], atol=1e-9)
+    np.testing.assert_allclose(positions[0, names], plain.compute_world_poses()[0][0], atol=1e-9)
+    lengths = np.linalg.norm(found.bone_offsets[names[1:]], axis=1) * found.unit_m
+    np.testing.assert_allclose(lengths, [np.linalg.norm(BONES[name]) / 100 for name in list(BONES)[1:]])
+
+
+@pytest.mark.parametrize("unit_m", [0.01, 1.0, 0.001, 0.0254, 0.0254 / 0.45, 0.3048])
+@pytest.mark.parametrize(
+    "offsets", [{}, {"Hips": (450.0, 0.0, 0.0)}, {"Reference": (0.0, 0.0, -450.0)}], ids=["zero", "hips", "root"]
+)
+def test_the_unit_is_that_of_the_posed_figure(tmp_path, unit_m, offsets):
+    found = read(tmp_path, write_figure(offsets, ("Reference",), 0.01 / unit_m))
+    assert found.unit_m == pytest.approx(unit_m)
+    height = np.ptp(found.compute_world_poses()[0][0, :, 1])
+    assert height == pytest.approx(0.92 + 0.8, abs=1e-9)  # from the reference on the floor to the head
+
+
+def test_bones_that_change_in_length_are_noted(tmp_path):
+    text = write_figure(BONES, frames=2)
+    found = read(tmp_path, text[: text.rindex("0.0 50.0 0.0")] + "0.0 53.0 0.0" + text[text.rindex("0.0 50.0 0.0") + 12 :])
+    change = "One bone changes in length, that to Chest by 30 mm"
+    assert found.notes == (f"{change}; the copy of the file keeps this, the skeleton has their mean lengths.",)
+    np.testing.assert_allclose(found.bone_offsets[found.names.index("Chest")], [0, 51.5, 0])
+
+
+ENCODED_TEXTS = {
+    "utf-16": TEXT.encode("utf-16"),
+    "utf-16-le": TEXT.encode("utf-16-le"),
+    "utf-16-be": ("\ufeff" + TEXT).encode("utf-16-be"),
+    "utf-32": TEXT.encode("utf-32"),
+    "comments": b"# exported\n\n// twice\r\n" + TEXT.replace("MOTION", "# motion follows\nMOTION").encode(),
+    "blank lines": b"\n \n" + TEXT.encode(),
+    "decimal commas": TEXT.replace(".", ",").encode(),
+}
+
+
+@pytest.mark.parametrize("data", ENCODED_TEXTS.values(), ids=ENCODED_TEXTS.keys())
+def test_encodings_comments_and_decimal_commas_are_read(tmp_path, data):
+    (tmp_path / "a.bvh").write_bytes(data)
+    found = capture.read_capture(tmp_path / "a.bvh")
+    assert (found.names, found.rate, found.notes) == (("Hips", "Left Knee", "Ns:Foot", "Chest", "Head"), 120.0, ())
+    assert found.offsets.tolist() == [[1, 2, 3], [0, -60, 0], [0, -50, 5], [0, 60, 0], [0, 40, 0]]
+    np.testing.assert_array_equal(found.values, VALUES)
+
+
+def test_damaged_utf_16_is_named(tmp_path):
+    with pytest.raises(ReadError, match=r"a\.bvh: is damaged UTF-16 text; save it again as UTF-8\."):
+        read(tmp_path, TEXT.encode("utf-16") + b"\n")

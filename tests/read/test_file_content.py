@@ -1,4 +1,3 @@
-import codecs
 import os
 from pathlib import Path
 
@@ -7,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
-from mocapfix.read.file_content import detect_delimiter, parse_document, read_file_bytes
+from mocapfix.read.file_content import decode_text, detect_delimiter, parse_document, read_file_bytes
 
 PATH = Path("walk.trc")
 
@@ -17,16 +16,23 @@ def test_encoded_lines_are_the_bytes_of_the_file(data):
     try:
         document = parse_document(PATH, data)
     except ReadError:
-        assert data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)  # only UTF-16 can be invalid
+        assert decode_text(data)[1][:6] in ("utf-16", "utf-32")  # only these can be invalid
         return
     assert document.newline.join(document.lines).encode(document.encoding) == data
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32", "latin-1"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_lines_have_neither_byte_order_marks_nor_ends(encoding, end):
     document = parse_document(PATH, f"Tête{end}Fuß{end}".encode(encoding))
     assert [document.get_line(index) for index in range(3)] == ["Tête", "Fuß", ""]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_is_recognised_without_a_byte_order_mark(encoding):
+    assert decode_text("Time,LFHD_X,Ü".ljust(40).encode(encoding))[1] != encoding  # 13 characters, then not ASCII
+    assert decode_text("Time,LFHD_X,LFHD_Y,LFHD_Z,Ü\n".encode(encoding)) == ("Time,LFHD_X,LFHD_Y,LFHD_Z,Ü\n", encoding)
+    assert decode_text(bytes([2, 80, *[0] * 60]))[1] == "utf-8"  # a C3D
 
 
 def test_cells_may_be_quoted():

@@ -106,3 +106,17 @@ def test_the_input_is_never_overwritten_and_must_be_unchanged(figure, tmp_path):
         patch_animation(tmp_path / "out.bvh", replace(figure, path=None), figure.values)
     with pytest.raises(WriteError, match="there is no file with these numbers"):
         patch_animation(tmp_path / "out.bvh", replace(figure, value_byte_offsets=None), figure.values)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig"])
+@pytest.mark.parametrize("sign", [".", ","])
+def test_a_copy_keeps_encoding_and_decimal_sign(tmp_path, encoding, sign):
+    text = ("# comment\r\n" + TEXT.replace("Hips", "Hüfte")).replace(".", sign)
+    (tmp_path / "in.bvh").write_bytes(text.encode(encoding))
+    figure = bvh.read_bvh(tmp_path / "in.bvh")
+    values = figure.values.copy()
+    patch_animation(tmp_path / "out.bvh", figure, values)
+    assert (tmp_path / "out.bvh").read_bytes() == (tmp_path / "in.bvh").read_bytes()
+    values[1, 6] = -7.25
+    patch_animation(tmp_path / "out.bvh", figure, values)
+    assert (tmp_path / "out.bvh").read_bytes() == text.replace(f"16{sign}0000", f"-7{sign}2500").encode(encoding)
