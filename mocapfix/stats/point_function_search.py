@@ -14,28 +14,30 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.kernels.function_screening import screen_mean, screen_pairs, screen_places
 from mocapfix.stats.exact_distances import (
+    EXACT_SCREENING_LIMITS,
     MAX_FUNCTION_FRAMES,
     MAX_MISFIT_RESOLUTIONS,
+    MAX_SCREENED_FRAMES,
     MIN_COMMON_FRAME_FRACTION,
     MIN_COMMON_FRAMES,
     MIN_MISFIT_LIMIT_M,
+    compare_points,
     compute_known_median,
     find_exactly_rigid_points,
     measure_distance_sd,
 )
-from mocapfix.stats.point_functions import PointFunction, build_frame_axes
+from mocapfix.stats.point_functions import MIN_FRAME_SINE, PointFunction, build_frame_axes
 from mocapfix.stats.sequences import sample_evenly
 
-# Number of frames, evenly spread, that decide which functions, and which points between two, are worth a full estimate.
-MAX_SCREENED_FRAMES = 20
+# Number of frames, evenly spread, that decide which points between two are worth a comparison in more frames.
 MAX_LINE_FRAMES = 5
 # Largest such distance in the screening by functions of nearly the right form, in addition to that limit.
 SCREENING_MISFIT_M = 2e-3
-# Largest such distance in the screening by functions of the right form, in multiples of that limit.
-EXACT_SCREENING_LIMITS = 5.0
-# Smallest standard deviation of a distance between parents, in multiples of that limit.
+# Smallest standard deviation of a distance between parents, in multiples of that limit, and the same in the screening.
 MIN_PARENT_VARIATION = 10.0
+SCREENED_PARENT_VARIATION = 5.0
 # Fraction of the frames in which a function must hold, to within a multiple of the limit: parents and points may have faults.
 MIN_VALID_FRACTION = 0.8
 VALID_FRAME_LIMITS = 5.0
@@ -53,8 +55,11 @@ SCREENING_ROUNDS = 2
 NEGLIGIBLE_WEIGHT = 1e-3
 # A shorter offset, in metres, is none.
 NEGLIGIBLE_OFFSET_M = 1e-4
-# Number of frames that three points span which are tried for one point after the screening.
+# Number of functions of one kind that are fitted to one point after the screening.
 MAX_FULL_FITS = 8
+# Number of fits that may fail in one search, after which what is left is not searched. Of the public takes none has more than
+# 6; each takes about a millisecond.
+MAX_FAILED_FITS = 300
 
 
 def find_point_functions(
@@ -83,25 +88,23 @@ def find_point_functions(
         points[sample_evenly(len(points), MAX_FUNCTION_FRAMES)], max(MAX_MISFIT_RESOLUTIONS * resolution_m, MIN_MISFIT_LIMIT_M)
     )
     is_parent, functions = is_parent.copy(), dict[int, PointFunction]()
-    is_exact = find_exactly_rigid_points(points, resolution_m)
+    is_exact = find_exactly_rigid_points(points, resolution_m, search.partners)
     is_tried = [~is_exact, np.ones_like(is_exact)] if is_exact.any() else [~is_exact]
     for find, allowed in product((search.find_between_two, search.find_among_neighbours), is_tried):
         for point in np.flatnonzero(is_candidate).tolist():
-            if point in functions:
+            if point in functions or search.failed_fits >= MAX_FAILED_FITS:
                 continue
-            others = is_parent & allowed
-            others[point] = False
-            if function := find(point, np.flatnonzero(others)):
+            if function := find(point, is_parent & allowed):
                 functions[point] = function
                 is_parent[point] = False
     return {point: each for point, each in functions.items() if is_parent[list(each.parents)].all()}
 
 
 class _Fit(NamedTuple):
-    """Coefficients (N, U) of N regressions, and the distance (N, T) of the target in each frame, NaN where unknown."""
+    """Coefficients of a regression, and the distance of the target in each frame, NaN where unknown."""
 
-    coefficients: Float[np.ndarray, "N U"]
-    misfit_m: Float[np.ndarray, "N T"]
+    coefficients: Float[np.ndarray, " U"]
+    misfit_m: Float[np.ndarray, " T"]
 
 
 class _FunctionSearch:
@@ -109,89 +112,133 @@ class _FunctionSearch:
 
     Attributes:
         points: Positions (T, P, 3) in the sampled frames.
-        screened: Positions in the frames of the screening.
         limit_m: Largest median distance of a point from its function.
-        distance_sd_m: Standard deviations (P, P) of the distances between points.
+        partners: The points compared in the frames of the screening.
+        failed_fits: Number of functions that passed the screening and do not hold.
     """
 
     def __init__(self, points: Float[np.ndarray, "T P 3"], limit_m: float):
-        self.points, self.limit_m = points, limit_m
+        self.points, self.limit_m, self.failed_fits = points, limit_m, 0
         self.screened = points[sample_evenly(len(points), MAX_SCREENED_FRAMES)]
-        self.distance_sd_m = measure_distance_sd(self.screened)
+        self.partners = compare_points(self.screened)
 
-    def find_between_two(self, point: int, others: Int[np.ndarray, " K"]) -> PointFunction | None:
+    def find_between_two(self, point: int, is_parent: Bool[np.ndarray, " P"]) -> PointFunction | None:
         """Return the function of a point that lies at a fixed ratio between two others."""
-        if len(others) > MAX_LINE_CANDIDATES:
-            others = others[np.argsort(self.distance_sd_m[point, others])[:MAX_LINE_CANDIDATES]]
-        before, after = (others[index] for index in np.triu_indices(len(others), 1))
+        others = self._list_others(point, is_parent, MAX_LINE_CANDIDATES, is_known=False)
         seen = np.flatnonzero(~np.isnan(self.points[:, point, 0]))
-        if len(seen) < MIN_COMMON_FRAMES:
+        if len(seen) < MIN_COMMON_FRAMES or len(others) < 2:
             return None
-        screened = self.points[seen[sample_evenly(len(seen), MAX_LINE_FRAMES)]]
-        first, step = screened[:, before], screened[:, after] - screened[:, before]
-        own = screened[:, point, None] - first
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = (own * step).sum(-1) / (step * step).sum(-1)
-        weight = np.nan_to_num(compute_known_median(ratio), posinf=np.nan)
-        misfit = compute_known_median(np.linalg.norm(own - weight[:, None] * step, axis=-1))
-        near = np.flatnonzero((misfit < EXACT_SCREENING_LIMITS * self.limit_m) & (weight > 0) & (weight < 1))
-        for n in near[np.argsort(misfit[near])].tolist():
-            if function := self._fit_mean(point, (int(before[n]), int(after[n]))):
+        pairs, misfit = self._screen_pairs(point, seen[sample_evenly(len(seen), MAX_LINE_FRAMES)], others)
+        if not len(misfit):
+            return None
+        others = others[np.unique(pairs)]
+        pairs, misfit = self._screen_pairs(point, seen[sample_evenly(len(seen), MAX_SCREENED_FRAMES)], others)
+        sd_m = self.partners.get_group_sd(self.screened, others)[tuple(pairs)]
+        varies = sd_m > SCREENED_PARENT_VARIATION * self.limit_m
+        for one, other in pairs[:, varies][:, np.argsort(misfit[varies], kind="stable")[:MAX_FULL_FITS]].T:
+            if function := self._fit_mean(point, (int(others[one]), int(others[other]))):
                 return function
+            self.failed_fits += 1
         return None
 
-    def find_among_neighbours(self, point: int, others: Int[np.ndarray, " K"]) -> PointFunction | None:
+    def _screen_pairs(
+        self, point: int, frames: Int[np.ndarray, " F"], others: Int[np.ndarray, " K"]
+    ) -> tuple[Int[np.ndarray, "2 N"], Float[np.ndarray, " N"]]:
+        """Return the pairs of other points between which a point is in some frames, and its median distance from their lines."""
+        misfit = screen_pairs(
+            self.points[frames, point],
+            np.ascontiguousarray(self.points[frames[:, None], others].swapaxes(0, 1)),
+            EXACT_SCREENING_LIMITS * self.limit_m,
+            NEGLIGIBLE_WEIGHT / 2,
+        )
+        pairs = np.array(np.nonzero(np.isfinite(misfit)))
+        return pairs, misfit[tuple(pairs)]
+
+    def find_among_neighbours(self, point: int, is_parent: Bool[np.ndarray, " P"]) -> PointFunction | None:
         """Return the function of a point that is a mean of its neighbours or has a place in a frame that they span."""
-        is_known = np.isfinite(self.distance_sd_m[point, others])
-        near = others[is_known][np.argsort(self.distance_sd_m[point, others[is_known]])][:MAX_PARENT_CANDIDATES].tolist()
+        others = self._list_others(point, is_parent, 2 * MAX_PARENT_CANDIDATES, is_known=True)
+        distance_m = compute_known_median(np.linalg.norm(self.screened[:, others] - self.screened[:, [point]], axis=-1))
+        near: list[int] = others[distance_m > self.limit_m][:MAX_PARENT_CANDIDATES].tolist()  # without copies of the point
         if len(near) < 3:
             return None
         group = [point, *near]
         seen = np.flatnonzero(~np.any(np.isnan(self.points[:, group, 0]), axis=1))
         if len(seen) < MIN_COMMON_FRAMES:
             return None
-        screened = self._remove_faulty_frames(self.points[seen[sample_evenly(len(seen), MAX_SCREENED_FRAMES)]], group)
-        rough = self._fit_as_mean(screened, point, tuple(near))
-        is_near = compute_known_median(rough.misfit_m[0]) < EXACT_SCREENING_LIMITS * self.limit_m
-        if is_near and (function := self._fit_mean(point, tuple(near))):
-            return function
+        frames = seen[sample_evenly(len(seen), MAX_SCREENED_FRAMES)]
+        screened = self._select_sound(group, frames)
+        own, others = np.ascontiguousarray(screened[:, 0]), np.ascontiguousarray(screened[:, 1:])
+        if screen_mean(own, others, self.limit_m, REWEIGHTING_ROUNDS) < EXACT_SCREENING_LIMITS * self.limit_m:
+            if function := self._fit_mean(point, tuple(near)):
+                return function
+            self.failed_fits += 1
         candidates = _list_corners(len(near))
         is_used = np.any(candidates != 0, axis=1)
-        near_sd_m = self.distance_sd_m[np.ix_(near, near)]
+        near_sd_m = self.partners.get_group_sd(self.screened, near)
         least_sd_m = np.where(is_used[:, :, None] & is_used[:, None], near_sd_m, np.inf).min((1, 2))
         candidates = candidates[least_sd_m > MIN_PARENT_VARIATION * self.limit_m]
         if not len(candidates):
             return None
-        corners = np.einsum("ncp,tpx->ntcx", candidates, screened[:, near])
-        own = screened[:, point] - corners[:, :, 0]
-        misfit = compute_known_median(self._regress(own, _build_screening_basis(corners), SCREENING_ROUNDS).misfit_m.T)
-        if misfit.min() > SCREENING_MISFIT_M + self.limit_m:
+        misfit = screen_places(own, others, candidates, True, MIN_FRAME_SINE, self.limit_m, SCREENING_ROUNDS)
+        candidates = candidates[misfit <= SCREENING_MISFIT_M + self.limit_m]
+        if not len(candidates):
             return None
         frames = np.einsum("acd,ndp->nacp", FRAME_ARRANGEMENTS, candidates).reshape(-1, 3, len(near))
-        fit = self._fit_in_frames(screened, point, tuple(near), frames, SCREENING_ROUNDS)
-        misfit = compute_known_median(fit.misfit_m.T)
-        for n in np.argsort(misfit)[:MAX_FULL_FITS].tolist():
-            is_near = misfit[n] < EXACT_SCREENING_LIMITS * self.limit_m
-            if is_near and (function := self._fit_place(point, tuple(near), frames[n])):
+        misfit = screen_places(own, others, frames, False, MIN_FRAME_SINE, self.limit_m, SCREENING_ROUNDS)
+        for n in np.argsort(misfit, kind="stable")[:MAX_FULL_FITS].tolist():
+            if misfit[n] >= EXACT_SCREENING_LIMITS * self.limit_m:
+                break
+            if function := self._fit_place(point, tuple(near), frames[n]):
                 return function
+            self.failed_fits += 1
         return None
 
-    def _remove_faulty_frames(self, points: Float[np.ndarray, "T P 3"], group: Sequence[int]) -> Float[np.ndarray, "T P 3"]:
-        """Return positions without the frames in which steady distances within a group are far from the usual ones."""
-        own = points[:, group]
+    def _list_others(
+        self, point: int, is_parent: Bool[np.ndarray, " P"], max_count: int, *, is_known: bool
+    ) -> Int[np.ndarray, " K"]:
+        """Return the possible parents of a point: all, by their indices, or those with the steadiest distances, these first.
+
+        Args:
+            point: The point.
+            is_parent: Which points may be parents.
+            max_count: Number of them.
+            is_known: Only those whose distances are known, and these first even if they are no more than that.
+        """
+        partner, sd_m = self.partners.partner[point], self.partners.sd_m[point]
+        is_other = is_parent[partner] & (partner != point)
+        if is_known:
+            is_other &= np.isfinite(sd_m)
+        others, sd_m = partner[is_other], sd_m[is_other]
+        if len(others) > max_count:
+            kept = sd_m <= np.partition(sd_m, max_count - 1)[max_count - 1]
+            others, sd_m = others[kept], sd_m[kept]
+        elif not is_known:
+            return others
+        return others[np.argsort(sd_m, kind="stable")[:max_count]]
+
+    def _select_sound(
+        self, group: Sequence[int], frames: Int[np.ndarray, " F"] | slice = slice(None)
+    ) -> Float[np.ndarray, "F n 3"]:
+        """Return the positions of a group of points, NaN in frames in which its steady distances are far from the usual ones."""
+        own = self.points[frames][:, group]
         distance = np.linalg.norm(own[:, :, None] - own[:, None], axis=-1)
         deviation = np.abs(distance - compute_known_median(distance))
-        sd_m = self.distance_sd_m[np.ix_(group, group)]
+        sd_m = self.partners.get_group_sd(self.screened, group)
         limit_m = np.where(sd_m < MAX_STEADY_SD_M, MAX_STEADY_DEVIATION_M, np.inf)
-        return np.where(np.any(deviation > limit_m, axis=(1, 2))[:, None, None], np.nan, points)
+        return np.where(np.any(deviation > limit_m, axis=(1, 2))[:, None, None], np.nan, own)
 
     def _fit_mean(self, point: int, parents: tuple[int, ...]) -> PointFunction | None:
         """Return a point as a weighted mean of others, if it is one; parents without weight are left out."""
-        sound = self._remove_faulty_frames(self.points, [point, *parents])
-        fit = self._fit_as_mean(sound, point, parents)
-        if not self._holds(fit.misfit_m[0]):
+        if len(parents) == 2 and not self._vary(parents):
             return None
-        weights = np.r_[1 - fit.coefficients[0].sum(), fit.coefficients[0]]
+        sound = self._select_sound([point, *parents])
+        own, first = sound[:, :1], sound[:, 1:2]
+        # the weights of all parents but the first
+        basis = (sound[:, 2:] - first).swapaxes(-1, -2)
+        fit = self._regress((own - first)[:, 0], basis)
+        if not self._holds(fit.misfit_m):
+            return None
+        weights = np.r_[1 - fit.coefficients.sum(), fit.coefficients]
         used = np.flatnonzero(np.abs(weights) > NEGLIGIBLE_WEIGHT)
         if len(used) < len(parents):
             return self._fit_mean(point, tuple(parents[i] for i in used)) if len(used) > 1 else None
@@ -200,57 +247,41 @@ class _FunctionSearch:
             return None
         return PointFunction(parents, weights, np.zeros(3))
 
-    def _fit_as_mean(self, points: Float[np.ndarray, "T P 3"], point: int, parents: tuple[int, ...]) -> _Fit:
-        """Fit the weights of all parents but the first."""
-        own = points[:, list(parents)]
-        basis = (own[:, 1:] - own[:, :1]).swapaxes(-1, -2)
-        return self._regress((points[:, point] - own[:, 0])[None], basis[None], REWEIGHTING_ROUNDS)
-
     def _fit_place(self, point: int, near: tuple[int, ...], corner_weights: Float[np.ndarray, "3 n"]) -> PointFunction | None:
         """Return a point as one with a fixed place in a frame with the given corners, if it is one."""
         used = np.flatnonzero(corner_weights.any(0))
         parents, corner_weights = tuple(near[i] for i in used), corner_weights[:, used]
-        sound = self._remove_faulty_frames(self.points, [point, *parents])
-        fit = self._fit_in_frames(sound, point, parents, corner_weights[None], REWEIGHTING_ROUNDS)
-        if not self._holds(fit.misfit_m[0]) or not self._vary(parents):
+        if not self._vary(parents):
             return None
-        second, third, *offset = fit.coefficients[0].tolist()
+        sound = self._select_sound([point, *parents])
+        # the weights of the second and third corner, and an offset
+        corners = np.einsum("cp,tpx->tcx", corner_weights, sound[:, 1:])
+        relative = (corners[:, 1:] - corners[:, :1]).swapaxes(-1, -2)
+        basis = np.concatenate([relative, build_frame_axes(corners).swapaxes(-1, -2)], axis=-1)
+        fit = self._regress(sound[:, 0] - corners[:, 0], basis)
+        if not self._holds(fit.misfit_m):
+            return None
+        second, third, *offset = fit.coefficients.tolist()
         weights = np.array([1 - second - third, second, third]) @ corner_weights
         is_mean, is_copy = np.abs(offset).max() < NEGLIGIBLE_OFFSET_M, np.abs(weights - 1).min() < NEGLIGIBLE_WEIGHT
         if is_mean and (is_copy or weights.min() < -NEGLIGIBLE_WEIGHT):
             return None  # of a copy either may be the original, and a parent follows from its mean and the other parents
         return PointFunction(parents, weights, np.array(offset), corner_weights=corner_weights)
 
-    def _fit_in_frames(
-        self,
-        points: Float[np.ndarray, "T P 3"],
-        point: int,
-        parents: tuple[int, ...],
-        corner_weights: Float[np.ndarray, "N 3 n"],
-        rounds: int,
-    ) -> _Fit:
-        """Fit the place of a point in N frames that its parents span: weights of the second and third corner, and an offset."""
-        corners = np.einsum("ncp,tpx->ntcx", corner_weights, points[:, list(parents)])
-        relative = (corners[:, :, 1:] - corners[:, :, :1]).swapaxes(-1, -2)
-        basis = np.concatenate([relative, build_frame_axes(corners).swapaxes(-1, -2)], axis=-1)
-        return self._regress(points[:, point] - corners[:, :, 0], basis, rounds)
-
-    def _regress(self, target: Float[np.ndarray, "N T 3"], basis: Float[np.ndarray, "N T 3 U"], rounds: int) -> _Fit:
-        """Fit targets as combinations of vectors, with little weight for the frames that do not agree with the others.
+    def _regress(self, target: Float[np.ndarray, "T 3"], basis: Float[np.ndarray, "T 3 U"]) -> _Fit:
+        """Fit a target as a combination of vectors, with little weight for the frames that do not agree with the others.
 
         Coefficients have a prior with the standard deviation 1 (a weight of 1, or an offset of one metre).
         """
         is_known = ~(np.any(np.isnan(target), axis=-1) | np.any(np.isnan(basis), axis=(-1, -2)))
-        target, basis = np.where(is_known[..., None], target, 0.0), np.where(is_known[..., None, None], basis, 0.0)
+        target, basis = np.where(is_known[:, None], target, 0.0), np.where(is_known[:, None, None], basis, 0.0)
         count = basis.shape[-1]
-        rows = basis.reshape(len(basis), -1, count)
-        weight = np.ones(is_known.shape)
-        coefficients, misfit = np.zeros((len(target), count)), np.zeros(is_known.shape)
-        for _ in range(rounds):
-            weighted = (basis * weight[..., None, None]).reshape(rows.shape).swapaxes(1, 2)
-            normal = weighted @ rows + self.limit_m**2 * np.eye(count)
-            coefficients = np.linalg.solve(normal, weighted @ target.reshape(len(target), -1, 1))[..., 0]
-            misfit = np.linalg.norm(target - (rows @ coefficients[..., None]).reshape(target.shape), axis=-1)
+        rows, weight = basis.reshape(-1, count), np.ones(len(target))
+        coefficients, misfit = np.zeros(count), np.zeros(len(target))
+        for _ in range(REWEIGHTING_ROUNDS):
+            weighted = (basis * weight[:, None, None]).reshape(rows.shape).T
+            coefficients = np.linalg.solve(weighted @ rows + self.limit_m**2 * np.eye(count), weighted @ target.ravel())
+            misfit = np.linalg.norm(target - (rows @ coefficients).reshape(target.shape), axis=-1)
             weight = self.limit_m / np.maximum(misfit, self.limit_m)
         return _Fit(coefficients, np.where(is_known, misfit, np.nan))
 
@@ -291,10 +322,3 @@ def _list_corners(count: int) -> Float[np.ndarray, "N 3 count"]:
         for ends in combinations([i for i in range(count) if i not in pair], 2):
             triples.append(np.array([unit[ends[0]], unit[ends[1]], (unit[pair[0]] + unit[pair[1]]) / 2]))  # noqa: PERF401
     return np.array(triples)
-
-
-def _build_screening_basis(corners: Float[np.ndarray, "N T 3 3"]) -> Float[np.ndarray, "N T 3 5"]:
-    """Return vectors that span the places in all frames with the same corners, if the frames deform little."""
-    first, second = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
-    axes, others = build_frame_axes(corners), build_frame_axes(corners[:, :, [0, 2, 1]])
-    return np.stack([first, second, axes[:, :, 0], others[:, :, 0], axes[:, :, 2]], axis=-1)

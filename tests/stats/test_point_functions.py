@@ -1,7 +1,10 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
-from mocapfix.stats.exact_distances import find_exactly_rigid_points
+from mocapfix.stats import exact_distances, point_function_search
+from mocapfix.stats.exact_distances import compare_points, find_exactly_rigid_points, measure_distance_sd
 from mocapfix.stats.point_function_search import find_point_functions
 from mocapfix.stats.point_functions import PointFunction, build_frame_axes
 
@@ -120,3 +123,59 @@ def test_a_point_at_rest_is_not_judged():
     points = np.concatenate([points, points[:, :2].mean(1, keepdims=True)], axis=1)
     assert not find(as_floats(points))
     assert not find(points[:5])
+
+
+@pytest.mark.parametrize("count", [41, 300])
+@pytest.mark.parametrize("resolution_m", [1e-6, 1e-3, 0.03, 0.1])
+def test_fits_to_noise_and_to_rigid_points_are_few(count, resolution_m, monkeypatch):
+    fits: list[int] = []
+    regress = point_function_search._FunctionSearch._regress
+
+    def count_fit(self, target, basis):
+        fits.append(len(target))
+        return regress(self, target, basis)
+
+    monkeypatch.setattr(point_function_search._FunctionSearch, "_regress", count_fit)
+    random = np.random.default_rng(count)
+    noise = random.normal(size=(FRAMES, count, 3))
+    path = np.cumsum(random.normal(scale=0.02, size=(FRAMES, 1, 3)), axis=0)
+    for points in (noise, path + noise[:1]):
+        fits.clear()
+        assert not find(np.round(points / resolution_m) * resolution_m, resolution_m)
+        assert len(fits) <= 2 * point_function_search.MAX_FAILED_FITS + point_function_search.MAX_FULL_FITS
+
+
+def test_a_search_that_fails_too_often_ends(monkeypatch):
+    markers = build_segment(3, 5)
+    points = as_floats(np.concatenate([markers, markers[:, :2].mean(1, keepdims=True)], axis=1))
+    assert list(find(points)) == [5]
+    monkeypatch.setattr(point_function_search, "MAX_FAILED_FITS", 0)
+    assert not find(points)
+
+
+def test_many_points_are_compared_with_those_near_them(monkeypatch):
+    segments = [build_segment(seed, 5) + [3.0 * seed, 0, 0] for seed in range(6)]
+    points = np.concatenate([each for markers in segments for each in (markers, compute_hip_centre(markers)[:, None])], axis=1)
+    points = as_floats(np.concatenate([points, np.full((FRAMES, 1, 3), np.nan)], axis=1))
+    expected = find(points)
+    assert sorted(expected) == [5, 11, 17, 23, 29, 35]
+    sd_m = measure_distance_sd(points)
+    monkeypatch.setattr(exact_distances, "MAX_COMPARED_PAIRS", 37 * 9)
+    compared = compare_points(points)
+    assert compared.partner.shape == (37, 9)
+    rows = np.arange(37)[:, None]
+    np.testing.assert_array_equal(compared.sd_m, sd_m[rows, compared.partner])
+    assert (np.diff(compared.partner, axis=1) > 0).all()
+    found = find(points)
+    assert {point: each.parents for point, each in found.items()} == {point: each.parents for point, each in expected.items()}
+
+
+def test_memory_does_not_grow_with_the_frames_of_all_pairs():
+    points = np.random.default_rng(0).normal(size=(240, 600, 3))
+    find(points[:, :10])  # compiles
+    tracemalloc.start()
+    try:
+        find(points)
+        assert tracemalloc.get_traced_memory()[1] < 60e6  # the distances of all pairs in all frames have 2 GB
+    finally:
+        tracemalloc.stop()
