@@ -1,10 +1,11 @@
 """Read a C3D file: its point block as one NumPy view, converted to a take in metres with Y up."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3D_BLOCK_BYTES, MAX_RESIDUAL_COUNTS, C3dLayout
@@ -16,7 +17,7 @@ from mocapfix.read.coordinates import (
     find_valid_points,
     get_metres_per_unit,
 )
-from mocapfix.read.point_takes import add_other_points
+from mocapfix.read.point_takes import add_other_points, find_computed_markers
 from mocapfix.read.point_types import (
     DeclaredPoints,
     check_point_types,
@@ -28,6 +29,7 @@ from mocapfix.read.up_axis import estimate_up_axis
 from mocapfix.take import Take, UpAxis
 
 DEFAULT_C3D_UNIT = "mm"  # if POINT:UNITS is missing
+MAX_BLOCK_SAMPLES = 1 << 17  # that are converted at once
 C3D_MAGIC_BYTE = 0x50  # second byte of every C3D file
 
 
@@ -52,22 +54,23 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
     except ValueError as error:
         raise ReadError(f"{path}: its header or parameters are damaged; copy or export it again.") from error
     layout, notes = _build_layout(path, parameters, len(data))
-    values = _decode_values(layout, data)
-    residual_words = np.ascontiguousarray(values[..., 3])
-    visible = find_valid_points(values[..., :3]) & ~(residual_words < 0)
+    visible, residual_words = _find_valid_samples(layout, data)
     labels = [*parameters.labels[: layout.point_count], *[""] * (layout.point_count - len(parameters.labels))]
     declared = DeclaredPoints(labels, parameters.descriptions, parameters.model_outputs, parameters.modelled_markers)
     types = classify_points(declared, visible, residual_words)
-    columns = types.markers
     check_point_types(path, types)
     up_axis = get_screen_up_axis(parameters.screen_axis)
     if up_axis is None:
-        inspected = columns if len(columns) else types.unlabelled
-        in_file = _convert_to_metres(values, visible, inspected, layout)
+        inspected = types.markers if len(types.markers) else types.unlabelled
+        in_file = _convert_to_metres(layout, data, visible, inspected)
         up_axis = estimate_up_axis([types.labels[i] for i in inspected], in_file, parameters.rate)
+        del in_file
     layout = replace(layout, rotation_y_up_file=ROTATIONS_TO_Y_UP[up_axis.letter])
+    convert = partial(_convert_to_metres, layout, data, visible)
+    functions = find_computed_markers(types, visible, convert)
+    columns = np.setdiff1d(types.markers, list(functions))
     take = Take(
-        _convert_to_metres(values, visible, columns, layout),
+        convert(columns),
         tuple(types.labels[i] for i in columns),
         parameters.rate,
         parameters.first_frame,
@@ -80,7 +83,7 @@ def read_c3d(path: Path, data: bytes, options: ReadOptions) -> Take:
         up_axis=up_axis,
         notes=notes,
     )
-    return add_other_points(take, types, lambda other: _convert_to_metres(values, visible, other, layout))
+    return add_other_points(take, types, functions, convert)
 
 
 def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
@@ -93,8 +96,8 @@ def read_fill_sd(take: Take) -> Float[np.ndarray, "T M"]:
     layout = take.layout
     if not isinstance(layout, C3dLayout) or take.path is None or take.computed is None or not take.computed.any():
         return fill_sd
-    words = _decode_values(layout, take.path.read_bytes())[..., 3][:, take.point_indices]
-    counts = words[take.computed] % (MAX_RESIDUAL_COUNTS + 1)
+    stored = layout.view_words(take.path.read_bytes())[:, :, 3][:, take.point_indices]
+    counts = _decode_words(layout, stored[take.computed]) % (MAX_RESIDUAL_COUNTS + 1)
     fill_sd[take.computed] = np.where(counts < MAX_RESIDUAL_COUNTS, counts * (layout.scale_factor * layout.unit_m), np.inf)
     return fill_sd
 
@@ -109,16 +112,46 @@ def get_screen_up_axis(screen_axis: str) -> UpAxis | None:
 
 
 def _convert_to_metres(
-    values: Float[np.ndarray, "T P 4"], visible: Bool[np.ndarray, "T P"], columns: Int[np.ndarray, " K"], layout: C3dLayout
-) -> Float[np.ndarray, "T K 3"]:
-    """Return the positions (m) of K points in Y-up axes, NaN where not visible; `values` are in file units and axes.
+    layout: C3dLayout,
+    data: bytes,
+    visible: Bool[np.ndarray, "T P"],
+    columns: Int[np.ndarray, " K"],
+    frames: slice | Int[np.ndarray, " F"] = slice(None),
+) -> Float[np.ndarray, "F K 3"]:
+    """Return the positions (m) of K points in Y-up axes in some frames, NaN where not visible.
 
     The rotation is a permutation, and reordering coordinates is many times faster than a matrix product.
     """
-    markers = values[:, columns[:, None], layout.rotation_y_up_file.argmax(1)]
-    markers *= layout.unit_m
-    markers[~visible[:, columns]] = np.nan
+    words, visible = layout.view_words(data)[frames], visible[frames]
+    markers = np.empty((len(words), len(columns), 3))
+    axes = np.abs(layout.rotation_y_up_file).argmax(1)
+    signed_unit_m = layout.unit_m * layout.rotation_y_up_file.sum(1)
+    for block in _list_frame_blocks(layout, len(words)):
+        coordinates = _decode_words(layout, words[block, columns[:, None], axes])
+        if not layout.is_float:
+            coordinates *= layout.scale_factor
+        markers[block] = coordinates * signed_unit_m
+        markers[block][~visible[block][:, columns]] = np.nan
     return markers
+
+
+def _find_valid_samples(layout: C3dLayout, data: bytes) -> tuple[Bool[np.ndarray, "T P"], Float[np.ndarray, "T P"]]:
+    """Return which samples are valid, and the residual word of each."""
+    words = layout.view_words(data)
+    residual_words = _decode_words(layout, words[:, :, 3]).astype(np.float32)
+    visible = np.empty(residual_words.shape, bool)
+    for block in _list_frame_blocks(layout, len(words)):
+        coordinates = _decode_words(layout, words[block, :, :3])
+        if not layout.is_float:
+            coordinates *= layout.scale_factor
+        visible[block] = find_valid_points(coordinates) & ~(residual_words[block] < 0)
+    return visible, residual_words
+
+
+def _list_frame_blocks(layout: C3dLayout, frame_count: int) -> list[slice]:
+    """Return the blocks of frames that are converted at once: a whole file in double precision would take thrice its memory."""
+    length = max(1, MAX_BLOCK_SAMPLES // layout.point_count)
+    return [slice(first, first + length) for first in range(0, frame_count, length)]
 
 
 def _build_layout(path: Path, parameters: C3dParameters, file_bytes: int) -> tuple[C3dLayout, tuple[str, ...]]:
@@ -178,13 +211,9 @@ def _count_frames(path: Path, parameters: C3dParameters, file_bytes: int, frame_
     raise ReadError(f"{path}: {problem}; copy or export it again.")
 
 
-def _decode_values(layout: C3dLayout, data: bytes) -> Float[np.ndarray, "T P 4"]:
-    """Return X, Y, Z in file units and the residual word of each sample."""
-    words = layout.view_words(data)
+def _decode_words(layout: C3dLayout, words: Shaped[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Return stored words as numbers: coordinates in file units, or of integer files in counts."""
     if layout.has_vax_floats:
         words = ((words >> 16) | (words << 16)).view("<f4")
     with np.errstate(invalid="ignore"):  # damaged bytes may spell a signalling NaN
-        values = words.astype(float) / (4 if layout.has_vax_floats else 1)
-    if not layout.is_float:
-        values[..., :3] *= layout.scale_factor
-    return values
+        return words.astype(float) / (4 if layout.has_vax_floats else 1)

@@ -15,7 +15,7 @@ from mocapfix.files.layouts import TableLayout
 from mocapfix.files.read_options import ReadOptions
 from mocapfix.read.coordinates import ROTATIONS_TO_Y_UP, find_valid_points
 from mocapfix.read.file_content import TextDocument
-from mocapfix.read.point_takes import add_other_points
+from mocapfix.read.point_takes import add_other_points, find_computed_markers
 from mocapfix.read.point_types import DeclaredPoints, check_point_types, classify_points
 from mocapfix.read.table_cells import (
     CELL_PADDING,
@@ -157,16 +157,22 @@ def build_take(
     """
     visible = find_valid_points(points_file)
     types = classify_points(DeclaredPoints(labels), visible, np.zeros(visible.shape))
-    columns = types.markers
     check_point_types(path, types)
     positions_file = np.where(visible[..., None], points_file * unit_m, np.nan)
-    marker_labels = tuple(types.labels[int(i)] for i in columns)
-    inspected = columns if len(columns) else types.unlabelled
+    inspected = types.markers if len(types.markers) else types.unlabelled
     up_axis = estimate_up_axis([types.labels[i] for i in inspected], positions_file[:, inspected], rate, default_up_axis)
     rotation = ROTATIONS_TO_Y_UP[up_axis.letter]
+
+    def convert(
+        columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
+    ) -> Float[np.ndarray, "F K 3"]:
+        return positions_file[frames][:, columns] @ rotation.T
+
+    functions = find_computed_markers(types, visible, convert)
+    columns = np.setdiff1d(types.markers, list(functions))
     take = Take(
-        positions_file[:, columns] @ rotation.T,
-        marker_labels,
+        convert(columns),
+        tuple(types.labels[int(i)] for i in columns),
         rate,
         first_frame,
         path,
@@ -175,7 +181,7 @@ def build_take(
         up_axis=up_axis,
         notes=notes,
     )
-    return add_other_points(take, types, lambda other: positions_file[:, other] @ rotation.T)
+    return add_other_points(take, types, functions, convert)
 
 
 def read_first_frame(

@@ -1,82 +1,87 @@
 """Takes of the points of a file by type: markers, unlabelled trajectories, and points that a program computed from markers."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from mocapfix.read.point_types import MIN_LABELLED_POINTS, PointTypes
+from mocapfix.stats.exact_distances import MAX_FUNCTION_FRAMES
 from mocapfix.stats.point_function_search import find_point_functions
 from mocapfix.stats.point_functions import PointFunction
 from mocapfix.stats.resolution import estimate_resolution
+from mocapfix.stats.sequences import sample_evenly
 from mocapfix.take import ComputedEvidence, ComputedPoints, Take
 
 MAX_RESOLUTION_FRAMES = 2000  # from which the resolution of the coordinates is estimated
-PointConverter = Callable[[Int[np.ndarray, " K"]], Float[np.ndarray, "T K 3"]]
 
 
-def add_other_points(take: Take, types: PointTypes, convert: PointConverter) -> Take:
-    """Return a take of the markers of a file with its other points, and without those markers that are functions of others.
+class PointConverter(Protocol):
+    """Returns the positions (m) of points of a file, given by their columns, in some frames; NaN where missing."""
+
+    def __call__(
+        self, columns: Int[np.ndarray, " K"], frames: slice | Int[np.ndarray, " F"] = slice(None)
+    ) -> Float[np.ndarray, "F K 3"]:
+        """Return the positions."""
+        ...
+
+
+def find_computed_markers(
+    types: PointTypes, visible: Bool[np.ndarray, "T P"], convert: PointConverter
+) -> dict[int, PointFunction]:
+    """Return those markers of a file that are exact functions of others, and the functions, all as columns of the file.
+
+    There are none if too few markers were left. Only some frames are converted.
 
     Args:
-        take: The markers, with `point_columns`.
         types: The types of the points of the file.
-        convert: Returns the positions (m) of points in the axes of the take, NaN where missing.
+        visible: Whether each sample is valid.
+        convert: Returns positions of points.
     """
+    columns = types.markers
+    is_visible = np.any(visible[:, columns], axis=0)
+    if len(columns) < MIN_LABELLED_POINTS:
+        return {}
+    resolution_m = estimate_resolution(convert(columns, slice(MAX_RESOLUTION_FRAMES)))
+    sampled = convert(columns, sample_evenly(len(visible), MAX_FUNCTION_FRAMES))
+    functions = find_point_functions(sampled, resolution_m, is_visible, is_visible)
+    if is_visible.sum() - len(functions) < MIN_LABELLED_POINTS:
+        return {}
+    return {
+        int(columns[m]): replace(functions[m], parents=tuple(int(columns[parent]) for parent in functions[m].parents))
+        for m in sorted(functions)
+    }
+
+
+def add_other_points(take: Take, types: PointTypes, functions: Mapping[int, PointFunction], convert: PointConverter) -> Take:
+    """Return a take of the markers of a file with its other points.
+
+    Args:
+        take: The markers that are no functions of others, with `point_columns`.
+        types: The types of the points of the file.
+        functions: The markers that are functions of others, as `find_computed_markers` returns them.
+        convert: Returns positions of points in the axes of the take.
+    """
+    by_name: tuple[ComputedEvidence, ...] = ("name",) * len(types.computed)
+    by_function: tuple[ComputedEvidence, ...] = ("function",) * len(functions)
     unlabelled, computed = (
         _build_points_take(take, types, columns, convert) if len(columns) else None
-        for columns in (types.unlabelled, types.computed)
+        for columns in (types.unlabelled, np.array([*types.computed, *functions], int))
     )
-    named = None
     if computed:
-        named = ComputedPoints(computed, ("name",) * len(types.computed), (None,) * len(types.computed))
-    take = replace(take, unlabelled=unlabelled, computed_points=named, notes=(*take.notes, *types.notes))
-    take = separate_computed_markers(take)
+        known = (*[None] * len(by_name), *functions.values())
+        take = replace(take, computed_points=ComputedPoints(computed, by_name + by_function, known))
     markers = set(take.point_columns.tolist())
-    return replace(take, other_labels=tuple(label for i, label in enumerate(types.labels) if i not in markers))
-
-
-def separate_computed_markers(take: Take) -> Take:
-    """Return a take without the markers that are exact functions of others; they are among its computed points."""
-    if len(take.labels) < MIN_LABELLED_POINTS:
-        return take
-    resolution_m, is_visible = estimate_resolution(take.markers[:MAX_RESOLUTION_FRAMES]), np.any(take.visible, axis=0)
-    functions = find_point_functions(take.markers, resolution_m, is_visible, is_visible)
-    found = np.array(sorted(functions), int)
-    kept = np.setdiff1d(np.arange(len(is_visible)), found)
-    if not len(found) or is_visible[kept].sum() < MIN_LABELLED_POINTS:
-        return take
-    points = take.point_indices
-    in_file: list[PointFunction | None] = [
-        replace(functions[m], parents=tuple(int(points[parent]) for parent in functions[m].parents)) for m in found.tolist()
-    ]
-    evidence: list[ComputedEvidence] = ["function"] * len(found)
-    named = take.computed_points
-    computed = Take(
-        take.markers[:, found],
-        tuple(take.labels[m] for m in found),
-        take.rate,
-        take.first_frame,
-        take.path,
-        point_columns=points[found],
+    return replace(
+        take,
+        unlabelled=unlabelled,
+        other_labels=tuple(label for i, label in enumerate(types.labels) if i not in markers),
+        notes=(*take.notes, *types.notes),
     )
-    if named:
-        computed = _join_takes(named.take, computed)
-        evidence, in_file = [*named.evidence, *evidence], [*named.functions, *in_file]
-    remaining = take.extract_markers(kept, take.subject_name)
-    return replace(remaining, computed_points=ComputedPoints(computed, tuple(evidence), tuple(in_file)))
 
 
 def _build_points_take(take: Take, types: PointTypes, columns: Int[np.ndarray, " K"], convert: PointConverter) -> Take:
     labels = tuple(types.labels[i] for i in columns)
     return Take(convert(columns), labels, take.rate, take.first_frame, take.path, point_columns=columns)
-
-
-def _join_takes(first: Take, second: Take) -> Take:
-    return replace(
-        first,
-        markers=np.concatenate([first.markers, second.markers], axis=1),
-        labels=(*first.labels, *second.labels),
-        point_columns=np.concatenate([first.point_columns, second.point_columns]),
-    )

@@ -1,6 +1,7 @@
 import re
 import struct
 import time
+import tracemalloc
 from pathlib import Path
 
 import ezc3d
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from mocapfix.errors import ReadError
 from mocapfix.files.layouts import C3dLayout
-from mocapfix.read import capture
+from mocapfix.read import c3d, capture
 from tests.c3d_files import ENCODINGS, c3d_bytes
 
 CAPTURES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "captures"
@@ -69,6 +70,40 @@ def test_the_up_axis_is_estimated_from_the_extent_of_the_body(tmp_path, tall, or
     file = np.roll(STANDING, tall - 2, axis=-1)
     take = write_and_read(tmp_path, file, ("A", "B", "C"))
     np.testing.assert_allclose(take.markers, file[..., order] / 1000, atol=1e-7)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_blocks_of_frames_are_read_like_the_whole_file(tmp_path, encoding, monkeypatch):
+    random = np.random.default_rng(0)
+    xyz = random.normal(scale=500, size=(9, 3)) + random.normal(scale=10, size=(60, 9, 3))
+    xyz[:, 8] = (xyz[:, 0] + xyz[:, 1]) / 2
+    xyz[random.random((60, 9)) < 0.1] = 0
+    path = tmp_path / "take.c3d"
+    path.write_bytes(c3d_bytes(xyz, [f"M{letter}" for letter in "ABCDEFGHI"], encoding=encoding))
+    whole = capture.read_take(path)
+    monkeypatch.setattr(c3d, "MAX_BLOCK_SAMPLES", 7 * 9)
+    in_blocks = capture.read_take(path)
+    np.testing.assert_array_equal(in_blocks.markers, whole.markers)
+    assert whole.computed_points is not None
+    assert in_blocks.computed_points is not None
+    np.testing.assert_array_equal(in_blocks.computed_points.take.markers, whole.computed_points.take.markers)
+    assert in_blocks.labels == whole.labels == tuple(f"M{letter}" for letter in "ABCDEFGH")
+
+
+def test_memory_of_reading_is_that_of_the_file_and_its_markers(tmp_path):
+    path = tmp_path / "take.c3d"
+    xyz = np.random.default_rng(0).normal(scale=500, size=(10_000, 100, 3))
+    path.write_bytes(c3d_bytes(xyz, [f"M{m}A" for m in range(100)], extra={"POINT:Y_SCREEN": "+Z"}))
+    del xyz
+    capture.read_take(path)  # compiles
+    tracemalloc.start()
+    try:
+        take = capture.read_take(path)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # Residual words have a quarter of the file, flags of the samples an eighth.
+    assert peak_bytes < 1.4 * path.stat().st_size + take.markers.nbytes + 15e6
 
 
 @pytest.mark.parametrize("is_float", [False, True])
