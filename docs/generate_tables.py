@@ -26,6 +26,8 @@ def build_option_table() -> str:
             flags = ", ".join(f"`{flag}`" for flag in (option.flag, *option.aliases))
             job_key = f"`{option.job_key}`" if option.job_key else ""
             default = format_default(getattr(options, name), option)
+            if option.lab_default is not None:
+                default += f"; lab: {format_default(option.lab_default, option)}"
             tables.append(f"| {flags} | `{name}` | {job_key} | {default} | {option.help.replace('|', '&#124;')} |")
         tables.append("")
     return "\n".join(tables).rstrip()

@@ -5,7 +5,8 @@ line needs it to print its help. Example: `build_clean_options(prior="none", max
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -20,9 +21,24 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT_READ_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions", "DetectOptions", "FillOptions",
-    "InitialiseOptions", "OutputOptions", "PriorOptions", "ReadOptions", "ReviewOptions", "SolveOptions", "SubjectOptions",
-    "build_clean_options", "list_stages",
+    "InitialiseOptions", "OutputOptions", "PriorOptions", "PurposeOptions", "ReadOptions", "ReviewOptions", "SolveOptions",
+    "SubjectOptions", "build_clean_options", "list_stages",
 ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PurposeOptions(StageOptions):
+    """What the take is for.
+
+    given  the names of the options that somebody set, among those whose default depends on the purpose; `CleanOptions` keeps it
+    """
+
+    purpose: str = define_option(
+        choices.PURPOSE_ANIMATION, "--purpose", "animation|lab",
+        "defaults of other options: complete takes for animation, or only what measurements in a laboratory can rely on",
+        job_key="purpose", choices=choices.PURPOSES,
+    )  # fmt: skip
+    given: tuple[str, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)
@@ -185,7 +201,7 @@ class ContactOptions(StageOptions):
 
     feet: str = define_option(
         choices.FEET_SOFT, "--feet", "lock|soft|off", "standing feet: held at one place, smoothed, or left as solved",
-        job_key="contacts.feet", choices=choices.FEET_MODES,
+        job_key="contacts.feet", choices=choices.FEET_MODES, lab_default=choices.FEET_OFF,
     )  # fmt: skip
     write_events: bool = define_option(
         False, "--events", "", "add foot strikes and foot offs to the EVENT group of the C3D", job_key="contacts.events",
@@ -201,7 +217,12 @@ class FillOptions(StageOptions):
     )
     max_sd_m: float = define_option(
         0.250, "--max-sd", "MM", "leave a sample empty if its predicted standard deviation (per axis) exceeds this",
-        job_key="fill.limit_mm", unit="mm", per_unit=1e3, aliases=("--limit",), above=0.0,
+        job_key="fill.limit_mm", unit="mm", per_unit=1e3, aliases=("--limit",), above=0.0, lab_default=0.020,
+    )  # fmt: skip
+    max_end_sd_m: float = define_option(
+        0.060, "--max-end-sd", "MM",
+        "the same before a marker is first measured and after it is last measured; 0 leaves all of these samples empty",
+        job_key="fill.end_limit_mm", unit="mm", per_unit=1e3, at_least=0.0, lab_default=0.0,
     )  # fmt: skip
     keep: tuple[str, ...] = define_option(
         (), "--keep", "LABEL,...", "leave these markers, or joints of an animation, exactly as they are",
@@ -237,8 +258,13 @@ class ReviewOptions(StageOptions):
 
 @dataclass(frozen=True)
 class CleanOptions:
-    """The options of cleaning a take, by stage."""
+    """The options of cleaning a take, by stage.
 
+    An option that nobody set has the default of the purpose. Set is what is given to `change` or `build_clean_options`, on the
+    command line or in a job file, and in a stage what differs from its usual default.
+    """
+
+    purpose: PurposeOptions = PurposeOptions()
     read: ReadOptions = ReadOptions()
     subject: SubjectOptions = SubjectOptions()
     detect: DetectOptions = DetectOptions()
@@ -250,17 +276,39 @@ class CleanOptions:
     review: ReviewOptions = ReviewOptions()
     output: OutputOptions = OutputOptions()
 
+    def __post_init__(self) -> None:
+        given = set(self.purpose.given)
+        for name, usual in list_purpose_defaults().items():
+            options, default = getattr(self, STAGE_OF_OPTION[name]), self.get_default(name)
+            if name in given or getattr(options, name) == default:
+                continue
+            if getattr(options, name) == usual:
+                object.__setattr__(self, STAGE_OF_OPTION[name], replace(options, **{name: default}))
+            else:
+                given.add(name)
+        object.__setattr__(self, "purpose", replace(self.purpose, given=tuple(sorted(given))))
+
     def change(self, **values: object) -> "CleanOptions":
         """Return the options with other values, given by the names of the stages' fields: `change(prior="none", max_gap_s=2.0)`.
 
         Raises OptionError if there is no such option or its value is not allowed.
         """
-        stages: dict[str, dict[str, object]] = {}
+        purpose_defaults = list_purpose_defaults()
+        given = {*self.purpose.given, *purpose_defaults.keys() & values.keys()}
+        values = {name: default for name, default in purpose_defaults.items() if name not in given} | values
+        stages: dict[str, dict[str, object]] = {"purpose": {"given": tuple(sorted(given))}}
         for name, value in values.items():
             if name not in STAGE_OF_OPTION:
                 raise OptionError(name, name, name, f"is no option; the options are {', '.join(STAGE_OF_OPTION)}")
             stages.setdefault(STAGE_OF_OPTION[name], {})[name] = value
         return replace(self, **{stage: replace(getattr(self, stage), **changed) for stage, changed in stages.items()})
+
+    def get_default(self, name: str) -> object:
+        """Return the default of an option for the purpose of these options."""
+        stage = type(getattr(self, STAGE_OF_OPTION[name]))
+        lab_default = dict(list_options(stage))[name].lab_default
+        is_other = self.purpose.purpose == choices.PURPOSE_LAB and lab_default is not None
+        return lab_default if is_other else getattr(stage, name)
 
 
 def list_stages() -> Iterator[tuple[str, type[StageOptions]]]:
@@ -270,6 +318,17 @@ def list_stages() -> Iterator[tuple[str, type[StageOptions]]]:
 
 
 STAGE_OF_OPTION: dict[str, str] = {name: stage for stage, kind in list_stages() for name, _ in list_options(kind)}
+
+
+@cache
+def list_purpose_defaults() -> dict[str, object]:
+    """Return the usual default of each option whose default depends on the purpose, by the option's name."""
+    return {
+        name: getattr(stage, name)
+        for _, stage in list_stages()
+        for name, option in list_options(stage)
+        if option.lab_default is not None
+    }
 
 
 def build_clean_options(**values: object) -> CleanOptions:

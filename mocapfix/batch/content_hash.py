@@ -20,7 +20,9 @@ def hash_file(path: Path) -> str:
 
 def hash_options(options: CleanOptions) -> str:
     """Return a hash of all options and of the contents of the files that they name."""
-    return hashlib.sha256(json.dumps(_describe(asdict(options)), sort_keys=True).encode()).hexdigest()
+    values = asdict(options)
+    del values["purpose"]["given"]  # who set a value does not matter
+    return hashlib.sha256(json.dumps(_describe(values), sort_keys=True).encode()).hexdigest()
 
 
 def _describe(value: Any) -> Any:

@@ -13,7 +13,7 @@ import tyro
 from mocapfix.errors import OptionError
 from mocapfix.files.option_choices import UP_AXES
 from mocapfix.files.option_definitions import Option, StageOptions
-from mocapfix.options import CleanOptions, list_stages
+from mocapfix.options import CleanOptions, build_clean_options, list_stages
 
 UP_FLAG = "--up"
 FRAME_LIMIT = 2**62
@@ -65,13 +65,14 @@ def join_axis_arguments(arguments: Iterable[str]) -> list[str]:
 
 def parse_options(arguments: object) -> CleanOptions:
     """Return the options in the value of a parameter of `build_options_argument`. Raises OptionError."""
-    stages: dict[str, Any] = {}
+    given: dict[str, object] = {}
     for name, stage in list_stages():
         group = getattr(arguments, name, None)
-        if group is not None:
-            given = {each.name: (each, getattr(group, each.name)) for each in _list_fields(stage) if hasattr(group, each.name)}
-            stages[name] = stage(**{key: _parse_value(each, value) for key, (each, value) in given.items()})
-    return CleanOptions(**stages)
+        for each in _list_fields(stage):
+            value = getattr(group, each.name, None)
+            if value is not None and value != _build_argument(each)[1]:
+                given[each.name] = _parse_value(each, value)
+    return build_clean_options(**given)
 
 
 ARGUMENT_FORMS = {"frames": "FIRST:LAST, as in 100:250", "subject": "FILE, or NAME=FILE,... with a name only once"}
@@ -101,7 +102,7 @@ def split_names(texts: Iterable[str]) -> tuple[str, ...]:
 
 
 def _list_fields(stage: type[StageOptions]) -> tuple[Field[Any], ...]:
-    return fields(cast(Any, stage))
+    return tuple(each for each in fields(cast(Any, stage)) if "option" in each.metadata)
 
 
 def _build_group(stage: type[StageOptions], without: frozenset[str], default_texts: Mapping[str, str]) -> type[Any]:
@@ -120,6 +121,10 @@ def _build_argument(each: Field[Any], default_text: str = "") -> tuple[Any, Any]
     """Return the annotation and the default value of the argument for an option."""
     option: Option = each.metadata["option"]
     details: dict[str, Any] = {"name": option.flag.removeprefix("--"), "help": option.help, "aliases": option.aliases or None}
+    if option.lab_default is not None:
+        usual, lab = (option.to_display(value) for value in (each.default, option.lab_default))
+        details["help_behavior_hint"] = f"(default: {usual}; with --purpose lab: {lab})"
+        return Annotated[type(each.default) | None, tyro.conf.arg(metavar=option.metavar, **details)], None
     if default_text := default_text or option.default_text:
         details["help_behavior_hint"] = f"(default: {default_text})"
     if isinstance(each.default, bool):
@@ -140,8 +145,6 @@ def _build_argument(each: Field[Any], default_text: str = "") -> tuple[Any, Any]
 def _parse_value(each: Field[Any], value: Any) -> Any:
     """Return the value of an option from that of its argument. Raises OptionError."""
     option: Option = each.metadata["option"]
-    if value == _build_argument(each)[1]:
-        return each.default
     try:
         if each.type == tuple[int, int] | None:
             return parse_frames(value)

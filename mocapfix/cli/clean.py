@@ -40,7 +40,7 @@ SOLVE_STAGE = "solve"
 """the stage during which what writes the reports is imported"""
 REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")
 """modules that the reports need, which take a third of a second to import"""
-STAGES = ("read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
+STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
     from mocapfix.report.report import Report, TakeSection
 

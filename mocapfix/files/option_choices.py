@@ -17,3 +17,6 @@ UNITS = ("mm", "cm", "m", "in", "ft")
 UP_AXES = ("X", "-X", "Y", "-Y", "Z", "-Z")
 FEET_OFF, FEET_SOFT, FEET_LOCK = "off", "soft", "lock"
 FEET_MODES = (FEET_OFF, FEET_SOFT, FEET_LOCK)
+PURPOSE_ANIMATION, PURPOSE_LAB = "animation", "lab"
+PURPOSES = (PURPOSE_ANIMATION, PURPOSE_LAB)
+"""what a cleaned take is for; some options have another default for a laboratory"""

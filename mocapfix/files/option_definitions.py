@@ -32,6 +32,7 @@ class Option:
     at_most       upper limit, inclusive
     is_finite     whether the value must be finite
     is_expert     whether the option is hidden from the short help and the example job
+    lab_default   the default with the purpose "lab", which differs from the usual one; None if it does not
     """
 
     flag: str
@@ -48,6 +49,7 @@ class Option:
     at_most: float | None = None
     is_finite: bool = False
     is_expert: bool = False
+    lab_default: Any = None
 
     def to_display(self, value: Any) -> Any:
         """Return a value with its numbers in the unit that users see."""

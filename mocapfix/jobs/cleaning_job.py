@@ -138,9 +138,10 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
     for each, option in _list_job_options():
         section, _, key = option.job_key.rpartition(".")
         value = values[section][key] if section else values[key]
+        written = getattr(header, section).model_fields_set if section else header.model_fields_set
         if each.name in FILE_OPTIONS and value:
             value = _find_beside_job(path, value)
-        if value != option.to_display(each.default):
+        if key in written:
             given[each.name] = option.from_display(value)
     try:
         options = build_clean_options(**given)
@@ -185,8 +186,8 @@ def expand_paths(path: Path, names: Iterable[str], key: str) -> list[Path]:
 
 def _list_job_options() -> list[tuple[DataclassField[Any], Option]]:
     """Return the fields and options that a job file can set."""
-    named = [(each, cast(Option, each.metadata["option"])) for _, stage in list_stages() for each in fields(cast(Any, stage))]
-    return [(each, option) for each, option in named if option.job_key]
+    named = [(each, each.metadata.get("option")) for _, stage in list_stages() for each in fields(cast(Any, stage))]
+    return [(each, option) for each, option in named if isinstance(option, Option) and option.job_key]
 
 
 def _get_yaml_type(each: DataclassField[Any]) -> Any:

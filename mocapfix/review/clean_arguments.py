@@ -21,7 +21,7 @@ def build_clean_arguments(path: Path, options: CleanOptions, folder: Path, stem:
         values = getattr(options, stage_name)
         for name, option in list_options(stage):
             value = getattr(values, name)
-            if name != "review_files" and value != getattr(type(values), name):
+            if name != "review_files" and value != options.get_default(name):
                 arguments += _format_option(option, name, value, folder, stem)
     return arguments
 
