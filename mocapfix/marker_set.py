@@ -54,6 +54,7 @@ class MarkerSet:
     other_names      other names of the set
     point_sd         m: standard deviation per axis of a point of the set in one frame; 0 for markers, whose errors options state
     props            labels of the markers on each prop, by its name; they are not on the body
+    is_laboratory    whether the set is one of laboratories that measure gait or sports, rather than of animation
     """
 
     name: str
@@ -68,6 +69,7 @@ class MarkerSet:
     other_names: tuple[str, ...] = ()
     point_sd: float = 0.0
     props: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    is_laboratory: bool = False
 
     @property
     def required_labels(self) -> tuple[str, ...]:

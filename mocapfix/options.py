@@ -6,7 +6,6 @@ line needs it to print its help. Example: `build_clean_options(prior="none", max
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -20,18 +19,15 @@ if TYPE_CHECKING:
     from mocapfix.subject import Subject
 
 __all__ = [
-    "DEFAULT_READ_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions", "DetectOptions", "FillOptions",
-    "InitialiseOptions", "OutputOptions", "PriorOptions", "PurposeOptions", "ReadOptions", "ReviewOptions", "SolveOptions",
-    "SubjectOptions", "build_clean_options", "list_stages",
+    "DEFAULT_READ_OPTIONS", "PURPOSE_DEFAULTS", "PURPOSE_OPTIONS", "STAGE_OF_OPTION", "CleanOptions", "ContactOptions",
+    "DetectOptions", "FillOptions", "InitialiseOptions", "OutputOptions", "PriorOptions", "PurposeOptions", "ReadOptions",
+    "ReviewOptions", "SolveOptions", "SubjectOptions", "build_clean_options", "list_stages",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PurposeOptions(StageOptions):
-    """What the take is for.
-
-    given  the names of the options that somebody set, among those whose default depends on the purpose; `CleanOptions` keeps it
-    """
+    """What the cleaned take is for."""
 
     purpose: str = define_option(
         choices.PURPOSE_ANIMATION, "--purpose", "animation|lab",
@@ -39,6 +35,7 @@ class PurposeOptions(StageOptions):
         job_key="purpose", choices=choices.PURPOSES,
     )  # fmt: skip
     given: tuple[str, ...] = field(default=(), compare=False)
+    """the names of the options that were given, of the purpose and of those whose default depends on it"""
 
 
 @dataclass(frozen=True)
@@ -260,8 +257,8 @@ class ReviewOptions(StageOptions):
 class CleanOptions:
     """The options of cleaning a take, by stage.
 
-    An option that nobody set has the default of the purpose. Set is what is given to `change` or `build_clean_options`, on the
-    command line or in a job file, and in a stage what differs from its usual default.
+    An option that is not given has the default of the purpose. Given is what is passed to `change` or `build_clean_options`, on
+    the command line or in a job file, and in a stage what differs from its usual default.
     """
 
     purpose: PurposeOptions = PurposeOptions()
@@ -278,7 +275,7 @@ class CleanOptions:
 
     def __post_init__(self) -> None:
         given = set(self.purpose.given)
-        for name, usual in list_purpose_defaults().items():
+        for name, usual in PURPOSE_DEFAULTS.items():
             options, default = getattr(self, STAGE_OF_OPTION[name]), self.get_default(name)
             if name in given or getattr(options, name) == default:
                 continue
@@ -293,9 +290,8 @@ class CleanOptions:
 
         Raises OptionError if there is no such option or its value is not allowed.
         """
-        purpose_defaults = list_purpose_defaults()
-        given = {*self.purpose.given, *purpose_defaults.keys() & values.keys()}
-        values = {name: default for name, default in purpose_defaults.items() if name not in given} | values
+        given = {*self.purpose.given, *values.keys() & set(PURPOSE_OPTIONS)}
+        values = {name: default for name, default in PURPOSE_DEFAULTS.items() if name not in given} | values
         stages: dict[str, dict[str, object]] = {"purpose": {"given": tuple(sorted(given))}}
         for name, value in values.items():
             if name not in STAGE_OF_OPTION:
@@ -320,15 +316,15 @@ def list_stages() -> Iterator[tuple[str, type[StageOptions]]]:
 STAGE_OF_OPTION: dict[str, str] = {name: stage for stage, kind in list_stages() for name, _ in list_options(kind)}
 
 
-@cache
-def list_purpose_defaults() -> dict[str, object]:
-    """Return the usual default of each option whose default depends on the purpose, by the option's name."""
-    return {
-        name: getattr(stage, name)
-        for _, stage in list_stages()
-        for name, option in list_options(stage)
-        if option.lab_default is not None
-    }
+PURPOSE_DEFAULTS: dict[str, object] = {
+    name: getattr(stage, name)
+    for _, stage in list_stages()
+    for name, option in list_options(stage)
+    if option.lab_default is not None
+}
+"""the usual default of each option whose default depends on the purpose, by the option's name"""
+PURPOSE_OPTIONS = ("purpose", *PURPOSE_DEFAULTS)
+"""the options of which it matters whether they were given"""
 
 
 def build_clean_options(**values: object) -> CleanOptions:

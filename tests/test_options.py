@@ -1,6 +1,7 @@
 """Options: defaults, ranges, and changing them by name."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -8,10 +9,13 @@ from mocapfix.errors import OptionError
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, REPLACED_SAMPLE_KINDS
 from mocapfix.files.option_choices import REPAIRABLE_KINDS
 from mocapfix.options import (
+    PURPOSE_DEFAULTS,
     STAGE_OF_OPTION,
     CleanOptions,
     FillOptions,
     PriorOptions,
+    PurposeOptions,
+    ReviewOptions,
     build_clean_options,
     list_options,
     list_stages,
@@ -75,9 +79,42 @@ def test_repairable_kinds_are_those_of_faults():
         ),
         ({"up_axis": "W"}, "up_axis must be one of X, -X, Y, -Y, Z, -Z, not 'W'."),
         ({"rate_hz": 1.0}, "rate_hz must be at least 5 Hz and at most 2000 Hz and finite, not 1."),
-        ({"max_gap": 1.0}, "max_gap is no option; the options are unit, "),
+        ({"max_gap": 1.0}, "max_gap is no option; the options are purpose, unit, "),
     ],
 )
 def test_wrong_value_is_named(values, message):
     with pytest.raises(OptionError, match=re.escape(message)):
         build_clean_options(**values)
+
+
+# the purpose
+
+
+def test_purpose_sets_what_is_not_given():
+    lab = build_clean_options(purpose="lab")
+    assert (lab.fill.max_sd_m, lab.fill.max_end_sd_m, lab.contacts.feet) == (0.020, 0.0, "off")
+    usual = CleanOptions()
+    assert (usual.fill.max_sd_m, usual.fill.max_end_sd_m, usual.contacts.feet) == (0.250, 0.060, "soft")
+    assert lab.change(purpose="animation") == usual
+    assert lab.purpose.given == ("purpose",)
+
+
+@pytest.mark.parametrize("name", PURPOSE_DEFAULTS)
+def test_given_value_wins_over_the_purpose_even_if_it_is_the_usual_default(name):
+    usual = PURPOSE_DEFAULTS[name]
+    for lab in (
+        build_clean_options(**{"purpose": "lab", name: usual}),
+        build_clean_options(**{name: usual}).change(purpose="lab"),
+        build_clean_options(purpose="lab").change(**{name: usual}).change(max_gap_s=2.0),
+    ):
+        stage = STAGE_OF_OPTION[name]
+        assert getattr(getattr(lab, stage), name) == usual
+        assert getattr(getattr(replace(lab, review=ReviewOptions(("a",))), stage), name) == usual
+        others = {other for other in PURPOSE_DEFAULTS if other != name}
+        assert all(getattr(getattr(lab, STAGE_OF_OPTION[other]), other) == lab.get_default(other) for other in others)
+
+
+def test_stages_that_are_built_keep_their_values_with_a_purpose():
+    lab = CleanOptions(purpose=PurposeOptions("lab"), fill=FillOptions(max_sd_m=0.030))
+    assert (lab.fill.max_sd_m, lab.fill.max_end_sd_m) == (0.030, 0.0)
+    assert CleanOptions(fill=FillOptions(max_sd_m=0.020)).change(prior="none").fill.max_sd_m == 0.020

@@ -26,6 +26,7 @@ class SubjectFigures(StrictModel):
     worst_frame               frame of that sample, else the one with the most empty or corrected ones; the file's frame number
     residual_mm               mean distance of the markers from the body; None without a body
     picture_svg               small drawing of that frame for the session page
+    laboratory                what suggests that the take is that of a laboratory; "" if nothing does
     notes                     sentences of the report on what else needs attention
     """
 
@@ -45,6 +46,7 @@ class SubjectFigures(StrictModel):
     worst_frame: int | None = None
     residual_mm: NonNegativeFloat | None = None
     picture_svg: str = ""
+    laboratory: str = ""
     notes: tuple[str, ...] = ()
 
 
@@ -78,6 +80,7 @@ def measure_subject(result: "CleaningResult") -> SubjectFigures:
         worst_frame=None if frame is None else take.get_frame_number(frame),
         residual_mm=solve["marker_residual_mm"]["mean"] if solve else None,
         picture_svg="" if frame is None else draw_worst_moment(result, frame),
+        laboratory=report["take"].get("laboratory", ""),
         notes=tuple(report["notes"]),
     )
 

@@ -13,7 +13,7 @@ import tyro
 from mocapfix.errors import OptionError
 from mocapfix.files.option_choices import UP_AXES
 from mocapfix.files.option_definitions import Option, StageOptions
-from mocapfix.options import CleanOptions, build_clean_options, list_stages
+from mocapfix.options import PURPOSE_OPTIONS, CleanOptions, build_clean_options, list_stages
 
 UP_FLAG = "--up"
 FRAME_LIMIT = 2**62
@@ -121,9 +121,9 @@ def _build_argument(each: Field[Any], default_text: str = "") -> tuple[Any, Any]
     """Return the annotation and the default value of the argument for an option."""
     option: Option = each.metadata["option"]
     details: dict[str, Any] = {"name": option.flag.removeprefix("--"), "help": option.help, "aliases": option.aliases or None}
-    if option.lab_default is not None:
-        usual, lab = (option.to_display(value) for value in (each.default, option.lab_default))
-        details["help_behavior_hint"] = f"(default: {usual}; with --purpose lab: {lab})"
+    if each.name in PURPOSE_OPTIONS:  # None if it is not given
+        lab = "" if option.lab_default is None else f"; with --purpose lab: {option.to_display(option.lab_default)}"
+        details["help_behavior_hint"] = f"(default: {option.to_display(each.default)}{lab})"
         return Annotated[type(each.default) | None, tyro.conf.arg(metavar=option.metavar, **details)], None
     if default_text := default_text or option.default_text:
         details["help_behavior_hint"] = f"(default: {default_text})"

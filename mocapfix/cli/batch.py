@@ -10,7 +10,7 @@ import tyro
 from rich.markup import escape
 
 from mocapfix.cli.arguments import FlagOption, build_options_argument, describe_option, parse_options, split_names
-from mocapfix.cli.clean import STAGES
+from mocapfix.cli.clean import STAGES, describe_laboratory
 from mocapfix.cli.console import EXIT_DONE, EXIT_FAILED, compile_kernels_first, print_error, print_line, print_usage_error
 from mocapfix.errors import MocapfixError
 
@@ -120,6 +120,9 @@ def run_batch(
         f"{len(records) - failed_count:,} of {len(records):,} takes are done, {failed_count:,} failed. "
         f"Page: {escape(str(output_folder / PAGE_NAME))}"
     )
+    laboratory = {record.take: next((each.laboratory for each in record.subjects if each.laboratory), "") for record in records}
+    if note := describe_laboratory(laboratory, parsed):
+        print_line(escape(note))
     if failed_count < len(records):
         print_line(f"To look at the changes in the browser: mocapfix review {escape(shlex.quote(str(output_folder)))}")
     return EXIT_FAILED if failed_count else EXIT_DONE

@@ -3,6 +3,7 @@
 import json
 import shlex
 import threading
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -33,7 +34,9 @@ from mocapfix.files.output_files import OUTPUT_FOLDER_SUFFIX
 from mocapfix.options import CleanOptions
 
 MAX_LISTED_RUNS = 5
-"""runs of unfilled samples that the summary lists"""
+"""runs of unfilled samples, or markers with unfilled samples, that the summary lists"""
+MAX_LISTED_REASONS = 3
+"""reasons of unfilled samples that it lists"""
 ANIMATION_SUFFIXES = (".bvh", ".amc", ".asf")
 """files without markers, for which few kernels are needed"""
 SOLVE_STAGE = "solve"
@@ -42,7 +45,7 @@ REPORT_MODULES = ("rerun.blueprint", "mocapfix.report.html_report")
 """modules that the reports need, which take a third of a second to import"""
 STAGES = ("purpose", "read", "subject", "detect", "initialise", "prior", "solve", "contacts", "fill", "review", "output")
 if TYPE_CHECKING:
-    from mocapfix.report.report import Report, TakeSection
+    from mocapfix.report.report import FillSection, Report, TakeSection
 
     CleanArguments = object
 else:
@@ -98,6 +101,7 @@ def clean_takes(
 
     reports: list[Report] = []
     written: set[Path] = set()
+    laboratory: dict[str, str] = {}
     attempts = TakeAttempts()
     for take in takes:
         with attempts.attempt(take):
@@ -113,8 +117,11 @@ def clean_takes(
             for each in result.subject_results or (result,):
                 outputs = each.get_output_paths(folder, options.output)
                 reports.append(json.loads(outputs["report.json"].read_text(encoding="utf-8")))
+                laboratory[format_take_name(reports[-1]["take"])] = reports[-1]["take"].get("laboratory", "")
                 if not as_json:
                     print_summary(reports[-1], outputs, options.subject.subject_prefix)
+    if not as_json and (note := describe_laboratory(laboratory, options)):
+        print_line(escape(note))
     if as_json and reports:
         print_json(reports if len(takes) > 1 or len(reports) > 1 else reports[0])
     return EXIT_FAILED if attempts.failed else EXIT_DONE
@@ -176,10 +183,8 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
     if accepted := [change["kind"] for change in changes if change["decision"] == "accept"]:
         rejected = f"; {len(changes) - len(accepted)} rejected by decision" if len(changes) > len(accepted) else ""
         print_line(f"  changed: {format_fault_counts(accepted)}{rejected}.")
-    for run in fill["unfilled"][:MAX_LISTED_RUNS]:
-        print_line(f"  left empty: {escape(run['marker'])}, frames {run['first']}-{run['last']}: {run['reason']}.")
-    if len(fill["unfilled"]) > MAX_LISTED_RUNS:
-        print_line(f"  ... and {len(fill['unfilled']) - MAX_LISTED_RUNS} more, listed in the report.")
+    for line in describe_left_empty(fill):
+        print_line(f"  {escape(line)}")
     for note in report["notes"]:
         print_line(f"  {escape(note)}")
     print_output_files(outputs)
@@ -189,6 +194,36 @@ def print_summary(report: "Report", outputs: Mapping[str, Path], subject_prefix:
         folder = escape(shlex.quote(str(outputs["changes.yaml"].parent)))
         print_line(f"  To look at the changes in the browser, and reject some: mocapfix review {folder}")
         print_line(f"  To undo a change by hand, edit its decision in the changes file and clean again with {arguments}")
+
+
+def describe_left_empty(fill: "FillSection") -> list[str]:
+    """Return lines on what a cleaning left empty: each interval, or the markers and the reasons where there are many."""
+    runs, markers = fill["unfilled"], fill["left_by_marker"]
+    if len(runs) <= MAX_LISTED_RUNS:
+        return [f"left empty: {run['marker']}, frames {run['first']}-{run['last']}: {run['reason']}." for run in runs]
+    reasons: Counter[str] = Counter()
+    for entry in markers:
+        reasons.update(entry["reasons"])
+    more = f"; the report lists {len(markers):,} markers" if len(markers) > MAX_LISTED_RUNS else ""
+    listed = ", ".join(f"{entry['marker']} {entry['samples']:,}" for entry in markers[:MAX_LISTED_RUNS])
+    lines = [f"left empty, by marker: {listed}{more}."]
+    return lines + [f"left empty: {count:,} samples {reason}." for reason, count in reasons.most_common(MAX_LISTED_REASONS)]
+
+
+def describe_laboratory(evidence: Mapping[str, str], options: CleanOptions) -> str:
+    """Return the sentence that suggests the purpose of laboratories for takes that look like theirs; "" if it is not needed.
+
+    evidence  by the name of a take, what suggests a laboratory; "" if nothing does
+    """
+    found = [(take, reason) for take, reason in evidence.items() if reason]
+    if not found or "purpose" in options.purpose.given:
+        return ""
+    take, reason = found[0]
+    what = f"{take} looks like a take" if len(evidence) == 1 else f"{len(found):,} takes, such as {take}, look like those"
+    return (
+        f"{what} of a laboratory ({reason}): --purpose lab writes only what measurements can rely on. "
+        "(--purpose animation hides this note.)"
+    )
 
 
 def print_output_files(outputs: Mapping[str, Path]) -> None:

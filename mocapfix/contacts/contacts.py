@@ -15,6 +15,7 @@ FOOT_JOINTS = {"left": ("LeftFoot", "LeftToeBase"), "right": ("RightFoot", "Righ
 CONTACT_JOINTS = tuple(joint for joints in FOOT_JOINTS.values() for joint in joints)
 OTHER_CONTACT_JOINTS = ("LeftLeg", "RightLeg", "LeftHand", "RightHand")
 """knees and wrists, which are in contact in falls, rolls and crawls"""
+PLATE_SOURCE = "force plate"
 
 
 class GaitEvent(NamedTuple):

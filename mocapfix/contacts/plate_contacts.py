@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from mocapfix.contacts.contacts import FOOT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.contacts.contacts import FOOT_JOINTS, PLATE_SOURCE, BodyContacts, GaitEvent
 from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.gait_events import find_foot_near_floor
@@ -24,7 +24,6 @@ MIN_LOAD_S = 0.06
 """Shortest load that is a step."""
 MAX_EVENT_DISTANCE_S = 0.15
 """Time between the events of a plate and of markers that are one event."""
-PLATE_SOURCE = "force plate"
 
 
 class PlateContact(NamedTuple):

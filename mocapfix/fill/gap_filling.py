@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Int8, Shaped
 
 from mocapfix.changes import UnfilledRun, expand_unfilled_reasons
 from mocapfix.errors import TakeError
@@ -63,6 +63,7 @@ def fill_gaps(state: CleaningState, options: CleanOptions) -> CleaningState:
         epochs.take,
         epochs.split_mask(inliers),
         gap_durations_s,
+        find_ends(inliers)[:, epochs.column_marker],
         body,
         options.fill,
         is_partial_body=is_partial,
@@ -102,6 +103,7 @@ def fill_take(
     take: Take,
     is_inlier: Bool[np.ndarray, "T M"],
     gap_durations_s: Float[np.ndarray, "T M"],
+    ends: Int8[np.ndarray, "T M"],
     body: BodyFit | None,
     options: FillOptions,
     *,
@@ -115,6 +117,8 @@ def fill_take(
         take: the take; its M columns are those that `body.marker_columns` points to.
         is_inlier: samples that are kept bit for bit.
         gap_durations_s: the duration of the gap of each sample, as `compute_gap_durations` returns it for the whole take.
+        ends: the samples before a marker is first measured and after it is last measured, as `find_ends` returns them for the
+            whole take.
         body: the solved body, None without one.
         options: what may be edited and how certain an estimate must be.
         is_partial_body: whether the body has unsolved joints, or a marker set that was learned from this take.
@@ -139,6 +143,7 @@ def fill_take(
         estimate = use_requested_methods(estimate, requests, inliers, body_estimate, take.rate)
     markers, sd, method = estimate
     reasons = explain_unfilled_samples(take, is_wanted, gap_durations_s, sd, options)
+    reasons = explain_unfilled_ends(reasons, is_wanted, ends, sd, options)
     reasons = explain_requested_fills(reasons, requests, is_wanted & np.isnan(sd))
     is_filled = is_wanted & (reasons == "")
     filled = np.where(is_filled[..., None], markers, np.where((is_wanted & ~is_filled)[..., None], np.nan, take.markers))
@@ -248,6 +253,35 @@ def explain_unfilled_samples(
     reasons[is_wanted & (gap_durations_s > options.max_gap_s)] = f"the gap is longer than {options.max_gap_s:g} s"
     reasons[is_wanted & ~take.visible.any(0)] = "the marker is never visible in this take"
     return reasons
+
+
+def find_ends(is_measured: Bool[np.ndarray, "T M"]) -> Int8[np.ndarray, "T M"]:
+    """Return -1 for the samples before each marker is first measured, 1 for those after it is last measured, 0 for the others.
+
+    A marker that is never measured has no ends.
+    """
+    is_begun = np.logical_or.accumulate(is_measured, axis=0)
+    is_ended = ~np.logical_or.accumulate(is_measured[::-1], axis=0)[::-1]
+    return np.where(is_measured.any(0), is_ended.astype(np.int8) - ~is_begun, 0).astype(np.int8)
+
+
+def explain_unfilled_ends(
+    reasons: Shaped[np.ndarray, "T M"],
+    is_wanted: Bool[np.ndarray, "T M"],
+    ends: Int8[np.ndarray, "T M"],
+    sd_m: Float[np.ndarray, "T M"],
+    options: FillOptions,
+) -> Shaped[np.ndarray, "T M"]:
+    """Return the reasons with those of the samples at a marker's ends that are too uncertain. `ends` is from `find_ends`.
+
+    A motion between two measurements is interpolated, and its errors are bounded. Beyond them it is extrapolated.
+    """
+    limit_m = options.max_end_sd_m
+    rule = f", where it is predicted worse than {limit_m * 1e3:g} mm (--max-end-sd)" if limit_m else " (--max-end-sd 0)"
+    is_left = is_wanted & ((sd_m > limit_m) | (limit_m == 0.0))
+    is_left &= (reasons == "") | (sd_m > options.max_sd_m)
+    before, after = (f"{words} measured{rule}" for words in ("before the marker is first", "after the marker is last"))
+    return np.where(is_left & (ends < 0), before, np.where(is_left & (ends > 0), after, reasons))
 
 
 def list_unfilled_runs(

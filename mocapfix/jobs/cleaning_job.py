@@ -17,7 +17,7 @@ from mocapfix.files.option_definitions import Option
 from mocapfix.files.output_files import check_outputs_absent, make_output_folder
 from mocapfix.files.shipped import is_existing_file
 from mocapfix.files.yaml_models import StrictModel, read_yaml_model
-from mocapfix.options import CleanOptions, build_clean_options, list_stages
+from mocapfix.options import PURPOSE_DEFAULTS, CleanOptions, build_clean_options, list_stages
 from mocapfix.synthetic import compose_take, write_synthetic_take
 from mocapfix.write.output_formats import list_output_formats
 
@@ -141,7 +141,7 @@ def build_job_options(path: Path, header: StrictModel) -> CleanOptions:
         written = getattr(header, section).model_fields_set if section else header.model_fields_set
         if each.name in FILE_OPTIONS and value:
             value = _find_beside_job(path, value)
-        if key in written:
+        if key in written and not (value is None and each.name in PURPOSE_DEFAULTS):
             given[each.name] = option.from_display(value)
     try:
         options = build_clean_options(**given)
@@ -191,11 +191,12 @@ def _list_job_options() -> list[tuple[DataclassField[Any], Option]]:
 
 
 def _get_yaml_type(each: DataclassField[Any]) -> Any:
-    """Return the type of an option's value in a job file."""
+    """Return the type of an option's value in a job file; null stands for a default that depends on the purpose."""
     finite: Any = FiniteFloat
     special: dict[Any, Any] = {float: finite, float | None: finite | None, str | Path | None: str | None}
     special[tuple[str | Path, ...]] = tuple[str, ...]
-    return next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
+    found: Any = next((yaml_type for python_type, yaml_type in special.items() if python_type == each.type), each.type)
+    return found | None if each.name in PURPOSE_DEFAULTS else found
 
 
 def build_job_model(name: str, header: type[HeaderModel]) -> type[HeaderModel]:
@@ -203,7 +204,8 @@ def build_job_model(name: str, header: type[HeaderModel]) -> type[HeaderModel]:
     keys: dict[str, dict[str, Any]] = {"": {}}
     for each, option in _list_job_options():
         section, _, key = option.job_key.rpartition(".")
-        keys.setdefault(section, {})[key] = (_get_yaml_type(each), option.to_display(each.default))
+        default = None if each.name in PURPOSE_DEFAULTS else option.to_display(each.default)
+        keys.setdefault(section, {})[key] = (_get_yaml_type(each), default)
     top = keys.pop("")
     for section, section_keys in keys.items():
         model = create_model(f"Job{section.capitalize()}", __base__=StrictModel, **section_keys)

@@ -65,6 +65,7 @@ def build_subject_marker_set(subject: Subject) -> MarkerSet:
         marker_spread=subject.marker_spread,
         aliases=tuple(aliases.get(label, ()) for label in subject.labels),
         optional_labels=shipped.optional_labels & set(subject.labels) if shipped else frozenset(),
+        is_laboratory=shipped is not None and shipped.is_laboratory,
     )
 
 
@@ -89,6 +90,8 @@ def write_marker_set(path: str | Path, marker_set: MarkerSet, comment: str = "")
     if marker_set.other_names:
         data["also_called"] = list(marker_set.other_names)
     data["skeleton"] = marker_set.skeleton
+    if marker_set.is_laboratory:
+        data["laboratory"] = True
     if marker_set.point_sd:
         data["point_sd"] = round(float(marker_set.point_sd), MARKER_OFFSET_DECIMALS)
     data["markers"] = markers
@@ -117,6 +120,7 @@ def _read_marker_set(path: Path) -> MarkerSet:
         other_names=model.also_called,
         point_sd=model.point_sd,
         props=model.props,
+        is_laboratory=model.laboratory,
     )
 
 
@@ -160,6 +164,7 @@ class _MarkerSetModel(StrictModel):
     title: str
     also_called: tuple[str, ...] = ()
     skeleton: Literal["cmu31"]
+    laboratory: bool = False
     point_sd: FiniteFloat = Field(default=0.0, ge=0)
     markers: dict[str, _SetMarkerModel] = Field(min_length=1)
     props: dict[str, tuple[str, ...]] = Field(default_factory=dict[str, tuple[str, ...]])

@@ -20,11 +20,13 @@ from mocapfix.report.report import (
     FaultEntry,
     FillSection,
     InspectionReport,
+    LeftEmptyEntry,
     Report,
     RigidGroupEntry,
     SolveSection,
     SubjectSection,
     TakeSection,
+    UnfilledEntry,
 )
 from mocapfix.report.terms import MARKER_TERMS
 from mocapfix.review.changes_file import serialize_changes
@@ -186,23 +188,36 @@ def build_fill_section(
     estimated = np.zeros(input_take.visible.shape, bool) if sample_sd is None else ~np.isnan(sample_sd)
     visible = relabelled_take.visible
     relabelled = cleaned_take.visible & ~estimated & (cleaned_take.source_points != input_take.source_points)
+    unfilled: list[UnfilledEntry] = [
+        {
+            "marker": input_take.labels[run.marker],
+            "first": input_take.get_frame_number(run.first),
+            "last": input_take.get_frame_number(run.last),
+            "reason": run.reason,
+        }
+        for run in unfilled_runs
+        if counts[run.marker]
+    ]
     return {
         "missing_before": int((~input_take.visible & counts).sum()),
         "filled": int((estimated & ~visible & counts).sum()),
         "replaced": int((estimated & visible & counts).sum()),
         "relabelled": int((relabelled & counts).sum()),
         "left_empty": int((~cleaned_take.visible & counts).sum()),
-        "unfilled": [
-            {
-                "marker": input_take.labels[run.marker],
-                "first": input_take.get_frame_number(run.first),
-                "last": input_take.get_frame_number(run.last),
-                "reason": run.reason,
-            }
-            for run in unfilled_runs
-            if counts[run.marker]
-        ],
+        "unfilled": unfilled,
+        "left_by_marker": _count_left_by_marker(unfilled),
     }
+
+
+def _count_left_by_marker(unfilled: Sequence[UnfilledEntry]) -> list[LeftEmptyEntry]:
+    counts: dict[str, Counter[str]] = {}
+    for run in unfilled:
+        counts.setdefault(run["marker"], Counter())[run["reason"]] += run["last"] - run["first"] + 1
+    entries: list[LeftEmptyEntry] = [
+        {"marker": marker, "samples": reasons.total(), "reasons": dict(reasons.most_common())}
+        for marker, reasons in counts.items()
+    ]
+    return sorted(entries, key=lambda entry: -entry["samples"])
 
 
 def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dict[str, float]) -> Report:
@@ -246,6 +261,8 @@ def build_report(state: CleaningState, options: CleanOptions, stage_seconds: dic
             *notes.describe_uncertain_fills(state.cleaned_take),
         ],
     }
+    if evidence := notes.find_laboratory_evidence(state.marker_set, body):
+        report["take"]["laboratory"] = evidence
     if body and body.contacts:
         report["contacts"] = build_contact_section(body.contacts, take)
     if rigid_groups:

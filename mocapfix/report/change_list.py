@@ -9,7 +9,7 @@ from markupsafe import Markup
 from mocapfix.changes import Change
 from mocapfix.faults import MISSING_KINDS, Fault
 from mocapfix.report.change_figures import build_change_curves, draw_change_figure
-from mocapfix.report.report import UnfilledEntry
+from mocapfix.report.report import LeftEmptyEntry, UnfilledEntry
 from mocapfix.report.sample_states import CleaningComparison
 from mocapfix.report.summary import format_severity
 from mocapfix.report.terms import format_frame_range, format_number
@@ -142,6 +142,20 @@ def build_unfilled_list(entries: Sequence[UnfilledEntry], comparison: CleaningCo
         (entry["marker"], format_frame_range(entry["first"], entry["last"]), entry["reason"]) for entry in entries[:MAX_LIST_ROWS]
     ]
     return _build_list("interval", len(entries), (comparison.terms.point.capitalize(), "Frames", "Reason"), rows)
+
+
+def build_left_list(entries: Sequence[LeftEmptyEntry], comparison: CleaningComparison) -> TableList | None:
+    """Return the table of the samples that stay empty by marker, and their reasons; None without any."""
+    rows = [
+        (
+            entry["marker"],
+            f"{entry['samples']:,}",
+            "; ".join(f"{count:,}: {reason}" for reason, count in entry["reasons"].items()),
+        )
+        for entry in entries[:MAX_LIST_ROWS]
+    ]
+    name, points = comparison.terms.point, comparison.terms.point.capitalize()
+    return _build_list(name, len(entries), (points, f"Empty {comparison.terms.samples}", "Number and reason"), rows)
 
 
 def _build_list(name: str, count: int, header: tuple[str, ...], rows: list[tuple[str, ...]]) -> TableList | None:

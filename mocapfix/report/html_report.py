@@ -13,6 +13,7 @@ from mocapfix.report.change_list import (
     TableList,
     build_change_figures,
     build_change_list,
+    build_left_list,
     build_unchanged_list,
     build_unfilled_list,
 )
@@ -115,6 +116,7 @@ class ReportPage:
     residual_plot: ResidualPlot | None
     residual_curve_legend: Legend
     contacts: ContactPart | None
+    left_by_marker: TableList | None
     unfilled: TableList | None
     unchanged: TableList | None
     changes: TableList | None
@@ -161,6 +163,7 @@ def build_report_page(report: Report, comparison: CleaningComparison) -> ReportP
         residual_plot=None if comparison.residual_m is None else build_residual_plot(comparison.residual_m),
         residual_curve_legend=RESIDUAL_CURVE_LEGEND,
         contacts=build_contact_part(report.get("contacts"), comparison.contacts, comparison.input_take, comparison.terms),
+        left_by_marker=build_left_list(report["fill"]["left_by_marker"], comparison),
         unfilled=build_unfilled_list(report["fill"]["unfilled"], comparison),
         unchanged=build_unchanged_list(comparison),
         changes=build_change_list(comparison),

@@ -5,11 +5,13 @@ from collections.abc import Collection, Iterable, Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from mocapfix.contacts.contacts import PLATE_SOURCE
 from mocapfix.faults import EXTERNAL_FILL_KINDS, LABEL_KINDS, MIN_LABEL_CONFIDENCE, REPLACED_SAMPLE_KINDS, Fault, build_fault_mask
-from mocapfix.marker_set import format_name_list
+from mocapfix.marker_set import ARMS, MarkerSet, format_name_list
 from mocapfix.repair import MarkerEpochs
 from mocapfix.report.report import RigidGroupEntry
 from mocapfix.report.terms import MARKER_TERMS, PointTerms, format_frame_range, join_words
+from mocapfix.skeleton import BODY_SECTIONS
 from mocapfix.solve.lost_in_sight import LostPart, find_lost_parts
 from mocapfix.state import BodyFit, DetectionState
 from mocapfix.stats.sequences import find_runs
@@ -182,6 +184,22 @@ def describe_imported_fills(detection: DetectionState, residual_m: Float[np.ndar
         f"{len(far)} of {len(fills)} fills by another program are more than {_format_mm(MAX_IMPORTED_FILL_DISTANCE_M)} "
         f"from the body (the farthest: {farthest}) and are left unchanged; --refill replaces them."
     ]
+
+
+def find_laboratory_evidence(marker_set: MarkerSet | None, body: BodyFit | None) -> str:
+    """Return in a few words what suggests that a take is that of a laboratory; "" if nothing does.
+
+    It is force plates, a marker set of laboratories, or a body of which only legs are shown.
+    """
+    if body is None or marker_set is None:
+        return ""
+    if body.contacts and any(event.source == PLATE_SOURCE for event in body.contacts.events):
+        return "force plates"
+    if marker_set.is_laboratory:
+        return f"the marker set {marker_set.name}"
+    names = {name for name, is_solved in zip(body.subject.skeleton.names, body.subject.solved_joints, strict=True) if is_solved}
+    upper = {joint for section in ("head", *ARMS) for joint in BODY_SECTIONS[section]}
+    return "" if names & upper else "legs only"
 
 
 def describe_up_axis(take: Take) -> list[str]:

@@ -62,6 +62,7 @@ class TakeSection(TypedDict):
     up_axis          the axis of the file that points up
     computed_points  the positions in the file that a program computed from markers, if there are any
     animation        True if the points are the joints of an animation
+    laboratory       what suggests that the take is that of a laboratory
     """
 
     file: str
@@ -76,6 +77,7 @@ class TakeSection(TypedDict):
     labelling: NotRequired[LabellingSection]
     computed_points: NotRequired[list[ComputedPointEntry]]
     animation: NotRequired[bool]
+    laboratory: NotRequired[str]
 
 
 class FaultEntry(TypedDict):
@@ -172,6 +174,14 @@ class UnfilledEntry(TypedDict):
     reason: str
 
 
+class LeftEmptyEntry(TypedDict):
+    """The samples of a marker that stay empty: their number, and how many of them for each reason."""
+
+    marker: str
+    samples: int
+    reasons: dict[str, int]
+
+
 class FillSection(TypedDict):
     """Numbers of samples.
 
@@ -181,6 +191,7 @@ class FillSection(TypedDict):
     relabelled      measured, but under another label in the input
     left_empty      missing in the output
     unfilled        the empty intervals
+    left_by_marker  the same by marker, those with the most samples first
     """
 
     missing_before: int
@@ -189,6 +200,7 @@ class FillSection(TypedDict):
     relabelled: int
     left_empty: int
     unfilled: list[UnfilledEntry]
+    left_by_marker: list[LeftEmptyEntry]
 
 
 class InspectionReport(TypedDict):

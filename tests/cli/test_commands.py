@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from mocapfix.cli.arguments import parse_frames, parse_subject_files
+from mocapfix.cli.clean import describe_laboratory
 from mocapfix.cli.console import COMPILATION_MESSAGE
 from mocapfix.kernels import precompilation
+from mocapfix.options import build_clean_options
 from tests.c3d_files import c3d_bytes
 from tests.conftest import build_c3d
 
@@ -139,6 +141,46 @@ def test_options_restrict_what_is_changed(mocapfix, brief, tmp_path):
     assert (fill["missing_before"], fill["filled"], fill["replaced"], fill["left_empty"]) == (40, 20, 0, 20)
     assert [(each["marker"], each["first"], each["last"]) for each in fill["unfilled"]] == [("RELB", 341, 360)]
     assert "excluded from editing by --keep or --frames" in fill["unfilled"][0]["reason"]
+
+
+def test_purpose_lab_leaves_ends_empty_and_is_suggested_once(mocapfix, brief, tmp_path):
+    markers = brief.markers.copy()
+    markers[:5, brief.labels.index("RKNE")] = np.nan
+    markers[-3:, brief.labels.index("LWRA")] = np.nan
+    takes = [tmp_path / f"{name}.c3d" for name in ("one", "two")]
+    for take in takes:
+        take.write_bytes(build_c3d(markers, brief.labels, first=301))
+    arguments = ["clean", *takes, "--subject", brief.subject, "--out", tmp_path / "out", "--overwrite"]
+    status, out, _ = mocapfix(*arguments, "--purpose", "lab", "--json")
+    reports = json.loads(out)
+    assert status == 0
+    for report in reports:
+        ends = {each["marker"]: each["reasons"] for each in report["fill"]["left_by_marker"]}
+        assert ends == {
+            "RKNE": {"before the marker is first measured (--max-end-sd 0)": 5},
+            "LWRA": {"after the marker is last measured (--max-end-sd 0)": 3},
+        }
+        assert report["contacts"]["feet"]["mode"] == "off"
+        assert report["arguments"][1:3] == ["--purpose", "lab"]
+        assert not {"--max-sd", "--feet"} & set(report["arguments"])
+    assert mocapfix(*arguments, "--purpose", "lab", "--max-end-sd", "60")[1].count("0 left empty") == 2
+
+
+@pytest.mark.parametrize(
+    ("evidence", "options", "note"),
+    [
+        ({"a.c3d": "legs only"}, {}, "a.c3d looks like a take of a laboratory (legs only): --purpose lab writes only what"),
+        ({"a.c3d": "", "b.c3d": "force plates", "c.c3d": "legs only"}, {}, "2 takes, such as b.c3d, look like those of a"),
+        ({"a.c3d": ""}, {}, ""),
+        ({"a.c3d": "legs only"}, {"purpose": "animation"}, ""),
+        ({"a.c3d": "legs only"}, {"purpose": "lab"}, ""),
+    ],
+)
+def test_laboratory_is_suggested_unless_a_purpose_is_given(evidence, options, note):
+    found = describe_laboratory(evidence, build_clean_options(**options))
+    assert found.startswith(note)
+    assert bool(found) == bool(note)
+    assert len(found) <= 200
 
 
 def test_bad_take_does_not_stop_the_others(mocapfix, brief, tmp_path):

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from mocapfix.contacts.contacts import CONTACT_JOINTS, BodyContacts, GaitEvent
+from mocapfix.contacts.contacts import CONTACT_JOINTS, PLATE_SOURCE, BodyContacts, GaitEvent
 from mocapfix.contacts.floor import Floor
 from mocapfix.contacts.foot_points import FootPoints
 from mocapfix.contacts.plate_contacts import (
-    PLATE_SOURCE,
     PlateContact,
     align_contacts_with_plates,
     find_plate_contacts,

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mocapfix.fill import gap_filling
 from mocapfix.fill.fill_methods import FillMethod, build_marker_estimate
@@ -40,13 +42,15 @@ def remove_samples(markers, *gaps):
 
 def fill(take, options=ANYTHING, is_inlier=None):
     kept = take.visible if is_inlier is None else is_inlier
-    filled = gap_filling.fill_take(take, kept, gap_filling.compute_gap_durations(kept, take.rate), None, options)
+    durations, ends = gap_filling.compute_gap_durations(kept, take.rate), gap_filling.find_ends(kept)
+    filled = gap_filling.fill_take(take, kept, durations, ends, None, options)
     return filled.take, filled.unfilled
 
 
 def fill_with_body(take, body):
     durations = gap_filling.compute_gap_durations(take.visible, take.rate)
-    filled = gap_filling.fill_take(take, take.visible, durations, body, FillOptions())
+    ends = gap_filling.find_ends(take.visible)
+    filled = gap_filling.fill_take(take, take.visible, durations, ends, body, FillOptions())
     return filled.take, filled.unfilled
 
 
@@ -205,3 +209,37 @@ def test_uncertain_estimate_of_a_gap_is_not_used_beside_another():
     joined = gap_filling.join_gap_estimates(body, damaged, RATE)
     np.testing.assert_allclose(joined.position[gap, 0], body.position[gap, 0])
     np.testing.assert_allclose(joined.sd[gap, 0], 0.02)
+
+
+# before a marker is first measured and after it is last measured
+
+
+@given(st.integers(1, 12).flatmap(lambda count: st.lists(st.booleans(), min_size=count, max_size=count)))
+def test_ends_are_the_samples_outside_the_measured_ones(measured):
+    ends = gap_filling.find_ends(np.array(measured)[:, None])[:, 0].tolist()
+    if not any(measured):
+        assert ends == [0] * len(measured)
+        return
+    first, last = measured.index(True), len(measured) - 1 - measured[::-1].index(True)
+    assert ends == [-1 if t < first else int(t > last) for t in range(len(measured))]
+
+
+@pytest.mark.parametrize(("gap", "words"), [((0, 30), "before the marker is first"), ((370, 399), "after the marker is last")])
+def test_uncertain_ends_stay_empty_and_say_by_which_rule(rod, gap, words):
+    take = remove_samples(rod, (0, *gap), (1, 100, 140))
+    certain, _ = fill(take)
+    assert certain.visible[:, :2].all()  # rigid: predicted well beyond its measurements too
+    sd = certain.sample_sd[slice(gap[0], gap[1] + 1), 0]
+    after, left = fill(take, FillOptions(max_end_sd_m=float(np.median(sd))))
+    assert (after.visible[gap[0] : gap[1] + 1, 0] == (sd <= np.median(sd))).all()
+    reasons = [each.reason for each in left if each.marker == 0]
+    assert reasons
+    assert all(
+        re.fullmatch(rf"{words} measured, where it is predicted worse than \S+ mm \(--max-end-sd\)", each) for each in reasons
+    )
+    after, left = fill(take, FillOptions(max_end_sd_m=0.0))
+    assert [(each.first, each.last, each.reason) for each in left if each.marker == 0] == [
+        (*gap, f"{words} measured (--max-end-sd 0)")
+    ]
+    assert after.visible[:, 1].all()  # a gap between measurements is no end
+    assert are_bits_equal(take, after, take.visible)

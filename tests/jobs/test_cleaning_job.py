@@ -44,6 +44,13 @@ def test_lengths_are_in_millimetres(write_job):
     assert job.options.fill == FillOptions(max_gap_s=2.0, keep=("LFIN",), frames=(10, 90), max_sd_m=0.06, refill=True)
 
 
+def test_purpose_of_a_job_sets_what_it_does_not_give(write_job):
+    for lines in ("purpose: lab", "purpose: lab\nfill: {limit_mm: null}\ncontacts: {feet: null}"):
+        assert read_cleaning_job(write_job(lines)).options == CleanOptions().change(purpose="lab")
+    options = read_cleaning_job(write_job("purpose: lab\nfill: {limit_mm: 250}\ncontacts: {feet: soft}")).options
+    assert (options.fill.max_sd_m, options.fill.max_end_sd_m, options.contacts.feet) == (0.25, 0.0, "soft")
+
+
 def test_expert_options_can_be_set(write_job):
     job = read_cleaning_job(write_job("solve: {robust_scales_mm: [100, 40], marker_sd_mm: 12}\ndetect: {max_rounds: 1}"))
     assert job.options == CleanOptions().change(robust_scales_m=(0.1, 0.04), marker_sd_m=0.012, max_rounds=1)

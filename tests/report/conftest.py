@@ -122,6 +122,7 @@ def build_scene_report(comparison: CleaningComparison) -> Report:
             "relabelled": 60,
             "left_empty": int((~after.visible).sum()),
             "unfilled": [{"marker": LABELS[29], "first": 171, "last": 180, "reason": "The <hand> was hidden."}],
+            "left_by_marker": [{"marker": LABELS[29], "samples": 10, "reasons": {"The <hand> was hidden.": 10}}],
         },
         "seconds": {"read": 0.03, "total": 2.5},
         "notes": ["Look at M07 & its neighbours."],

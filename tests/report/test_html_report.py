@@ -227,7 +227,15 @@ def test_a_take_without_a_body(scene, tmp_path):
 
 
 def test_a_take_without_faults(scene, tmp_path):
-    fill = {"missing_before": 0, "filled": 0, "replaced": 0, "relabelled": 0, "left_empty": 0, "unfilled": []}
+    fill = {
+        "missing_before": 0,
+        "filled": 0,
+        "replaced": 0,
+        "relabelled": 0,
+        "left_empty": 0,
+        "unfilled": [],
+        "left_by_marker": [],
+    }
     complete = scene.comparison.input_take.replace_markers(scene.comparison.joint_position_world)
     takes = {"input_take": complete, "relabelled_take": complete, "cleaned_take": complete}
     report = scene.report | {"fill": fill, "changes": []}
@@ -271,7 +279,7 @@ def test_the_page_of_a_take_with_many_faults_stays_small(scene, tmp_path, count)
     assert ("And 5,000 more in the JSON report." in page.text) == (count > 1000)
     assert len(page.find_attributes("svg", "change")) == 12
     open_lists = [attrs for tag, attrs in page.tags if tag == "details" and "open" in attrs]
-    assert len(open_lists) == 1  # only the list of empty intervals is short
+    assert len(open_lists) == 2  # only the lists of what is left empty, by marker and by interval, are short
 
 
 def test_a_missing_folder_is_named(scene, tmp_path):

@@ -170,6 +170,11 @@ def test_fill_section_counts_filled_replaced_relabelled_and_empty_samples():
             {"marker": "Jim:RFHD", "first": 106, "last": 106, "reason": "uncertain"},
             {"marker": "C7", "first": 101, "last": 106, "reason": "never visible"},
         ],
+        "left_by_marker": [
+            {"marker": "C7", "samples": 6, "reasons": {"never visible": 6}},
+            {"marker": "Jim:LFHD", "samples": 1, "reasons": {"gap": 1}},
+            {"marker": "Jim:RFHD", "samples": 1, "reasons": {"uncertain": 1}},
+        ],
     }
 
 
